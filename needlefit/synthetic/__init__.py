@@ -1,1 +1,3 @@
-"""The synthetic data set: 47 insertions whose truth is known; the model that is fitted to them is another."""
+"""Generate the synthetic dataset: 47 insertions with known truth, by another model than the one that is
+fitted.
+"""

@@ -1,7 +1,6 @@
-"""Build the synthetic data set: simulate, scan and reconstruct every planned insertion; write the truth
-apart.
+"""Build the synthetic dataset: simulate, scan and reconstruct every planned insertion; write the truth apart.
 
-The twin without its scans: what a scan would tell is read off the truth, with the errors that scans leave.
+`build_unscanned` makes the twin without scans: measurements are the truth plus the errors that scans leave.
 
 Rendering a volume and reconstructing the needle from it takes 4 s an insertion, and is what nearly all of a
 twin's time goes into. Of the errors that come out of it, the registration's is by far the largest (0.18 mm),
@@ -60,7 +59,7 @@ _LAYER_NOTES = {
 
 
 def describe_dataset(seed: int, more: str = "") -> DatasetDescription:
-    """Return what the twin built with `seed` states of itself, and `more` if it departs from that."""
+    """Return the description of the twin built with `seed`; `more` is added to its notes."""
     return DatasetDescription(
         name="twin",
         title="Synthetic twin of the paper's 47 insertions",
@@ -83,7 +82,7 @@ def build_dataset(
 
     Parameters
     ----------
-    plan : sequence of Planned
+    plan : sequence of PlannedInsertion
         The insertions; each comes out the same whatever the others are.
     jobs : int
         Processes; changes no byte.
@@ -107,6 +106,7 @@ def _build_insertion(
     """Render an insertion, reconstruct it from what was written, and keep no volume."""
     scanned = render_insertion(scratch, planned, seed)
     reconstruction = reconstruct(scanned.scan, recipe)
+    # volumes are large: each process keeps one at a time
     scanned.scan.volume.unlink()
     return ReconstructedInsertion(scanned.insertion, scanned.exposure, reconstruction)
 
@@ -150,6 +150,7 @@ def _simulate_reconstruction(
     sd = np.full(len(centers), BALL_SD_MM)
     registration = register(centers, exposure.stated, sd, WHOLE_BOX_SETUP.known_sd)
     markers = MarkerResult(centers, sd, "volume")
+    # no voxels, so no brightness along the needle
     nothing = IntensityProfile(np.empty(0), np.empty(0), np.empty(0))
     detections = Detections(_simulate_axis(insertion, exposure, recipe, rng), markers, registration, nothing)
     nowhere = folder / f"{planned.id}.nrrd"
@@ -170,6 +171,7 @@ def _simulate_axis(
         np.maximum(s - length, 0), _end_direction(whole)
     )
     apart = np.abs(s[:, None] - s)
+    # tracing errors are correlated over about half a knot spacing, since the spline smooths over it
     hang_together = np.linalg.cholesky(np.exp(-apart / (recipe.centerline.knot_spacing_mm / 2)))
     sideways = AXIS_SD_MM * hang_together @ rng.normal(size=(len(s), 2))
     sideways += np.outer(np.exp((s - end) / TIP_REACH_MM), TIP_SD_MM[1] * rng.normal(size=2))

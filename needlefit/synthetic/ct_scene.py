@@ -1,4 +1,4 @@
-"""What lies in the synthetic CT scanner (needle, phantom, markers, table), and the scanner's properties."""
+"""Describe the synthetic CT scene (needle, phantom, markers, table) and the properties of the scanner."""
 
 from dataclasses import dataclass, field
 
@@ -17,7 +17,7 @@ WATER_PER_MM = 0.02
 
 @dataclass(frozen=True)
 class Needle3D:
-    """A steel needle.
+    """The steel needle in the scanner.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Needle3D:
 
 @dataclass(frozen=True)
 class SceneMarkers:
-    """Radiopaque balls: `centers` (M, 3) patient, `radius` mm, and what they would read."""
+    """Radiopaque balls: `centers` (M, 3) patient, `radius` mm, and their `hu` without a ceiling."""
 
     centers: Floats
     radius: float = 1.5
@@ -51,7 +51,7 @@ class SceneMarkers:
 
 @dataclass(frozen=True)
 class ScannerTable:
-    """A slab under the phantom, and the rails along its edges.
+    """The table: a slab under the phantom, and the rails along its edges.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class ScannerTable:
 
 @dataclass(frozen=True)
 class Scene3D:
-    """Everything in the scanner.
+    """Everything that lies in the scanner.
 
     Attributes
     ----------
@@ -84,8 +84,8 @@ class Scene3D:
         One a layer, from the entry inwards.
     box : Frame
         The phantom's world in the patient: origin at the middle of the entry face, x into the box.
-    markers : Markers or None
-    table : Table or None
+    markers : SceneMarkers or None
+    table : ScannerTable or None
     """
 
     needles: tuple[Needle3D, ...]
@@ -98,11 +98,11 @@ class Scene3D:
 
 @dataclass(frozen=True)
 class Scanner:
-    """How the scanner blurs, errs and saturates; slices of the grid are planes of its rotation.
+    """The scanner: its grid, blur, noise, artefacts and range; slices of the grid are planes of its rotation.
 
     Attributes
     ----------
-    grid : Grid
+    grid : VoxelGrid
     psf_mm : float
         Standard deviation of the point spread.
     noise_hu, noise_mm : float

@@ -1,4 +1,4 @@
-"""The 47 insertions of the twin: counts, layers and ends of the depth ranges are the paper's.
+"""Plan the 47 insertions of the twin: counts, layers and ends of the depth ranges are the paper's.
 
 The rest is invented: depths between the ends, entry positions, tilts and bevel sides are chosen so that
 each needle meets the layers that its row says. One needle of phantom 2 ends at the top of the cylinder:
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PlannedInsertion:
-    """An insertion as it is planned.
+    """One planned insertion.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class PlannedInsertion:
         Entry position on the face x = 0, mm.
     side : int
         The side of the entry axis that the bevel faces, +1: toward +y at tilt 0.
-    grain : float
+    fibre_angle : float
         Angle between the bevel and the muscle's fibres, degrees; 0 in a phantom.
     """
 
@@ -55,7 +55,7 @@ class PlannedInsertion:
 
     @property
     def origin(self) -> Floats:
-        """Where the tip first touches, (3,), world, mm."""
+        """The point of first contact, (3,), world, mm."""
         return np.array([0.0, self.y, self.z])
 
     @property
@@ -66,7 +66,7 @@ class PlannedInsertion:
 
     @property
     def toward(self) -> Floats:
-        """The direction that the bevel is stated to face, (3,), world: across the axis, in the xy plane."""
+        """The stated bevel direction, (3,), world: across the axis, in the xy plane."""
         angle = math.radians(self.tilt)
         return self.side * np.array([-math.sin(angle), math.cos(angle), 0.0])
 
@@ -113,8 +113,8 @@ _PHANTOM3 = (
     (54.58, -30, 16.0, 4.0, 1),
     (55.32, 30, -17.0, 1.0, -1),
 )
-# depth mm, tilt deg, y mm, z mm, side, grain deg; the first three in piece 1, the next three in piece 2,
-# the others in piece 3, which is turned after its first three
+# depth mm, tilt deg, y mm, z mm, side, fibre angle deg; the first three in piece 1, the next three in
+# piece 2, the others in piece 3, which is turned after its first three
 _CHICKEN = (
     (38.47, 0, -12.0, 3.0, 1, 62.0),
     (50.92, 0, 5.0, -9.0, -1, 53.0),

@@ -1,10 +1,10 @@
-"""Place one synthetic insertion in the CT scanner: its pose, the markers around it, and how it is scanned.
+"""Place one synthetic insertion in the CT scanner: its pose, the markers around it, and the scanned region.
 
 In the patient's axes (LPS) the scanner's long axis is S. The box stands on the table, its entry face toward
 the feet. The voxels are turned about the long axis by any angle, and the box is tilted against them by a few
 degrees.
 
-How a phantom is scanned: which part of it, and with which markers.
+A setup states which part of a phantom is scanned, and with which markers.
 
 The balls are embedded near the walls of the box, off every planned needle. Before each scan their places are
 measured with a probe, which errs by `known_sd`: what is stated of them differs from scan to scan.
@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScanSetup:
-    """What the scanner's field holds.
+    """The scanned region and the markers in it.
 
     Attributes
     ----------
@@ -87,12 +87,12 @@ SAMPLE_SETUP = ScanSetup(
 
 
 def choose_setup(planned: PlannedInsertion) -> ScanSetup:
-    """Return how an insertion is scanned."""
+    """Return the scan setup of an insertion."""
     return SAMPLE_SETUP if planned.id == design.SAMPLE_INSERTION.id else WHOLE_BOX_SETUP
 
 
 def measure_markers(setup: ScanSetup, seed: int, name: str) -> Floats:
-    """Return the places (M, 3) of the markers as measured before the scan `name`, world, mm."""
+    """Return the marker positions (M, 3) as measured before the scan `name`, world, mm."""
     rng = random_stream(seed, "twin", "markers", name)
     measured: Floats = setup.markers + setup.known_sd * rng.normal(size=setup.markers.shape)
     return measured
@@ -120,7 +120,7 @@ BEVEL_SD_DEG = 2.0
 
 @dataclass(frozen=True)
 class Exposure:
-    """An insertion in the scanner.
+    """One insertion in the scanner.
 
     Attributes
     ----------
@@ -137,8 +137,9 @@ class Exposure:
 
 
 def expose(insertion: SyntheticInsertion, setup: ScanSetup, seed: int) -> Exposure:
-    """Put an insertion into the scanner; it depends on its own plan and the seed, not on the others."""
+    """Place an insertion in the scanner; the result depends on its own plan and the seed only."""
     rng = random_stream(seed, "twin", "ct", insertion.planned.id)
+    # the order of draws from `rng` is part of the dataset: a new draw goes to the end
     turned = Rotation.from_euler("z", rng.uniform(0, 360), degrees=True).as_matrix()
     tilted = Rotation.from_rotvec(rng.uniform(-MAX_TILT_DEG, MAX_TILT_DEG, 3), degrees=True).as_matrix()
     world = Frame(rng.uniform(-MAX_OFFSET_MM, MAX_OFFSET_MM, 3), turned @ tilted @ UPRIGHT_ROTATION)
@@ -162,7 +163,7 @@ def expose(insertion: SyntheticInsertion, setup: ScanSetup, seed: int) -> Exposu
 
 
 def acquire(exposure: Exposure, seed: int, name: str) -> Volume:
-    """Return the volume of an exposure; the same seed and name give the same bytes."""
+    """Render the volume of an exposure; the same seed and name give the same bytes."""
     return render_scan(
         exposure.scene, exposure.scanner, random_stream(seed, "twin", "ct", name, "rays and noise")
     )

@@ -1,6 +1,4 @@
-"""Simulate one true insertion in three dimensions: the needle's shape, and the layers that this shape
-crosses.
-"""
+"""Simulate one true insertion in three dimensions: the needle's shape, and the layers that it crosses."""
 
 from dataclasses import dataclass
 
@@ -43,7 +41,7 @@ CONVERGENCE_MM, MAX_ROUNDS = 1e-5, 60
 
 @dataclass(frozen=True)
 class TrueInsertion:
-    """A true insertion.
+    """One insertion as it really is: shape, centreline and layers.
 
     Attributes
     ----------
@@ -78,7 +76,7 @@ class TrueInsertion:
 def insert_needle(
     planned: PlannedInsertion, needle: Needle, specimen: TrueSpecimen, deviations: PlanDeviations
 ) -> TrueInsertion:
-    """Insert the needle; the layer depths are those at which its final shape crosses the surfaces.
+    """Simulate the needle; the layer depths are those at which its final shape crosses the surfaces.
 
     Shape and depths are found by iteration: a needle through the layers met by the last one, first along
     the straight axis.
@@ -106,12 +104,12 @@ def insert_needle(
 
 
 def stated_frame(planned: PlannedInsertion) -> Frame:
-    """Return C as the stage and the bevel's mark state it."""
+    """Return the frame C as the stage and the bevel's mark state it."""
     return make_entry_frame(planned.origin, planned.direction, planned.toward)
 
 
 def true_frame(planned: PlannedInsertion, deviations: PlanDeviations) -> Frame:
-    """Return C as it really is."""
+    """Return the frame C as it really is, with the errors of pose and roll."""
     stated = stated_frame(planned)
     x, y, z = stated.rotation.T
     origin = stated.origin + deviations.shift @ np.stack([y, z])
@@ -131,6 +129,7 @@ def needle_points(shape: NeedleShape, frame: Frame, deviations: PlanDeviations, 
     """
     amplitude = 0.04 + 0.06 * abs(shape.deflection)
     along = np.clip(s, 0.0, None) / shape.depth
+    # powers 2 and 3 leave position and slope at the entry unchanged
     aside = amplitude * (deviations.out_of_plane @ np.stack([along**2, along**3]))
     return frame.to_world(np.column_stack([compute_positions(shape, s), aside]))
 
@@ -150,6 +149,7 @@ def _tissue_along(
     curve: Floats, frame: Frame, specimen: TrueSpecimen, boundaries: Floats, sequence: tuple[int, ...]
 ) -> Tissue:
     """Return the tissue along the needle: its layers, or thin slices through a smooth field."""
+    # layer numbers begin at 1
     layers = np.array(sequence) - 1
     mu, alpha = specimen.mu[layers], specimen.alpha[layers]
     if specimen.field is not None:
@@ -168,7 +168,7 @@ TWIN_SEED = 1
 
 @dataclass(frozen=True)
 class SyntheticInsertion:
-    """One insertion of the twin: as planned, and as it really is."""
+    """One insertion of the twin: its plan, and what really happened."""
 
     planned: PlannedInsertion
     specimen: TrueSpecimen
@@ -177,7 +177,7 @@ class SyntheticInsertion:
 
 
 def simulate_insertion(planned: PlannedInsertion, seed: int) -> SyntheticInsertion:
-    """Simulate one insertion; it depends on its own plan and the seed, not on the others."""
+    """Simulate one insertion; the result depends on its own plan and the seed only."""
     specimen = draw_specimen(seed, planned.medium, planned.specimen)
     deviations = draw_deviations(seed, planned)
     return SyntheticInsertion(

@@ -23,7 +23,7 @@ AXIS_SPACING_MM = 0.05
 
 @dataclass(frozen=True)
 class MetalVoxels:
-    """Voxels (N, 3) (i, j, k) that hold metal, the `part` (N,) of each that does, and its `hu`."""
+    """Voxels (N, 3) (i, j, k) with metal, the metal fraction `part` (N,) of each, and its `hu`."""
 
     voxels: NDArray[np.int64]
     part: Floats
@@ -31,7 +31,7 @@ class MetalVoxels:
 
 
 def voxelize_needle(needle: Needle3D, grid: VoxelGrid) -> MetalVoxels:
-    """Return the voxels of a bevelled needle.
+    """Return the metal voxels of a bevelled needle.
 
     Within half a voxel of the axis' nearest point the needle is straight: over 0.5 mm an axis of radius
     200 mm strays by less than a micrometre.
@@ -49,6 +49,7 @@ def voxelize_needle(needle: Needle3D, grid: VoxelGrid) -> MetalVoxels:
         d = centers + offset - axis[nearest]  # (N, 3)
         a = np.einsum("ni,ni->n", d, tangents[nearest])
         across = d - a[:, None] * tangents[nearest]
+        # how far the bevel's plane lies behind the point, at this position across the axis
         cut = (needle.diameter / 2 - across @ side) / np.tan(np.deg2rad(needle.bevel_deg))
         s = along[nearest] + a
         inside = _inside_fraction(needle.diameter / 2 - np.sqrt(np.einsum("ni,ni->n", across, across)), grid)
@@ -57,7 +58,7 @@ def voxelize_needle(needle: Needle3D, grid: VoxelGrid) -> MetalVoxels:
 
 
 def voxelize_balls(markers: SceneMarkers, grid: VoxelGrid) -> MetalVoxels:
-    """Return the voxels of the balls."""
+    """Return the metal voxels of the marker balls."""
     reach = markers.radius + float(np.linalg.norm(grid.spacing)) / 2
     voxels = _voxels_near(markers.centers, reach, grid)
     centers = (voxels * grid.spacing) @ grid.direction.T + grid.origin
@@ -77,7 +78,7 @@ def densify(points: Floats) -> Floats:
 
 
 def bevel_side(needle: Needle3D) -> Floats:
-    """Return the unit vector (3,) across the axis at the tip on which the bevel's point lies."""
+    """Return the unit vector (3,) across the axis at the tip, toward the point of the bevel."""
     end = densify(needle.points)[-3:]
     tangent = normalize(end[-1] - end[0])
     return normalize(needle.bevel_toward - (needle.bevel_toward @ tangent) * tangent, "the bevel's side")

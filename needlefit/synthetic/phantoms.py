@@ -1,4 +1,4 @@
-"""The twin's phantoms: 80 mm boxes of layers, in a world whose x axis points into the box.
+"""Define the phantoms of the twin: 80 mm boxes of layers, in a world whose x axis points into the box.
 
 The layers' places are invented; that they are planes, and in phantoms 2 and 3 a cylinder, is the paper's.
 The needle enters through the face x = 0, -40 <= y, z <= 40. The stages lie in the xy plane, tilts turn
@@ -16,7 +16,7 @@ BOX_MM = 80.0
 
 @dataclass(frozen=True)
 class Cylinder:
-    """The solid that stands for the prostate: it lies along y, at height z = 0, and is layer 4.
+    """The solid in place of the prostate: a cylinder along y at height z = 0; it is layer 4.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ def displace(phantom: Phantom, shifts: Sequence[float]) -> Phantom:
 
 
 def make_surfaces(phantom: Phantom) -> tuple[Surface, ...]:
-    """Return the boundaries of a phantom's layers, from the entry inwards."""
+    """Return the boundaries of a phantom's layers as surfaces, from the entry inwards."""
     sheets = tuple(
         make_sheet(f"interface{n}", (x, 0, 0), (1, 0, 0), BOX_MM, into=n + 1)
         for n, x in enumerate(phantom.interfaces, start=1)
@@ -74,5 +74,5 @@ def make_surfaces(phantom: Phantom) -> tuple[Surface, ...]:
 
 
 def surface_file_name(medium: str, surface: Surface) -> str:
-    """Return the name of a surface's file among a medium's layers."""
+    """Return the file name of a surface of a medium."""
     return f"layers/{medium}_{surface.name}.stl"

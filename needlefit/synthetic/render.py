@@ -21,7 +21,7 @@ RAIL_WIDTH_MM = 8.0
 
 
 def render_tissue_slice(scene: Scene3D, grid: VoxelGrid, k: int) -> tuple[PixelArray, PixelArray]:
-    """Return slice `k` without metal (J, I), HU, and the part of each voxel that lies in the box (J, I)."""
+    """Return slice `k` without metal (J, I), HU, and the fraction of each voxel in the box (J, I)."""
     x, y, z = _local_coordinates(scene.box, grid, k)
     width = float(np.mean(grid.spacing))
     half = BOX_MM / 2
@@ -65,6 +65,7 @@ def _add_table(values: PixelArray, table: ScannerTable, grid: VoxelGrid, k: int)
 
 def _local_coordinates(frame: Frame, grid: VoxelGrid, k: int) -> tuple[PixelArray, PixelArray, PixelArray]:
     """Return the coordinates of slice `k`'s voxels in `frame`, each (J, I), mm."""
+    # columns of direction are the axes i, j, k
     steps = (grid.direction * grid.spacing).T @ frame.rotation  # rows: one step of i, j, k in the frame
     start = (grid.origin - frame.origin) @ frame.rotation + k * steps[2]
     i, j = np.arange(grid.size[0]), np.arange(grid.size[1])
@@ -84,7 +85,7 @@ Voxels = NDArray[np.float32]
 
 
 def render_scan(scene: Scene3D, scanner: Scanner, rng: np.random.Generator) -> Volume:
-    """Return the scan of `scene`; equal generators give equal bytes.
+    """Render the scan of `scene`; equal generators give equal bytes.
 
     Partial volume, then point spread (for the metal with a wider part: bloom), then the rays from metal,
     the cupping of a hardened beam, noise; rounded to whole HU within the scanner's range.
@@ -130,6 +131,7 @@ def _blur_with_metal(values: Voxels, metals: Sequence[MetalVoxels], scanner: Sca
     for one in metals:
         i, j, k = one.voxels.T
         extra = (one.hu - values[k, j, i]) * one.part
+        # needle and ball may share a voxel: the brighter one counts, metal does not add up
         metal[k, j, i] = np.maximum(metal[k, j, i], extra.astype(np.float32))
     narrow, wide = (s / scanner.grid.spacing[::-1] for s in (scanner.psf_mm, scanner.bloom_mm))
     values += np.float32(1 - scanner.bloom) * metal

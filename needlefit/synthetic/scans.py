@@ -1,4 +1,4 @@
-"""Write the synthetic data set as CT volumes, in a folder for `needlefit reconstruct`."""
+"""Write the synthetic dataset as CT volumes, in a folder for `needlefit reconstruct`."""
 
 import math
 from collections.abc import Sequence
@@ -41,13 +41,13 @@ STATED_COLUMNS = (
 
 
 def format_scans(scans: Sequence[Scan], folder: Path) -> str:
-    """Return the table of `scans`; their files are named relative to `folder`, in which they lie."""
+    """Return the text of the table of `scans`; file names are relative to `folder`."""
     rows = [STATED_COLUMNS, *(_scan_cells(scan, folder) for scan in scans)]
     return "".join(",".join(row) + "\n" for row in rows)
 
 
 def format_markers(places: NDArray[np.float64]) -> str:
-    """Return the table of the markers' stated places (M, 3), world, mm."""
+    """Return the text of the table of stated marker positions (M, 3), world, mm."""
     rows = [f"ball{n},{x:.4f},{y:.4f},{z:.4f}" for n, (x, y, z) in enumerate(places, start=1)]
     return "\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n"
 
@@ -84,6 +84,7 @@ def _number_cells(values: NDArray[np.float64] | None, digits: int) -> tuple[str,
     """Return the cells of `values`, three empty ones for none; never "-0.0000"."""
     if values is None:
         return ("", "", "")
+    # adding 0.0 turns -0.0 into 0.0
     return tuple(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)
 
 
@@ -92,7 +93,7 @@ VolumeFormat = Literal["nrrd", "dicom"]
 
 @dataclass(frozen=True)
 class RenderedInsertion:
-    """An insertion, how it was scanned, and what a user would be given of it."""
+    """One insertion, its exposure, and the scan as a user gets it."""
 
     insertion: SyntheticInsertion
     exposure: Exposure
@@ -153,7 +154,9 @@ def render_insertion(
 
 
 def make_recipe(setups: Sequence[ScanSetup]) -> ReconstructionRecord:
-    """Return the recipe that states how well the markers' places are known; else the default one."""
+    """Return the recipe that states how accurately the marker positions are known, if that is not the
+    default.
+    """
     plain = ReconstructionRecord(schema_=1)
     known_sd = max(setup.known_sd for setup in setups)
     if known_sd == plain.markers.reference_sd_mm:
@@ -171,7 +174,7 @@ def _render_scan(folder: Path, seed: int, form: VolumeFormat, planned: PlannedIn
 
 
 def make_stated_scan(folder: Path, planned: PlannedInsertion, volume: Path, markers: Path) -> Scan:
-    """Return what is stated of a scan: the plan, not the truth; y of C points to +y of the phantom."""
+    """Return the stated data of a scan: the plan, not the truth; y of C points to +y of the phantom."""
     sources = (
         LayerSource(folder / surface_file_name(planned.medium, surface), surface.kind, surface.into)
         for surface in make_surfaces(PHANTOMS[planned.medium])

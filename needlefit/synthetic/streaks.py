@@ -1,8 +1,8 @@
-"""Rays from metal: what the projections get wrong, filtered and projected back, slice by slice.
+"""Compute metal artefacts: the errors of the projections, filtered and projected back, slice by slice.
 
 A ray through metal of line integral p measures p / (1 + h p), as the beam hardens, with the noise of the
-few photons that are left, and every view weighs metal a little wrong (scatter, lag, jitter of the gantry),
-its neighbours nearly alike. The error of the projection, not the projection, goes through filtered back
+few photons that are left, and every view has a gain error (scatter, lag, jitter of the gantry),
+correlated between neighbours. The error of the projection, not the projection, goes through filtered back
 projection, so that the metal itself keeps its place and the rays join what the rays of a scanner join.
 """
 
@@ -40,7 +40,7 @@ BATCH_SLICES = 32
 
 @dataclass(frozen=True)
 class ParallelBeam:
-    """The parallel rays of all views: `angles` (V,) rad, `bins` per view of `width` mm, `center` (2,) mm."""
+    """Parallel rays of all views: `angles` (V,) rad, `bins` per view of `width` mm, `center` (2,) mm."""
 
     angles: Floats
     bins: int
@@ -51,7 +51,7 @@ class ParallelBeam:
 def render_streaks(
     metals: Sequence[MetalVoxels], grid: VoxelGrid, views: int, rng: np.random.Generator
 ) -> Voxels:
-    """Return the error that metal makes in every slice (K, J, I), HU."""
+    """Return the artefact of metal in every slice (K, J, I), HU."""
     fan = _make_beam(grid, views)
     error = np.zeros(grid.size[::-1], dtype=np.float32)
     held = np.unique(np.concatenate([metal.voxels[:, 2] for metal in metals]))
@@ -108,6 +108,7 @@ def _project(
         at = (place @ [np.cos(angle), np.sin(angle)]) / fan.width + (fan.bins - 1) / 2
         low = np.floor(at).astype(np.int64)
         first = (row * len(fan.angles) + view) * fan.bins + low
+        # np.add.at, not +=: several voxels fall into the same bin, and += would keep only one of them
         np.add.at(total, first, (mass * (1 - (at - low))).astype(np.float32))
         np.add.at(total, first + 1, (mass * (at - low)).astype(np.float32))
     return total.reshape(len(slices), len(fan.angles), fan.bins)
@@ -115,6 +116,7 @@ def _project(
 
 def _ramp_filter(sinograms: Voxels, fan: ParallelBeam) -> Voxels:
     """Return the projections (S, V, bins) after the ramp filter under a Hann window, 1/mm."""
+    # padded to twice the length against the FFT's wrap-around
     length = next_fast_len(2 * fan.bins, real=True)
     frequency = rfftfreq(length, fan.width)
     ramp = (frequency * (0.5 + 0.5 * np.cos(np.pi * frequency / frequency[-1]))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""True parameters of the synthetic data set: needle, specimens, deviations of each insertion from its
+"""Draw the true parameters of the synthetic dataset: needle, specimens, deviations of insertions from their
 plan.
 """
 
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RandomField:
-    """A stationary, isotropic field of mean 0, the sum of plane waves of random direction and phase.
+    """A stationary, isotropic random field of mean 0: a sum of plane waves of random direction and phase.
 
     Wave vectors drawn from N(0, 1/l^2) give the covariance sd^2 exp(-r^2 / (2 l^2)).
 
@@ -51,7 +51,7 @@ class RandomField:
 
 @dataclass(frozen=True)
 class MediumTruth:
-    """The layers of a medium before its specimens vary, and its bevel offset.
+    """The true layers of a medium before its specimens vary, and its bevel offset.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ POSE_SHIFT_SD_MM, POSE_ANGLE_SD_DEG = (
 
 @dataclass(frozen=True)
 class TrueSpecimen:
-    """One phantom, or one piece of chicken, as it really is.
+    """One phantom, or one piece of chicken, with its true parameters.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class TrueSpecimen:
         Where the boundaries of the layers really are.
     surfaces : tuple of Surface
         The same as meshes.
-    field : Field or None
+    field : RandomField or None
         ln(mu / `mu`) from place to place, where the specimen is not homogeneous.
     """
 
@@ -127,7 +127,7 @@ class TrueSpecimen:
 
 @dataclass(frozen=True)
 class PlanDeviations:
-    """How one insertion departs from its plan.
+    """The deviations of one insertion from its plan.
 
     Attributes
     ----------
@@ -148,14 +148,14 @@ class PlanDeviations:
 
 
 def draw_needle(seed: int) -> Needle:
-    """Return the needle as it really is: its rigidity is a few percent off."""
+    """Draw the true needle: its rigidity is a few percent off the nominal one."""
     rng = random_stream(seed, "twin", "needle")
     off = rng.choice([-1, 1]) * rng.uniform(*RIGIDITY_DEVIATION)
     return Needle(NOMINAL_NEEDLE.length, NOMINAL_NEEDLE.flexural_rigidity * (1 + float(off)))
 
 
 def draw_specimen(seed: int, medium: str, name: str) -> TrueSpecimen:
-    """Return a specimen drawn around its medium."""
+    """Draw a specimen of a medium."""
     truth, rng = TRUE_MEDIA[medium], random_stream(seed, "twin", "specimen", name)
     factors = np.exp(LOG_MU_SD[medium] * rng.normal(size=len(truth.mu_pa)))
     shifts = LAYER_SD_MM * rng.normal(size=PHANTOMS[medium].boundaries)
@@ -174,7 +174,7 @@ def draw_specimen(seed: int, medium: str, name: str) -> TrueSpecimen:
 
 
 def draw_deviations(seed: int, planned: PlannedInsertion) -> PlanDeviations:
-    """Return how an insertion departs from its plan; keyed by its id alone."""
+    """Draw the deviations of an insertion from its plan; they are keyed by its id alone."""
     rng = random_stream(seed, "twin", "insertion", planned.id)
     return PlanDeviations(
         shift=POSE_SHIFT_SD_MM * rng.normal(size=2),

@@ -1,6 +1,4 @@
-"""Write the truth of a synthetic data set, and the errors of its reconstruction, to a file that no fit
-opens.
-"""
+"""Write the truth of a synthetic dataset, and its reconstruction errors, to a file that no fit opens."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +25,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ReconstructedInsertion:
-    """An insertion, its scan and its reconstruction."""
+    """One insertion with its scan and its reconstruction."""
 
     insertion: SyntheticInsertion
     exposure: Exposure
@@ -70,7 +68,7 @@ TRUTH_NOTE = (
 
 
 def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) -> None:
-    """Write what is true of the insertions `built` to the TOML file `path`."""
+    """Write the truth of the insertions `built` to the TOML file `path`."""
     tables = {
         "schema": 1,
         "origin": "synthetic",

@@ -1,1 +1,1 @@
-"""Whether the model is solved rightly: every figure is measured when asked for, none is stored."""
+"""Verify that the model is solved correctly: checks are measured on request, no result is stored."""

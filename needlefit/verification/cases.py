@@ -1,6 +1,6 @@
-"""Random insertions, far wider than any prior of a fit, and how shapes are compared between their nodes.
+"""Draw random insertions, far wider than any prior of a fit, and compare shapes between their nodes.
 
-Reading a shape between its nodes, where a small error at the nodes proves little.
+Shapes are compared between their nodes too: a small error at the nodes proves little.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.check import worst
 
 PAPER_NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
-"""The paper's: 150 mm, 18 gauge, 80 GPa."""
+"""The needle of the paper: 150 mm, 18 gauge, 80 GPa."""
 
 EXACT_OPTIONS = ModelOptions(tolerance=1e-11)
 """The default mesh, solved down to rounding."""
@@ -35,21 +35,21 @@ def make_tissue(
     friction: Sequence[float] = (0.0,),
     law: str = "ogden",
 ) -> Tissue:
-    """Return a tissue of plain numbers."""
+    """Return a tissue from plain sequences of numbers, one per layer."""
     cut, t, gamma = (np.array(values, dtype=np.float64) for values in (boundaries, thickness, friction))
     return Tissue(np.array(mu), np.array(alpha), cut, t, gamma, law)
 
 
 @dataclass(frozen=True)
 class RandomCase:
-    """A needle, what it is inserted into, and how."""
+    """A random needle, tissue and sequence of steps."""
 
     needle: Needle
     tissue: Tissue
     steps: tuple[Step, ...]
 
     def shape(self, rules: ModelOptions = EXACT_OPTIONS, lattice: Lattice | None = None) -> NeedleShape:
-        """Return where it ends."""
+        """Return the shape at the end of the steps; ArithmeticError if the solver fails."""
         return require_converged(simulate_steps(self.needle, self.tissue, self.steps, rules, lattice))
 
 
@@ -59,12 +59,15 @@ Draw = Callable[[np.random.Generator, float, float], RandomCase]
 
 
 def draw_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 1e-3) -> RandomCase:
-    """Return an insertion into 1 to 4 layers of any law: mu `softest` to 100 MPa, |alpha| up to 10."""
+    """Draw an insertion into 1 to 4 layers of any law: mu from `softest` (MPa) to 100 MPa, |alpha| up to
+    10.
+    """
     count = int(rng.integers(1, 5))
     depth = float(rng.uniform(0.25, 1.0) * deepest)
     tissue = Tissue(
         mu=10 ** rng.uniform(np.log10(softest), 2, count),
         alpha=rng.uniform(-10, 10, count),
+        # the added multiples keep boundaries at least 0.05 mm apart
         boundaries=np.sort(rng.uniform(1, depth - 0.2, count - 1)) + 0.05 * np.arange(count - 1),
         thickness=rng.uniform(5, 80, count),
         law=str(rng.choice(laws.list_laws())),
@@ -74,7 +77,7 @@ def draw_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 
 
 
 def draw_schedule(rng: np.random.Generator, deepest: float = 25.0, softest: float = 1e-3) -> RandomCase:
-    """Return a case with friction and changing inputs of all kinds, retraction and re-insertion."""
+    """Draw a case with friction and changing inputs of all kinds, with retraction and re-insertion."""
     case = draw_case(rng, deepest, softest)
     depth = case.steps[0].depth
     stops = (0.4 * depth, 0.7 * depth, 0.55 * depth, 0.55 * depth, depth)
@@ -107,10 +110,10 @@ def _draw_inputs(rng: np.random.Generator, depth: float) -> Controls:
 def solve_cases(
     draw: Callable[[], RandomCase], solve: Callable[[RandomCase], T], count: int
 ) -> tuple[list[T], str]:
-    """Return what `solve` makes of so many cases, and what to remark.
+    """Return the results of `solve` for `count` random cases, and a remark on cases that were drawn again.
 
     The reference begins every stop at the straight needle, and compresses thin tissue to nothing where the
-    cut has left the axis by more than its thickness; such a case is drawn again, and counted.
+    cut has left the axis by more than its thickness. Such a case is drawn again, and counted.
     """
     found, unsolved = list[T](), 0
     while len(found) < count:
@@ -119,13 +122,14 @@ def solve_cases(
                 found.append(solve(draw()))
         except ArithmeticError:
             unsolved += 1
+            # a solver that always fails must not be redrawn for ever
             if unsolved > 2 * count:
                 raise
     return found, f"{unsolved} more drawn in which the reference finds no solution" if unsolved else ""
 
 
 def require_converged(shape: NeedleShape) -> NeedleShape:
-    """Return the shape, unless the solution failed: then raise what a crashing check shows."""
+    """Return the shape; ArithmeticError if the solver did not converge."""
     if not shape.converged:
         raise ArithmeticError(f"the solver failed: {shape.status}")
     return shape
@@ -135,13 +139,13 @@ Floats = NDArray[np.float64]
 
 
 def sample_between(edges: Floats, points: int = 8) -> Floats:
-    """Return `points` places inside each interval between increasing edges."""
+    """Return `points` positions inside each interval between increasing edges."""
     inside = (np.arange(points) + 0.5) / points
     return (edges[:-1, None] + np.diff(edges)[:, None] * inside).ravel()
 
 
 def sample_densely(shape: NeedleShape, start: float | None = None) -> Floats:
-    """Return the nodes of a shape and places between them, from `start` (default the base) on."""
+    """Return the nodes of a shape and positions between them, from `start` (default the base) on."""
     x = np.union1d(shape.x, sample_between(shape.x))
     return x if start is None else x[x >= start]
 

@@ -1,4 +1,4 @@
-"""A check: quantities with acceptance bounds, declared before anything is measured, and how to measure
+"""Define a check: quantities with acceptance bounds, set before anything is measured, and how to measure
 them.
 """
 
@@ -15,7 +15,7 @@ Verdict = Literal["passes", "FAILS", "stated"]
 
 
 class Group(Enum):
-    """The groups of the table, in its order: the title of each, and what it shows."""
+    """The groups of the table in its order: each has a title and an explanation."""
 
     CLOSED_FORMS = ("Closed forms", "Beams whose deflection is known exactly; default mesh, h = 1 mm.")
     MANUFACTURED = (
@@ -48,13 +48,15 @@ class Group(Enum):
 
 @dataclass(frozen=True)
 class AcceptanceBound:
-    """What a measured value must keep: `low` <= value <= `high`; None, None: it is stated, not judged."""
+    """Bounds of a measured value: `low` <= value <= `high`; with None, None the value is reported, not
+    judged.
+    """
 
     low: float | None = None
     high: float | None = None
 
     def verdict(self, value: float) -> Verdict:
-        """Return how a value stands to this bound; what is not finite always fails."""
+        """Return whether a value passes; a value that is not finite always fails."""
         if not math.isfinite(value):
             return "FAILS"
         if self.low is None and self.high is None:
@@ -64,29 +66,30 @@ class AcceptanceBound:
 
 
 def worst(values: ArrayLike) -> float:
-    """Return the largest value; NaN if any is, while Python's own `max` may pass over it.
+    """Return the largest value; NaN if any value is NaN.
 
     Raises
     ------
     ValueError
-        If there is none: what was not measured does not pass.
+        If there are no values: a check without measurements must not pass.
     """
+    # np.max, since Python's own max may pass over a NaN
     return float(np.max(values))
 
 
 def at_most(high: float) -> AcceptanceBound:
-    """Return the bound of an error."""
+    """Return the acceptance bound of an error."""
     return AcceptanceBound(high=high)
 
 
 def within(value: float, slack: float) -> AcceptanceBound:
-    """Return the bound of an observed order."""
+    """Return the acceptance bound of an observed order: `value` plus or minus `slack`."""
     return AcceptanceBound(value - slack, value + slack)
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One row of the table before it is measured."""
+    """One quantity of a check, before it is measured: one row of the table."""
 
     words: str
     bound: AcceptanceBound
@@ -95,7 +98,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class ConvergenceCurve:
-    """A refinement study: errors at decreasing mesh sizes.
+    """The result of a refinement study: errors at decreasing mesh sizes.
 
     Attributes
     ----------
@@ -119,14 +122,14 @@ class ConvergenceCurve:
         return float(np.polyfit(np.log(self.h[-3:]), np.log(self.errors[norm][-3:]), 1)[0])
 
     def orders(self, norm: str) -> list[float]:
-        """Return the observed order of every single refinement."""
+        """Return the observed order between each pair of successive mesh sizes."""
         ratios = np.diff(np.log(self.errors[norm])) / np.diff(np.log(self.h))
         return [float(ratio) for ratio in ratios]
 
 
 @dataclass(frozen=True)
 class CheckOutcome:
-    """What measuring a check gave: a value for each of its quantities."""
+    """The result of one check: a value for each of its quantities."""
 
     values: tuple[float, ...]
     remark: str = ""
@@ -135,7 +138,7 @@ class CheckOutcome:
 
 @dataclass(frozen=True)
 class Check:
-    """One check: what is measured, and within which bounds.
+    """One check: what is measured, how, and within which bounds.
 
     Attributes
     ----------
@@ -156,7 +159,7 @@ class Check:
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One row of the table."""
+    """One row of the table of results."""
 
     group: Group
     title: str

@@ -1,4 +1,4 @@
-"""A clamped needle for the compiled solver, with any constraint points and from any first guess."""
+"""Solve a clamped needle with the compiled solver, for any constraint points and any first guess."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class ClampedNeedle:
     x : (N,) array
         Nodes from base to tip, mm: those that the model itself would take.
     y : (M + 1,) array
-        Of the constraint points that `grid` names, mm.
+        y of the constraint points that `grid` refers to, mm.
     """
 
     x: Floats
@@ -40,7 +40,7 @@ class ClampedNeedle:
 def make_clamped_needle(
     needle: Needle, tissue: Tissue, constraints: Floats, rules: ModelOptions
 ) -> ClampedNeedle:
-    """Return the stop with these constraint points (M + 1, 2)."""
+    """Return the clamped needle with these constraint points (M + 1, 2)."""
     x = equilibrium(needle, tissue, constraints, rules=rules).x
     depths, y = np.ascontiguousarray(constraints.T)
     held = Chain(needle.flexural_rigidity, x[:1].copy(), np.zeros(len(x), np.int64), np.zeros((len(x), 2)))
@@ -50,7 +50,7 @@ def make_clamped_needle(
 
 
 def solve_newton(clamped: ClampedNeedle, guess: Floats, newton: NewtonOptions) -> Floats:
-    """Return the state (N, 2) that Newton's method makes of a guess.
+    """Return the state (N, 2) that Newton's method reaches from a guess.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Derivatives of an insertion without any calculus by hand: the reference, stepped, and dense solves.
+"""Differentiate an insertion by complex steps of the reference's equations and dense solves.
 
-A parameter p enters a stop's residual R by itself and through the constraint points, whose derivatives the
-stops before have left: du/dp = -K_T^-1 dR/dp, the state kept in dR/dp. Im R(p + i h) / h is that derivative
-to rounding, nothing being subtracted. What moves quadrature points or nodes (boundaries, guides along the
+A parameter p enters the residual R of a stop directly and through the constraint points, whose derivatives
+are known from the stops before: du/dp = -K_T^-1 dR/dp, the state fixed in dR/dp. Im R(p + i h) / h is that
+derivative to rounding, since nothing is subtracted. What moves quadrature points or nodes (boundaries, guides along the
 needle) is stepped in real numbers, on both sides and twice: R of a frozen state has no noise of a solution.
 """
 
@@ -30,7 +30,7 @@ _MAX_STEP_MM = (
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: its kind, of which layer, boundary or guide (from 0)."""
+    """One parameter to differentiate by: its kind, and which layer, boundary or guide (from 0)."""
 
     kind: str
     number: int = 0
@@ -38,7 +38,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """One stop in equilibrium: `u` (2 N,) of its nodes, where `held`."""
+    """The equilibrium of one stop: `u` (2 N,) at its nodes, prescribed where `held`."""
 
     nodes: Floats
     points: Numbers  # (M + 1, 2)
@@ -48,7 +48,7 @@ class Equilibrium:
 
 
 def parameters(case: RandomCase) -> dict[str, Parameter]:
-    """Return the parameters under the names that a `Jacobian` gives them."""
+    """Return all parameters of a case, keyed by the names that a `Jacobian` gives them."""
     named = {f"{kind}{i + 1}": Parameter(kind, i) for kind in _LAYERED for i in range(case.tissue.layers)}
     named |= {kind: Parameter(kind) for kind in _SINGLE}
     named |= {f"boundary{i + 1}": Parameter("boundary", i) for i in range(case.tissue.layers - 1)}
@@ -71,6 +71,7 @@ def derivatives(case: RandomCase, wanted: list[Parameter], rules: ModelOptions) 
             x, (u_0, slope), (du_0, dslope) = rays[stop.ray]
             bevel, ahead = case.steps[stop.bevel_id].bevel, stop.tip - x
             slope, dslope = rules.tangent * slope, rules.tangent * dslope
+            # the cut goes on along the needle's tangent, turned by the bevel: b per constraint spacing
             c[stop.cell] = u_0 + ahead * (slope + bevel.side * bevel.offset / rules.spacing)
             dc[stop.cell] = du_0 + ahead * (dslope + by_offset * bevel.side / rules.spacing)
         places = [lattice.depth(m) for m in range(stop.cell)] + [stop.tip]
@@ -87,7 +88,9 @@ def derivatives(case: RandomCase, wanted: list[Parameter], rules: ModelOptions) 
 
 
 def along_the_cut(nodes: Floats, points: Floats) -> Floats:
-    """Return deflections and slopes (2 N,) that compress the tissue little, to begin with."""
+    """Return a first guess (2 N,) of deflections and slopes: along the cut, where tissue is hardly
+    compressed.
+    """
     u = np.interp(nodes, *points.T)
     return np.column_stack((u, np.gradient(u, nodes))).ravel()
 
@@ -95,7 +98,7 @@ def along_the_cut(nodes: Floats, points: Floats) -> Floats:
 def imposed_rates(
     case: RandomCase, wanted: list[Parameter], here: Equilibrium, stop: TipStop, controls: Controls
 ) -> Floats:
-    """Return the derivatives (2 N, P) of what is prescribed at the nodes."""
+    """Return the derivatives (2 N, P) of the values prescribed at the nodes."""
     base = {"base_y": (0, 1.0), "base_slope": (1, 1.0), "stage_slope": (0, stop.tip)}
     rates = np.zeros((len(here.held), len(wanted)))
     for column, p in enumerate(wanted):
@@ -114,7 +117,9 @@ def imposed_rates(
 def state_derivatives(
     case: RandomCase, here: Equilibrium, wanted: list[Parameter], moved: Floats, rates: Floats
 ) -> Floats:
-    """Return du/dp (2 N, P), given those of the constraint points (M + 1, P) and of what is prescribed."""
+    """Return du/dp (2 N, P), given the derivatives of constraint points (M + 1, P) and of prescribed
+    values.
+    """
     loads = np.column_stack([residual_derivative(case, here, p, moved[:, i]) for i, p in enumerate(wanted)])
     law, EI = ReferenceLaw.of(case.tissue), case.needle.flexural_rigidity
     stepped = (here.u + 1j * STEP * row for row in np.eye(len(here.u)))
@@ -129,7 +134,7 @@ def state_derivatives(
 
 
 def residual_derivative(case: RandomCase, here: Equilibrium, p: Parameter, moved: Floats) -> Floats:
-    """Return dR/dp (2 N,) at a frozen state, the constraint points moving at the rates `moved`."""
+    """Return dR/dp (2 N,) at a fixed state; the constraint points move at the rates `moved`."""
     points = here.points.astype(np.complex128)
     points[:, 1] += 1j * STEP * moved
     tissue, EI = case.tissue, complex(case.needle.flexural_rigidity)
@@ -148,6 +153,7 @@ def residual_derivative(case: RandomCase, here: Equilibrium, p: Parameter, moved
             (_shifted_forces(case, here, p, h) - _shifted_forces(case, here, p, -h)) / (2 * h)
             for h in (reach, reach / 2)
         )
+        # Richardson: cancels the error of second order of both central differences
         total = total + (4 * fine - coarse) / 3
     return total
 
@@ -166,7 +172,7 @@ def bending_forces(nodes: Numbers, u: Numbers) -> Numbers:
 
 
 def tissue_forces(case: RandomCase, here: Equilibrium, law: ReferenceLaw) -> Numbers:
-    """Return the tissue's forces and moments (2 N,); state, points' y and law may be complex."""
+    """Return the tissue's forces and moments (2 N,); state, y of the points and law may be complex."""
     boundaries = case.tissue.boundaries
     x, w = reference.quadrature(here.nodes, here.change, boundaries)
     N, dN = reference.shape_functions(here.nodes, x)

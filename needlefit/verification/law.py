@@ -1,6 +1,7 @@
-"""The tissue's reaction written once more, straight from docs/model.md 3, so as not to borrow what it checks.
+"""Write the tissue's reaction a second time, directly from docs/model.md 3, independent of the code under
+test.
 
-Complex numbers are taken too: derivatives here are complex steps.
+Complex numbers are accepted: derivatives are complex steps.
 """
 
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ STEP = 1e-30
 
 @dataclass(frozen=True)
 class ReferenceLaw:
-    """Layers' parameters, each (n,), real or complex."""
+    """The parameters of all layers, each (n,), real or complex."""
 
     mu: Numbers
     alpha: Numbers
@@ -34,8 +35,9 @@ class ReferenceLaw:
         return cls(tissue.mu, tissue.alpha, tissue.thickness, tissue.friction, tissue.law)
 
     def reaction(self, layer: Ints, e: Numbers, slope: Numbers) -> Numbers:
-        """Return k(lambda) e g, the force per length (N / mm) of deflections `e` (mm) in the given layers."""
+        """Return k(lambda) e g, the force per length (N / mm) at deflections `e` (mm) in the given layers."""
         mu, alpha = self.mu[layer], self.alpha[layer]
+        # not abs(e): of a complex number it is real, and the complex step would be lost
         stretch = 1 - np.where(e.real < 0, -e, e) / self.thickness[layer]
         if self.name == "ogden":
             k = 2 * mu * (stretch ** (alpha - 1) + 0.5 * stretch ** (-alpha / 2 - 1))
@@ -58,8 +60,9 @@ class ReferenceLaw:
         return by_e, by_slope
 
     def deflection_of(self, layer: Ints, force: Floats, slope: Floats) -> Floats:
-        """Return the deflection e (mm) that a reaction `force` (N / mm) belongs to, by bisection."""
+        """Return the deflection e (mm) at which the reaction is `force` (N / mm), by bisection."""
         low = np.zeros_like(force)
+        # at the full thickness the stretch is 0, and the Ogden law infinite
         high = self.thickness[layer] * (1 - 1e-12)
         for _ in range(100):
             middle = 0.5 * (low + high)

@@ -1,4 +1,6 @@
-"""Find every check in the folder `checks`, measure it, and compare it with its bounds."""
+"""Run the verification: find every check in the folder `checks`, measure it, and compare it with its
+bounds.
+"""
 
 import importlib
 import pkgutil
@@ -11,21 +13,21 @@ from needlefit.verification import checks
 from needlefit.verification.check import Check, CheckOutcome, CheckRow, ConvergenceCurve, Group
 
 SEED = 1
-"""Of the random cases, where none is asked for."""
+"""Default seed of the random cases."""
 
 ProgressCallback = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class Verification:
-    """The table, and the refinement studies behind its observed orders.
+    """The result of a verification: the table, and the refinement studies behind its observed orders.
 
     Attributes
     ----------
     seed : int
         Of the random cases.
-    rows : tuple of Row
-    curves : tuple of Curve
+    rows : tuple of CheckRow
+    curves : tuple of ConvergenceCurve
     traces : tuple of str
         Where measuring a check ended in an error: its traceback.
     """
@@ -42,7 +44,7 @@ class Verification:
 
 
 def find_checks() -> tuple[Check, ...]:
-    """Return the checks of all files of the folder, in the order of the table."""
+    """Return the checks of all files of the folder `checks`, in the order of the table."""
     modules = sorted(module.name for module in pkgutil.iter_modules(checks.__path__))
     every = [
         check for name in modules for check in importlib.import_module(f"{checks.__name__}.{name}").CHECKS
@@ -54,12 +56,13 @@ def find_checks() -> tuple[Check, ...]:
 def verify(
     seed: int = SEED, every: Sequence[Check] | None = None, progress: ProgressCallback = lambda *_: None
 ) -> Verification:
-    """Measure all checks, or those of `every`; a check that crashes fails, and the others go on."""
+    """Measure all checks, or those of `every`; a check that crashes fails, and the others continue."""
     rows, curves, traces = list[CheckRow](), list[ConvergenceCurve](), list[str]()
     every = find_checks() if every is None else every
     for done, check in enumerate(every):
         progress(check.title, done, len(every))
         try:
+            # a stream per check: adding a check changes the random cases of no other
             outcome = check.measure(random_stream(seed, "verify", check.group.title, check.title))
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())

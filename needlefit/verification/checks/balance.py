@@ -1,4 +1,4 @@
-"""What acts on the needle balances: tissue, base, guides and tracked tip."""
+"""Check that forces and moments on the needle balance: tissue, base, guides and tracked tip."""
 
 import numpy as np
 

@@ -1,4 +1,6 @@
-"""Beams whose load is known: a very soft tissue, cut very far away, pulls with the same force everywhere.
+"""Check beams under a known uniform load, against their closed form.
+
+The load is a very soft tissue whose cut lies so far away that it pulls with the same force everywhere.
 
 The needle of length L stands clamped at its base and is loaded by q on its inserted part, s > a = L - D
 from the base. Cantilever:
@@ -40,14 +42,15 @@ def cantilever_deflection(s: Floats, a: float) -> Floats:
 
 
 def prop_deflection(s: Floats, p: float) -> Floats:
-    """Return the deflection (mm) at distances `s` under a unit force at `p`."""
+    """Return the deflection (mm) at distances `s` from the base under a unit force at `p`."""
     near, far = np.minimum(s, p), np.maximum(s, p)
     moved: Floats = near**2 * (3 * far - near) / (6 * PAPER_NEEDLE.flexural_rigidity)
     return moved
 
 
 def measure_error(propped_at: float | None, controls: Controls) -> float:
-    """Return the largest error of the deflection along the needle over the largest deflection."""
+    """Return the largest error of the deflection along the needle, relative to the largest deflection."""
+    # linear law: force = 3 mu e, and e is _FAR almost everywhere, so the load is LOAD
     tissue = make_tissue(mu=[LOAD / _FAR / 3], alpha=[1.0], thickness=[1e3 * _FAR], law="linear")
     depths = np.arange(DEPTH + 0.5)
     points = np.column_stack((depths, np.full(len(depths), _FAR)))

@@ -1,11 +1,12 @@
-"""Compare single equilibria of finished insertions with a collocation: no elements, no weak form.
+"""Check equilibria of finished insertions against an independent solution: SciPy's collocation of the beam
+equation.
 
-One equilibrium solved as a boundary value problem, by scipy's collocation: no elements, no weak form.
+The collocation has no elements and no weak form.
 
 Between the places where the nearest constraint point or the layer changes, and before the entry, the
 deflection is smooth and obeys EI u'''' = -k e g. Each such piece is mapped to [0, 1]; all of them together
-are one large system of first order whose boundary conditions are what holds the needle and the continuity
-of u to u''' from piece to piece.
+are one large system of first order. Its boundary conditions are the supports of the needle and the
+continuity of u to u''' from piece to piece.
 """
 
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ _AT = np.linspace(0.0, 1.0, 9)
 
 @dataclass(frozen=True)
 class SmoothPieces:
-    """Where the needle is cut up: P pieces between P + 1 edges.
+    """The needle divided where the equation is not smooth: P pieces between P + 1 edges.
 
     Attributes
     ----------
@@ -54,7 +55,7 @@ class SmoothPieces:
 def collocate(
     needle: Needle, tissue: Tissue, constraints: Floats, controls: Controls
 ) -> tuple[Floats, Floats]:
-    """Return depths x (K,) in the tissue and the deflections (K,) there, both mm.
+    """Solve one equilibrium by collocation; return depths x (K,) in the tissue and deflections (K,), mm.
 
     Parameters
     ----------
@@ -89,6 +90,7 @@ def collocate(
     def jacobian(x: Floats, v: Floats) -> Floats:
         J = np.zeros((4 * count, 4 * count, v.shape[1]))
         rows = 4 * np.arange(count)
+        # v = (u, u', u'', u''') of each piece, four rows: the first three rows are v_n' = v_(n + 1)
         for n in range(3):
             J[rows + n, rows + n + 1] = stretch[rows]
         by_e, by_slope = law.slopes(layer, *parts(v))
@@ -117,7 +119,7 @@ def collocate(
 
 
 def divide_needle(needle: Needle, tissue: Tissue, constraints: Floats, controls: Controls) -> SmoothPieces:
-    """Return the pieces on which everything is smooth."""
+    """Divide the needle into pieces on which tissue and constraint point are the same."""
     depths, y = constraints.T
     tip = depths[-1]
     halfway = 0.5 * (depths[1:] + depths[:-1])
@@ -151,6 +153,8 @@ def make_boundary_conditions(pieces: SmoothPieces, controls: Controls) -> tuple[
     for i, edge in enumerate(pieces.edges[1:-1]):
         left, right = 4 * i, 4 * (i + 1)
         guide = held.get(float(edge))
+        # a free guide exerts a force: u''' jumps; one that holds the slope exerts a moment too: u'' jumps as
+        # well
         continuous = range(4) if guide is None else range(3) if guide.slope is None else range(2)
         for n in continuous:
             demand(0.0, {right + n: 1.0}, {left + n: -1.0})
@@ -164,6 +168,7 @@ def make_boundary_conditions(pieces: SmoothPieces, controls: Controls) -> tuple[
     else:
         demand(tip.y, {}, {end: 1.0})
         slope = tip.slope
+        # entries of v: u, u', u'', u'''; without a slope to hold, the tip has no moment (entry 2)
         demand(0.0 if slope is None else slope * _UNIT, {}, {end + (2 if slope is None else 1): 1.0})
     return A, B, d
 
@@ -178,14 +183,16 @@ _QUANTITIES = (
 
 @dataclass(frozen=True)
 class CollocationCase:
-    """What is inserted how."""
+    """A tissue, and the steps of an insertion into it."""
 
     tissue: Tissue
     steps: tuple[Step, ...]
 
 
 def compare_with_collocation(case: CollocationCase) -> tuple[float, float]:
-    """Return how far the collocation of its last equilibrium is from ours on the fine and default mesh."""
+    """Return the difference, mm, of the last equilibrium from the collocation, on the fine and the default
+    mesh.
+    """
     tissue, steps = case.tissue, case.steps
     constraints = require_converged(simulate_steps(PAPER_NEEDLE, tissue, steps)).constraints
     controls = steps[-1].controls

@@ -1,5 +1,5 @@
-"""Compare the compiled model with the readable reference: dense matrices, no series, no elimination of its
-own.
+"""Check the compiled model against the readable reference, which uses dense matrices and the plain
+equations.
 """
 
 from collections.abc import Iterable
@@ -25,7 +25,7 @@ from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, a
 
 SOFTEST_MPA = 1e-3  # MPa
 SETS_PER_LAW = 8
-"""Of each law."""
+"""Parameter sets of each law."""
 
 
 _QUANTITIES = (
@@ -35,7 +35,7 @@ _QUANTITIES = (
 
 
 def solve_reference(case: RandomCase) -> tuple[RandomCase, NeedleShape]:
-    """Return the case with the reference's answer."""
+    """Return the case and the reference's solution of it."""
     return case, reference.simulate_steps(case.needle, case.tissue, case.steps)
 
 

@@ -1,7 +1,7 @@
-"""The constraint spacing C_int is part of the model, not a mesh size: halving it is another model.
+"""Report how the tip depends on the constraint spacing C_int: it is part of the model, not a mesh size.
 
-Stated, not judged. b turns the cut once per C_int, so halving C_int at fixed b turns the needle more often;
-b halved with it turns as much per mm, and still does not give the same needle.
+The values are reported, not judged. b turns the cut once per C_int, so halving C_int at fixed b turns the
+needle more often; b halved with it turns as much per mm, and still does not give the same needle.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
-"""Hetenyi's beam on an elastic foundation: the base, or the entry, is displaced by 1 mm.
+"""Check layered beams against Hetenyi's exact solution of a beam on an elastic foundation.
 
-Hetenyi's beam on an elastic foundation, with any number of layers: the exact solution.
+The base, or the entry, is displaced by 1 mm; the foundation may have any number of layers.
 
 Where the foundation's modulus is k the deflection obeys EI u'''' + k u = 0; with beta^4 = k / 4 EI it is a
 sum of four waves, e^(+-beta x) times cos beta x and sin beta x, and a cubic where there is no foundation.
@@ -27,7 +27,7 @@ Rows = Callable[[float, int], Floats]  # (place, order) -> derivative of each fu
 
 
 def hetenyi(EI: float, k: Floats, edges: Floats, free: float) -> Callable[[Floats], Floats]:
-    """Return the deflection u(x >= 0) of a needle whose base is clamped and displaced by 1.
+    """Return the exact deflection u(x >= 0) of a needle whose base is clamped and displaced by 1.
 
     Parameters
     ----------
@@ -83,6 +83,8 @@ def _waves(beta: float, start: float, stop: float) -> Rows:
     """Return a layer's waves: decaying ones are 1 where it begins, growing ones where it ends."""
 
     def rows(x: float, order: int) -> Floats:
+        # real and imaginary part of exp(beta (-1 + i) x): the cosine and sine wave, and any derivative by the
+        # power
         decaying = (beta * (-1 + 1j)) ** order * np.exp(beta * (-1 + 1j) * (x - start))
         if math.isinf(stop):
             return np.array([decaying.real, decaying.imag])
@@ -115,13 +117,13 @@ def measure_error(
 
 
 def measure_finite(k: tuple[float, ...], boundaries: tuple[float, ...] = (), depth: float = 40.0) -> float:
-    """Return the error on layers that end under the tip."""
+    """Return the error, mm, on layers that end at the tip."""
     exact = hetenyi(EI, np.array(k), np.array([0.0, *boundaries, depth]), FREE_LENGTH_MM)
     return measure_error(k, boundaries, depth, Controls(base_y=1.0), exact)
 
 
 def measure_semi_infinite(k: tuple[float, ...], boundaries: tuple[float, ...], depth: float) -> float:
-    """Return the error on a last layer that never ends; the tip stands where the wave has died away."""
+    """Return the error, mm, on a last layer that never ends; the tip is where the wave has decayed."""
     exact = hetenyi(EI, np.array(k), np.array([0.0, *boundaries, np.inf]), FREE_LENGTH_MM)
     return measure_error(k, boundaries, depth, Controls(base_y=1.0), exact)
 

@@ -1,9 +1,9 @@
-"""Manufactured solutions: does the error fall as fast as theory says, in the tissue, between the nodes?
+"""Check the order of convergence with manufactured solutions: in the tissue, at the nodes and between them.
 
-Cubic elements promise order 4 in the deflection and 3 in the slope. At the nodes themselves the slope
+Theory gives cubic elements order 4 in the deflection and 3 in the slope. At the nodes themselves the slope
 superconverges, with order 4.
 
-Equilibria made to measure: a deflection is chosen, and the tissue placed so that it is the solution.
+A deflection is chosen, and the cut is placed so that this deflection is the exact solution.
 
 The chosen u is clamped at the base, cubic before the entry, has u to u''' continuous everywhere and
 u'' = u''' = 0 at the tip. Equilibrium asks for the reaction k e g = -EI u'''', which gives e at every place;
@@ -39,7 +39,7 @@ _CURVATURE = 6e-4  # 1 / mm: deflections of about 1 mm
 
 @dataclass(frozen=True)
 class ManufacturedDeflection:
-    """A deflection made of polynomials.
+    """A chosen deflection, made of polynomials.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class ManufacturedDeflection:
     kinks: tuple[tuple[float, Polynomial], ...]
 
     def at(self, x: Floats, order: int = 0) -> Floats:
-        """Return the derivative of this order."""
+        """Return the derivative of the given order at x, mm."""
         value = np.where(x < 0, self.before.deriv(order)(x), self.inside.deriv(order)(x))
         for edge, more in self.kinks:
             value = value + np.where(x > edge, more.deriv(order)(x), 0.0)
@@ -89,13 +89,14 @@ def make_deflection(boundaries: Floats) -> ManufacturedDeflection:
 def solve_manufactured(
     tissue: Tissue, chosen: ManufacturedDeflection, h: float, first_cell: float
 ) -> tuple[Floats, CubicHermiteSpline]:
-    """Return nodes, mm, and what the compiled solver makes of the problem on elements of h (mm)."""
+    """Return the nodes, mm, and the compiled solver's solution on elements of h (mm)."""
     depths = np.array([0.0, *np.arange(first_cell, DEPTH_MM - 1e-9, h), DEPTH_MM])
     straight = np.column_stack((depths, np.zeros(len(depths))))
     clamped = make_clamped_needle(Needle(FREE_LENGTH_MM + DEPTH_MM, EI), tissue, straight, ModelOptions(h, h))
     x = clamped.grid.x  # of the quadrature points
     layer = np.searchsorted(tissue.boundaries, x)
     e = ReferenceLaw.of(tissue).deflection_of(layer, -EI * chosen.at(x, 4), chosen.at(x, 1))
+    # every quadrature point gets a constraint point of its own, which makes the chosen deflection exact
     grid = clamped.grid._replace(constraint=np.arange(len(x)))
     clamped = replace(clamped, grid=grid, y=chosen.at(x) - e)
     guess = 0.9 * np.column_stack((chosen.at(clamped.x), chosen.at(clamped.x, 1)))  # not the answer itself
@@ -104,7 +105,7 @@ def solve_manufactured(
 
 
 def measure_errors(case: str, tissue: Tissue, first_cell: float = 1.0) -> ConvergenceCurve:
-    """Return the errors in the tissue over SIZES; `first_cell` in elements."""
+    """Return the errors in the tissue over `MESH_SIZES_MM`; `first_cell` is in elements."""
     chosen = make_deflection(tissue.boundaries)
     errors: dict[str, list[float]] = {norm: [] for norm in (*NORMS, *NODAL_NORMS)}
     for h in MESH_SIZES_MM:

@@ -1,4 +1,4 @@
-"""The Jacobian of the whole shape, against the derivatives of the readable reference, stepped and solved."""
+"""Check the Jacobian of the whole shape against complex-step derivatives of the readable reference."""
 
 from dataclasses import dataclass
 
@@ -32,7 +32,7 @@ PAPER_SOFTEST_MPA, SOFTEST_MPA = 0.2, 1e-3
 
 @dataclass(frozen=True)
 class ReferenceDerivatives:
-    """The reference's derivatives: of deflections and slopes (2 N, P), of constraint points (M + 1, P)."""
+    """Derivatives by the reference: of deflections and slopes (2 N, P), of constraint points (M + 1, P)."""
 
     case: RandomCase
     names: tuple[str, ...]
@@ -41,7 +41,7 @@ class ReferenceDerivatives:
 
 
 def differentiate_reference(case: RandomCase) -> ReferenceDerivatives:
-    """Return the derivatives with respect to every parameter that there is."""
+    """Return the reference's derivatives by all parameters of a case."""
     named = parameters(case)
     return ReferenceDerivatives(
         case, tuple(named), *derivatives(case, list(named.values()), SENSITIVITY_OPTIONS)
@@ -49,7 +49,7 @@ def differentiate_reference(case: RandomCase) -> ReferenceDerivatives:
 
 
 def measure_errors(other: ReferenceDerivatives) -> dict[str, float]:
-    """Return the largest error of each column over its largest entry: of lengths, and of slopes.
+    """Return the largest error of each column, relative to its largest entry; over lengths and slopes.
 
     Raises
     ------
@@ -65,6 +65,7 @@ def measure_errors(other: ReferenceDerivatives) -> dict[str, float]:
     require_converged(shape)
     columns = [jacobian.names.index(name) for name in other.names]
     unit = np.array([_unit(case, name) for name in other.names])
+    # the reference interleaves the degrees of freedom: u at even rows, slope at odd rows
     lengths = np.vstack((jacobian.u, jacobian.constraints)), np.vstack((other.du[0::2], other.dc)), MIN_COLUMN
     slopes = jacobian.slope, other.du[1::2], 0.01 * MIN_COLUMN
     shares = [
@@ -80,6 +81,7 @@ def _unit(case: RandomCase, name: str) -> float:
     """Return mu or EI for their columns, which become those of the logarithm, and 1 for the others."""
     if name == "rigidity":
         return case.needle.flexural_rigidity
+    # "mu2" is layer 2, index 1
     return float(case.tissue.mu[int(name[2:]) - 1]) if name.startswith("mu") else 1.0
 
 

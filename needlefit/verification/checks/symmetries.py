@@ -1,4 +1,4 @@
-"""What must not matter: handedness, units of force, names of layers, sub-steps, going too far and back."""
+"""Check symmetries of the model: handedness, units of force, division of layers, sub-steps, overshooting."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +25,7 @@ RANDOM = 10
 
 
 def mirrored(case: RandomCase) -> float:
-    """The other side of the bevel and the base on the other side give the mirrored needle."""
+    """Return the difference, mm, of the needle from its mirror image with bevel and base mirrored."""
 
     def mirror(step: Step) -> Step:
         held = Controls(-step.controls.base_y, -step.controls.base_slope)
@@ -36,14 +36,14 @@ def mirrored(case: RandomCase) -> float:
 
 
 def doubled(case: RandomCase) -> float:
-    """Forces have no unit of their own: EI and all mu twice as large leave the shape as it is."""
+    """Return the difference, mm, if EI and all mu are doubled: forces have no unit of their own."""
     needle = Needle(case.needle.length, 2 * case.needle.flexural_rigidity)
     tissue = replace(case.tissue, mu=2 * case.tissue.mu)
     return largest_difference(case.shape(), RandomCase(needle, tissue, case.steps).shape())
 
 
 def cut_in_two(case: RandomCase) -> float:
-    """A layer cut into two equal ones is the same layer, but for the quadrature, which is split there."""
+    """Return the difference, mm, if a layer is divided into two equal ones; only the quadrature changes."""
     tissue = case.tissue
     edges = np.array([0.0, *tissue.boundaries, case.steps[-1].depth])
     widest = int(np.argmax(np.diff(edges)))
@@ -58,21 +58,21 @@ def cut_in_two(case: RandomCase) -> float:
 
 
 def in_pieces(case: RandomCase) -> float:
-    """Halts on the way, on constraint points or between them, change nothing."""
+    """Return the difference, mm, if the insertion halts on the way, at constraint points or between them."""
     whole = case.steps[0]
     halts = [replace(whole, depth=whole.depth * part) for part in (0.123, 0.25, 0.251, 0.5, 0.875)]
     return _against(case, (*halts, whole))
 
 
 def there_and_back(case: RandomCase) -> float:
-    """A little further and back, and back and again, ends where it began."""
+    """Return the difference, mm, if the insertion goes too far and back, and back and in again."""
     whole = case.steps[0]
     way = (whole.depth, whole.depth + 0.3, whole.depth, whole.depth - 3.7, whole.depth)
     return _against(case, tuple(replace(whole, depth=depth) for depth in way))
 
 
 def one_by_one(case: RandomCase) -> float:
-    """A session led step by step finds what the whole schedule finds, bit by bit."""
+    """Return the difference, mm, of a session driven step by step from the whole schedule; it must be 0."""
     first = case.steps[0]
     lattice = make_lattice(case.steps, EXACT_OPTIONS)
     session = Session(

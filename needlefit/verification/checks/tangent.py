@@ -1,4 +1,4 @@
-"""Newton's step of the compiled solver, against the residual of the readable reference.
+"""Check Newton's tangent of the compiled solver, against the residual of the readable reference.
 
 At a state u the solver steps by d = -K_T^-1 R(u). If K_T is the derivative of R, then R'(u) d = -R(u), with
 R put together from the reference and its derivative by a complex step; and near the solution each step
@@ -32,7 +32,7 @@ _STARTS = (0.2, 0.1, 0.05, 0.025)  # share of the disturbance, whose largest def
 
 
 def residual(clamped: ClampedNeedle, tissue: Tissue, constraints: Floats) -> Callable[[Numbers], Numbers]:
-    """Return R(u) of the reference's equations, (2 N,), but for the clamped base's; u may be complex."""
+    """Return R(u) of the reference's equations without the clamped base's, (2 N,); u may be complex."""
     x_c, y_c = constraints.T
     K_b = reference.bending_stiffness(clamped.x, PAPER_NEEDLE.flexural_rigidity)
     change = reference.change_depths(x_c, ModelOptions().switch)
@@ -46,6 +46,7 @@ def residual(clamped: ClampedNeedle, tissue: Tissue, constraints: Floats) -> Cal
         e = N @ u - y_c[nearest]
         k, _ = reference.modulus(tissue, layer, 1 - np.sign(e.real) * e / t)
         g = 1 - gamma * np.sin(np.arctan(dN @ u)) ** 2
+        # the first two equations are those of the clamped base
         forces: Numbers = (K_b @ u + N.T @ (w * k * e * g))[2:]
         return forces
 
@@ -53,7 +54,7 @@ def residual(clamped: ClampedNeedle, tissue: Tissue, constraints: Floats) -> Cal
 
 
 def measure(friction: float) -> tuple[float, float]:
-    """Return the relative defect of a Newton step, and the order at which steps converge."""
+    """Return the relative defect of one Newton step, and the order of convergence of Newton's method."""
     tissue = make_tissue(
         mu=[0.5, 3.0], alpha=[6.0, -5.0], boundaries=[13.37], thickness=[5.0, 5.0], friction=[friction] * 2
     )
@@ -66,6 +67,7 @@ def measure(friction: float) -> tuple[float, float]:
     step = solve_newton(clamped, start, SINGLE_NEWTON_STEP) - start
     R = residual(clamped, tissue, constraints)
     force = R(start.ravel())
+    # complex step: a derivative without subtraction, so 1e-30 loses no digit
     along = R(start.ravel() + 1e-30j * step.ravel()).imag / 1e-30
     defect = np.linalg.norm(along + force) / np.linalg.norm(force)
     errors = [

@@ -1,4 +1,4 @@
-"""Where the entry stands in the world must not matter to the needle: guides and stage move with it."""
+"""Check that the pose of the entry in the world does not matter: guides and stage move with it."""
 
 import cmath
 import math
@@ -19,7 +19,9 @@ _STAGE, _AXIS = 1.0, -2.0  # degrees to the insertion axis, of the stage and of 
 
 
 def make_scene(origin: complex, turn: float) -> Scene:
-    """Return one scene whose entry stands at `origin` (mm), turned by `turn` (rad), all else going along."""
+    """Return a scene whose entry is at `origin` (mm, complex: x + i y), turned by `turn` (rad) with all
+    else.
+    """
     template = origin + (-15 + 0.4j) * cmath.exp(1j * turn)
     angle = math.degrees(turn)
     tables: dict[str, Any] = {
@@ -42,7 +44,7 @@ def make_scene(origin: complex, turn: float) -> Scene:
 
 
 def compare_poses(origin: complex, turn: float) -> tuple[float, float]:
-    """Return how far the shape in C, and the needle in the moved world, are from what they must be, mm."""
+    """Return the differences, mm, of a moved scene's shape in C and of its needle in the world."""
     here, there = make_scene(0j, 0.0), make_scene(origin, turn)
     one, other = (require_converged(simulate_scene(each)[-1]) for each in (here, there))
     points = _complex(here.entry.to_world(sample_inserted_points(one)))
