@@ -1,3 +1,4 @@
-"""From a CT scan to the needle's centreline in mm. Only this package imports SimpleITK, pydicom and
-skimage.
+"""Reconstruct the needle's centreline, mm, from a CT scan.
+
+Only this package imports SimpleITK, pydicom and skimage.
 """

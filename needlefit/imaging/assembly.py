@@ -1,4 +1,4 @@
-"""Write reconstructions as a dataset, those left out that `needlefit check` would refuse."""
+"""Write reconstructions as a dataset, without those that `needlefit check` would refuse."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ from needlefit.schemas.scene import NeedleRecord
 
 @dataclass(frozen=True)
 class DatasetDescription:
-    """What the makers of a dataset say of it; texts of `dataset.toml`, and a note for each medium."""
+    """The texts of `dataset.toml` that describe a dataset, and a note for each medium."""
 
     name: str
     title: str = ""
@@ -214,10 +214,9 @@ def assemble_checked(
     recipe: ReconstructionRecord,
     description: DatasetDescription,
 ) -> tuple[tuple[Reconstruction, ...], tuple[ReconstructionFailure, ...]]:
-    """Write into `folder` the dataset of those of `reconstructions` that have no fault; return them and the
-    others.
+    """Write the dataset of all `reconstructions` without faults into `folder`; return them and the others.
 
-    Where all have one, nothing is written, and none is returned as sound.
+    Where all have a fault, nothing is written and the first tuple is empty.
 
     Raises
     ------
@@ -225,6 +224,7 @@ def assemble_checked(
         If a fault belongs to no single insertion.
     """
     left, failures = list(reconstructions), list[ReconstructionFailure]()
+    # again after each removal: a faulty insertion may hide the fault of another one
     while left:
         faults = _find_faults(left, recipe, description)
         if not faults:
@@ -259,7 +259,8 @@ def _find_owner(fault: Fault, reconstructions: Sequence[Reconstruction]) -> Reco
     if place is None:
         return None
     if place["line"]:
-        return reconstructions[int(place["line"]) - 2]  # below one header line
+        # lines count from 1, and the first one is the header
+        return reconstructions[int(place["line"]) - 2]
     return next((one for one in reconstructions if one.scan.id == place["curve"]), None)
 
 

@@ -28,7 +28,7 @@ SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha")
 """Endings of volumes that are one file."""
 
 CHECKPOINT_KIND = "reconstruction"
-"""Of the files in which finished ones are kept."""
+"""Kind of the checkpoint files."""
 
 _HOOKS: Hooks = {Surface: Hook(to_triangles, from_triangles, Triangles)}
 
@@ -45,7 +45,7 @@ class ReconstructionFailure:
 
 @dataclass(frozen=True)
 class ReconstructionBatch:
-    """How many scans are worked on.
+    """Options of a batch: processes, checkpoints and callbacks.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class ReconstructionBatch:
 def reconstruct_all(
     scans: Sequence[Scan], recipe: ReconstructionRecord, batch: ReconstructionBatch
 ) -> tuple[Reconstruction | ReconstructionFailure, ...]:
-    """Return what came of every scan, in their order; where `batch.stop` said so, of fewer."""
+    """Return the reconstruction or the failure of every scan, in their order; of fewer after a stop."""
     found: dict[int, Reconstruction | ReconstructionFailure] = {}
     for n, scan in enumerate(scans):
         finished = _read_checkpoint(scan, recipe, batch)
@@ -92,12 +92,12 @@ def reconstruct_all(
 
 
 def try_reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction | ReconstructionFailure:
-    """Return the reconstruction of a scan, or why there is none."""
+    """Return the reconstruction of a scan, or its failure."""
     try:
         return reconstruct(scan, recipe)
     except NeedlefitError as error:
         return ReconstructionFailure(scan, error)
-    except Exception as error:  # what nobody foresaw in one scan must not cost the others their results
+    except Exception as error:  # an unexpected error in one scan must not lose the others' results
         what = f"unexpected {type(error).__name__}: {error}"
         return ReconstructionFailure(scan, NeedlefitError(what, where=str(scan.volume)))
 

@@ -1,6 +1,4 @@
-"""What is detected in a volume: the needle's axis, the markers, their registration, the brightness
-profile.
-"""
+"""Detect the needle's axis, the markers, their registration and the brightness profile in a volume."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,15 +29,15 @@ PROFILE_BEYOND_TIP_MM = 8.0
 
 @dataclass(frozen=True)
 class Detections:
-    """What is detected in a volume, before entry and layers are derived.
+    """Everything detected in a volume, before entry and layers are derived from it.
 
     Attributes
     ----------
     needle_axis : Centerline
         LPS.
-    markers : Markers or None
+    markers : MarkerResult or None
     registration : Registration or None
-    profile : Profile
+    profile : IntensityProfile
         Along the whole needle, s from its first point.
     """
 
@@ -81,6 +79,7 @@ def _register_markers(markers: MarkerResult, known: Path, recipe: Reconstruction
 
 def _sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     """Return the brightness along the needle (N, 3), LPS, and on beyond its tip."""
+    # over four stations: the last step alone is too noisy a direction
     ahead = needle[-1] - needle[-5]
     ahead /= np.linalg.norm(ahead)
     beyond = needle[-1] + np.outer(np.arange(0.5, PROFILE_BEYOND_TIP_MM + 0.5, 0.5), ahead)

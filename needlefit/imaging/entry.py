@@ -1,14 +1,14 @@
-"""The needle's tip at first contact: from the stage, or from the shaft that stands outside the tissue.
+"""Find the needle's pose at first contact: from the stage, or from the shaft outside the tissue.
 
-Never from the final tangent at the entry, for by then the tissue has moved the needle there. Outside the
+The final tangent at the entry is never used: by then the tissue has moved the needle there. Outside the
 tissue nothing loads the shaft: from where it is clamped (its base, or a guide) to the entry it is the axis on
 which it was pushed, plus a cubic that the tissue's pull at the entry bends,
 
     q(s) = q0 + q1 s + d h0(x) + g L h1(x),     x = 1 + s / L,   h0 = 3 x^2 - 2 x^3,   h1 = x^3 - x^2,
 
 s from the entry (s < 0 outside), L the free length, d and g what the entry moved and turned. q0, q1 are the
-pose; d and g take priors (`[entry] entry_shift_sd_mm, entry_tilt_sd_deg`), for a short shaft tells them from
-the axis only poorly, and the deviation of the pose says how poorly.
+pose; d and g take priors (`[entry] entry_shift_sd_mm, entry_tilt_sd_deg`), since a short shaft hardly
+separates them from the axis; the deviation of the pose includes this.
 """
 
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ MAX_ENTRY_DISTANCE_MM = 5.0
 
 @dataclass(frozen=True)
 class OutsideShaft:
-    """The needle outside the tissue.
+    """The part of the needle outside the tissue.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class OutsideShaft:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Two axes at first contact: distance across (mm) and angle (rad), with the deviation of each."""
+    """The difference of two axes at first contact: distance (mm) and angle (rad), each with its deviation."""
 
     offset: float
     offset_sd: float
@@ -82,12 +82,12 @@ class Disagreement:
 
     @property
     def worst(self) -> float:
-        """The larger of both in deviations."""
+        """The larger of both differences, in standard deviations."""
         return max(self.offset / self.offset_sd, self.turn / self.turn_sd)
 
     @property
     def sentence(self) -> str:
-        """The same in words."""
+        """The difference in words."""
         turn, turn_sd = np.degrees([self.turn, self.turn_sd])
         return (
             f"the shaft outside the tissue stands {self.offset:.2f} +- {self.offset_sd:.2f} mm beside the "
@@ -96,7 +96,7 @@ class Disagreement:
 
 
 def pose_from_stage(stage: StagePose, registration: Registration | None, patient_entry: Floats) -> EntryPose:
-    """Return the pose that the stage states, with deviations against the centreline.
+    """Return the pose that the stage states, with its deviations against the centreline.
 
     The scan brings the registration's error with it: its shift at the entry (`patient_entry` (3,), LPS) and
     its turn, in any one direction across.
@@ -120,13 +120,14 @@ def pose_from_stage(stage: StagePose, registration: Registration | None, patient
 
 
 def usable_length(shaft: OutsideShaft) -> float:
-    """Return the length of the shaft that can be used, mm."""
+    """Return the usable length of the shaft, mm."""
     use = shaft.s[shaft.s < -SHAFT_CLEARANCE_MM]
     return float(np.ptp(use)) if len(use) else 0.0
 
 
 def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
-    """Return the pose of the axis on which the shaft was pushed; its origin is where that axis enters.
+    """Return the pose of the axis on which the shaft was pushed; its origin is the point where that axis
+    enters.
 
     Raises
     ------
@@ -144,9 +145,11 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]
     chord = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
     sides = np.column_stack([make_normal(chord), np.cross(chord, make_normal(chord))])  # (3, 2)
-    line = points[-1] + (s - s[-1])[:, None] * chord  # what is left to explain is across it
+    # only displacements across the chord are fitted; s gives the position along it
+    line = points[-1] + (s - s[-1])[:, None] * chord
     x = 1 + s / shaft.free
     design = np.column_stack([np.ones_like(s), s, 3 * x**2 - 2 * x**3, shaft.free * (x**3 - x**2)])
+    # errors of the traced axis are correlated; a tenth is independent, which keeps the matrix invertible
     noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / CORRELATION_LENGTH_MM) + np.diag(
         (0.1 * sd) ** 2
     )
@@ -163,7 +166,7 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
 
 
 def compare_poses(stage: EntryPose, shaft: EntryPose) -> Disagreement:
-    """Return by how much the shaft outside the tissue stands beside the stage's axis, at first contact."""
+    """Return the difference of the shaft outside the tissue from the stage's axis, at first contact."""
     apart = shaft.origin - stage.origin
     offset = apart - (apart @ stage.direction) * stage.direction
     turn = float(np.arccos(np.clip(stage.direction @ shaft.direction, -1, 1)))
@@ -176,7 +179,7 @@ def compare_poses(stage: EntryPose, shaft: EntryPose) -> Disagreement:
 
 
 def require_agreement(stage: EntryPose, shaft: EntryPose) -> None:
-    """Raise DataError if the stage's axis and the shaft cannot be the same needle's."""
+    """Raise DataError if stage and shaft cannot belong to the same needle."""
     found = compare_poses(stage, shaft)
     if found.worst <= MAX_AXIS_DISAGREEMENT_SD:
         return

@@ -1,4 +1,4 @@
-"""Check what an image header claims against the file, before a native reader opens it."""
+"""Check what an image header claims against the file size, before a native reader opens the file."""
 
 import math
 import re
@@ -35,7 +35,7 @@ _SEPARATORS = re.compile(r"[\s(),]+")
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a header promises.
+    """The claims of an image header: sizes and texts.
 
     Attributes
     ----------
@@ -66,13 +66,13 @@ class ImageHeader:
 
 
 def read_head(path: Path) -> tuple[bytes, int]:
-    """Return the beginning of a file, and the size of the whole."""
+    """Return the first bytes of a file, and the size of the whole file."""
     with open_regular(path, sys.maxsize) as file:
         return file.read(MAX_HEADER_BYTES), file.seek(0, 2)
 
 
 def detached_data_size(path: Path, name: str) -> int:
-    """Return the size of the file that holds the voxels of the header `path`.
+    """Return the size of the separate file that holds the voxels of the header `path`.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def detached_data_size(path: Path, name: str) -> int:
 
 
 def add_field(fields: dict[str, str], name: str, value: str, where: tuple[Path, int]) -> None:
-    """Add a field of a text header, which stands there once and is no longer than a line may be."""
+    """Add a field of a text header; refuse a repeated field, or one that is too long."""
     path, line = where
     if name in fields or len(name) + len(value) > MAX_LINE_CHARS:
         what = f"`{name}` a second time" if name in fields else f"more than {MAX_LINE_CHARS} characters"
@@ -108,7 +108,7 @@ def add_field(fields: dict[str, str], name: str, value: str, where: tuple[Path, 
 
 
 def check_numbers(value: str, where: tuple[Path, int]) -> None:
-    """See that a field holds numbers, and none of endless digits."""
+    """Refuse a field that does not hold plain numbers."""
     path, line = where
     for text in filter(None, _SEPARATORS.split(value)):
         if len(text) > MAX_NUMBER_CHARS or not _NUMBER.fullmatch(text):
@@ -116,14 +116,14 @@ def check_numbers(value: str, where: tuple[Path, int]) -> None:
 
 
 def parse_count(text: str, least: int, greatest: int, path: Path) -> int:
-    """Return a whole number of a header, which lies between two limits."""
+    """Return a whole number of a header; refuse one outside the limits."""
     if re.fullmatch(r"-?[0-9]{1,19}", text.strip()) and least <= int(text) <= greatest:
         return int(text)
     raise unreadable_image_error(path, "a count in its header is no whole number, or claims too much")
 
 
 def parse_sizes(text: str, axes: int, path: Path) -> tuple[int, ...]:
-    """Return the voxels along each axis."""
+    """Return the number of voxels along each axis."""
     found = tuple(parse_count(part, 1, 2**40, path) for part in text.split())
     if len(found) != axes:
         raise unreadable_image_error(path, f"its header has {len(found)} sizes for {axes} axes")
@@ -132,7 +132,7 @@ def parse_sizes(text: str, axes: int, path: Path) -> tuple[int, ...]:
 
 
 def check_sizes(size: tuple[int, ...], path: Path) -> None:
-    """See that there are not more voxels than are read."""
+    """Refuse more voxels than can be read."""
     if len(size) == 3:
         check_size((size[0], size[1], size[2]), str(path))
     elif math.prod(size) > max_voxels():
@@ -140,15 +140,18 @@ def check_sizes(size: tuple[int, ...], path: Path) -> None:
 
 
 def check_stored(header: ImageHeader, found: int, packing: str, path: Path) -> None:
-    """See that the bytes `found` can hold the voxels, packed as "raw", "text", "hex", "gzip" or "bzip2"."""
+    """Refuse a file whose bytes `found` cannot hold the voxels, packed as "raw", "text", "hex", "gzip" or
+    "bzip2".
+    """
     content, voxels = header.content_bytes, header.float_bytes // 4
+    # a text needs one digit and one space per voxel, except after the last; hex needs two digits per byte
     least = {"raw": content, "text": 2 * voxels - 1, "hex": 2 * content, "gzip": content // MAX_DEFLATION}
     if found < least.get(packing, 1):
         raise truncated_voxels_error(path)
 
 
 def check_expansion(header: ImageHeader, path: Path) -> None:
-    """See that a small file does not fill the memory, unless the user has stated how much it may take."""
+    """Refuse a small file that would fill the memory, unless the user has stated how much it may take."""
     memory = header.content_bytes + header.float_bytes
     if memory > EXEMPT_BYTES and header.content_bytes > MAX_EXPANSION * header.packed_bytes:
         if stated_memory_bytes() is not None:
@@ -162,7 +165,7 @@ def check_expansion(header: ImageHeader, path: Path) -> None:
 
 
 def unreadable_image_error(path: Path, reason: str) -> DataError:
-    """Return the error for a header that is none of an image."""
+    """Return the error for a header that is not one of an image."""
     return DataError(
         f"cannot be read as a volume: {reason}",
         where=str(path),
@@ -172,7 +175,7 @@ def unreadable_image_error(path: Path, reason: str) -> DataError:
 
 
 def truncated_voxels_error(path: Path) -> DataError:
-    """Return the error for voxels that are not there."""
+    """Return the error for missing voxels."""
     return DataError(
         "its header is sound, but its voxels are damaged or not all there",
         where=str(path),

@@ -1,4 +1,4 @@
-"""NRRD, NIfTI and MetaImage files, through SimpleITK, which turns their coordinates to LPS."""
+"""Read and write NRRD, NIfTI and MetaImage files by SimpleITK, which converts their coordinates to LPS."""
 
 import gzip
 import zlib
@@ -43,7 +43,7 @@ sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once,
 
 
 def read_image(results: SandboxArrays, path: str, layers: bool = False, header: str = "") -> dict[str, Any]:
-    """Read an NRRD, NIfTI or MetaImage file whose header passed: the array "values", and its grid.
+    """Read an image file whose header was checked: the array "values", and its grid.
 
     Parameters
     ----------
@@ -73,6 +73,7 @@ def read_image(results: SandboxArrays, path: str, layers: bool = False, header: 
             image = reader.Execute()
         except RuntimeError as error:
             raise truncated_voxels_error(file) from error
+    # SimpleITK's arrays are indexed k, j, i: the reverse of its sizes
     values[...] = sitk.GetArrayViewFromImage(image).reshape(shape)
     _check_finite(values, file)
     return grid_to_json(replace(grid, direction=orthogonalize(grid.direction)))
@@ -103,7 +104,7 @@ def write_image(volume: Volume, path: Path, description: str) -> None:
 
 
 def to_int16_if_exact(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
-    """Return `values` as int16 where that loses nothing, which halves a file."""
+    """Return `values` as int16 if that is exact, which halves the file."""
     with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
         whole = values.astype(np.int16)
     return whole if np.array_equal(whole, values) else values

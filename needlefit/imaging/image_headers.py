@@ -3,7 +3,7 @@
 NRRD: http://teem.sourceforge.net/nrrd/format.html. MetaImage: https://itk.org/Wiki/MetaIO/Documentation.
 NIfTI, versions 1 and 2: https://nifti.nimh.nih.gov/nifti-1, nifti-2.
 
-NRRD files of four axes of which one has a single entry: one volume, as a sequence of one holds it.
+NRRD files of four axes, one with a single entry, hold one volume: a sequence of one.
 """
 
 import gzip
@@ -99,7 +99,7 @@ def check_nrrd(path: Path) -> ImageHeader:
 
 
 def header_fields(path: Path) -> tuple[dict[str, str], int]:
-    """Return the fields of a header, and the number of lines up to its voxels."""
+    """Return the fields of an NRRD header, and the number of lines before its voxels."""
     head, size = read_head(path)
     lines, _ = _nrrd_lines(path, head, size)
     return _nrrd_fields(path, lines)[0], len(lines) + 2  # the first line, and the blank one
@@ -240,6 +240,7 @@ def check_nifti(path: Path) -> ImageHeader:
     """Return the header of a `.nii` or `.nii.gz` file; DataError as `check_image_header`."""
     packed = path.name.lower().endswith(".gz")
     head, size = _nifti_head(path, packed)
+    # the header begins with its own size: 348 or 540 in the right byte order
     order = "<" if int.from_bytes(head[:4], "little") in NIFTI_LAYOUTS else ">"
     layout = NIFTI_LAYOUTS.get(struct.unpack_from(f"{order}i", head)[0]) if head else None
     if layout is None or not head.startswith(layout.signature[1], layout.signature[0]):
@@ -275,7 +276,7 @@ _AXIS_STEP = re.compile(r"none|\([^)]*\)", re.IGNORECASE)
 
 
 def single_volume_header(path: Path) -> str:
-    """Return a detached header (`.nhdr`) of a file of one volume, its fourth axis marked as a list.
+    """Return a detached header (`.nhdr`) for a file of one volume, its fourth axis marked as a list.
 
     SimpleITK reads a list of one as a volume, and refuses an axis of another kind, or of none. Empty where
     the file has other axes than three of space and one of a single entry.
@@ -304,7 +305,7 @@ def single_volume_header(path: Path) -> str:
 
 
 def check_image_header(path: Path) -> ImageHeader:
-    """Return the header of an image file, by the ending of its name, once it is found sound.
+    """Check the header of an image file by the ending of its name, and return it.
 
     Its numbers must be numbers, its sizes fit what the file holds, and its voxels lie in the file itself or
     in one beside it. What it means (coordinates, segments) is left to the reader.

@@ -1,4 +1,4 @@
-"""Brightness along the needle, and the place where its surroundings turn from air into tissue."""
+"""Sample the brightness along the needle, and find where its surroundings change from air to tissue."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,7 +42,7 @@ SYSTEMATIC_SD_MM = 0.03
 
 
 def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> IntensityProfile:
-    """Return how bright the needle and its surroundings are at each station.
+    """Return the brightness of the needle and of its surroundings at each station.
 
     The surroundings are the median of a ring: rays, which fill a part of it, do not count. Points outside the
     volume and on markers are left out, with those opposite; so a slanting face, which some points meet early
@@ -74,7 +74,7 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
 
 
 def find_tissue_edge(profile: IntensityProfile) -> tuple[float, float] | None:
-    """Return where along the needle air turns into tissue, mm, and its deviation; None if there is no edge.
+    """Return where along the needle air changes to tissue, mm, and its deviation; None if there is no edge.
 
     The edge is an error function whose place, height and width are fitted, with a slope behind it for what a
     hardened beam and further layers do. Sampled stations beyond air pockets or in another layer stray and
@@ -91,6 +91,7 @@ def find_tissue_edge(profile: IntensityProfile) -> tuple[float, float] | None:
     low, high = float(np.median(before)), float(np.median(after))
     if high - low < MIN_EDGE_STEP_HU:
         return None
+    # median of |difference of neighbours|: 1.05 = 1 / (0.6745 sqrt 2), so a slope hardly counts as noise
     noise = max(2.0, *(1.05 * float(np.median(np.abs(np.diff(side)))) for side in (before, after)))
 
     def residuals(theta: Floats) -> Floats:
@@ -104,6 +105,8 @@ def find_tissue_edge(profile: IntensityProfile) -> tuple[float, float] | None:
         residuals, start, loss="soft_l1", f_scale=SOFT_LOSS_SD, x_scale=[0.2, 0.3, 50, 50, 10]
     )
     jacobian, left = np.asarray(best.jac, dtype=np.float64), residuals(best.x)
+    # misfit per degree of freedom, five parameters; neighbouring stations are correlated, which widens it
+    # again
     spread = max(1.0, 2 * best.cost / max(1, len(s) - 5)) * correlation_factor(left[:, None], 5)
     variance = float(np.linalg.pinv(jacobian.T @ jacobian)[0, 0]) * spread
     return float(best.x[0]), float(np.hypot(np.sqrt(variance), SYSTEMATIC_SD_MM))

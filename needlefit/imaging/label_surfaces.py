@@ -1,4 +1,4 @@
-"""Read a segmentation, and extract the boundaries of its layers as closed surfaces, smoother than its voxels.
+"""Extract the boundaries of the layers of a segmentation as closed surfaces, smoother than its voxels.
 
 Layer k is drawn as the solid of all labels of layer k and beyond: the solids lie in one another, so that no
 gap opens between neighbours, and, listed in order, the last one that holds a point is the point's layer.
@@ -45,7 +45,8 @@ OVERLAP_FIX = 'in the Segment Editor set "Modify other segments" to "Overwrite a
 
 @dataclass(frozen=True)
 class Segment:
-    """One layer of tissue: the `value` of its voxels, and its name ("" where there is none).
+    """One layer of tissue in a segmentation: the `value` of its voxels, and its name ("" where there is
+    none).
 
     `plane` is the one of several numbers of each voxel that holds the value, as 3D Slicer keeps segments that
     were drawn over one another.
@@ -208,7 +209,7 @@ MARGIN_CELLS = 3
 
 
 def extract_label_surfaces(path: Path) -> tuple[Surface, ...]:
-    """Return the surfaces of a segmentation, LPS, mm: a solid for each layer, in order, `into` from 1.
+    """Return the surfaces of a segmentation, LPS, mm: one solid per layer, in order, `into` from 1.
 
     Raises
     ------
@@ -264,7 +265,8 @@ def _extract_surface(
 def extract_boundary(
     mask: NDArray[np.bool_], spacing: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the vertices (V, 3), in fractional voxels k, j, i, and faces (F, 3) around a mask (K, J, I).
+    """Return vertices (V, 3), in fractional voxels k, j, i, and faces (F, 3) of the boundary of a mask (K, J,
+    I).
 
     `spacing` (3,): of voxels along k, j, i, mm. The boundary closes around what touches the mask's edge.
     """
@@ -274,9 +276,11 @@ def extract_boundary(
     cells = block_reduce(np.pad(mask, pads), tuple(block.tolist()), np.mean)
     width = np.maximum(SMOOTHING_SD_MM, spacing) / (block * spacing)
     average = gaussian_filter(cells.astype(np.float32), width)
+    # inverse of the smoothing of a plane; 0 and 1 would become infinite
     distance = ndtri(np.clip(average, MIN_TAIL, 1 - MIN_TAIL))
     distance = np.where(
         np.abs(distance) < MIN_CORNER_DISTANCE_SD, np.copysign(MIN_CORNER_DISTANCE_SD, distance), distance
     )
     vertices, faces, _, _ = marching_cubes(distance, 0.0)
+    # a cell's centre lies (block - 1) / 2 voxels after its first voxel; the padding comes off
     return vertices * block + (block - 1) / 2 - before, faces.astype(np.int64)

@@ -35,7 +35,7 @@ _SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
 
 
 def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | None:
-    """Return the surface in an STL, PLY or OBJ file, None after a fault.
+    """Return the surface in an STL, PLY or OBJ file; None after a fault.
 
     A file of which 3D Slicer says that it stands in RAS is turned to LPS; one that says nothing is taken as
     it is. Without a stated kind, what is closed is a solid.
@@ -55,7 +55,7 @@ def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | N
 
 
 def read_coordinate_system(path: Path) -> PatientSystem | None:
-    """Return the coordinate system that 3D Slicer wrote into a mesh; None where nothing is said.
+    """Return the coordinate system that 3D Slicer wrote into a mesh; None if the file states none.
 
     It stands in the header of an STL, in a comment of a PLY or OBJ, as `SPACE=LPS` or `SPACE=RAS`.
     """
@@ -112,7 +112,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     ----------
     patient : Frame
         The scan's LPS axes and origin in the world.
-    grid : Grid, optional
+    grid : VoxelGrid, optional
         Where the scan's voxels stand: surfaces of its own must not lie elsewhere.
 
     Raises
@@ -138,12 +138,12 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
 
 
 def is_segmentation(source: LayerSource) -> bool:
-    """Whether a file holds labelled voxels rather than triangles."""
+    """Return whether a file holds labelled voxels rather than triangles."""
     return source.path.name.lower().endswith(IMAGE_SUFFIXES)
 
 
 def layers_in_scan(scan: Scan) -> bool:
-    """Whether the layers lie in the frame of the scan, and so move with its needle."""
+    """Return whether the layers are given in the frame of the scan, and so move with its needle."""
     return scan.surfaces_in == "scan" or any(map(is_segmentation, scan.surfaces))
 
 
@@ -171,6 +171,7 @@ def _number_layers(sources: tuple[LayerSource, ...]) -> list[int]:
     numbers, place = [], 2
     for source in sources:
         numbers.append(place if source.into is None else source.into)
+        # the tissue's own surface (into = 1) is not counted among the layers
         place += source.into != 1
     return numbers
 
@@ -208,7 +209,7 @@ def _surface_file(surface: Surface, scan: Scan) -> Path:
 
 @dataclass(frozen=True)
 class LayerErrors:
-    """What makes a layer's depth uncertain.
+    """The errors that make the depth of a layer uncertain.
 
     Attributes
     ----------
@@ -235,7 +236,7 @@ def estimate_layer_errors(
     pose: EntryPose,
     registration: Registration | None,
 ) -> LayerErrors:
-    """Return what makes the layers' depths in a scan uncertain; `centerline`: deviations (N,), mm.
+    """Return the errors of the layers' depths in a scan; `centerline`: deviations (N,), mm.
 
     The stage's entry stands in the world as the surfaces do. One found in the scan errs against surfaces of
     the world by the registration, too, unless it is where the tissue's own surface is.
@@ -252,7 +253,7 @@ def estimate_layer_errors(
 def find_crossed_layers(
     points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors
 ) -> Layers:
-    """Return the layers that a needle meets.
+    """Return the layers that a needle crosses, with the deviations of their depths.
 
     Parameters
     ----------
@@ -289,6 +290,8 @@ def _crossing_sd(
     normals = find_nearest(places, surfaces).normals
     cosines = np.abs(np.sum(normals * tangents, axis=1))
     across = np.interp(arc, arc_length(points), errors.centerline)
+    # only the part of the needle's error along the normal counts: sin^2 of the angle between needle and
+    # normal
     variances = errors.surface**2 + across**2 * (1 - cosines**2)
     if errors.registration is not None:
         in_patient = scan_frame(errors.registration).to_local(places)

@@ -35,7 +35,7 @@ MAX_ELONGATION = 1.7
 
 @dataclass(frozen=True)
 class Blob:
-    """What hangs together.
+    """A connected component of bright voxels, about as large as a marker.
 
     Attributes
     ----------
@@ -54,7 +54,9 @@ class Blob:
 
 @dataclass(frozen=True)
 class BrightVoxels:
-    """Bright voxels: number `flat` (N,), rising, `values` (N,) and the `pairs` (E, 2) of them that touch."""
+    """All bright voxels: flat index `flat` (N,), ascending, `values` (N,), and the `pairs` (E, 2) that
+    touch.
+    """
 
     flat: Ints
     values: NDArray[np.float32]
@@ -62,7 +64,7 @@ class BrightVoxels:
 
 
 def find_blobs(volume: Volume, diameter: float, threshold: float | None, exclude: Ints | None) -> list[Blob]:
-    """Return what may be a ball, the most alike first.
+    """Return the components that may be a ball, the most similar in size first.
 
     Parameters
     ----------
@@ -141,6 +143,7 @@ def _find_blobs_at(
     for group in np.split(members, np.flatnonzero(np.diff(labels[members])) + 1):
         if len(group):
             k, j, i = np.unravel_index(bright.flat[group], volume.values.shape)
+            # diameter of a ball of the same volume
             own = (6 / np.pi * len(group) * float(np.prod(volume.spacing))) ** (1 / 3)
             yield Blob(np.stack([i, j, k], axis=1), level, own)
 
@@ -148,6 +151,8 @@ def _find_blobs_at(
 def _is_round(volume: Volume, blob: Blob) -> bool:
     """Whether a blob is about as long as wide."""
     steps = blob.voxels * volume.spacing
+    # 1/12 of the squared spacing is the variance within a voxel: a single layer of voxels still has a
+    # thickness
     moments = np.cov(steps.T, bias=True) + np.diag(volume.spacing**2) / 12
     extents = np.sqrt(np.linalg.eigvalsh(moments))
     return bool(extents[-1] <= MAX_ELONGATION * extents[0])

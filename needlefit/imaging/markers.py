@@ -1,4 +1,4 @@
-"""The markers in a scan: spheres found in the volume, or fiducials placed by hand and moved to such
+"""Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to such
 spheres.
 """
 
@@ -62,6 +62,7 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
     balls: list[SphereFit] = []
     for blob in find_blobs(volume, rules.diameter_mm, rules.threshold_hu, exclude):
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
+        # the same ball appears at several levels: it is fitted once
         if _is_near(middle, tried, rules.diameter_mm / 2):
             continue
         tried.append(middle)
@@ -75,7 +76,7 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
 
 
 def read_markers(path: Path) -> Floats:
-    """Return the places (N, 3), mm, of a CSV (x_mm, y_mm, z_mm), .fcsv or .mrk.json; of Slicer's in LPS.
+    """Read points (N, 3), mm, from a CSV (x_mm, y_mm, z_mm), .fcsv or .mrk.json; those of Slicer become LPS.
 
     Raises
     ------
@@ -100,7 +101,7 @@ def read_markers(path: Path) -> Floats:
 
 
 def read_fiducials(path: Path, recipe: ReconstructionRecord) -> MarkerResult:
-    """Return fiducials that somebody placed in the scan; a CSV holds LPS. DataError as `read_markers`."""
+    """Read fiducials that were placed by hand in the scan; a CSV holds LPS. DataError as `read_markers`."""
     points = read_markers(path)
     return MarkerResult(points, np.full(len(points), recipe.markers.fiducial_sd_mm), "fiducials")
 
@@ -108,7 +109,7 @@ def read_fiducials(path: Path, recipe: ReconstructionRecord) -> MarkerResult:
 def refine_fiducials(
     given: MarkerResult, volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None
 ) -> MarkerResult:
-    """Return fiducials, moved to the balls that they mark; the ball's deviation tells which were.
+    """Move fiducials to the balls that they mark; a moved one gets the ball's deviation.
 
     A ball within half a diameter and `MAX_FIDUCIAL_SD` deviations of a fiducial is its own: a click may hit
     the ball's surface. Where the volume shows no ball, a fiducial stays as it was placed.
@@ -163,6 +164,7 @@ def _is_marker(volume: Volume, ball: SphereFit, rules: MarkersRecord) -> bool:
     margin = float((np.minimum(index, last - index) * volume.spacing).min())
     return (
         ball.misfit <= MAX_RELATIVE_MISFIT
+        # a blur at its upper bound means that the fit did not find a ball
         and ball.blur < 0.99 * MAX_BLUR_MM
         and margin >= rules.diameter_mm / 2
     )

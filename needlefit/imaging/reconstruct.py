@@ -36,7 +36,7 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 def estimate_first_contact(
     detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> tuple[EntryPose, EntryPose | None]:
-    """Return the entry pose, and the one of the shaft outside the tissue where it shows."""
+    """Return the entry pose, and the pose of the shaft outside the tissue where it is visible."""
     if scan.stage is None:
         at, at_sd = _locate_tissue(detections, scan, surfaces, recipe)
         shaft = entry.move_to_surface(
@@ -145,11 +145,11 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
 def derive_reconstruction(
     detections: Detections, scan: Scan, recipe: ReconstructionRecord, grid: VoxelGrid
 ) -> Reconstruction:
-    """Derive the reconstruction from what was detected in the volume; without views.
+    """Derive the reconstruction from the detections in the volume; without views.
 
     Parameters
     ----------
-    grid : Grid
+    grid : VoxelGrid
         Where the scan's voxels stand.
 
     Raises

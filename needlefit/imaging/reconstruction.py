@@ -1,4 +1,4 @@
-"""The result of reconstructing one scan; `reconstruct` returns it."""
+"""The result of reconstructing one scan."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MarkerResult:
-    """Markers in the scan.
+    """The markers found in the scan.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class MarkerResult:
 
 @dataclass(frozen=True)
 class EntryPose:
-    """The needle's tip at first contact.
+    """The pose of the needle at first contact.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class EntryPose:
 
 @dataclass(frozen=True)
 class IntensityProfile:
-    """Brightness along the needle.
+    """The brightness along the needle.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class IntensityProfile:
 
 @dataclass(frozen=True)
 class ScanView:
-    """A picture of the scan along two axes of the constraint frame.
+    """An image of the scan along two axes of the constraint frame.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class ScanView:
 
 @dataclass(frozen=True)
 class Layers:
-    """The layers that the needle meets.
+    """The layers that the needle crosses.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class Layers:
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """One scan, reconstructed.
+    """The complete reconstruction of one scan.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Reconstruction:
         Of the voxels along i, j, k, mm.
     needle_axis : Centerline
         The whole needle, LPS.
-    markers : Markers or None
+    markers : MarkerResult or None
         None where the world is the patient frame.
     registration : Registration or None
     patient : Frame
@@ -152,7 +152,7 @@ class Reconstruction:
     target_error : (2,) array
         Mean error that the registration leaves at the entry and at the tip, predicted, mm; 0 without one.
     layers : Layers
-    profile : Profile
+    profile : IntensityProfile
     views : tuple of View
     warnings : tuple of str
         What a person should know.
@@ -180,5 +180,5 @@ class Reconstruction:
 
     @property
     def local(self) -> Floats:
-        """The centreline in C (N, 3), mm; z is what the bending plane does not hold."""
+        """The centreline in C (N, 3), mm; z is the deviation out of the bending plane."""
         return self.frame.to_local(self.points)

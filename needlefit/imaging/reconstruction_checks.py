@@ -1,6 +1,4 @@
-"""Checks of a reconstruction: errors for layers that cannot be right, and warnings for what a person should
-know.
-"""
+"""Check a reconstruction: errors for layers that cannot be right, and warnings for the user."""
 
 from collections.abc import Iterator, Sequence
 
@@ -32,7 +30,7 @@ MAX_LAYER_SD_MM = 0.5
 
 
 def collect_warnings(one: Reconstruction) -> tuple[str, ...]:
-    """Return the warnings, the most important first."""
+    """Return the warnings about a reconstruction, the most important first."""
     found = () if one.registration is None else one.registration.warnings
     return (
         *found,
@@ -126,7 +124,7 @@ MIN_TUNNEL_LENGTH_MM = 2 * TUNNEL_RADIUS_MM
 
 
 def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> None:
-    """Refuse layers drawn around a needle (N, 3), world, from base to tip.
+    """Refuse layers that were drawn around a needle (N, 3), world, from base to tip.
 
     Where metal was left out of a segmentation, the needle lies in a tunnel of each layer, and crosses their
     surfaces where the tunnels end: anywhere.
@@ -151,7 +149,7 @@ def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> N
 
 
 def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame) -> tuple[str, ...]:
-    """Return what a person should know of the layers met by a needle (N, 3), world.
+    """Return warnings about the number of layers that a needle (N, 3), world, crosses.
 
     Nothing, where there are as many as somebody counted.
 

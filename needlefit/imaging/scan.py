@@ -1,4 +1,4 @@
-"""One scan of an inserted needle: what is given to a reconstruction, and the table row that states it."""
+"""Define one scan of an inserted needle: the input of a reconstruction, and the table row that states it."""
 
 import math
 import re
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StagePose:
-    """Where the needle was held, in the world.
+    """The pose of the stage that held the needle, in the world.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class LayerSource:
 
 @dataclass(frozen=True)
 class Scan:
-    """One scan, and what is known besides.
+    """One scan, with everything that is known about it.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Scan:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files, and DICOM folders, that are read of it."""
+        """All files and DICOM folders that are read for it."""
         others = (self.mask, self.markers, self.fiducials, *(source.path for source in self.surfaces))
         return (self.volume, *(path for path in others if path is not None))
 
@@ -145,7 +145,9 @@ _LAYER_PATTERN = re.compile(r"(?P<file>.+)=(?P<kind>sheet|solid):(?P<into>[1-9]\
 
 @dataclass(frozen=True)
 class ScanRow:
-    """The cells of one row: its place for a message, its folder, text and numbers (nan: empty) by column."""
+    """The cells of one row: its location for messages, its folder, text and numbers (nan: empty) by
+    column.
+    """
 
     where: str
     folder: Path
@@ -153,21 +155,21 @@ class ScanRow:
     number: Mapping[str, float]
 
     def vector(self, names: tuple[str, ...]) -> Floats:
-        """Return the numbers under some columns, (len(names),)."""
+        """Return the numbers of some columns, (len(names),)."""
         return np.array([self.number[name] for name in names])
 
     def path(self, name: str) -> Path | None:
-        """Return the file under a column; None where the cell is empty."""
+        """Return the file in a column; None where the cell is empty."""
         return self.folder / self.text[name] if self.text[name] else None
 
     def layers(self) -> list[LayerSource | Fault]:
-        """Return the layers' files, or what is wrong with each."""
+        """Return the files of the layers, or the fault of each."""
         parts = [part.strip() for part in self.text["surfaces"].split(";")]
         return [parse_layer_source(part, self.folder, self.where) for part in parts if part]
 
 
 def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
-    """Return the layer that `file` or `file=kind:into`, from `folder`, means, or why it means none."""
+    """Return the layer stated as `file` or `file=kind:into`, relative to `folder`, or its fault."""
     match = _LAYER_PATTERN.fullmatch(text)
     file = match["file"].strip() if match else text
     path, place = folder / file, where or str(folder / file)
@@ -231,7 +233,7 @@ def _parse_count(value: float) -> int | None:
 
 
 def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
-    """Say what is wrong with a row by itself; with its numbers only if all could be read."""
+    """Yield the faults of one row by itself; its numbers are checked only if all could be read."""
     for name in ("id", "medium"):
         yield from name_faults(name, row.text[name], row.where)
     for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
@@ -247,14 +249,14 @@ def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
 
 
 def name_faults(name: str, given: str, where: str) -> Iterator[Fault]:
-    """Say that an id or a medium cannot name files; an empty one is a default."""
+    """Yield a fault if an id or a medium cannot be used in file names; an empty one is a default."""
     if given and not ID_PATTERN.fullmatch(given):
         expected = "A-Z, a-z, digits, `.`, `_`, `-`, the first a letter or digit: it names files"
         yield Fault(where, f"{name} is {given!r}", expected, "rename it")
 
 
 def label_faults(name: str, given: str, where: str) -> Iterator[Fault]:
-    """Say that a name cannot stand in tables."""
+    """Yield a fault if a name cannot be used in tables."""
     fault = name_fault(given)
     if fault:
         yield Fault(where, f"{name} is {given!r}: {fault}", EXPECTED_NAME, "rename it")

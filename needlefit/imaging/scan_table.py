@@ -1,4 +1,4 @@
-"""Which scans to reconstruct: a table of them, or volumes named one by one."""
+"""Read which scans to reconstruct: from a table, or from volumes named one by one."""
 
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
@@ -33,7 +33,7 @@ SCAN_TABLE_FIX = "write a table of scans, with a column for it"
 
 
 def read_scans(path: Path) -> tuple[Scan, ...]:
-    """Read a table of scans, one a row, in its order; paths in it are relative to its folder.
+    """Read a table of scans, one per row, in its order; paths in it are relative to its folder.
 
     Only `scan` is required; what an empty cell means `Scan` says. An id that is not given is the volume's
     name. Surfaces are separated by `;`, each a file or `file=kind:into`, e.g. `skin.stl=sheet:2`.
@@ -68,7 +68,7 @@ def make_scans(
     mask: Path | None = None,
     series: str | None = None,
 ) -> tuple[Scan, ...]:
-    """Return a scan for each of some volumes that share markers and layers; their ids are their names.
+    """Return a scan for each of some volumes that share markers and layers; file names become ids.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def make_scans(
 
 
 def scan_id(volume: Path) -> str:
-    """Return the id that a volume has by its name as given: no ending, and only what an id may hold."""
+    """Return the id of a volume from its file name: without the ending, and with allowed characters only."""
     name = volume.resolve().name if volume.name in ("", "..") else volume.name
     ending = next((end for end in (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm") if name.lower().endswith(end)), "")
     return make_id(name[: len(name) - len(ending)], "scan")

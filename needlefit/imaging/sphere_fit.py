@@ -33,7 +33,7 @@ background's lower level and its step, HU; the step's direction over its width, 
 
 @dataclass(frozen=True)
 class SphereVoxels:
-    """Voxels around a ball.
+    """The voxels around a ball.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class SphereVoxels:
 
 
 def render_sphere(near: SphereVoxels, radius: float, theta: Floats) -> tuple[Floats, Floats]:
-    """Return what is shown (N,), HU, of a ball of `radius` (mm), and its derivatives (N, 11)."""
+    """Return the image (N,), HU, of a ball of `radius` (mm), and its derivatives (N, 11)."""
     part, moved, wider = _render_fraction(near, radius, theta[CENTER], float(np.exp(theta[BLUR])))
     around, turned = _render_background(near.places, theta)
     height, void = float(np.exp(theta[HEIGHT])), 1 - part
@@ -137,7 +137,7 @@ FORMAL_SD_FACTOR, SYSTEMATIC_SD_MM = 0.9, 0.003
 
 @dataclass(frozen=True)
 class SphereFit:
-    """A ball as it was laid.
+    """A fitted ball.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class SphereFit:
 
 
 def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
-    """Return the ball of `radius` (mm) that fits the voxels around `blob` best."""
+    """Fit a ball of `radius` (mm) to the voxels around `blob`."""
     near = select_voxels(volume, blob, radius)
     best = _minimize(near, radius, _guess_parameters(near, radius), np.inf)
     noise = max(1.0, 1.48 * float(np.median(np.abs(best.fun))))

@@ -1,4 +1,4 @@
-"""Slices of the scan along the needle and across it, in the axes of the constraint frame."""
+"""Render slices of the scan along and across the needle, in the axes of the constraint frame."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,7 @@ TIP_SECTION_OFFSET_MM = 4.0
 
 
 def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[ScanView, ...]:
-    """Return three pictures: the bending plane (x, y), across it (x, z), and near the tip (y, z).
+    """Return three images: the bending plane (x, y), across it (x, z), and near the tip (y, z).
 
     Parameters
     ----------
@@ -50,9 +50,7 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
 def render_bending_plane(
     volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike, beside: float = SIDE_MARGIN_MM
 ) -> ScanView:
-    """Return the picture in the bending plane (x, y), `beside` mm wide to both sides; else as
-    `render_views`.
-    """
+    """Return the image of the bending plane (x, y), `beside` mm wide to both sides; see `render_views`."""
     local, turned = _to_constraint_frame(patient, frame, needle)
     x, y = _pixels_along(local), _pixels_across(local, 1, beside)
     return _average_slab(volume, turned, "xyz", (x, y, np.interp(x, local[:, 0], local[:, 2])))

@@ -1,6 +1,4 @@
-"""A CT volume: its voxel grid in the patient's coordinates (LPS, mm), its values, and the checks of the
-grid.
-"""
+"""Define a CT volume: its voxel grid in patient coordinates (LPS, mm), its values, and checks of the grid."""
 
 import math
 from dataclasses import dataclass
@@ -30,7 +28,7 @@ SHEARED_AXES_FIX = "a tilted gantry shears a volume: resample it onto a straight
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """Where voxels stand in the patient, as a header says.
+    """The position of voxels in patient coordinates.
 
     Attributes
     ----------
@@ -51,7 +49,7 @@ class VoxelGrid:
 
 
 def check_grid(grid: VoxelGrid, where: str = "") -> None:
-    """Say what is wrong with a grid, before any voxel of it is read.
+    """Refuse an impossible grid, before any voxel of it is read.
 
     Raises
     ------
@@ -71,26 +69,26 @@ def check_grid(grid: VoxelGrid, where: str = "") -> None:
 
 
 def grid_to_json(grid: VoxelGrid) -> dict[str, list[Any]]:
-    """Return a grid as JSON; `VoxelGrid` of its parts as arrays gives it back to the bit."""
+    """Return a grid as JSON values that restore it exactly."""
     parts = {"origin": grid.origin, "spacing": grid.spacing, "direction": grid.direction}
     return {"size": list(grid.size), **{name: array.tolist() for name, array in parts.items()}}
 
 
 def orthogonalize(direction: Floats) -> Floats:
-    """Return the axes (3, 3) that are perpendicular to the last digit and nearest to `direction` (3, 3)."""
+    """Return exactly perpendicular axes (3, 3), the nearest to `direction` (3, 3)."""
     u, _, vt = np.linalg.svd(direction)
     nearest: Floats = u @ vt
     return nearest
 
 
 def max_voxels() -> int:
-    """Return the number of voxels of the largest volume that is read, as float32."""
+    """Return the largest number of voxels that is read, as float32."""
     stated = stated_memory_bytes()
     return DEFAULT_MAX_VOXELS if stated is None else stated // 4
 
 
 def check_size(size: tuple[int, int, int], where: str) -> None:
-    """See that there is a volume, and not more than is read.
+    """Refuse an empty volume, or one with more voxels than are read.
 
     Raises
     ------
@@ -145,7 +143,7 @@ READABLE_VOLUMES = (
 
 @dataclass(frozen=True)
 class Volume:
-    """A scan; patient coordinates are LPS, mm, whatever its file had.
+    """A CT volume; patient coordinates are LPS, mm, whatever its file used.
 
     Attributes
     ----------
@@ -182,7 +180,7 @@ class Volume:
 
     @property
     def grid(self) -> VoxelGrid:
-        """Where the voxels stand."""
+        """The grid of the voxels."""
         slices, rows, columns = self.values.shape
         return VoxelGrid((columns, rows, slices), self.origin, self.spacing, self.direction)
 

@@ -33,7 +33,7 @@ UNPACKED_BYTES_PER_SECOND = 2**20
 
 
 def read_volume(path: Path, series: str | None = None) -> Volume:
-    """Return the volume in a file or folder, after its geometry was checked.
+    """Read the volume in a file or folder; its geometry is checked first.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
 
 
 def read_planes(path: Path) -> tuple[Volume, ...]:
-    """Read an image file whose voxels may have several numbers: a volume for each; else as `read_volume`."""
+    """Read an image file with several numbers per voxel: one volume for each; see `read_volume`."""
     with explain_missing_packages():
         _require_packages()
         parts, arrays = _read_arrays(path, layers=True)
@@ -142,7 +142,7 @@ def _require_packages() -> None:
 
 
 def write_volume(volume: Volume, path: Path, description: str = "") -> None:
-    """Write a volume whole or not at all; the same volume gives the same bytes.
+    """Write a volume, whole or not at all; the same volume gives the same bytes.
 
     Parameters
     ----------
@@ -185,13 +185,13 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
 
 
 def ct_packages_installed() -> bool:
-    """Return whether the packages that read scans are there."""
+    """Return whether the packages that read scans are installed."""
     return all(find_spec(name) is not None for name in CT_PACKAGES)
 
 
 @contextmanager
 def explain_missing_packages() -> Iterator[None]:
-    """Turn a missing package into the line that installs it."""
+    """Replace the error of a missing package by one that says how to install it."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -1,1 +1,3 @@
-"""Studies: tune on these insertions, score on those (`run`), beside what the paper printed (`paper`)."""
+"""Run studies: fit to some insertions, score on others (`run`), and compare with the published numbers
+(`paper`).
+"""

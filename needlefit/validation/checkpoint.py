@@ -1,4 +1,4 @@
-"""What an interrupted run has finished, so that it resumes to the same result."""
+"""Store what an interrupted run has finished, so that it resumes to the same result."""
 
 import hashlib
 import json
@@ -21,7 +21,7 @@ _DIGEST_CHARACTERS = 16
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A folder: finished starts, one file per search, and a folder of the sampler's snapshots per fold.
+    """A folder of finished work: one file of starts per search, and sampler snapshots per fold.
 
     Whatever else is finished piece by piece is kept as rows of JSON values, each behind a digest of it. None
     keeps nothing. What is damaged is set aside, `note` is given a line about it, and the rest is used.
@@ -32,7 +32,7 @@ class Checkpoint:
     lock: Lock | None = field(default=None, repr=False, compare=False)
 
     def finished(self, search: str) -> dict[int, Start]:
-        """Return the starts of one search that are kept whole."""
+        """Return the stored starts of one search."""
         try:
             starts = [start_from_dict(row) for row in self.rows(search)]
         except FitError:  # rows of something else, however whole
@@ -41,11 +41,11 @@ class Checkpoint:
         return {start.index: start for start in starts}
 
     def keep(self, search: str, start: Start) -> None:
-        """Add a finished start."""
+        """Store a finished start."""
         self.keep_row(search, start_to_dict(start))
 
     def rows(self, work: str, keys: Sequence[str] = ()) -> list[dict[str, Any]]:
-        """Return the rows, with these `keys`, that are kept of some work.
+        """Return the stored rows of one file, those with all of these `keys`.
 
         A line torn by a kill, or changed since, is none.
         """
@@ -58,7 +58,7 @@ class Checkpoint:
         return [row for _, row in found if row is not None]
 
     def keep_row(self, work: str, row: Mapping[str, Any]) -> None:
-        """Add a row; every float survives exactly."""
+        """Store a row; every float survives exactly."""
         if self.folder is None:
             return
         text = json.dumps(row).encode("ascii")
@@ -66,7 +66,7 @@ class Checkpoint:
             file.write(b"\n" + _digest(text) + b" " + text + b"\n")  # the line before may be torn
 
     def snapshots(self, fold: str) -> Snapshots:
-        """Return where the sampler of one fold keeps its steps."""
+        """Return the store of the sampler's snapshots of one fold."""
         folder = None if self.folder is None else self.folder / f"{_hash_name(fold)}.posterior"
         return Snapshots(folder, self.note)
 
@@ -86,7 +86,7 @@ class Checkpoint:
 def open_checkpoint(
     folder: Path | None, resume: bool, work: Mapping[str, Any], note: Note = no_note
 ) -> Checkpoint:
-    """Return the checkpoint in `folder` for the given work; without `resume` an old one is emptied.
+    """Open the checkpoint in `folder` for the given work; without `resume` an old one is emptied.
 
     Parameters
     ----------

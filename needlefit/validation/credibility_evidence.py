@@ -1,4 +1,4 @@
-"""Results of other commands that are evidence for a run, and whether they concern the same work.
+"""Find results of other commands that are evidence for the credibility of a run.
 
 Evidence lies beside the run, or in folders that were named. It counts only where versions, data, model,
 recipe and insertions are the same; what does not state itself is not taken for the same.
@@ -51,7 +51,7 @@ EVIDENCE_FIGURES: Mapping[EvidenceKind, str] = MappingProxyType(
 
 @dataclass(frozen=True)
 class CredibilityEvidence:
-    """What one command left, looked at for one run.
+    """The result of one command, as evidence for one run.
 
     Attributes
     ----------
@@ -85,12 +85,12 @@ class CredibilityEvidence:
 
     @property
     def counted(self) -> bool:
-        """Whether it is of the same thing as the run."""
+        """Whether it concerns the same work as the run."""
         return not self.objections
 
     @property
     def command(self) -> str:
-        """What made it."""
+        """The command that made it."""
         if self.kind == "verification":
             return "needlefit verify"
         if self.kind == "sensitivity":
@@ -115,7 +115,7 @@ _MAX_NAMED_DIFFERENCES = 3
 
 
 def describe_identity(work: JsonTable, dataset: JsonTable | None = None) -> dict[str, Any]:
-    """Return what makes the work of a run what it is; None for what it does not state.
+    """Return what identifies the work of a run; None for what the run does not state.
 
     `dataset` is given where `run.json` keeps it elsewhere.
     """
@@ -131,7 +131,7 @@ def describe_identity(work: JsonTable, dataset: JsonTable | None = None) -> dict
 
 
 def compare_versions(there: JsonTable, here: JsonTable) -> list[str]:
-    """Return in what versions two runs differ, of those that both name."""
+    """Return the versions in which two runs differ, of those that both state."""
     one, two = there.get("versions"), here.get("versions")
     if not one or not two:
         return ["versions are not stated " + ("here" if one else "there")]
@@ -143,7 +143,7 @@ def compare_versions(there: JsonTable, here: JsonTable) -> list[str]:
 
 
 def compare_identities(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Return in what two identities differ, in words, the first few named one by one."""
+    """Return in words how two identities differ; the first few differences are named."""
     found = list(_iterate_differences(there, here))
     more = len(found) - _MAX_NAMED_DIFFERENCES
     return found if more <= 0 else [*found[:_MAX_NAMED_DIFFERENCES], f"and {more} more"]
@@ -175,9 +175,9 @@ Runs = Mapping[str, Mapping[str, Any]]
 
 
 def gather_evidence(run: Path, runs: Runs, named: Sequence[Path] = ()) -> list[CredibilityEvidence]:
-    """Return all evidence for `runs`: what was named, and of kinds that were not, what lies beside `run`.
+    """Return all evidence for `runs`: what was named, and other kinds from the folders beside `run`.
 
-    Beside it only what is said to be of these runs is looked at; what was named always is.
+    Beside it only results that name one of these runs are considered; what was named always is.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def gather_evidence(run: Path, runs: Runs, named: Sequence[Path] = ()) -> list[C
 
 
 def find_unreadable(run: Path) -> list[str]:
-    """Return what is wrong with each `run.json` beside `run` that cannot be read: it may be evidence."""
+    """Return the faults of each `run.json` beside `run` that cannot be read: it may be evidence."""
     found = []
     for folder in _runs_beside(run):
         try:
@@ -206,7 +206,7 @@ def find_unreadable(run: Path) -> list[str]:
 
 
 def find_evidence_kind(table: Mapping[str, Any]) -> EvidenceKind | None:
-    """Return which command wrote a `run.json`, or None if it is none of those that give evidence."""
+    """Return which command wrote a `run.json`; None if it is not evidence."""
     if table.get("name") == "verification" and "failed" in table:
         return "verification"
     if {"replicates", "not_calibrated"} <= table.keys():
@@ -268,7 +268,7 @@ def _find_objections(
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield for which run it is looked at, and what speaks against counting it."""
     if kind == "verification":
-        every = [said for here in runs.values() for said in compare_versions(table, here)]
+        every = [difference for here in runs.values() for difference in compare_versions(table, here)]
         yield "", tuple(dict.fromkeys(every))
         return
     targets = _find_targets(kind, table)

@@ -1,4 +1,4 @@
-"""Read the CSV tables of a run again, and find its damaged files.
+"""Read the CSV tables of a stored run, and find its damaged files.
 
 A damaged table is an error that names the file and the column.
 """
@@ -20,7 +20,7 @@ from needlefit.project.run_file import RUN_FILE, read_run
 
 @dataclass(frozen=True)
 class TableSchema:
-    """The columns of a table that are used, by what their cells hold; any cell may be empty.
+    """The columns that are read from a table, by the type of their cells; any cell may be empty.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ _TOO_LARGE = re.compile(r"\s*[+-]?\d[\d.]*[eE]\+?(309|3[1-9]\d|[4-9]\d\d|\d{4})\
 
 
 def read_table(path: Path, form: TableSchema = ANY_COLUMNS) -> pd.DataFrame:
-    """Return the table in a CSV file that a run wrote; a file of blank lines is an empty one.
+    """Read a CSV table that a run wrote; a file without lines is an empty table.
 
     Other columns than those of its form are as pandas finds them.
 
@@ -151,7 +151,7 @@ def _damage_error(path: Path, what: str, column: str = "") -> DataError:
 
 
 def find_damaged_files(folder: Path) -> dict[str, str]:
-    """Return what is wrong with each damaged file of a run, by its name; empty if nothing is.
+    """Return the fault of each damaged file of a run, by file name; empty if there is none.
 
     `run.json` and the CSV tables are read; every other file is compared with its digest in the stamp of the
     folder, and a sampled posterior without one is read. Files that are missing are not looked for.

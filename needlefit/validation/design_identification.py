@@ -1,4 +1,4 @@
-"""Identifiability of a design: what its insertions determine, before any measured shape is used."""
+"""Compute what the insertions of a design identify, before any measured shape is used."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from needlefit.validation.planned_insertions import choose_reference_values, sim
 
 @dataclass(frozen=True)
 class Identification:
-    """What a design tells.
+    """What a design identifies.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Identification:
 def identify_design(
     name: str, record: FitRecord, settings: Settings, fitted: Mapping[str, float] | None = None
 ) -> Identification:
-    """Return what depths, layers, sides, poses and noise of the insertions tell of the parameters.
+    """Return what the depths, layers, sides, poses and noise of the insertions identify.
 
     Where the dataset states no noise, the residuals of the fit stand for it, and without one there is no
     answer. They are taken at the values `fitted`, or at the paper's hand-tuned set, or in the middle of the

@@ -1,4 +1,4 @@
-"""What is suspicious about a finished fit: parameters at bounds, an empirical curve that is closer."""
+"""Warn about a finished fit: parameters at bounds, or a baseline curve that is closer than the fit."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +23,7 @@ _CURVE_NAMES = {
 
 
 def add_warnings(results: Results, job: Job) -> Results:
-    """Return results whose `run` also keeps the warnings about data, study and fit."""
+    """Return results whose `run` also has the warnings about data, study and fit."""
     found = [*read_warnings(results.run), *job.warnings]
     found += validity_warnings(results.run)
     found += [] if results.interrupted else [*bound_warnings(results), *baseline_warnings(results)]
@@ -31,7 +31,7 @@ def add_warnings(results: Results, job: Job) -> Results:
 
 
 def bound_warnings(results: Results) -> Iterator[ResultWarning]:
-    """Yield the parameters that a fit left at a bound, with how many folds did."""
+    """Yield the parameters that a fit left at a bound, and in how many folds."""
     table = results.parameters
     free = table[(table["method"] == "fitted") & (table["status"] == "free")]
     folds = table["fold"].nunique()
@@ -44,7 +44,7 @@ def bound_warnings(results: Results) -> Iterator[ResultWarning]:
 def analysis_bound_warnings(
     fits: pd.DataFrame, parameters: Mapping[str, Parameters]
 ) -> Iterator[ResultWarning]:
-    """Yield the parameters that fits of an analysis left at a bound, with how many of them did.
+    """Yield the parameters that fits of an analysis left at a bound, and in how many fits.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def _describe_bound(name: str, value: float, low: float, high: float) -> str:
 
 
 def baseline_warnings(results: Results) -> Iterator[ResultWarning]:
-    """Yield the empirical curve that is closest, if it is closer than the fit to what is scored.
+    """Yield the closest baseline curve, if it is closer to the scored insertions than the fit.
 
     Held-out insertions: by more than chance gives (`beats_fit`: two standard errors, or half of the error on
     a single insertion). Insertions fitted to: by the noise floor as well, for a fit allows for errors of the

@@ -1,4 +1,6 @@
-"""Which insertions tune and which are scored: one fold, or one for each group left out."""
+"""Split insertions into those that are fitted to and those that are scored: one fold, or one per group left
+out.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,7 +19,7 @@ MAX_NAMED_SPECIMENS = 8
 
 @dataclass(frozen=True)
 class Fold:
-    """One fit and what it is scored on; no specimen left out stands on both sides."""
+    """One fold: the insertions fitted to and those scored."""
 
     name: str
     tune: tuple[Insertion, ...]
@@ -25,7 +27,7 @@ class Fold:
 
 
 def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
-    """Return the folds of a study, or the single one of a fit, which scores nothing.
+    """Return the folds of a study, or the single fold of a fit, which scores nothing.
 
     Raises
     ------
@@ -53,7 +55,7 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
 
 
 def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> list[ResultWarning]:
-    """Return the warning that insertions are held out whose specimens are fitted to, if any are.
+    """Return a warning if held-out insertions share specimens with those fitted to.
 
     Such a study says how well a model knows the specimens that it was fitted to, not others.
     """
@@ -67,7 +69,7 @@ def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> 
 
 
 def specimen_warning(name: str, specimens: list[str], where: str = "") -> ResultWarning:
-    """Return the warning that a study, `name` at `where`, fits to specimens that it is validated on."""
+    """Return the warning that a study, `name` at `where`, is fitted to specimens that it is validated on."""
     named = join_names(specimens, MAX_NAMED_SPECIMENS)
     return ResultWarning(
         "same_specimen",
@@ -100,7 +102,7 @@ def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
 
 
 def group_insertions(insertions: tuple[Insertion, ...], what: str) -> dict[str, tuple[Insertion, ...]]:
-    """Return the insertions by their "specimen", or each "insertion" by itself, in their order."""
+    """Group the insertions by "specimen", or each "insertion" by itself, in their order."""
     names = [insertion.specimen if what == "specimen" else insertion.id for insertion in insertions]
     return {
         name: tuple(i for i, own in zip(insertions, names, strict=True) if own == name)

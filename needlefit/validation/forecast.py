@@ -1,4 +1,4 @@
-"""What a fit predicts of a planned insertion: where the needle will be, and where it would be measured.
+"""Predict a planned insertion from a fit: the needle's true shape, and where it would be measured.
 
 There are two bands. The *needle's* comes from the draws of the parameters, and of the depths of layers
 and tip. The *measurement's* adds what a scan of it would err by: the errors that the dataset states of its
@@ -49,7 +49,7 @@ RIGIDITY_TOLERANCE = 0.02
 
 @dataclass(frozen=True)
 class Forecast:
-    """A predicted needle in the scene's constraint frame.
+    """A predicted needle in the scene's constraint frame, with its uncertainty.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Forecast:
 
 @one_thread
 def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
-    """Return where the needle of a planned insertion will be.
+    """Predict the needle of a planned insertion.
 
     The scene says needle, depth, layers' places, bevel side and controls; its moduli and bevel offset are
     replaced by the draws': layer n of the scene is layer n of the medium. With each draw the depths of
@@ -120,7 +120,7 @@ def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
 
 
 def outside_warnings(forecast: Forecast) -> Iterator[ResultWarning]:
-    """Yield a warning where draws give needles outside what the model assumes."""
+    """Yield a warning where draws give needles outside the model's range of validity."""
     if forecast.outside:
         yield ResultWarning(
             "validity",
@@ -186,7 +186,7 @@ FORECAST_DRAWS = 400
 
 @one_thread
 def draw_parameters(job: Job, run: Path, settings: Settings, required: bool = False) -> Draws | None:
-    """Return draws of the posterior in the folder `run`, or, where none was sampled, about a fit made now.
+    """Return draws of the posterior stored in the folder `run`, or, if it has none, about a new fit.
 
     Returns
     -------
@@ -223,7 +223,7 @@ def draw_parameters(job: Job, run: Path, settings: Settings, required: bool = Fa
 
 
 def require_same_configuration(job: Job, run: Path) -> None:
-    """Raise ConfigError if the run in a folder is of other data or another configuration than `job`."""
+    """Raise ConfigError if the run in a folder has other data or another configuration than `job`."""
     recorded, ours = read_run(run), describe_configuration(job)
     pairs = {key: (recorded.get(key), ours[key]) for key in ("dataset", "medium", "folds")}
     recipe = recorded.get("recipe")

@@ -1,4 +1,4 @@
-"""How well held-out needles were predicted: the predictive distribution of each, and what was measured of it.
+"""Predict held-out needles: the predictive distribution of each, compared with its measurement.
 
 A draw of the parameters gives one needle, through the layers that its own planned path meets, with depths of
 layers and insertion drawn as the dataset states their errors; about it stand the errors of pose and points.
@@ -78,10 +78,9 @@ nearer, at its worst point, than the measured one; `shape_in_*` says whether tha
 
 
 def draw_fold_parameters(job: Job, fold: Fold, known: FoldFit, jobs: int = 1) -> tuple[Draws, Draws]:
-    """Return `PREDICTION_DRAWS` draws of what a fold knows of the parameters, to predict with, and
-    `FIGURE_DRAWS` to be seen.
+    """Draw parameters of a fold: `PREDICTION_DRAWS` to predict with, and `FIGURE_DRAWS` for figures.
 
-    Of the sampled posterior where there is one, else weighed about the fit.
+    They come from the sampled posterior where there is one, else from importance sampling about the fit.
     """
     if known.posterior is not None:
         few, many = (
@@ -94,6 +93,7 @@ def draw_fold_parameters(job: Job, fold: Fold, known: FoldFit, jobs: int = 1) ->
         return few, many
     rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold")
     found = sample_about_fit(job.problem(fold), known.fit, rng, jobs)
+    # both sets come from one generator: their order is part of the result
     few, many = (resample_draws(found, count, rng) for count in (PREDICTION_DRAWS, FIGURE_DRAWS))
     return few, many
 
@@ -110,7 +110,7 @@ BAND_POINTS = 41
 
 @dataclass(frozen=True)
 class HeldOutPrediction:
-    """What was predicted of one needle: the row of `PREDICTIVE_COLUMNS`, and those of `BAND_COLUMNS`.
+    """The prediction of one needle: its row of `PREDICTIVE_COLUMNS`, and its rows of `BAND_COLUMNS`.
 
     `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes.
     """
@@ -122,12 +122,12 @@ class HeldOutPrediction:
 
 
 def tabulate_held_out(job: Job, fold: Fold, draws: Draws) -> Iterator[Row]:
-    """Yield a row for every insertion that a fold holds out, y toward +y of C, mm."""
+    """Yield one row for every insertion that a fold holds out, y toward +y of C, mm."""
     return (one.row for one in predict_held_out(job, fold, draws))
 
 
 def predict_held_out(job: Job, fold: Fold, draws: Draws) -> Iterator[HeldOutPrediction]:
-    """Yield what is predicted of every insertion that a fold holds out, y toward +y of C, mm.
+    """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
 
     Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
     """

@@ -1,4 +1,4 @@
-"""What is identifiable, as rows: one per parameter, and the points of its profile."""
+"""Tabulate what is identifiable: one row per parameter, and the points of its profile."""
 
 import math
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "fisher_de
 
 @dataclass(frozen=True)
 class IdentificationRows:
-    """What was found out about every parameter of one fold, before or after the fit.
+    """The rows about every parameter of one fold, before or after the fit.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ def identify_parameters(
     sds: Mapping[str, float],
     verdict: Identifiability | None = None,
 ) -> IdentificationRows:
-    """Return what examination and deviations say together.
+    """Return what profiles and standard deviations together say about every parameter.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def identify_parameters(
 
 
 def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessment]) -> Identifiability:
-    """Return the verdict without the parameters whose profiles contradict it, and say so in their notes."""
+    """Return the verdict without the parameters whose profiles contradict it; their notes say so."""
     denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.determined}
     return replace(
         verdict,
@@ -109,7 +109,7 @@ def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessm
 
 
 def add_sampled_ratios(posterior: Posterior, rows: list[Row]) -> None:
-    """Write into `rows`, of one fold, what the draws say of the contraction."""
+    """Add to `rows`, of one fold, the ratio of posterior SD to prior SD from the draws."""
     flat = posterior.draws.reshape(-1, len(posterior.names))
     for row in rows:
         if row["parameter"] in posterior.names:

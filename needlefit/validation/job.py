@@ -1,4 +1,4 @@
-"""A study or fit with everything it names: its dataset, medium, recipe, hand-tuned method and folds."""
+"""Load a study or fit with everything that it names: dataset, medium, recipe, hand-tuned method and folds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _GUIDE_PARAMETER = "guide_distance_mm"
 
 @dataclass(frozen=True)
 class Settings:
-    """How a run is carried out; nothing here but `seed` and `sample` changes its result.
+    """How a run is executed; only `seed` and `sample` change its result.
 
     Attributes
     ----------
@@ -68,13 +68,13 @@ class Settings:
     file: Path | None = None
 
     def place(self, key: str) -> str:
-        """Return how messages name a key of the study's file; "" where that is not known."""
+        """Return the name of a key of the study's file for messages; "" where it is not known."""
         return "" if self.file is None else locate_key(self.file, key)
 
 
 @dataclass(frozen=True)
 class Job:
-    """What `validation.run` works on; `warnings` are about its data and what it selects of them."""
+    """The data that `validation.run` works on; `warnings` are about its data and their selection."""
 
     name: str
     record: FitRecord | StudyRecord
@@ -101,23 +101,25 @@ class Job:
         )
 
     def recipe_of(self, search: str) -> RecipeRecord:
-        """Return the recipe of one search: all minimise the same, but the one named after the metric."""
+        """Return the recipe of one search; all minimise the same, except the one named after the metric."""
         return metric_recipe(self.recipe) if search == "fitted_metric" else self.recipe
 
     @property
     def insertions(self) -> tuple[Insertion, ...]:
-        """Every insertion that tunes or validates in any fold, once."""
+        """Every insertion that is fitted to or scored in any fold, once."""
         found = {i.id: i for fold in self.folds for i in (*fold.tune, *fold.validate)}
         return tuple(found.values())
 
     def floor(self, insertion: Insertion) -> NoiseFloor:
-        """Return the noise floor of an insertion, the same whatever else is asked of it."""
+        """Return the noise floor of an insertion."""
         return estimate_noise_floor(
             self.dataset, insertion, random_stream(self.recipe.seed, "noise floor", insertion.id)
         )
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
-        """Return what one search of a fold minimises: everything free, or the bevel about the paper's set."""
+        """Return the problem of one search of a fold: all parameters free, or the bevel of the paper's
+        set.
+        """
         everything = Problem(
             self.dataset,
             fold.tune,
@@ -142,7 +144,7 @@ def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:
 def prepare(
     name: str, record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
 ) -> Job:
-    """Load and check all that a study or fit names; a `dataset` that is given takes the place of its own.
+    """Load and check everything that a study or fit names; `dataset`, if given, replaces its own.
 
     Raises
     ------
@@ -181,7 +183,7 @@ def prepare(
 
 
 def find_named(key: FileKind, name: str) -> Path:
-    """Return the file that a study names under `key`, which is also what kind of file it is."""
+    """Return the file that a study names under `key`; the key is also the kind of file."""
     with add_key_context(key):
         return find_file(key, name)
 
@@ -215,7 +217,9 @@ def _check_layers(job: Job) -> None:
 
 
 def farthest_guide(parameters: Parameters, insertion: Insertion) -> float:
-    """Return how far before the tissue, mm, a guide can hold the needle; 0 without one."""
+    """Return the largest distance, mm, before the tissue at which a guide can hold the needle; 0 without
+    one.
+    """
     if _GUIDE_PARAMETER in parameters.bounds:
         return parameters.bounds[_GUIDE_PARAMETER][1]
     return parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
@@ -260,7 +264,7 @@ def _check_size(job: Job) -> None:
 
 
 def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
-    """Return the paper's set, completed by what the medium fixes; ConfigError where it is of other layers."""
+    """Return the paper's set, completed by what the medium fixes; ConfigError if its layers differ."""
     published = {**parameters.fixed, **paper.read_hand_tuned(name)}
     missing = [p for p in parameters.names if p not in published]
     if missing:

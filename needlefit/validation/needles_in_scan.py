@@ -1,4 +1,4 @@
-"""Measured and fitted needles where they stand in the scan, with the band in which the fit is known.
+"""Place measured and fitted needles in the scan's coordinates, with the uncertainty band of the fit.
 
 The band says how the needle would move with the parameters, as far as the data know them: neither the
 noise of the measured points nor what the model misses is in it. From a posterior it is the central 95 % of
@@ -45,7 +45,7 @@ DEFAULT_DIAMETER_MM = 1.27
 
 @dataclass(frozen=True)
 class Band:
-    """The central 95 % of a fitted needle across itself, in its bending plane; (K, 3) each, LPS, mm.
+    """The central 95 % band across a fitted needle, in its bending plane; (K, 3) each, LPS, mm.
 
     `converged` is false where the posterior that it is drawn from has not.
     """
@@ -90,7 +90,7 @@ class NeedleInScan:
 
 @dataclass(frozen=True)
 class FoldFit:
-    """What one fold found out: the fit, how well it is known, and draws where they were asked for."""
+    """The results of one fold: the fit, its identifiability, and draws where they were requested."""
 
     fit: Fit
     verdict: Identifiability
@@ -98,7 +98,7 @@ class FoldFit:
 
 
 def place_needles(job: Job, fold: Fold, known: FoldFit, jobs: int = 1) -> dict[str, NeedleInScan]:
-    """Return every insertion that a fold holds out, and, where there is one fold only, those it tunes on."""
+    """Return every insertion that a fold holds out; with one fold only, also those it is fitted to."""
     roles = [("tune", fold.tune), ("validate", fold.validate)]
     chosen = roles if len(job.folds) == 1 else roles[1:]
     return {
@@ -162,7 +162,9 @@ class _NeedleCurve:
 
 
 def align_with_measured(insertion: Insertion, s: Floats, points: Floats) -> Floats:
-    """Return points (K, 2) of a simulated needle at beam coordinates `s` (K,), laid on the measured one."""
+    """Return points (K, 2) of a simulated needle at beam coordinates `s` (K,), aligned with the measured
+    one.
+    """
     planar = insertion.planar
     measured = interpolate_at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
     return align_rigid(points, measured)

@@ -1,4 +1,4 @@
-"""Frames and records as one file, exact to the last digit; equal content gives equal bytes.
+"""Store tables and records in one file, exact to the last digit; equal content gives equal bytes.
 
 The file is gzip of two lines of JSON: format and SHA-256 of the second line, and the content. So a change
 that is still valid gzip and valid JSON is found.
@@ -42,7 +42,7 @@ def pack(table: Mapping[str, Any], folder: Path) -> Path:
 
 
 def with_digest(content: bytes) -> bytes:
-    """Return the bytes of a file that holds `content`, one line of JSON."""
+    """Return the bytes of a file with `content` and its digest, one line of JSON."""
     head = json.dumps({"format": FORMAT_VERSION, "sha256": hashlib.sha256(content).hexdigest()}).encode(
         "utf-8"
     )
@@ -50,7 +50,7 @@ def with_digest(content: bytes) -> bytes:
 
 
 def unpack(folder: Path) -> dict[str, Any]:
-    """Return the table that a run left in `folder`.
+    """Read the table that a run stored in `folder`.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _parse_table(line: bytes, path: Path) -> dict[str, Any]:
 
 
 def damage_error(path: Path, why: str) -> DataError:
-    """Return what is raised of a file that does not hold what it should."""
+    """Return the error for a file that does not hold what it should."""
     return DataError(
         f"is damaged: {why}",
         where=str(path),
@@ -125,7 +125,7 @@ def pack_frame(frame: pd.DataFrame) -> dict[str, Any]:
 
 
 def unpack_frame(table: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the frame that `pack_frame` was given."""
+    """Return the table that `pack_frame` stored."""
     columns = table["columns"]
     return pd.DataFrame(
         {name: pd.Series(columns[name], dtype=kind) for name, kind in table["types"].items()},
@@ -134,7 +134,7 @@ def unpack_frame(table: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def to_json_value(value: object) -> object:
-    """Return what JSON knows of an array or a number of numpy's."""
+    """Return a numpy array or number as a JSON value."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} cannot be stored")

@@ -1,4 +1,4 @@
-"""Insertions as they are planned: the layers that a simulated needle meets, and its shape.
+"""Predict insertions as planned: the layers that the simulated needle meets, and its shape.
 
 The measured crossings of a held-out insertion already contain its outcome. A prediction starts from the
 straight planned path instead, and repeats the simulation until its crossings converge.
@@ -33,7 +33,7 @@ MAX_ROUNDS = 30
 def with_planned_layers(
     insertion: Insertion, values: Mapping[str, float], medium: MediumRecord, needle: Needle
 ) -> Insertion | None:
-    """Return an insertion with the layers that `values` (Pa, mm) predict, not those it was seen to meet.
+    """Return an insertion with the layers that `values` (Pa, mm) predict, not the measured ones.
 
     None where `planned_layers` finds none; layers that are stated as depths stay as they are.
     """
@@ -49,7 +49,7 @@ def with_planned_layers(
 def planned_layers(
     insertion: Insertion, predict: Callable[[Floats, tuple[int, ...]], NeedleShape]
 ) -> Layers | None:
-    """Return boundaries (n - 1,) along C's x and the n layers met by the needle that `predict` simulates.
+    """Return boundaries (n - 1,) along C's x and the n layers that the simulated needle meets.
 
     None where a solve fails, or the crossings do not come to rest.
 
@@ -61,6 +61,7 @@ def planned_layers(
     predict : callable
         Boundaries and sequence -> simulated shape.
     """
+    # the straight planned path; it uses nothing of the measured shape
     path = np.column_stack((np.linspace(0.0, insertion.depth, 101), np.zeros(101)))
     layers = _find_layers(path, insertion)
     for round_ in range(MAX_ROUNDS):
@@ -71,6 +72,7 @@ def planned_layers(
         same = after[1] == layers[1]
         if same and np.all(np.abs(after[0] - layers[0]) < CROSSING_TOLERANCE_MM):
             return after
+        # crossings can alternate between two states; half steps damp that
         layers = (0.5 * (after[0] + layers[0]), after[1]) if same and round_ >= 10 else after
     return None
 
@@ -98,7 +100,7 @@ def simulate_design(
 def choose_reference_values(
     job: Job, fitted: Mapping[str, float] | None = None
 ) -> tuple[dict[str, float], str]:
-    """Return the values (Pa, mm) at which a design is looked at, within the bounds, and what they are.
+    """Return the values (Pa, mm) at which a design is evaluated, within the bounds, and their origin.
 
     They are those fitted, or those of the paper's hand-tuned set, or the middle of the bounds.
     """

@@ -1,4 +1,4 @@
-"""Observed proportions with Wilson intervals that respect groups of repeats.
+"""Estimate proportions with Wilson intervals that respect groups of repeats.
 
 Needles of one specimen (one hole at several depths) are no independent trials. What is counted is every
 needle; the interval is Wilson's of as many trials as there are groups of repeats, as if the repeats of a
@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 @dataclass(frozen=True)
 class Proportion:
-    """`hits` of `trials`, in `groups` groups of repeats, and the ends of the share's 95 % interval."""
+    """A proportion: `hits` of `trials`, in `groups` groups of repeats, with its 95 % interval."""
 
     hits: int
     trials: int
@@ -25,17 +25,18 @@ class Proportion:
 
 
 def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proportion:
-    """Return how many of some trials held; every group of repeats weighs the same in the interval."""
+    """Estimate a proportion from trials; in the interval every group of repeats has the same weight."""
     by_group: dict[str, list[bool]] = {}
     for one, group in zip(hits, groups, strict=True):
         by_group.setdefault(group, []).append(bool(one))
     rate = float(np.mean([np.mean(members) for members in by_group.values()]))
+    # as many trials as groups: repeats in one specimen are not independent
     low, high = wilson_interval(rate, len(by_group))
     return Proportion(sum(map(bool, hits)), len(hits), len(by_group), low, high)
 
 
 def wilson_interval(rate: float, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """Return Wilson's interval of a probability of which `rate` was seen in `trials` (E. B. Wilson, 1927)."""
+    """Return Wilson's interval of a probability with observed `rate` in `trials` (E. B. Wilson, 1927)."""
     z2 = float(norm.ppf(0.5 + level / 2)) ** 2
     centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
     half = math.sqrt(z2 * (rate * (1 - rate) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)

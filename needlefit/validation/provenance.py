@@ -1,4 +1,4 @@
-"""What a reader needs to repeat a run: versions, data, configuration, rules; no time and no path."""
+"""Record what a reader needs to repeat a run: versions, data, configuration, rules; no time and no path."""
 
 import platform
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
 
 
 def describe_configuration(job: Job) -> dict[str, Any]:
-    """Return all that decides the result of a job, as JSON values."""
+    """Return everything that decides the result of a job, as JSON values."""
     return {
         "name": job.name,
         "versions": package_versions(PACKAGES),
@@ -48,7 +48,7 @@ def package_versions(packages: Sequence[str]) -> dict[str, str]:
 
 
 def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
-    """Return the model rules that the fitted numbers depend on; fits under other rules are not comparable."""
+    """Return the model rules that fitted numbers depend on; fits with other rules cannot be compared."""
     return {
         "constraint_spacing_mm": medium.constraint_spacing_mm,
         "thickness_mm": medium.thickness_mm,
@@ -81,7 +81,7 @@ def _describe_advance(tangent: float) -> str:
 
 
 def summarize_searches(tables: ResultRows, interrupted: bool) -> dict[str, Any]:
-    """Return what the searches came to, by fold, then by fit, and what failed in them and in the sampler."""
+    """Return the results of the searches by fold and fit, and the failures in them and in the sampler."""
     every = [search for fold in tables.searches.values() for search in fold.values()]
     sampled = {
         "failed_solves_of_sampler": sum(p.failures for p in tables.posteriors.values()),

@@ -1,4 +1,4 @@
-"""What one fold found, as rows of the frames of `Results`."""
+"""Tabulate the results of one fold as rows of the tables of `Results`."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -38,7 +38,7 @@ from needlefit.validation.validity import ValidityCounts
 
 @dataclass
 class ResultRows:
-    """The rows that a run collects, by frame of `Results`; `names` are the medium's parameters."""
+    """The rows that a run collects, by table of `Results`; `names` are the medium's parameters."""
 
     names: tuple[str, ...]
     errors: list[Row] = field(default_factory=list)
@@ -59,7 +59,7 @@ class ResultRows:
     counts: ValidityCounts = field(default_factory=ValidityCounts)
 
     def frame(self, name: str) -> pd.DataFrame:
-        """Return one frame; without rows it still has its columns."""
+        """Return one table; without rows it still has its columns."""
         rows = getattr(self, name)
         values = self.names if name in ("starts", "failures", "profiles", "draws") else ()
         return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*COLUMNS[name], *values])
@@ -73,7 +73,7 @@ def tabulate_fold(
     tables: ResultRows,
     examination: FitProfiles | None = None,
 ) -> None:
-    """Score every method of one fold, and say what the searches found and what profiles make of it."""
+    """Score every method of one fold, and add rows on searches and profiles."""
     usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
     for name, fit in fits.items():
         problem = job.problem(fold, name)
@@ -110,7 +110,7 @@ def tabulate_fold(
 
 
 def tabulate_posterior(job: Job, fold: Fold, posterior: Posterior, tables: ResultRows) -> None:
-    """Keep the posterior of one fold, and what could not be solved while it was sampled."""
+    """Add the posterior of one fold, and the failures while it was sampled."""
     tables.posteriors[fold.name] = posterior
     add_sampled_ratios(posterior, [row for row in tables.identification if row["fold"] == fold.name])
     for ensemble, thetas in enumerate(posterior.failed):
@@ -119,7 +119,7 @@ def tabulate_posterior(job: Job, fold: Fold, posterior: Posterior, tables: Resul
 
 
 def tabulate_draws(job: Job, fold: Fold, draws: Draws, tables: ResultRows) -> None:
-    """Keep draws of what a fold knows of the parameters, in Pa and mm."""
+    """Add draws of a fold's parameters, in Pa and mm."""
     about = {
         "fold": fold.name,
         "draw_source": draws.source,
@@ -133,7 +133,7 @@ def tabulate_draws(job: Job, fold: Fold, draws: Draws, tables: ResultRows) -> No
 
 
 def tabulate_predictions(predictions: Iterable[HeldOutPrediction], tables: ResultRows) -> None:
-    """Keep what was predicted of the insertions that a fold holds out."""
+    """Add the predictions of the insertions that a fold holds out."""
     for one in predictions:
         tables.predictive.append(one.row)
         tables.bands += one.band
@@ -141,7 +141,7 @@ def tabulate_predictions(predictions: Iterable[HeldOutPrediction], tables: Resul
 
 
 def make_predictors(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Predictor]:
-    """Return the fitted model, the paper's set, that set with b re-tuned, and curves without mechanics."""
+    """Return the fitted model, the paper's set, that set with b re-fitted, and the baseline curves."""
     values: dict[str, Mapping[str, float]] = {}
     if "fitted" in fits:
         values["fitted"] = fits["fitted"].values

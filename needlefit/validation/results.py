@@ -1,4 +1,4 @@
-"""The result of a study or a fit: tidy frames, and what a reader needs to know about where they come from."""
+"""The result of a study or a fit: tidy tables, and their provenance."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -56,7 +56,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Results:
-    """What one study or fit found, as frames with one row per fact and the unit in every column's name.
+    """The result of one study or fit: tables with one fact per row and the unit in every column's name.
 
     Attributes
     ----------
@@ -104,8 +104,8 @@ class Results:
     bands : DataFrame
         Where each insertion held out was predicted to be measured, point by point.
     draws : DataFrame
-        Of what each fold knows of the parameters: some draws of its sampled posterior, or of the one weighed
-        about the modes of its fit, then with Pareto's k of the weights; then one column per parameter.
+        Draws of each fold's parameters: from its sampled posterior, or by importance about the modes of its
+        fit, then with Pareto's k of the weights; then one column per parameter.
     profiles : DataFrame
         Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per
         parameter: where all others went.

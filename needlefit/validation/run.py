@@ -1,4 +1,4 @@
-"""Carry out a study or a fit: tune on these insertions, score on those, each fold by every method."""
+"""Run a study or a fit: fit to some insertions, score on others, each fold by every method."""
 
 import math
 import time
@@ -38,7 +38,7 @@ __all__ = ["Settings", "run"]
 
 @one_thread
 def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Results:
-    """Carry out a study, or a fit, which is a study that scores nothing but its own insertions.
+    """Run a study, or a fit, which is a study that scores only its own insertions.
 
     The same record, data, seed and versions give the same frames for any number of jobs, and after an
     interruption with `resume`.

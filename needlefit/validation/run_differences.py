@@ -1,4 +1,4 @@
-"""What two runs differ in, and whether it matters.
+"""Find in what two runs differ, and whether it matters.
 
 Runs are compared by what they wrote for readers (`run.json` and CSVs), so that a run may be compared with
 committed evidence too. A difference matters where it could change what is concluded: a parameter that moved
@@ -163,7 +163,7 @@ def _compare_inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iter
 
 
 def iterate_leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
-    """Yield every value of nested mappings by its path; a list is one value."""
+    """Yield every value of nested mappings with its path; a list is one value."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from iterate_leaves(inner, f"{path}.{key}" if path else str(key))

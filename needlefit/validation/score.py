@@ -1,4 +1,4 @@
-"""Scoring: every method's curve against every measured one, as rows of the frames of `Results`."""
+"""Score methods: the curve of every method against every measured one, as rows of the tables of `Results`."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -51,13 +51,13 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: 
 
 
 def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
-    """Return the method that knows no layers: an empirical curve."""
+    """Return the method of an empirical curve, which has no layers."""
     return lambda insertion: {"measured": curve(insertion)}
 
 
 @dataclass(frozen=True)
 class Scorer:
-    """What a score needs to know besides method and insertion.
+    """What scoring needs besides method and insertion.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Scorer:
     counts: ValidityCounts = field(default_factory=ValidityCounts)
 
     def score(self, place: Row, insertion: Insertion, method: Predictor) -> tuple[list[Row], list[Row]]:
-        """Return the rows of `errors` and of `shapes`; `place` holds fold, role and method."""
+        """Return the rows of `errors` and of `shapes`; `place` has fold, role and method."""
         errors, shapes = [], []
         for boundaries, curve in method(insertion).items():
             where = {**place, "insertion": insertion.id, "boundaries": boundaries}

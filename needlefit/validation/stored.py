@@ -1,4 +1,4 @@
-"""Results as one file, exact to the last digit, from which tables and reports are made again.
+"""Store results in one file, exact to the last digit, from which tables and reports can be made again.
 
 The CSVs of a run are rounded and laid out for readers; this is what they were made of. Draws of a posterior
 stay in their own netCDF files beside it.
@@ -25,12 +25,12 @@ _PLAIN = ("name", "title", "question", "origin", "dataset_title", "interrupted",
 
 
 def posterior_file_names(count: int) -> tuple[str, ...]:
-    """Return the files that hold the posteriors of a run, in the order of its folds."""
+    """Return the names of the posterior files of a run, in the order of its folds."""
     return ("posterior.nc",) if count == 1 else tuple(f"posterior_{k + 1}.nc" for k in range(count))
 
 
 def store_results(results: Results, folder: Path) -> Path:
-    """Write all of `results` but its posteriors and times to `folder`; equal results give equal bytes."""
+    """Write `results` without posteriors and times to `folder`; equal results give equal bytes."""
     table = {
         "kind": "study" if isinstance(results.record, StudyRecord) else "fit",
         "record": results.record.model_dump(mode="json", by_alias=True),
@@ -43,7 +43,7 @@ def store_results(results: Results, folder: Path) -> Path:
 
 
 def restore_results(folder: Path) -> Results:
-    """Return the results that a run left in `folder`.
+    """Read the results that a run stored in `folder`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A study's file, whatever it asks: the record that it is checked against, and the data that it needs."""
+"""Load a study file of any kind, and find the data that it needs."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,7 +14,7 @@ AnyStudy = StudyRecord | TrackStudyRecord | AnalysisRecord
 
 
 def load_study(path: Path) -> AnyStudy:
-    """Return what a study file asks.
+    """Load a study file and check it against the record of its kind.
 
     Raises
     ------
@@ -27,7 +27,7 @@ def load_study(path: Path) -> AnyStudy:
 
 
 def find_missing_data(path: Path) -> list[str]:
-    """Return the datasets that a study file names and whose data lie elsewhere, and are not there."""
+    """Return the external datasets that a study file names and that are not there."""
     named = dict.fromkeys(_datasets(read_toml(path)))
     return [name for name in named if is_missing(find_dataset_file(find_file("dataset", name)))]
 

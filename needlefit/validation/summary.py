@@ -1,4 +1,4 @@
-"""Errors of single insertions, aggregated over insertions in the two ways that differ."""
+"""Summarise the errors of single insertions, aggregated in the two ways that differ."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +22,7 @@ PAIRED_COLUMNS = (
 
 
 def count_reasons(failures: pd.DataFrame) -> dict[str, int]:
-    """Return how many rows of `Results.failures` have which reason, most first; of an error its kind."""
+    """Return the number of rows of `Results.failures` per reason, most frequent first."""
     kinds = (str(reason).partition(":")[0] for reason in failures["reason"])
     return dict(Counter(kinds).most_common())
 
@@ -75,7 +75,7 @@ def aggregate(results: Results, by: Sequence[str], how: Averaging = "macro") -> 
 
 
 def compare_methods(results: Results, against: str = "fitted", role: str = "validate") -> pd.DataFrame:
-    """Return how every method compares with `against` on the same insertions, folds and points.
+    """Compare every method with `against` on the same insertions, folds and points.
 
     Repeats in one specimen are first averaged where there are specimens enough (`datasets.independent`):
     the four depths of one hole are no four needles.
@@ -124,7 +124,7 @@ LONE_ERROR_RATIO = 0.5
 
 
 def beats_fit(row: Mapping[str, Any] | pd.Series) -> bool:
-    """Whether a row of `compare_methods` errs less than the fit by more than chance gives.
+    """Return whether a row of `compare_methods` has a significantly smaller error than the fit.
 
     Of two insertions or more: by over two standard errors of the difference. A single one has no standard
     error: there a method must err by less than `LONE_ERROR_RATIO` of the fit's error.
@@ -148,7 +148,7 @@ def tabulate_points(results: Results) -> pd.DataFrame:
 
 
 def find_bevel_sides(results: Results) -> dict[str, int]:
-    """Return by insertion the side of C's x axis that its bevel faces, +1 or -1: deflections are toward it.
+    """Return by insertion the side of C's x axis that its bevel faces, +1 or -1; deflections point there.
 
     A needle that did not bend at all is taken to face +1.
     """
@@ -206,7 +206,7 @@ Group = tuple[str, str, int]
 
 
 def tabulate_design(job: Job) -> pd.DataFrame:
-    """Return a row per role, medium and layers; folds share their insertions.
+    """Return one row per role, medium and layers; folds share their insertions.
 
     `insertions_other` is how many of the same insertions the other reading counts there; a group that only
     the other reading has is left out of the first count.

@@ -1,4 +1,4 @@
-"""Differences between the tables of two runs, with the thresholds from which on they matter."""
+"""Find differences between the tables of two runs, and judge them by thresholds."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -31,7 +31,7 @@ SIGNIFICANT_SE = 2.0
 
 @dataclass(frozen=True)
 class Difference:
-    """One thing in which run B is not run A.
+    """One difference of run B from run A.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Difference:
 def compare_means(
     where: str, rows: pd.DataFrame, column: str, visible: float = VISIBLE_ERROR_MM
 ) -> Iterator[Difference]:
-    """Yield how the mean of a column in mm changed, over the rows in which both runs have it.
+    """Yield the change of the mean of a column in mm, over the rows that both runs have.
 
     Where only one of them has a finite value, as of a simulation that did not converge, that is a difference.
     """
@@ -92,7 +92,7 @@ NORMAL_95_WIDTH_SD = 2 * 1.959963984540054
 
 
 def compare_other_tables(before: Path, after: Path) -> Iterator[Difference]:
-    """Yield the differences in tables that only such runs have, of those that are in both folders."""
+    """Yield the differences in tables of single kinds of run, where both folders have them."""
     for name, compared in _COMPARISONS.items():
         files = [folder / f"{name}.csv" for folder in (before, after)]
         if all(file.is_file() for file in files):
@@ -208,7 +208,7 @@ MIN_RELATIVE_CHANGE = 0.1
 
 
 def compare_results(before: Path, after: Path) -> Iterator[Difference]:
-    """Yield, for every table that both folders hold, how rows, lengths and other numbers changed.
+    """Yield, for every table that both folders hold, the changes of rows, lengths and other numbers.
 
     Rows are the same if all their words, counts and verdicts are.
     """
@@ -218,7 +218,7 @@ def compare_results(before: Path, after: Path) -> Iterator[Difference]:
 
 
 def find_analysis_kind(run: Mapping[str, Any]) -> str | None:
-    """Return the kind of analysis that a run answers, or None if it is no answer."""
+    """Return the kind of analysis of a run, or None if it is not an analysis."""
     study = run.get("study")
     kind = study.get("kind") if isinstance(study, dict) else None
     return kind if isinstance(kind, str) and kind in ANALYSIS_KINDS else None

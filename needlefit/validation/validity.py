@@ -1,4 +1,6 @@
-"""How many simulations behind a result are outside what the model assumes: counted, never penalised."""
+"""Count the simulations behind a result that are outside the model's assumptions; they are never
+penalised.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,28 +28,28 @@ _WORDS = {
 
 @dataclass
 class ValidityCount:
-    """Simulations, and how many of them are outside."""
+    """A number of simulations, and how many of them are outside the model's assumptions."""
 
     simulations: int = 0
     outside: int = 0
 
     def add(self, simulations: int, outside: int) -> None:
-        """Count more of them."""
+        """Add a number of simulations."""
         self.simulations += simulations
         self.outside += outside
 
 
 @dataclass
 class ValidityCounts:
-    """What one run simulated, and how much of it is outside what the model assumes.
+    """The simulations of one run, and how many of them are outside the model's assumptions.
 
     Attributes
     ----------
-    starts : Count
+    starts : ValidityCount
         Ends of all starts of all searches: one is outside if any of its insertions is.
-    draws : Count
-        Of the posterior, sampled or weighed about the fit; the same.
-    predicted : Count
+    draws : ValidityCount
+        Of the posterior, sampled or by importance about the fit; counted likewise.
+    predicted : ValidityCount
         Needles predicted of held-out insertions, one for each draw.
     scored : list of dict
         Fold, role, method, insertion and boundaries of every scored simulation, with `faults` (empty:
@@ -60,7 +62,7 @@ class ValidityCounts:
     scored: list[dict[str, Any]] = field(default_factory=list)
 
     def score(self, place: Mapping[str, Any], validity: Validity) -> None:
-        """Count a scored simulation."""
+        """Count one scored simulation."""
         self.scored.append({**place, "faults": list(validity.faults)})
 
     def table(self) -> dict[str, Any]:
@@ -76,7 +78,7 @@ class ValidityCounts:
 
 
 def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
-    """Yield a warning where what was fitted, drawn or predicted is outside what the model assumes."""
+    """Yield a warning where fitted, drawn or predicted needles are outside the model's assumptions."""
     table = run.get(VALIDITY_KEY, {})
     fitted = table.get("fitted_outside", 0)
     parts = [f"{fitted} scored simulations of the fit"] if fitted else []
@@ -90,7 +92,7 @@ def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
 
 
 def describe_outside(run: Mapping[str, Any]) -> str:
-    """Return how many simulations of a run are outside, in a clause; nothing where none is."""
+    """Return in a clause how many simulations of a run are outside; empty if none is."""
     return ", ".join(_shares(run.get(VALIDITY_KEY, {}), tuple(_WORDS)))
 
 

@@ -2,8 +2,9 @@
 
 A parameter p enters the residual R of a stop directly and through the constraint points, whose derivatives
 are known from the stops before: du/dp = -K_T^-1 dR/dp, the state fixed in dR/dp. Im R(p + i h) / h is that
-derivative to rounding, since nothing is subtracted. What moves quadrature points or nodes (boundaries, guides along the
-needle) is stepped in real numbers, on both sides and twice: R of a frozen state has no noise of a solution.
+derivative to rounding, since nothing is subtracted. What moves quadrature points or nodes (boundaries,
+guides along the needle) is stepped in real numbers, on both sides and twice: R of a fixed state has no noise
+of a solution.
 """
 
 from dataclasses import dataclass, replace

@@ -1,3 +1,3 @@
-"""DICOM series: `header` (one file), `stack` (slices to a grid, and its checks), `series` (find, read,
+"""Read DICOM series: `header` (one file), `stack` (slices to a grid, with checks), `series` (find, read,
 write).
 """

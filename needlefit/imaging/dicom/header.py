@@ -1,4 +1,4 @@
-"""What the header of one DICOM file says of its slice; voxels are not touched."""
+"""Read the header of one DICOM file; voxels are not read."""
 
 import os
 import sys
@@ -41,14 +41,14 @@ class _BoundedFile:
         self.tell = file.tell
 
     def read(self, size: int = -1, /) -> bytes:
-        """Read bytes; EOFError if many more are asked for than there are."""
+        """Read bytes; EOFError if far more are requested than there are."""
         if size > max(self._size - self.tell(), 0) + MAX_OVERREAD_BYTES:
             raise EOFError
         return self._file.read(size)
 
-    def seek(self, target: int, whence: int = os.SEEK_SET, /) -> int:
-        """Go to a place; EOFError beyond the end, which files allow."""
-        place = self._file.seek(target, whence)
+    def seek(self, target: int, origin: int = os.SEEK_SET, /) -> int:
+        """Move to a position; EOFError beyond the end, which plain files allow."""
+        place = self._file.seek(target, origin)
         if place > self._size:
             raise EOFError
         return place
@@ -56,7 +56,7 @@ class _BoundedFile:
 
 @dataclass(frozen=True)
 class DicomSlice:
-    """One image of a series, as its header says.
+    """The header of one image of a series.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class DicomSlice:
 
 
 def read_header(file: Path) -> DicomSlice | None:
-    """Return what a file says of its slice; None if it is no DICOM image but, say, a report or a text.
+    """Return the header of one image; None if the file is not a DICOM image but, say, a report or a text.
 
     Raises
     ------
@@ -163,6 +163,7 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         samples=_parse_whole_number(file, data, "SamplesPerPixel", 1),
         bits=_parse_whole_number(file, data, "BitsAllocated", 16),
         position=_parse_numbers(file, data, ("ImagePositionPatient",), (3,)),
+        # six numbers: the direction of a row (growing column index), then of a column
         axes=_parse_numbers(file, data, ("ImageOrientationPatient",), (2, 3)),
         pixel=_parse_numbers(file, data, ("PixelSpacing",), (2,)),
         rescale=_parse_numbers(file, data, ("RescaleSlope", "RescaleIntercept"), (2,)),
@@ -238,13 +239,13 @@ def _unclear_entry_error(file: Path, name: str, value: object) -> DataError:
 
 
 def is_dicom(file: Path) -> bool:
-    """Return whether a file begins as DICOM files do."""
+    """Return whether a file begins like a DICOM file."""
     with open_regular(file, sys.maxsize) as content:
         return content.read(_PREAMBLE_BYTES).endswith(b"DICM")
 
 
 def damaged_file_error(file: Path) -> DataError:
-    """Return the error for a file of a series that is none, or not whole."""
+    """Return the error for a file of a series that is not DICOM, or is truncated."""
     empty = file.stat().st_size <= _PREAMBLE_BYTES
     return DataError(
         "is empty" if empty else "its DICOM header is damaged or cut short",

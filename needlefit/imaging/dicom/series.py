@@ -26,7 +26,7 @@ _MAX_LISTED = 10
 
 
 def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
-    """Return the slices of the one series that `path` means, in no order.
+    """Return the slices of the one series that `path` refers to, in no order.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once,
 
 
 def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[str, Any]:
-    """Read the one series that `path` means: the array "values", its grid, and warnings.
+    """Read the one series that `path` refers to: the array "values", its grid, and warnings.
 
     Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
     was, so that no threshold and no edge finds them.
@@ -194,6 +194,7 @@ def _read_voxels(reader: sitk.ImageFileReader, item: DicomSlice) -> NDArray[np.f
     if item.padding is not None:
         assert item.rescale is not None  # the stack was checked
         slope, intercept = item.rescale
+        # padding is given in stored values, before the rescaling; 0.5 allows for rounding
         kept = (voxels - intercept) / slope
         voxels[(kept > item.padding[0] - 0.5) & (kept < item.padding[1] + 0.5)] = np.nan
     return voxels
@@ -220,7 +221,7 @@ _UID_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "needlefit")
 
 
 def write_series(volume: Volume, folder: Path, description: str) -> None:
-    """Write `volume` as the series of a new `folder`, a slice a file.
+    """Write `volume` as a series into the new `folder`, one file per slice.
 
     Its UIDs are made of its content, and it bears no date, so that the same volume gives the same bytes.
 
@@ -271,6 +272,7 @@ def _common_dataset(volume: Volume, description: str, slope: float, intercept: f
     data.SeriesNumber, data.PatientPosition, data.PositionReferenceIndicator = 1, "HFS", ""
     data.SliceThickness = _decimal(volume.spacing[2])
     data.ImageOrientationPatient = [_decimal(x) for x in volume.direction[:, :2].T.ravel()]
+    # DICOM states the spacing of rows first: that is y
     data.PixelSpacing = [_decimal(volume.spacing[1]), _decimal(volume.spacing[0])]
     data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
     data.Rows, data.Columns = volume.values.shape[1:]
@@ -302,6 +304,7 @@ def _slice_dataset(
 
 def _decimal(value: float) -> DSfloat:
     """Return `value` in the 16 characters that DICOM has for a number."""
+    # adding 0.0 turns -0.0 into 0.0
     return DSfloat(float(value) + 0.0, auto_format=True)
 
 

@@ -1,6 +1,6 @@
-"""Slices stacked into a volume, and everything that can forbid it: seen in the headers, before any voxel.
+"""Stack slices into a volume, after checks of all headers and before any voxel is read.
 
-Metal, tissue and air are told apart by their attenuation, air by its -1000 HU. Hence only pictures made with
+Metal, tissue and air are distinguished by their attenuation, air by its -1000 HU. Hence only images made with
 X-rays are taken (cone-beam scanners and C-arms say CT, some XA), and only with a rescaling: what is stored is
 no HU, often these plus 1024, and an offset that is guessed would move the face of the tissue. A stated tilt
 of the gantry is only remarked on where the slices stand straight above each other: a series that was
@@ -48,7 +48,7 @@ _EXPORT_FIX = "export the series from the scanner or the archive again, as origi
 
 
 def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelGrid]:
-    """Return the slices in the order of their positions, and where their voxels stand.
+    """Return the slices in the order of their positions, and the grid of their voxels.
 
     The order is along the normal of the slices (row cross column direction), so that the axes of the
     grid are right-handed; file names and instance numbers do not matter.
@@ -70,6 +70,7 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
     grid = VoxelGrid(
         size=(first.columns, first.rows, len(ordered)),
         origin=positions[0],
+        # PixelSpacing is row spacing (y), then column spacing (x); the grid is x, y, z
         spacing=np.array([first.pixel[1], first.pixel[0], spacing]),
         direction=np.column_stack([axes[0], axes[1], normal]),
     )
@@ -79,7 +80,7 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
 
 
 def describe_tilt(slices: Sequence[DicomSlice]) -> tuple[str, ...]:
-    """Return what a person should know of a straight stack whose headers speak of a tilt."""
+    """Return a warning about a straight stack whose headers state a gantry tilt."""
     tilt = max((item.tilt for item in slices), key=abs)
     if abs(tilt) < MIN_TILT_DEG:
         return ()
@@ -192,6 +193,7 @@ def _measure_slice_spacing(ordered: Sequence[DicomSlice], positions: Floats, nor
     along = (positions - positions[0]) @ normal  # (K,)
     _check_steps(ordered, np.diff(along))
     _check_straight(ordered, along, positions - positions[0] - along[:, None] * normal)
+    # the mean step: rounding of single positions must not add up over the stack
     spacing = float(along[-1]) / (len(ordered) - 1)
     astray = np.abs(along - spacing * np.arange(len(ordered)))
     if astray.max() > MAX_OFFSET_MM:

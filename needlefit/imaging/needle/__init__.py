@@ -1,1 +1,1 @@
-"""The needle in a scan: `segmentation` > `centerline` > `axis`, `sections`, `tip`."""
+"""Find the needle in a scan: `segmentation`, then `centerline` with `axis_spline`, then `tip`."""

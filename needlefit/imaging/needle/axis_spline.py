@@ -1,6 +1,4 @@
-"""The needle's axis as a spline of arc length, and the cross-sections of the needle through which it is
-fitted.
-"""
+"""Fit the needle's axis as a spline of arc length through cross-sections of the needle."""
 
 from dataclasses import dataclass, replace
 
@@ -26,7 +24,7 @@ REWEIGHTING_ROUNDS = 4
 
 @dataclass(frozen=True)
 class AxisSpline:
-    """A cubic spline through cross-sections.
+    """The needle's axis: a cubic spline through cross-sections.
 
     Attributes
     ----------
@@ -56,7 +54,7 @@ class AxisSpline:
 
 @dataclass(frozen=True)
 class AxisFrames:
-    """Where cross-sections lie: `origins`, `tangents` and two directions across, `u`, `v`: each (S, 3)."""
+    """Frames of cross-sections: `origins`, `tangents` and two directions across, `u`, `v`: each (S, 3)."""
 
     origins: Floats
     tangents: Floats
@@ -65,7 +63,7 @@ class AxisFrames:
 
 
 def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float) -> AxisSpline:
-    """Return the spline with a knot every `knot` mm that fits `points` (S, 3) at `s` (S,) best.
+    """Fit a spline with a knot every `knot` mm to `points` (S, 3) at `s` (S,).
 
     Points far off, by Huber's rule, count less. The covariance holds the correlation of neighbouring
     residuals: by the sum of their autocorrelation a cross-section counts for less than one observation.
@@ -89,7 +87,7 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float) -> AxisSpl
 
 
 def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: float) -> AxisSpline:
-    """Return the spline drawn anew, through a further `point` (3,) of deviation `sd` (mm) at `at` (mm)."""
+    """Fit the spline again with a further `point` (3,) of deviation `sd` (mm) at `at` (mm)."""
     weight = min(axis.variance / sd**2, MAX_POINT_WEIGHT)
     s, points = np.append(axis.s, at), np.vstack([axis.points, point])
     longer = fit_axis(s, points, np.append(axis.weights, weight), knot)
@@ -99,7 +97,7 @@ def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: flo
 
 
 def correlation_factor(residuals: Floats, parameters: int) -> float:
-    """Return how many cross-sections count for one observation: 1 + 2 sum of the autocorrelation, 1 at least.
+    """Return how many correlated cross-sections count as one: 1 + 2 sum of the autocorrelation, at least 1.
 
     The sum ends where the autocorrelation first falls below zero. Residuals of a fit of P parameters to
     S points are less correlated than the errors, about as if each lag's sum lacked P / S.
@@ -123,7 +121,7 @@ def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
 
 
 def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
-    """Return the frames (S,) at `s` (S,), mm; u is as near as can be to one direction for all."""
+    """Return the frames (S,) at `s` (S,), mm; u stays as close as possible to one direction."""
     tangents = axis.spline.derivative()(s)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     ends = axis.spline(np.array([0.0, axis.length]))
@@ -134,7 +132,7 @@ def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
 
 
 def reverse_axis(axis: AxisSpline) -> AxisSpline:
-    """Return the same curve, run through from the other end."""
+    """Return the same curve, parametrised from its other end."""
     spline = axis.spline
     turned = BSpline(axis.length - spline.t[::-1], spline.c[::-1], 3)
     s = axis.length - axis.s[::-1]
@@ -147,6 +145,7 @@ def reverse_axis(axis: AxisSpline) -> AxisSpline:
 def _knots(start: float, end: float, spacing: float) -> Floats:
     pieces = max(1, round((end - start) / spacing))
     inner = np.linspace(start, end, pieces + 1)
+    # ends repeated four times in all: a cubic spline that ends at its end knots
     return np.concatenate([[start] * 3, inner, [end] * 3])
 
 
@@ -173,7 +172,7 @@ MIN_FRACTION_IN_VOLUME = 0.7
 
 @dataclass(frozen=True)
 class CrossSections:
-    """The needle in planes across it.
+    """Cross-sections of the needle: where the axis pierces planes across it, and how bright it is.
 
     Attributes
     ----------
@@ -194,7 +193,7 @@ class CrossSections:
 
 
 def disc_points(radius: float) -> Floats:
-    """Return the points (P, 2) of a grid in a disc, mm."""
+    """Return the grid points (P, 2) in a disc, mm."""
     steps = (
         np.arange(-np.floor(radius / PLANE_SPACING_MM), np.floor(radius / PLANE_SPACING_MM) + 1)
         * PLANE_SPACING_MM
@@ -212,6 +211,7 @@ def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
     points = (
         where.origins[:, None] + plane[None, :, :1] * where.u[:, None] + plane[None, :, 1:] * where.v[:, None]
     )
+    # to_index gives i, j, k; the array is indexed k, j, i
     index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T
     values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
     sampled: Floats = values.reshape(points.shape[:2])
@@ -219,13 +219,15 @@ def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
 
 
 def in_volume(values: Floats) -> NDArray[np.bool_]:
-    """Whether each plane (S, P) lies in the volume, as good as all of it."""
+    """Return for each plane (S, P) whether nearly all of it lies in the volume."""
     enough: NDArray[np.bool_] = np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME
     return enough
 
 
 def find_centroids(values: Floats, plane: Floats, reach: float) -> CrossSections:
-    """Return, as a first look, the centroids of what outshines the rims, within `reach` of the middle."""
+    """Return rough cross-sections: centroids of what is brighter than the rim, within `reach` of the
+    middle.
+    """
     radius = np.hypot(*plane.T)
     rim = np.nanmedian(values[:, radius > 0.8 * radius.max()], axis=1)
     over = np.where((radius <= reach) & np.isfinite(values), values - rim[:, None], 0.0)
@@ -237,7 +239,7 @@ def find_centroids(values: Floats, plane: Floats, reach: float) -> CrossSections
 
 
 def fit_sections(values: Floats, plane: Floats, rough: CrossSections) -> CrossSections:
-    """Return the sections by least squares, from `values` (S, P), HU, at `plane` (P, 2) and `rough` ones.
+    """Return cross-sections by least squares, from `values` (S, P), HU, at `plane` (P, 2) and `rough` ones.
 
     Every plane shows amplitude f(|x - shift|) + background + slope . x, where f is the profile that all
     planes of this needle have in common: saturation and bloom are in it, whatever they are. Linear in
@@ -255,6 +257,7 @@ def fit_sections(values: Floats, plane: Floats, rough: CrossSections) -> CrossSe
     weights = valid.astype(np.float64)
     for _ in range(3):
         weighted = design * weights[..., None]
+        # 1e-9: planes without known points would make the matrix singular
         normal = np.einsum("spa,spb->sab", weighted, design) + 1e-9 * np.eye(6)
         solved = np.linalg.solve(normal, np.einsum("spa,sp->sa", weighted, known)[..., None])[..., 0]
         residual = np.where(valid, known - np.einsum("spa,sa->sp", design, solved), 0.0)
@@ -262,19 +265,21 @@ def fit_sections(values: Floats, plane: Floats, rough: CrossSections) -> CrossSe
         weights = valid * np.minimum(
             1.0, SECTION_HUBER_SD * noise[:, None] / np.maximum(np.abs(residual), 1e-9)
         )
+    # columns 4 and 5 are amplitude times shift: the profile's derivative is the design, column 0 the
+    # amplitude
     moved = solved[:, 4:] / np.where(np.abs(solved[:, :1]) > 1e-6, solved[:, :1], 1.0)
     return CrossSections(rough.shifts + np.clip(moved, -0.5, 0.5), solved[:, 0], noise, solved[:, 2:4])
 
 
 def select_sections(sections: CrossSections, which: NDArray[np.bool_]) -> CrossSections:
-    """Return some of the sections."""
+    """Return the sections of a mask."""
     return CrossSections(
         sections.shifts[which], sections.amplitude[which], sections.noise[which], sections.tilt[which]
     )
 
 
 def estimate_shared_sd(rough: CrossSections, found: CrossSections, station: float) -> float:
-    """Return the deviation (mm) that the sections of a stretch share, so that their scatter hides it.
+    """Return the deviation (mm) that neighbouring sections share, so that their scatter does not show it.
 
     It shows in how two ways to place them differ, centroids and fits, and in how far the background slopes:
     rays that run along a needle pull at many sections alike, and both stay when they are averaged over

@@ -1,4 +1,4 @@
-"""The needle's axis from base to tip, with a standard deviation for every point."""
+"""Trace the needle's axis from base to tip, with a standard deviation for every point."""
 
 from dataclasses import dataclass, replace
 
@@ -55,7 +55,7 @@ SYSTEMATIC_SD_MM = 0.002
 
 @dataclass(frozen=True)
 class Centerline:
-    """A needle's axis in the patient.
+    """The needle's axis in patient coordinates, with its tip and deviations.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Centerline:
 
 
 def trace_needle(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
-    """Return the axis of the needle whose voxels are `component`.
+    """Trace the axis of the needle whose voxels are `component`.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def trace_needle(volume: Volume, component: Component, recipe: ReconstructionRec
 
 
 def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
-    """Return the spline through the bright centroids of the component's pieces along its main axis."""
+    """Fit a spline through the bright centroids of slices of the component along its main axis."""
     points = to_patient(volume, component.voxels)
     i, j, k = component.voxels.T
     bright = volume.values[k, j, i].astype(np.float64)
@@ -120,7 +120,7 @@ def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionR
 
 
 def refine_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, stop: float) -> AxisSpline:
-    """Return the spline through the cross-sections from the spine's start to `stop` (mm along it)."""
+    """Fit the spline through cross-sections from the start of the rough axis to `stop` (mm along it)."""
     rules = recipe.centerline
     plane = disc_points(rules.patch_width_mm)
     stop = max(stop, 8 * rules.station_spacing_mm)
@@ -146,13 +146,13 @@ def refine_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, 
 
 
 def add_tip(axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord) -> AxisSpline:
-    """Return the spline drawn through the tip as well: beyond the last cross-section it is no guess then."""
+    """Return the spline extended through the tip, so that the end is interpolated."""
     sd = max(float(end.sd[1]), SYSTEMATIC_SD_MM)
     return extend_axis(axis, end.at, end.point, sd, recipe.centerline.knot_spacing_mm)
 
 
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
-    """Return the spine run through from base to tip, or raise DataError if which is which is unknown."""
+    """Return the axis directed from base to tip; DataError if the direction cannot be determined."""
     ends = axis.spline(np.array([0.0, axis.length]))
     cut = [_is_at_edge(volume, end) for end in ends]
     where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)

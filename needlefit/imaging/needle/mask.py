@@ -1,4 +1,4 @@
-"""Which voxels are needle, as somebody segmented them elsewhere, brought onto the voxels of the scan."""
+"""Read a segmentation of the needle made elsewhere, resampled to the voxels of the scan."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ MASK_FIX = "segment the needle in this scan, and save the segmentation as NRRD o
 
 
 def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord) -> Component:
-    """Return the needle's voxels as a mask marks them: a volume in which they are above 0.
+    """Read the needle's voxels from a mask: a volume that is above 0 in the needle.
 
     It may stand on other voxels than the scan's, in any order; each voxel of the scan then asks the nearest
     of the mask.

@@ -1,4 +1,4 @@
-"""Which voxels are needle: thresholds with hysteresis, then the component that is a tube."""
+"""Segment the needle: thresholds with hysteresis, then the component that is a tube."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ MIN_COMPONENT_VOXELS = 8
 
 @dataclass(frozen=True)
 class Component:
-    """Voxels that hang together.
+    """A connected component of bright voxels, with its measures.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Component:
 
 
 def segment_needle(volume: Volume, recipe: ReconstructionRecord) -> Component:
-    """Return the needle's voxels.
+    """Return the component that is the needle.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def segment_needle(volume: Volume, recipe: ReconstructionRecord) -> Component:
 
 
 def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[float, float]]:
-    """Return the pairs of low and high thresholds (HU) to try, the most demanding first.
+    """Return the pairs of low and high thresholds (HU) to try, the strictest first.
 
     Tissue is the median of what is not air; metal the level that as many voxels reach as the shortest
     needle fills.
@@ -100,7 +100,7 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
 
 
 def find_components(volume: Volume, low: float, high: float) -> list[Component]:
-    """Return what hangs together above `low` and somewhere exceeds `high` (HU), measured.
+    """Return the components above `low` that somewhere exceed `high` (HU), with their measures.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def find_components(volume: Volume, low: float, high: float) -> list[Component]:
 
 
 def is_tube(part: Component, recipe: ReconstructionRecord) -> bool:
-    """Whether a component is long, thin and smooth enough to be the needle."""
+    """Return whether a component is long, thin and smooth enough to be the needle."""
     rules, diameter = recipe.segmentation, recipe.needle.diameter_mm
     return (
         part.length >= rules.min_length_mm
@@ -140,19 +140,21 @@ def is_tube(part: Component, recipe: ReconstructionRecord) -> bool:
 
 
 def fit_parabola(along: Floats, across: Floats) -> Floats:
-    """Return the coefficients (3, d) of the parabola across(along) that fits best, highest power first."""
+    """Return the coefficients (3, d) of the least-squares parabola across(along), highest power first."""
     return np.polyfit(along, across, 2 if np.ptp(along) > 0 else 0)
 
 
 def principal_axes(points: Floats) -> tuple[Floats, Floats]:
-    """Return the centre (3,) of `points` (N, 3) and their main axes as rows (3, 3), the longest first."""
+    """Return the centre (3,) of `points` (N, 3) and their principal axes as rows (3, 3), the longest
+    first.
+    """
     center = points.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((points - center).T))
     return center, axes.T[::-1]
 
 
 def measure_component(volume: Volume, voxels: Ints) -> Component:
-    """Return what `voxels` (N, 3), i, j, k, are as a component."""
+    """Return the component of `voxels` (N, 3), i, j, k, with its measures."""
     points = to_patient(volume, voxels)
     center, axes = principal_axes(points)
     local = (points - center) @ axes.T
@@ -168,7 +170,7 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
 
 
 def median_tissue_hu(volume: Volume) -> float:
-    """Return the median of what is not air (HU), from every third voxel each way."""
+    """Return the median of all voxels that are not air (HU), from every third voxel along each axis."""
     some = volume.values[::3, ::3, ::3]
     dense = some[some > MAX_AIR_HU]
     return float(np.median(dense if dense.size > some.size / 100 else some))

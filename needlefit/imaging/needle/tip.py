@@ -1,4 +1,4 @@
-"""Where the needle ends: a blurred, saturated, bevelled rod laid over the voxels around its end."""
+"""Find the needle's tip: fit a blurred, saturated, bevelled rod to the voxels around the end."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ MAX_BEVEL_DEG = 85.0
 
 @dataclass(frozen=True)
 class ShaftAppearance:
-    """How the scanner shows the needle.
+    """The appearance of the needle's shaft in the scan.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class ShaftAppearance:
 
 @dataclass(frozen=True)
 class TipFit:
-    """The tip.
+    """The fitted tip.
 
     Attributes
     ----------
@@ -104,7 +104,9 @@ class TipFit:
 
 @dataclass(frozen=True)
 class AxisVoxels:
-    """Voxels near the axis: where along, `s` (N,), and across, `u`, `v` (N,), mm; their `values` (N,), HU."""
+    """Voxels near the axis: position along, `s` (N,), and across, `u`, `v` (N,), mm; their `values` (N,),
+    HU.
+    """
 
     s: Floats
     u: Floats
@@ -113,12 +115,12 @@ class AxisVoxels:
 
 
 def bevel_length(needle: ScannedNeedleRecord) -> float:
-    """Return from where on the tip is cut, mm back from its point."""
+    """Return the length of the bevel: how far behind the point the tip is cut, mm."""
     return needle.diameter_mm / float(np.tan(np.deg2rad(needle.bevel_deg)))
 
 
 def fit_tip(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, guess: float) -> TipFit:
-    """Return the tip near `guess` (mm along the spine), by least squares over the voxels around it.
+    """Fit the tip near `guess` (mm along the axis) by least squares over the voxels around it.
 
     The tip is where the axis ends that reaches as far as the bevel's point does. A rod cut by the bevel,
     blurred as the shaft is and cut at the scanner's ceiling, is moved along the axis, rolled about it, and
@@ -218,7 +220,7 @@ def _assign_blocks(near: AxisVoxels) -> NDArray[np.int64]:
 def fit_shaft_appearance(
     volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, end: float
 ) -> ShaftAppearance:
-    """Return how the last full shaft before the bevel looks: least squares over its voxels' distances."""
+    """Fit the appearance of the last full shaft before the bevel, by the voxels' distances from the axis."""
     stop = end - bevel_length(needle) - 1.5
     near = select_axis_voxels(volume, axis, max(stop - SHAFT_LENGTH_MM, 0.0), max(stop, 2.0))
     ceiling = _find_ceiling(near.values)
@@ -243,9 +245,7 @@ def fit_shaft_appearance(
 
 
 def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:
-    """Return the voxels within `RADIAL_REACH_MM` of the axis between `start` and `stop` (mm along the
-    spine).
-    """
+    """Return the voxels within `RADIAL_REACH_MM` of the axis between `start` and `stop` (mm along it)."""
     fine = np.arange(start - 1, stop + 1, 0.1)
     where = axis_frames(axis, fine)
     index = to_index(volume, where.origins)

@@ -1,4 +1,4 @@
-"""Two sets of markers and what is known of their noise: those found in the scan, those known in the world."""
+"""Two sets of markers with their noise: those found in the scan, and those known in the world."""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ TOO_FEW_FIXES = {
 
 @dataclass(frozen=True)
 class MarkerSets:
-    """Markers in two frames; nothing says yet which is which.
+    """Markers in two frames, not yet paired.
 
     Attributes
     ----------
@@ -57,7 +57,9 @@ class MarkerSets:
 
     @property
     def typical_sd(self) -> float:
-        """The deviation of a pair per direction, mm: root mean over directions, median over markers."""
+        """The typical deviation of a pair per direction, mm: root mean over directions, median over
+        markers.
+        """
         found = np.median(np.trace(self.found_covariance, axis1=1, axis2=2)) / 3
         known = np.median(np.trace(self.known_covariance, axis1=1, axis2=2)) / 3
         return float(np.sqrt(found + known))
@@ -71,7 +73,7 @@ class MarkerSets:
 def make_marker_sets(
     found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike
 ) -> MarkerSets:
-    """Check and return both sets.
+    """Check and return both sets of markers.
 
     A deviation is one number, one per marker (M,), one per marker and axis (M, 3), or covariances
     (M, 3, 3); mm, mm^2; per direction, not of the length of the error.
@@ -107,12 +109,12 @@ def make_marker_sets(
 
 
 def mirror(sets: MarkerSets) -> MarkerSets:
-    """Return the sets with the found markers reflected through the origin (as good as through any plane)."""
+    """Return the sets with the found markers reflected through the origin; any mirror plane is equivalent."""
     return replace(sets, found=-sets.found)
 
 
 def stretch(sets: MarkerSets, factors: ArrayLike) -> MarkerSets:
-    """Return the sets with the scan stretched by `factors` (3,) along its axes; to ask, never to use."""
+    """Return the sets with the scan stretched by `factors` (3,) along its axes, for diagnosis only."""
     return replace(sets, found=sets.found * np.asarray(factors))
 
 

@@ -1,5 +1,5 @@
-"""Say why markers do not fit: a mirrored scan, a wrong voxel spacing, RAS read as LPS, or too small a stated
-SD.
+"""Explain why markers do not fit: a mirrored scan, wrong voxel spacing, RAS read as LPS, or too small a
+stated SD.
 
 RAS and LPS differ by the signs of x and y. That is a turn by half a circle about z, not a reflection, so no
 layout of markers can tell it from a scan that lies the other way round: only a rough pose can
@@ -62,7 +62,7 @@ MAX_VOTED_FACTORS = 3
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """A factor by which the scan would have to be stretched along some of its axes; and its deviation."""
+    """A factor by which the scan would have to be stretched along some of its axes, and its deviation."""
 
     along: str
     factor: float
@@ -70,12 +70,12 @@ class ScaleEstimate:
 
     @property
     def significance(self) -> float:
-        """Deviations by which it differs from 1."""
+        """The difference from 1 in standard deviations."""
         return abs(self.factor - 1) / self.sd
 
 
 def estimate_scales(sets: MarkerSets, pairs: Pairs, alignment: Alignment) -> tuple[ScaleEstimate, ...]:
-    """Return the factor that pairs and noise suggest, for each of `SCALED_AXES`; first order, about 1.
+    """Return the stretch factor that pairs suggest, for each of `SCALED_AXES`; first order, about 1.
 
     One column more in the normal equations of the motion: how the residuals grow with a stretch about the
     markers' centre. Directions that the markers do not span are left out.
@@ -186,7 +186,9 @@ NOISE_FACTORS = (2.0, 4.0, 8.0, 16.0)
 
 
 def misfit_error(sets: MarkerSets, reached: int) -> DataError | None:
-    """Return what explains more than the `reached` pairs (0 if nothing fits), or None if nothing does."""
+    """Return the error that explains a misfit of more than the `reached` pairs; None if nothing explains
+    it.
+    """
     reflected = try_find_largest_pairings(mirror(sets))
     if reflected and len(reflected[0].pairs) > reached:
         return DataError(
@@ -212,7 +214,7 @@ def misfit_error(sets: MarkerSets, reached: int) -> DataError | None:
 
 
 def no_fit_error(sets: MarkerSets) -> DataError:
-    """Return the error for sets that no pairing within the stated noise brings together for sure."""
+    """Return the error for sets that no pairing within the stated noise fits."""
     few = _few_pairs_error(sets)
     if few:
         return few
@@ -258,7 +260,7 @@ def _describe_noisier_fit(sets: MarkerSets) -> str:
 
 
 def sign_change_error(frame: Frame, rough: Frame, found: Floats) -> DataError | None:
-    """Return the error if markers lie near the rough pose only with the signs of x and y changed."""
+    """Return the error if markers fit the rough pose only with the signs of x and y changed."""
     here, signs = frame.to_world(found), SIGN_CHANGES["x and y"]
     as_is = _root_mean_square(rough.to_world(found) - here)
     flipped = _root_mean_square(rough.to_world(found * signs) - here)
@@ -280,7 +282,7 @@ def sign_change_error(frame: Frame, rough: Frame, found: Floats) -> DataError | 
 
 
 def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
-    """Raise DataError if markers `given` (P, 3) lie on those `detected` (M, 3) only with signs changed.
+    """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with signs changed.
 
     Both are said to be in the frame of the scan: fiducials of a file, and markers or metal in the volume.
     `sd` is the deviation of a distance between the two, mm. Sets that fit neither way pass: they may be of

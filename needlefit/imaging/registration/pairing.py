@@ -1,4 +1,4 @@
-"""Which found marker is which known one: all pairings that the noise allows, and the symmetries of a layout.
+"""Pair found with known markers: all pairings that the noise allows, and the symmetries of a layout.
 
 Every pairing of a given number of pairs is looked at, but a partial one is dropped with all its followers as
 soon as it cannot be fixed: a distance that two pairs change by D costs at least D^2 / (v_1 + v_2) in
@@ -65,7 +65,7 @@ class MarkerPairingCandidate:
 
 @dataclass(frozen=True)
 class Pairing:
-    """The candidate that is believed.
+    """The selected pairing, with its alternatives.
 
     Attributes
     ----------
@@ -83,14 +83,12 @@ class Pairing:
 
 
 def chi2_limit(count: int) -> float:
-    """Return the chi-squared that the right pairing of so many markers exceeds with
-    `FALSE_ALARM_PROBABILITY`.
-    """
+    """Return the chi-squared that a correct pairing exceeds with `FALSE_ALARM_PROBABILITY`."""
     return float(chi_squared.isf(FALSE_ALARM_PROBABILITY, 3 * count - 6))
 
 
 def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
-    """Return the candidates of the largest number of pairs of which one fits; empty if none does.
+    """Return the candidates with the largest number of pairs at which one fits; empty if none does.
 
     Those up to `MIN_CHI2_GAP` beyond the limit come with them, as alternatives. The best is the first. Fewer
     pairs than `MIN_PAIRED_FRACTION` of the smaller set, or than chance may bring, are not looked for.
@@ -106,9 +104,7 @@ def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
 
 
 def try_find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
-    """Return `find_largest_pairings`, or nothing if that would take too long: for asking what else might be
-    the matter.
-    """
+    """Return `find_largest_pairings`, or nothing if the search would take too long; for diagnosis."""
     try:
         return find_largest_pairings(sets)
     except DataError:
@@ -116,7 +112,7 @@ def try_find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
 
 
 def may_be_chance(sets: MarkerSets, count: int) -> bool:
-    """Say whether so many pairs, with markers left over, might fit though found and known are unrelated."""
+    """Return whether so many pairs, with markers left over, might fit by chance."""
     return (
         count < max(len(sets.found), len(sets.known))
         and expected_chance_pairings(sets, count) > MAX_WRONG_PAIRING_PROBABILITY
@@ -124,7 +120,7 @@ def may_be_chance(sets: MarkerSets, count: int) -> bool:
 
 
 def find_pairings(sets: MarkerSets, count: int) -> list[MarkerPairingCandidate]:
-    """Return all pairings of so many pairs up to `MIN_CHI2_GAP` beyond the limit, likeliest first."""
+    """Return all pairings of `count` pairs up to `MIN_CHI2_GAP` beyond the limit, the likeliest first."""
     bound = chi2_limit(count) + MIN_CHI2_GAP
     rows = search_pairings(sets.found, sets.known, sets.variance_bound, count, bound)
     candidates = [
@@ -158,7 +154,7 @@ def select_likeliest(
 
 
 def pairings_contradict(one: Pairs, other: Pairs) -> bool:
-    """Say whether two pairings give a marker, found or known, to different ones."""
+    """Return whether two pairings give a marker, found or known, to different ones."""
     return any(
         dict(map(tuple, one[:, order])).get(key, value) != value
         for order in ([0, 1], [1, 0])
@@ -167,7 +163,7 @@ def pairings_contradict(one: Pairs, other: Pairs) -> bool:
 
 
 def expected_chance_pairings(sets: MarkerSets, count: int) -> float:
-    """Return how many pairings of so many pairs would fit if found and known had nothing in common.
+    """Return the expected number of pairings of so many pairs that fit by chance.
 
     Each of the 3 P - 6 distances or coordinates that are left after the motion meets its counterpart within
     +- z deviations, among values spread over the layout's extent; z is the limit's root.
@@ -276,7 +272,8 @@ MIN_SQUARED_MISFIT = (_DETECTION_QUANTILE + np.sqrt(_DETECTION_QUANTILE**2 + MIN
 
 
 def find_symmetries(known: ArrayLike, sd: ArrayLike) -> NDArray[np.int64]:
-    """Return the permutations (S, N) that lay `known` (N, 3) on itself within the noise; the identity first.
+    """Return the permutations (S, N) that map `known` (N, 3) onto itself within the noise; the identity
+    first.
 
     `sd` is the deviation of a pair, found and known together, per direction, mm: a number or one per marker.
     Only turns count: a layout that is merely its own mirror image has the identity alone.
@@ -291,7 +288,7 @@ def find_symmetries(known: ArrayLike, sd: ArrayLike) -> NDArray[np.int64]:
 
 
 def group_interchangeable(permutations: NDArray[np.int64]) -> tuple[tuple[int, ...], ...]:
-    """Return the groups of markers that the permutations (S, N) carry into each other; singles left out."""
+    """Return the groups of markers that the permutations (S, N) interchange; without single markers."""
     count = permutations.shape[1]
     mapped = np.zeros((count, count))
     mapped[np.tile(np.arange(count), len(permutations)), permutations.ravel()] = 1
@@ -301,7 +298,7 @@ def group_interchangeable(permutations: NDArray[np.int64]) -> tuple[tuple[int, .
 
 
 def find_turn(known: Floats, permutation: NDArray[np.int64]) -> tuple[float, Floats]:
-    """Return angle (degrees) and axis (3,) of the turn that carries each marker to its permuted one."""
+    """Return angle (degrees) and axis (3,) of the rotation that maps each marker to its permuted one."""
     rotation = fit_kabsch(known, known[permutation], np.ones(len(known))).rotation
     angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
     values, vectors = np.linalg.eigh((rotation + rotation.T) / 2)

@@ -1,4 +1,4 @@
-"""Select the most likely pairing of markers, or say why there is none."""
+"""Select the most likely pairing of markers, or explain why there is none."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from needlefit.imaging.registration.rigid import Pairs, align_pairs, pair_by_icp
 
 
 def select_pairing(sets: MarkerSets, rough: Frame | None) -> Pairing:
-    """Return the pairing to believe; DataError if none fits or several do."""
+    """Return the most likely pairing; DataError if none fits or several do."""
     try:
         candidates = find_largest_pairings(sets)
     except DataError:
@@ -43,7 +43,9 @@ def select_pairing(sets: MarkerSets, rough: Frame | None) -> Pairing:
 
 
 def check_given_pairs(sets: MarkerSets, pairs: Pairs) -> Pairing:
-    """Return the given pairing if it fits and no other disproves it; else DataError, with the better one."""
+    """Return the given pairing if it fits and no other contradicts it; else DataError, with the better
+    one.
+    """
     _check_pairs(sets, pairs)
     own = MarkerPairingCandidate(pairs, align_pairs(sets, pairs))
     used = np.unique(pairs[:, 0])

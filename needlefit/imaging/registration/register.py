@@ -1,4 +1,4 @@
-"""Register a scan with the world by its radiopaque markers, with the error that this leaves.
+"""Register a scan to the world by its radiopaque markers, with the remaining error.
 
 All pairings are tried (`pairing`); the likeliest is kept if it fits the stated noise and no other is nearly
 as likely. A rough pose only settles what the markers leave open, or starts ICP (`rigid`) where they are too
@@ -40,7 +40,7 @@ MAX_ROUGH_ANGLE_DEG = 30.0
 def collect_warnings(
     sets: MarkerSets, chosen: Pairing, suggested: tuple[ScaleEstimate, ...], rough: Frame | None
 ) -> tuple[str, ...]:
-    """Return the warnings on a pairing, the most important first."""
+    """Return the warnings about a pairing, the most important first."""
     return (
         *_unpaired_warnings(sets, chosen),
         *_scale_warnings(suggested),
@@ -123,7 +123,7 @@ that is not known; where they spread wider, it is their deviation."""
 
 @dataclass(frozen=True)
 class Registration:
-    """The rigid motion from the scan to the world, and what may be believed of it.
+    """The rigid motion from the scan to the world, with its covariance and quality.
 
     Attributes
     ----------
@@ -184,7 +184,7 @@ def register(
     pairs: ArrayLike | None = None,
     rough: Frame | None = None,
 ) -> Registration:
-    """Return the rigid motion that takes the markers found in the scan to their known places.
+    """Return the rigid motion that takes the markers found in the scan to their known positions.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def scan_frame(registration: Registration) -> Frame:
 
 
 def to_world(registration: Registration, points: ArrayLike) -> Floats:
-    """Return scan `points` (N, 3), LPS, in the world, mm."""
+    """Return scan `points` (N, 3), LPS, in world coordinates, mm."""
     return scan_frame(registration).to_world(points)
 
 
@@ -240,7 +240,7 @@ def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
 
 
 def predict_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
-    """Return the mean length (N,) of the error to expect at scan `points` (N, 3), mm."""
+    """Return the expected length (N,) of the error at scan `points` (N, 3), mm."""
     return rigid.mean_error_length(target_covariance(registration, points))
 
 

@@ -1,4 +1,4 @@
-"""Rigid alignment of paired markers (rotation and translation), its error at a target, and ICP.
+"""Align paired markers rigidly, with the error at a target; also ICP.
 
 What the markers' noise does to a registration, and that to a target: first-order covariances.
 
@@ -38,7 +38,9 @@ from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets
 
 
 def motion_jacobian(arms: ArrayLike) -> Floats:
-    """Return J (N, 3, 6): how points at `arms` (N, 3) from the centre move with turn (rad) and shift (mm)."""
+    """Return J (N, 3, 6): the motion of points at `arms` (N, 3) from the centre by turn (rad) and shift
+    (mm).
+    """
     a = np.asarray(arms, dtype=np.float64)
     moved = np.zeros((len(a), 3, 6))
     moved[:, 0, 1], moved[:, 0, 2] = a[:, 2], -a[:, 1]
@@ -56,7 +58,7 @@ def information_matrix(arms: ArrayLike, weights: Floats) -> Floats:
 
 
 def pose_covariance(arms: ArrayLike, covariances: Floats) -> Floats:
-    """Return the covariance (6, 6) of turn (rad) and shift (mm) about the centre from which the arms go.
+    """Return the covariance (6, 6) of turn (rad) and shift (mm) about the centre of the arms.
 
     The fit weights each pair by its inverse covariance, which no other weights better.
 
@@ -89,12 +91,12 @@ def mean_error_length(covariance: Floats) -> Floats:
 
 
 def invert_covariances(covariances: Floats) -> Floats:
-    """Return the inverses of covariances (N, 3, 3): the weights under which a fit is likeliest."""
+    """Return the inverses of covariances (N, 3, 3): the maximum-likelihood weights of a fit."""
     return np.asarray(np.linalg.inv(covariances), dtype=np.float64)
 
 
 def worst_turn_sd(arms: ArrayLike, weights: Floats) -> float:
-    """Return the deviation of the turn about the axis that the markers fix worst, rad; inf on a line."""
+    """Return the deviation of the turn about the least determined axis, rad; inf if markers lie on a line."""
     a = information_matrix(arms, weights)
     turn = a[:3, :3] - a[:3, 3:] @ np.linalg.solve(a[3:, 3:], a[3:, :3])
     least = float(np.linalg.eigvalsh(turn)[0])
@@ -111,7 +113,7 @@ MAX_NEWTON_STEPS = 30
 
 @dataclass(frozen=True)
 class Alignment:
-    """A fit to pairs.
+    """The fitted motion of paired points.
 
     Attributes
     ----------
@@ -138,7 +140,7 @@ class Alignment:
 
 
 def fit_kabsch(moving: Floats, fixed: Floats, weights: Floats) -> Frame:
-    """Return the motion with least sum w |fixed - motion(moving)|^2; points (P, 3), weights (P,).
+    """Return the motion with the smallest sum w |fixed - motion(moving)|^2; points (P, 3), weights (P,).
 
     W. Kabsch, Acta Cryst. A32 (1976) 922, with the sign of the least singular value chosen such that the
     determinant is +1 (S. Umeyama, IEEE Trans. Pattern Anal. 13 (1991) 376).
@@ -152,7 +154,8 @@ def fit_kabsch(moving: Floats, fixed: Floats, weights: Floats) -> Frame:
 
 
 def sum_squared_residuals(moving: Floats, fixed: Floats, weights: Floats) -> Floats:
-    """Return what `fit_kabsch` leaves, sum w |residual|^2 (L,), of many pairings: (L, P, 3), weights (L, P).
+    """Return the residual sum w |residual|^2 (L,) of `fit_kabsch` for many pairings: (L, P, 3), weights (L,
+    P).
 
     A weight of zero leaves a pair out.
     """
@@ -194,7 +197,7 @@ def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
 
 
 def expected_fre(alignment: Alignment, found: Floats) -> float:
-    """Return the root mean square residual, mm, that the noise leads one to expect; `found` (P, 3), scan.
+    """Return the root mean square residual, mm, that the noise predicts; `found` (P, 3), scan.
 
     A residual has the covariance of its pair less what the fit follows of it, C_i - J_i cov(theta) J_i^T.
     """
@@ -203,7 +206,7 @@ def expected_fre(alignment: Alignment, found: Floats) -> float:
 
 
 def expected_left_out(alignment: Alignment, found: Floats) -> Floats:
-    """Return the root mean square distance (P,), mm, to expect of each marker from a fit to the others.
+    """Return the root mean square distance (P,), mm, predicted for each marker from a fit to the others.
 
     To first order that fit misses the marker by C_i Q_i^-1 r_i, where Q_i is the covariance of its residual
     r_i in the fit to all; so the miss has the covariance C_i Q_i^-1 C_i. `found` (P, 3), scan, mm.
@@ -239,7 +242,8 @@ MAX_PAIR_DISTANCE_SD = 4.0
 
 
 def pair_by_icp(sets: MarkerSets, rough: Frame) -> Pairs:
-    """Return the pairs (P, 2) in which closest points end from the `rough` frame of the scan in the world.
+    """Return the pairs (P, 2) at which closest points converge from the `rough` frame of the scan in the
+    world.
 
     Pairs that stay further apart than `MAX_PAIR_DISTANCE_SD` deviations are left out, the worst first, as
     long as three remain.

@@ -1,7 +1,7 @@
 """Sample adaptively by importance: mixtures of Student's t are fitted to the draws, round by round.
 
-Rounds of draws fit the mixture better: after each one all draws so far are weighed by what all rounds
-together would have drawn (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert,
+Rounds of draws fit the mixture better: after each one all draws so far are weighted by the density of all
+rounds together (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert,
 Scand. J. Stat. 39 (2012) 798), and the mixture follows them. At first, and while few draws carry all weight,
 it follows a flatter density, so that it grows along a ridge instead of falling on its best draws. What falls
 outside the bounds has no density, and costs nothing. `pareto` says whether the weights can be trusted; it

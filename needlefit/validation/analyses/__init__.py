@@ -1,1 +1,1 @@
-"""Kinds of study other than "tune on these, score on those": one module or package each."""
+"""Kinds of study other than fit and score: one module or package each."""

@@ -1,4 +1,4 @@
-"""The kinds of analysis: what a study file of each holds, and the function that runs it."""
+"""The kinds of analysis: the study file of each, and the function that runs it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ from needlefit.validation.packing import RESULTS_FILE, pack, pack_frame, unpack,
 
 @dataclass(frozen=True)
 class AnalysisKind:
-    """What a study file of one kind holds, and what carries it out."""
+    """One kind of analysis: the record of its study file, and the function that runs it."""
 
     record: type[AnalysisRecord]
     run: Callable[[str, Any, Settings], AnalysisResult]
@@ -57,7 +57,7 @@ ANALYSIS_KINDS: Mapping[str, AnalysisKind] = MappingProxyType(
 
 
 def load_analysis(path: Path) -> AnalysisRecord | None:
-    """Return what a study file asks, or None if it has no `kind`: such a study tunes and scores.
+    """Load the analysis of a study file; None if the file has no `kind`, which is a plain study.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def load_analysis(path: Path) -> AnalysisRecord | None:
 
 @one_thread
 def run(name: str, record: AnalysisRecord, settings: Settings) -> AnalysisResult:
-    """Carry out an analysis.
+    """Run an analysis.
 
     The same record, data, seed and versions give the same frames for any number of jobs, and after an
     interruption with `resume`.
@@ -96,7 +96,7 @@ _PLAIN = ("name", "origin", "dataset_title", "interrupted", "faults", "run")
 
 
 def store_result(result: AnalysisResult, folder: Path) -> Path:
-    """Write all of a result but its times to `folder`; equal results give equal bytes."""
+    """Write a result without its times to `folder`; equal results give equal bytes."""
     table = {
         "kind": result.kind,
         "record": result.record.model_dump(mode="json", by_alias=True),
@@ -107,12 +107,12 @@ def store_result(result: AnalysisResult, folder: Path) -> Path:
 
 
 def is_analysis_result(folder: Path) -> bool:
-    """Return whether what a run left in `folder` is the result of an analysis."""
+    """Return whether `folder` holds the result of an analysis."""
     return is_file(folder / RESULTS_FILE) and str(unpack(folder).get("kind")) in ANALYSIS_KINDS
 
 
 def restore_result(folder: Path) -> AnalysisResult:
-    """Return the result that a run left in `folder`; DataError if it holds none, or a damaged one."""
+    """Read the result of a run from `folder`; DataError if it holds none, or a damaged one."""
     table = unpack(folder)
     require_schema(table, AnalysisTable, str(folder / RESULTS_FILE))
     with convert_stored_errors(folder / RESULTS_FILE):

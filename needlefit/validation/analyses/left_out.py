@@ -1,4 +1,4 @@
-"""Each insertion, and each specimen, left out in turn: what a fit to the others makes of it.
+"""Leave out each insertion, or each specimen, in turn, and score it by the fit to the others.
 
 The error in sample flatters a model, for it was made small by the fit itself; the error on what was left
 out does not. Their difference is what a reader of a tuning table should add to it. A medium of which there
@@ -48,7 +48,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 
 
 def run(name: str, record: LeftOutRecord, settings: Settings) -> AnalysisResult:
-    """Leave out in turn what the record says, and score it.
+    """Run a leave-one-out study.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Every cell of the paper's tables: what studies and fits came to, beside what the paper prints.
+"""Compute every cell of the paper's tables from studies and fits, beside the published value.
 
 Studies give the table of validation, fits the two of tuning. Layers are where the needle was measured to
 cross them, as the paper does it.
@@ -44,7 +44,7 @@ ALL_LAYERS = 0
 def prepare_jobs(
     studies: Sequence[str], fits: Sequence[str], settings: Settings, dataset: str | None = None
 ) -> dict[str, Job]:
-    """Return studies and fits by name, on their own dataset or another, scored as the paper does."""
+    """Return studies and fits by name, on their own dataset or another, scored as in the paper."""
     found = {}
     named = [("studies", name) for name in studies] + [("fits", name) for name in fits]
     for key, name in named:
@@ -59,7 +59,7 @@ def prepare_jobs(
 
 
 def without_surfaces(job: Job) -> Job:
-    """Return the job without surfaces: only the measured crossings are scored."""
+    """Return the job without surfaces, so that only the measured layer crossings are scored."""
     return with_insertions(job, lambda one: replace(one, surfaces=()))
 
 
@@ -73,7 +73,7 @@ def with_insertions(job: Job, changed: Callable[[Insertion], Insertion]) -> Job:
 
 
 def with_starts(job: Job, starts: int | None) -> Job:
-    """Return the job with so many random starts of a search; None: as many as its recipe says."""
+    """Return the job with this number of random starts per search; None keeps the recipe's."""
     if starts is None:
         return job
     return replace(job, recipe=job.recipe.model_copy(update={"starts": starts}))
@@ -86,7 +86,7 @@ def compute_floors(jobs: Iterable[Job]) -> dict[str, NoiseFloor]:
 
 
 def run_search(job: Job, search: str, settings: Settings) -> Fit:
-    """Return the fit of one search of a job's only fold, as `needlefit validate` and `tune` find it."""
+    """Return the fit of one search of a job with a single fold, as `validate` and `tune` compute it."""
     fold = job.folds[0]
     rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
     callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
@@ -94,7 +94,7 @@ def run_search(job: Job, search: str, settings: Settings) -> Fit:
 
 
 def score_methods(job: Job, methods: Mapping[str, Predictor], floors: Mapping[str, NoiseFloor]) -> list[Row]:
-    """Return the errors of methods on every insertion of a job's only fold, in sample and held out."""
+    """Return the errors of methods on every insertion of a job with a single fold, in sample and held out."""
     scorer, fold = Scorer(job.dataset, job.record.layer_count_rule, floors), job.folds[0]
     rows = []
     for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
@@ -106,13 +106,13 @@ def score_methods(job: Job, methods: Mapping[str, Predictor], floors: Mapping[st
 
 
 def find_paper_numbers(jobs: Mapping[str, Job]) -> dict[str, int]:
-    """Return the paper's numbers of the studies among jobs; a fit has none."""
+    """Return the published numbers of the studies among jobs; a fit has none."""
     numbers = {name: getattr(job.record, "paper_study", None) for name, job in jobs.items()}
     return {name: number for name, number in numbers.items() if number is not None}
 
 
 def tabulate_cells(errors: pd.DataFrame, numbers: Mapping[str, int], by: Sequence[str] = ()) -> pd.DataFrame:
-    """Return every cell, one a row, of one method's `ERROR_COLUMNS`.
+    """Return all cells of one method's `ERROR_COLUMNS`, one per row.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def tabulate_generalisation(fitted: pd.DataFrame, by: Sequence[str]) -> pd.DataF
 
 
 def generalisation_threshold() -> float:
-    """Return the mean IPE below which a study generalises, mm."""
+    """Return the mean IPE, mm, below which a study is said to generalise."""
     printed = sorted(float(value) for value in paper.read_published_table("validation")["ipe_mean_mm"])
     low, high = max(pairwise(printed), key=lambda pair: pair[1] / pair[0])
     return float((low * high) ** 0.5)

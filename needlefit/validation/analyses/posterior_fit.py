@@ -1,8 +1,8 @@
-"""What some insertions teach: the best fit, and draws of the posterior, cheaply where that can be certified.
+"""Fit to some insertions, and draw from the posterior: by importance sampling, or by MCMC if that fails.
 
-The posterior is weighed about the modes that the search found (`inference.weighing`). Where Pareto's k says
-that the weights cannot be trusted it is weighed again, from more draws, and sampled only where that does not
-help either: sampling costs a hundred times as much.
+The posterior is sampled by importance about the modes that the search found (`inference.importance`). Where
+Pareto's k shows that the weights cannot be trusted this is repeated with more draws, and MCMC runs only where
+that fails too: it costs a hundred times as much.
 """
 
 from dataclasses import dataclass
@@ -27,8 +27,8 @@ POSTERIOR_DRAWS = 100
 
 @dataclass(frozen=True)
 class PosteriorFit:
-    """A fit, `POSTERIOR_DRAWS` draws of its posterior, Pareto's k of the weights, and whether it was sampled
-    instead.
+    """A fit and `POSTERIOR_DRAWS` draws of its posterior; Pareto's k of the weights, and whether it was
+    sampled.
 
     `k` is NaN where nothing is free.
     """
@@ -40,7 +40,7 @@ class PosteriorFit:
 
 
 def fit_posterior(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> PosteriorFit:
-    """Return what the insertions of a problem teach of its free parameters, by the recipe of the job.
+    """Fit the free parameters of a problem, and draw from their posterior, by the recipe of the job.
 
     Parameters
     ----------

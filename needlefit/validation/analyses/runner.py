@@ -1,4 +1,4 @@
-"""Run an analysis of any kind: checkpointed tasks, then a conclusion, and the result with its provenance."""
+"""Run an analysis of any kind: checkpointed tasks, then a conclusion; the result has its provenance."""
 
 import json
 import time
@@ -34,7 +34,7 @@ _CHECKPOINT_ROWS = "tasks"
 def run_tasks(
     tasks: Mapping[str, AnalysisTask], label: str, settings: Settings, checkpoint: Checkpoint
 ) -> tuple[FrameRows, bool]:
-    """Return the rows of all tasks, in their order, and whether a stop left some of them undone.
+    """Return the rows of all tasks in their order, and whether a stop left some of them undone.
 
     A task that a stop interrupts is discarded: its rows would be incomplete.
     """
@@ -46,6 +46,7 @@ def run_tasks(
         if key in finished:
             continue
         settings.progress(f"{label}: {key}", done, len(tasks))
+        # through JSON and back, so that fresh rows are the same as rows read from a checkpoint
         rows = None if settings.stop() else json.loads(json.dumps(task(), default=to_json_value))
         if rows is None or settings.stop():
             break
@@ -57,7 +58,7 @@ def run_tasks(
 
 
 def join_rows(parts: Iterable[FrameRows]) -> FrameRows:
-    """Return the rows of several parts, one after the other."""
+    """Return the rows of several tasks, one after the other."""
     every: FrameRows = {}
     for part in parts:
         for frame, rows in part.items():
@@ -67,13 +68,13 @@ def join_rows(parts: Iterable[FrameRows]) -> FrameRows:
 
 @dataclass(frozen=True)
 class AnalysisResult:
-    """What one analysis found.
+    """The result of one analysis: tables, provenance and faults.
 
     Attributes
     ----------
     name : str
         Of the study's file.
-    record : InquiryRecord
+    record : AnalysisRecord
         What was asked; its `kind` says which analysis ran and which page reports it.
     origin : "measured" or "synthetic"
         Synthetic as soon as anything in it is.
@@ -108,7 +109,7 @@ class AnalysisResult:
 
     @property
     def title(self) -> str:
-        """What stands over the report."""
+        """The title of the report."""
         return self.record.title or self.name
 
     @property
@@ -126,7 +127,7 @@ def _conclude_nothing(frames: Frames) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AnalysisPlan:
-    """What an analysis computes.
+    """The tasks, tables and conclusion of an analysis.
 
     Attributes
     ----------
@@ -157,7 +158,7 @@ class AnalysisPlan:
 
 
 def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> AnalysisResult:
-    """Carry out a plan and return the result; after an interruption with `resume` it is the same result.
+    """Run the tasks of a plan; an interrupted run with `resume` gives the same result.
 
     Raises
     ------
@@ -224,7 +225,7 @@ def _make_frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> pd
 
 @contextmanager
 def error_context(study: str, key: str = "") -> Iterator[None]:
-    """Have every ConfigError from within that names no place name this study, and the key of its file."""
+    """Give every ConfigError raised inside, if it names no place, this study and the key of its file."""
     try:
         yield
     except ConfigError as error:
@@ -235,5 +236,5 @@ def error_context(study: str, key: str = "") -> Iterator[None]:
 
 
 def describe_key(study: str, key: str = "") -> str:
-    """Return how messages call a key of a study's file."""
+    """Return the name of a study file's key for messages."""
     return f"study {study}, key `{key}`" if key else f"study {study}"

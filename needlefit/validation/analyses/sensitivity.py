@@ -1,4 +1,4 @@
-"""How much every cell of the paper's tables depends on what was decided, or is not known well.
+"""Measure how much every cell of the paper's tables depends on decisions and on poorly known quantities.
 
 Each variation changes one thing: a rule of the model, the tissue's thickness, the needle's rigidity, the
 depths of all layers. Everything is then tuned again and scored under it, which is what another program, with
@@ -55,7 +55,7 @@ _MEDIUM_KEYS = (
 
 
 def apply_variation(job: Job, variation: VariationRecord) -> Job:
-    """Return the job under a variation."""
+    """Return the job under one variation."""
     changes = {key: getattr(variation, key) for key in _MEDIUM_KEYS}
     medium = job.medium.model_copy(update={key: new for key, new in changes.items() if new is not None})
     needle = job.dataset.needle
@@ -78,7 +78,7 @@ def _rigidity_factor(job: Job, variation: VariationRecord) -> float:
 
 
 def refit(job: Job, before: Fit, starts: int, settings: Settings) -> Fit:
-    """Return the best fit from a few random starts and from where the fit before had ended."""
+    """Return the best fit from a few random starts and from the end of the fit before."""
     problem = job.problem(job.folds[0])
     found = run_search(with_starts(job, starts), "fitted", settings)
     goal = make_objective(problem, job.recipe.minimize)
@@ -133,7 +133,7 @@ class _BaseFits:
 
 
 def run(name: str, record: SensitivityRecord, settings: Settings) -> AnalysisResult:
-    """Carry out studies and fits as they stand and under every variation.
+    """Run studies and fits as they are and under every variation.
 
     Raises
     ------

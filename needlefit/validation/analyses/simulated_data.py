@@ -1,4 +1,4 @@
-"""Simulated data for analyses, in memory: needles that follow the model, measured with stated errors.
+"""Simulate data for analyses in memory: needles of the model, measured with stated errors.
 
 A whole dataset for a comparison, and specimens drawn about a known mean for a recovery.
 """
@@ -34,7 +34,7 @@ DATASET_MEDIUM = "made"
 
 
 def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecord, seed: int) -> Dataset:
-    """Return the dataset that a record states, of a medium of one layer.
+    """Return the dataset that a record describes, of a medium of one layer.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _assemble_dataset(name: str, record: SyntheticDataRecord, insertions: tuple[
 Floats = NDArray[np.float64]
 
 SPECIMEN_STARTS, SPECIMEN_EFFORT = 2, Effort(draws=120, min_ess=150.0)
-"""Of each made-up specimen: its search, and the weighing of its posterior."""
+"""For each simulated specimen: its search, and the importance sampling of its posterior."""
 
 NEEDLE_POINTS = 30
 """At which a made-up needle is measured, about."""
@@ -124,7 +124,7 @@ MAX_SPECIMEN_DRAWS = 100
 
 
 def simulate_specimen(job: Job, mean: Floats, spread: float, rng: np.random.Generator) -> Problem:
-    """Return the problem of one specimen drawn about the mean, its needles measured with errors as stated.
+    """Return the problem of one specimen drawn about the mean, with needles measured with stated errors.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def _thin_points(insertion: Insertion) -> Insertion:
 
 
 def infer_specimen(job: Job, problem: Problem, rng: np.random.Generator) -> Specimen:
-    """Return the posterior of a made-up specimen; nothing of it is known before."""
+    """Return the posterior of a simulated specimen, from a flat prior."""
     recipe = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"})
     found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
     chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))

@@ -1,4 +1,4 @@
-"""How much specimens differ: mean and spread of a population, by two stages, and whether known ones are seen.
+"""Estimate how much specimens differ: mean and spread of a population in two stages; check by simulation.
 
 Stage one is the posterior of every specimen by itself; stage two is `inference.specimens`. What a further
 specimen may be follows from both. With a recovery, specimens of known mean and spread are made up, measured
@@ -101,7 +101,7 @@ class _SpecimenPosterior:
 
 
 def run(name: str, record: SpecimensRecord, settings: Settings) -> AnalysisResult:
-    """Return what specimens say of their population, or how well a known one is found again.
+    """Return the estimated population of specimens, or how well a known one is recovered.
 
     Raises
     ------

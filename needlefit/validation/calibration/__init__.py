@@ -1,1 +1,3 @@
-"""Simulation-based calibration: is the uncertainty that is computed the right one, if the model is?"""
+"""Check by simulation that the computed uncertainty is right if the model is (simulation-based
+calibration).
+"""

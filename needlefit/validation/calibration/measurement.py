@@ -1,4 +1,4 @@
-"""A needle simulated and measured with the errors that its dataset states of such measurements."""
+"""Simulate a needle and its measurement, with the errors that its dataset states."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,7 +28,7 @@ def simulate_measurement(
     rng: np.random.Generator,
     scale: float = 1.0,
 ) -> Insertion | None:
-    """Return the insertion as it would be measured if `values` (Pa, mm) were true; None where it cannot be.
+    """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
 
     The needle is simulated at depths of layers and tip that err as stated about the insertion's. Measured
     are its deflections at the arc lengths of `insertion.planar`, moved by a pose drawn from its prior and by

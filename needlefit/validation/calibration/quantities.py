@@ -1,4 +1,4 @@
-"""What is ranked: functions of parameters and data, whose posterior can be held against the truth."""
+"""The quantities that are ranked: functions of parameters and data, compared with the truth."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ the prior itself would pass for a posterior."""
 
 @dataclass(frozen=True)
 class RankedQuantities:
-    """Functions of theta under one problem.
+    """The ranked functions of theta under one problem.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class RankedQuantities:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Q of them; of one parameter alone, no combination is another quantity."""
+        """Names of the Q quantities; with a single parameter no combination is added."""
         free = self.problem.names
         return (*free, *((DESIGN, FIT) if len(free) > 1 else ()), TIP, LIKELIHOOD)
 
@@ -56,7 +56,7 @@ class RankedQuantities:
 
 
 def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
-    """Return the combination (P,), of length 1, that the insertions tell best at theta."""
+    """Return the combination (P,), of length 1, that the insertions determine best at theta."""
     if len(theta) == 0:
         return np.zeros(0)
     _, slope, _ = linearize(problem, theta)

@@ -1,4 +1,4 @@
-"""Ranks of the truth among draws: ECDF and coverage of central intervals, each beside what chance allows.
+"""Statistics of the ranks of the truth among draws: ECDF and interval coverage, with their chance limits.
 
 N ranks, each one of K equally likely places. How many lie below each place is a sum of N independent Poisson
 numbers, given their total; so the probability that all sums keep within limits is exact, by one convolution a
@@ -22,7 +22,7 @@ BISECTIONS = 40
 
 
 def count_limits(replicates: int, probability: float | Floats, error: float) -> tuple[Counts, Counts]:
-    """Return least and most of `replicates` that fall where `probability` says, but for `error` at both ends.
+    """Return the lowest and highest plausible count of `replicates` events of this probability.
 
     Each end is passed with half the error at most: exact, of the binomial distribution.
     """
@@ -32,7 +32,7 @@ def count_limits(replicates: int, probability: float | Floats, error: float) -> 
 
 
 def ecdf_band(replicates: int, places: int, error: float) -> tuple[Counts, Counts]:
-    """Return least and most ranks (K - 1,) below places 1 ... K - 1: all hold together, but for `error`."""
+    """Return the band of ranks (K - 1,) that holds at all places together, up to the probability `error`."""
     levels = np.arange(1, places) / places
     narrow, wide = math.log(error), math.log(error / places)  # by Bonferroni the second is wide enough
     for _ in range(BISECTIONS):
@@ -45,10 +45,13 @@ def ecdf_band(replicates: int, places: int, error: float) -> tuple[Counts, Count
 
 
 def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
-    """Return the probability that uniform ranks below every place stay within limits (K - 1,)."""
+    """Return the probability that uniform ranks stay within limits (K - 1,) at every place."""
+    # counts between neighbouring places are independent Poisson numbers, given that they add up to the
+    # replicates
     step = poisson.pmf(np.arange(replicates + 1), replicates / (len(low) + 1))
     alive, first = np.ones(1), 0  # probabilities of sums first, first + 1, ...
     for least, most in zip(low.tolist(), high.tolist(), strict=True):
+        # convolve, then cut to the limits: probability outside them is lost and never returns
         summed = np.convolve(alive, step)
         start = max(least, first)
         alive, first = summed[start - first : most - first + 1], start
@@ -64,9 +67,10 @@ LEVELS = (0.50, 0.80, 0.90, 0.95)
 
 
 def rank_truth(truth: Floats, draws: Floats, rng: np.random.Generator) -> Counts:
-    """Return how many of the draws (L, Q) lie below the truth (Q,); among equal ones it has any place."""
+    """Return the number of draws (L, Q) below the truth (Q,); ties are broken at random."""
     below = np.sum(draws < truth, axis=0)
     equal = np.sum(draws == truth, axis=0)
+    # the truth may lie anywhere among equal draws: the upper end of rng.integers is exclusive
     placed: Counts = below + rng.integers(0, equal + 1)
     return placed
 
@@ -96,12 +100,12 @@ ECDF_COLUMNS = ("quantity", "rank", "below", "expected", "count_low", "count_hig
 
 
 def single_check_error(quantities: int) -> float:
-    """Return the probability with which each single check may fail."""
+    """Return the probability with which each single check may fail by chance."""
     return FAMILY_ERROR / (quantities * (1 + len(LEVELS)))
 
 
 def tabulate_coverage(ranks: Mapping[str, Counts]) -> pd.DataFrame:
-    """Return a row for every quantity and level."""
+    """Return the coverage as one row for every quantity and level."""
     error, rows = single_check_error(len(ranks)), []
     for name, placed in ranks.items():
         for level in LEVELS:
@@ -113,7 +117,7 @@ def tabulate_coverage(ranks: Mapping[str, Counts]) -> pd.DataFrame:
 
 
 def tabulate_ecdfs(ranks: Mapping[str, Counts]) -> pd.DataFrame:
-    """Return a row for every quantity and place of the truth among the draws."""
+    """Return the ECDFs as one row for every quantity and place of the truth among the draws."""
     error, parts = single_check_error(len(ranks)), []
     places = np.arange(1, RANK_DRAWS + 1)
     for name, placed in ranks.items():
@@ -133,6 +137,6 @@ def tabulate_ecdfs(ranks: Mapping[str, Counts]) -> pd.DataFrame:
 
 
 def find_failing(coverage: pd.DataFrame, ecdfs: pd.DataFrame) -> list[str]:
-    """Return the quantities of which any check fails, in their order."""
+    """Return the quantities for which any check fails, in their order."""
     failed = {*coverage.loc[~coverage["passes"], "quantity"], *ecdfs.loc[~ecdfs["passes"], "quantity"]}
     return [name for name in dict.fromkeys(coverage["quantity"]) if name in failed]

@@ -1,4 +1,6 @@
-"""One replicate: parameters drawn from their prior, needles that follow them, and what is inferred."""
+"""Compute one replicate: parameters drawn from the prior, needles simulated with them, and their
+posterior.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -33,7 +35,7 @@ UNDERSTATED_SD_FACTOR = 0.7
 
 
 def corrupt_problem(problem: Problem, control: Control | None, scale: float) -> Problem:
-    """Return the problem as a wrong computation would have it; `scale` is the true one of the noise.
+    """Return the problem with a deliberate error; `scale` is the true noise scale.
 
     "sigma" underrates noise and pose and does not estimate them, "pose" takes every pose as it was measured,
     "shuffled" confounds the shapes of the shallowest and the deepest insertion (of one alone the side of its
@@ -87,7 +89,7 @@ INFERENCE_STARTS = 4
 
 @dataclass(frozen=True)
 class InferredPosterior:
-    """What was computed of one posterior.
+    """One computed posterior: its draws and how they were computed.
 
     Attributes
     ----------
@@ -112,7 +114,7 @@ class InferredPosterior:
 
 @dataclass(frozen=True)
 class InferenceOptions:
-    """How a posterior is inferred.
+    """How a posterior is computed.
 
     Attributes
     ----------
@@ -132,7 +134,7 @@ class InferenceOptions:
 def infer_posterior(
     problem: Problem, options: InferenceOptions, rng: np.random.Generator
 ) -> InferredPosterior:
-    """Return the posterior of a problem; nothing of it is known before."""
+    """Return the posterior of a problem, from its prior."""
     recipe = options.recipe.model_copy(update={"starts": INFERENCE_STARTS, "minimize": "posterior"})
     ends = find_modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
     if options.sampler == "always":
@@ -161,7 +163,7 @@ def _sample_posterior(
 def draw_prior_only(
     problem: Problem, options: InferenceOptions, rng: np.random.Generator
 ) -> InferredPosterior:
-    """Return the prior where it has a solution, as if it were the posterior."""
+    """Return draws of the prior where the model has a solution, in place of the posterior."""
     thetas = np.empty((0, len(problem.names)))
     while len(thetas) < options.draws:
         drawn = draw_from_prior(problem.parameters, options.draws, rng)
@@ -177,7 +179,7 @@ MAX_PRIOR_DRAWS = 1000
 
 @dataclass(frozen=True)
 class Experiment:
-    """What all replicates share.
+    """The data that all replicates share.
 
     Attributes
     ----------
@@ -207,7 +209,7 @@ class SimulatedExperiment:
 
 
 def replicate(number: int, experiment: Experiment) -> dict[str, Any]:
-    """Return a row: the truth, where it stands among draws of its posterior, and how these were computed."""
+    """Return one row: the truth, its ranks among draws of its posterior, and how these were computed."""
     seed, name = experiment.job.recipe.seed, experiment.job.name
     simulated = simulate_experiment(experiment.job, random_stream(seed, name, "calibrate", number, "data"))
     truth = simulated.problem.values(simulated.theta)
@@ -237,7 +239,7 @@ def replicate(number: int, experiment: Experiment) -> dict[str, Any]:
 
 
 def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperiment:
-    """Return parameters drawn from the prior, and the design measured of needles that follow them.
+    """Draw parameters from the prior, and simulate the measurement of the design with them.
 
     Raises
     ------

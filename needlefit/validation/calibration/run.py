@@ -1,4 +1,4 @@
-"""Simulation-based calibration: draw parameters from the prior, insert, infer; is the truth like a draw?
+"""Run simulation-based calibration: draw parameters from the prior, simulate, infer, and rank the truth.
 
 S. Talts, M. Betancourt, D. Simpson, A. Vehtari, A. Gelman, arXiv 1804.06788; the log likelihood among what is
 ranked is from M. Modrak et al., Bayesian Anal. 20 (2025) 461.
@@ -49,7 +49,7 @@ MAX_SAMPLED_INSERTIONS = 3
 
 @dataclass(frozen=True)
 class Calibration:
-    """What came of all replicates.
+    """The result of all replicates.
 
     Attributes
     ----------
@@ -91,23 +91,23 @@ class Calibration:
 
     @property
     def failing(self) -> list[str]:
-        """Quantities that are not calibrated."""
+        """The quantities that are not calibrated."""
         return find_failing(self.coverage, self.ecdfs)
 
     @property
     def conclusive(self) -> bool:
-        """Whether there are replicates enough to fail: no truth at all in a half would be too few."""
+        """Whether there are enough replicates to detect a failure."""
         half = self.coverage[self.coverage["level"] == min(self.coverage["level"])]
         return bool((half["count_low"] > 0).all())
 
     @property
     def untrusted(self) -> int:
-        """Replicates whose posterior nobody certified: they count like all others."""
+        """The number of replicates whose posterior is not certified; they count like all others."""
         return int((~self.replicates["trusted"].astype(bool)).sum())
 
     @property
     def passes(self) -> bool:
-        """Whether the outcome is as it should be: calibrated, or, where the likelihood is wrong, not."""
+        """Whether the outcome is as expected: calibrated, or not if the likelihood is wrong on purpose."""
         return bool(self.failing) == (self.control is not None)
 
 
@@ -115,7 +115,7 @@ class Calibration:
 def calibrate(
     name: str, record: FitRecord, settings: Settings, replicates: int, control: Control | None = None
 ) -> Calibration:
-    """Return how often the truth of `replicates` random insertions was where its posterior says.
+    """Return the ranks of the truth in its posterior for `replicates` random insertions.
 
     With `settings.sample` the posteriors of at most three insertions are drawn by the sampler. The same
     record, data, seed and versions give the same result for any number of jobs and after an interruption.
@@ -224,7 +224,7 @@ _FRAMES = ("replicates", "coverage", "ecdfs")
 
 
 def store_calibration(found: Calibration, folder: Path) -> Path:
-    """Write all of a calibration but its time to `folder`; equal ones give equal bytes."""
+    """Write a calibration without its time to `folder`; equal ones give equal bytes."""
     table = {key: to_json_values(getattr(found, key)) for key in _PLAIN}
     table |= {key: list(getattr(found, key)) for key in _TUPLES}
     frames = {key: pack_frame(getattr(found, key)) for key in _FRAMES}
@@ -232,7 +232,7 @@ def store_calibration(found: Calibration, folder: Path) -> Path:
 
 
 def restore_calibration(table: Mapping[str, Any], folder: Path) -> Calibration:
-    """Return the calibration that a run stored as `table` in `folder`; DataError if it is damaged."""
+    """Read the calibration that a run stored as `table` in `folder`; DataError if it is damaged."""
     require_schema(table, CalibrationTable, str(folder / RESULTS_FILE))
     seconds = read_timing(folder).get("seconds", 0.0)
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}

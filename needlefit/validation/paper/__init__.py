@@ -1,4 +1,4 @@
-"""The published tables as frames, the hand-tuned parameter sets, and where the paper contradicts itself."""
+"""Read the published tables and hand-tuned parameter sets, and find where the paper contradicts itself."""
 
 import math
 from pathlib import Path
@@ -30,7 +30,7 @@ _SCHEMAS: dict[TableName, TableSchema] = {"parameters": TableSchema(keys=("set",
 
 
 def read_published_table(name: TableName) -> pd.DataFrame:
-    """Return one published table, as `data/paper/<name>.csv` holds it.
+    """Read one published table from `data/paper/<name>.csv`.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def read_published_table(name: TableName) -> pd.DataFrame:
 
 
 def read_hand_tuned(name: str) -> dict[str, float]:
-    """Return one row of the parameter table by parameter name (`mu1_pa`, `alpha1`, ..., `bevel_mm`).
+    """Read one row of the parameter table, by parameter name (`mu1_pa`, `alpha1`, ..., `bevel_mm`).
 
     Raises
     ------
@@ -66,14 +66,14 @@ def read_hand_tuned_names() -> tuple[str, ...]:
 
 
 def check_claims() -> list[Claim]:
-    """Return every claim of the paper that was held against its tables, whether it holds or not."""
+    """Return every claim of the paper that was checked against its tables, whether it holds or not."""
     published: PublishedTables = {name: read_published_table(name) for name in TABLE_TITLES}
     with convert_stored_errors(_find_file("parameters").parent):
         return [check(published) for check in _CHECKS]
 
 
 def find_contradictions() -> list[Claim]:
-    """Return what the paper says in one place and not in another, each with both places and their numbers.
+    """Return the claims of the paper that its own tables contradict, with both places and numbers.
 
     Every entry whose numbers stand in the tables is computed from them; a claim that the tables bear out
     is left out.

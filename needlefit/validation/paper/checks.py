@@ -1,10 +1,10 @@
-"""Checks of the paper's claims: counts of insertions, averages, and what explains a large EDP."""
+"""Check the paper's claims: counts of insertions, averages, and explanations of a large EDP."""
 
 from needlefit.validation.paper.claims import Claim, PublishedTables, select_rows
 
 
 def check_four_and_three_layers(t: PublishedTables) -> Claim:
-    """How many insertions crossed four and three layers of phantom 2."""
+    """Check how many insertions crossed four and three layers of phantom 2."""
     listed = count_phantom2(t)
     validated = {
         r["validate_layers"]: r["validate_insertions"] for r in select_rows(t, "study_design", study=2)
@@ -21,7 +21,7 @@ def check_four_and_three_layers(t: PublishedTables) -> Claim:
 
 
 def check_tuning_count(t: PublishedTables) -> Claim:
-    """How many four-layer insertions tune phantom 2."""
+    """Check how many four-layer insertions tune phantom 2."""
     first, fourth = _count_tuned(t, 1), _count_tuned(t, 4)
     one, four = ({**select_rows(t, "parameters", set=name)[0], "set": ""} for name in ("study1", "study4"))
     return Claim(
@@ -36,7 +36,7 @@ def check_tuning_count(t: PublishedTables) -> Claim:
 
 
 def check_chicken_counts(t: PublishedTables) -> Claim:
-    """How twelve insertions fall on three pieces of chicken."""
+    """Check how twelve insertions are divided among three pieces of chicken."""
     total = select_rows(t, "insertions", medium="chicken")[0]["insertions"]
     study = select_rows(t, "study_design", study=5)[0]
     tuned, rest = study["tune_insertions"], study["validate_insertions"]
@@ -53,7 +53,7 @@ def check_chicken_counts(t: PublishedTables) -> Claim:
 
 
 def check_tuning_insertions(t: PublishedTables) -> Claim:
-    """Whether studies 2 and 3 are tuned on insertions or on one."""
+    """Check whether studies 2 and 3 are tuned on several insertions or on one."""
     second, third = _count_tuned(t, 2), _count_tuned(t, 3)
     return Claim(
         "What tunes studies 2 and 3",
@@ -67,7 +67,7 @@ def check_tuning_insertions(t: PublishedTables) -> Claim:
 
 
 def check_table_numbers(t: PublishedTables) -> Claim:
-    """Which tables the rows of the parameter table refer to."""
+    """Check which tables the rows of the parameter table refer to."""
     return Claim(
         "Which tables the parameter sets belong to",
         "Table V",
@@ -80,7 +80,7 @@ def check_table_numbers(t: PublishedTables) -> Claim:
 
 
 def count_phantom2(t: PublishedTables) -> dict[int, int]:
-    """Return the insertions listed for phantom 2 by number of layers."""
+    """Return the number of insertions into phantom 2 by number of layers."""
     return {int(r["layers"]): int(r["insertions"]) for r in select_rows(t, "insertions", medium="phantom2")}
 
 
@@ -89,7 +89,7 @@ def _count_tuned(t: PublishedTables, study: int) -> int:
 
 
 def check_largest_average(t: PublishedTables) -> Claim:
-    """Which column the largest average IPE of the text stands in."""
+    """Check in which column the largest average IPE of the text stands."""
     layers, media = select_rows(t, "tuning_by_layers"), select_rows(t, "tuning_by_media")
     mean, peak = (
         f"{max(r[column] for r in layers):.2f} mm and {max(r[column] for r in media):.2f} mm"
@@ -108,7 +108,7 @@ def check_largest_average(t: PublishedTables) -> Claim:
 
 
 def check_table_halves(t: PublishedTables) -> Claim:
-    """Whether phantom 2's mean IPE by media is the mean of its rows by layers."""
+    """Check whether phantom 2's mean IPE by media is the mean of its rows by layers."""
     counts = count_phantom2(t)
     by_layers = select_rows(t, "tuning_by_layers")
     ipe, te = (
@@ -129,7 +129,7 @@ def check_table_halves(t: PublishedTables) -> Claim:
 
 
 def check_edp_falls_with_depth(t: PublishedTables) -> Claim:
-    """Whether EDP falls with depth."""
+    """Check whether EDP falls with depth."""
     edp = {r["layers"]: r["edp_percent"] for r in select_rows(t, "tuning_by_layers")}
     depth = {r["layers"]: r for r in select_rows(t, "insertions", medium="phantom2")}
     four, three = (
@@ -146,7 +146,7 @@ def check_edp_falls_with_depth(t: PublishedTables) -> Claim:
 
 
 def check_chicken_depth(t: PublishedTables) -> Claim:
-    """Whether chicken insertions are shallow."""
+    """Check whether chicken insertions are shallow."""
     chicken = select_rows(t, "insertions", medium="chicken")[0]["depth_max_mm"]
     phantoms = max(r["depth_max_mm"] for r in select_rows(t, "insertions") if r["medium"] != "chicken")
     return Claim(
@@ -161,7 +161,7 @@ def check_chicken_depth(t: PublishedTables) -> Claim:
 
 
 def check_edp_everywhere(t: PublishedTables) -> Claim:
-    """Whether every study has an EDP above 100 %."""
+    """Check whether every study has an EDP above 100 %."""
     largest: dict[int, float] = {}
     for row in select_rows(t, "validation"):
         largest[row["study"]] = max(row["edp_percent"], largest.get(row["study"], 0.0))
@@ -177,7 +177,7 @@ def check_edp_everywhere(t: PublishedTables) -> Claim:
 
 
 def check_edp_two_layers(t: PublishedTables) -> Claim:
-    """Whether the two-layer insertion of study 1 has an EDP above 100 %."""
+    """Check whether the two-layer insertion of study 1 has an EDP above 100 %."""
     edp = select_rows(t, "validation", study=1, validate_layers=2)[0]["edp_percent"]
     return Claim(
         "EDP above 100 % in study 1",
@@ -190,7 +190,7 @@ def check_edp_two_layers(t: PublishedTables) -> Claim:
 
 
 def check_edp_depth(t: PublishedTables) -> Claim:
-    """Whether the insertions with the larger EDP of studies 3 and 4 are shallow."""
+    """Check whether the insertions with the larger EDP of studies 3 and 4 are shallow."""
     row = select_rows(t, "validation", study=3)[0]
     group = select_rows(t, "insertions", medium=row["validate_medium"])[0]
     others = [r["depth_min_mm"] for r in select_rows(t, "insertions") if r["medium"] != group["medium"]]

@@ -1,4 +1,4 @@
-"""What the paper claims in one place, held against what it says in another."""
+"""Compare the paper's claims with its own tables."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ PublishedTables = Mapping[str, pd.DataFrame]
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement, its counterpart, and whether they agree.
+    """One statement of the paper, what contradicts or supports it, and whether they agree.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ def select_rows(tables: PublishedTables, name: str, **match: object) -> list[Row
 
 @dataclass(frozen=True)
 class ClaimBound:
-    """A claim of the text that a column of a table stays under a limit.
+    """A claim of the text that a column of a table stays below a limit.
 
     `columns` are searched in `table` among the rows whose study is one of `studies` (all if empty);
     `inclusive` lets the largest cell equal the limit.
@@ -70,7 +70,7 @@ class ClaimBound:
     note: str = ""
 
     def check(self, tables: PublishedTables) -> Claim:
-        """Return the claim beside the largest cell that it covers."""
+        """Return the claim with the largest cell that it covers."""
         covered = [
             r for r in select_rows(tables, self.table) if not self.studies or r["study"] in self.studies
         ]

@@ -1,1 +1,1 @@
-"""Studies of tip tracks: fit to some runs, predict others reading by reading."""
+"""Run studies of tip tracks: fit to some runs, and predict others reading by reading."""

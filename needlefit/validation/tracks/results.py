@@ -1,4 +1,4 @@
-"""The result of a study of tip tracks: tidy frames, their summaries, and the file that stores them."""
+"""The result of a study of tip tracks: tidy tables, their summaries, and the file that stores them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -42,7 +42,7 @@ PARAMETER_COLUMNS = ("fit", "parameter", "p2_5", "p16", "p50", "p84", "p97_5", "
 
 @dataclass(frozen=True)
 class TrackResults:
-    """What one study of tip tracks found.
+    """The result of one study of tip tracks.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class TrackResults:
 
     @property
     def title(self) -> str:
-        """What the study is called."""
+        """The title of the study."""
         return self.record.title or self.name
 
     @property
@@ -98,12 +98,12 @@ _FRAMES = ("readings", "runs", "parameters")
 
 
 def posterior_file(fit: str) -> str:
-    """Return the file that holds the posterior of one fit."""
+    """Return the name of the posterior file of one fit."""
     return f"posterior-{fit}.nc"
 
 
 def store_tracks(results: TrackResults, folder: Path) -> Path:
-    """Write all of `results` but posteriors and times to `folder`; equal results give equal bytes."""
+    """Write `results` without posteriors and times to `folder`; equal results give equal bytes."""
     table = {key: to_json_values(getattr(results, key)) for key in _PLAIN}
     table |= {key: list(getattr(results, key)) for key in _TUPLES}
     table["record"] = results.record.model_dump(mode="json", by_alias=True)
@@ -113,7 +113,7 @@ def store_tracks(results: TrackResults, folder: Path) -> Path:
 
 
 def restore_tracks(table: Mapping[str, Any], folder: Path) -> TrackResults:
-    """Return the results that a run stored as `table` in `folder`; DataError if it is damaged."""
+    """Read the results that a run stored as `table` in `folder`; DataError if it is damaged."""
     require_schema(table, TracksTable, str(folder / RESULTS_FILE))
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}
     about |= {key: tuple(table[key]) for key in _TUPLES}
@@ -144,9 +144,7 @@ MEASURES = ("rms_mm", "aligned_rms_mm", "crps_mm")
 
 
 def compare_methods_by_run(results: TrackResults) -> pd.DataFrame:
-    """Return how every method compares with the fitted model on the same runs predicted: columns
-    `PAIRED_COLUMNS`.
-    """
+    """Compare every method with the fitted model on the same predicted runs: columns `PAIRED_COLUMNS`."""
     rows, held = [], results.runs[results.runs["role"] == "validate"]
     for medium, group in held.groupby("medium", sort=False):
         for measure in MEASURES:
@@ -160,9 +158,7 @@ def compare_methods_by_run(results: TrackResults) -> pd.DataFrame:
 
 
 def tabulate_coverage(results: TrackResults) -> pd.DataFrame:
-    """Return how often the intervals of the last reading, and the bands of whole tracks, held:
-    `COVERAGE_COLUMNS`.
-    """
+    """Return the coverage of last-reading intervals and whole-track bands: columns `COVERAGE_COLUMNS`."""
     rows, held = [], results.runs[results.runs["role"] == "validate"]
     parts = [(str(medium), group) for medium, group in held.groupby("medium", sort=False)]
     for medium, group in [*parts, ("all", held)]:
@@ -178,9 +174,7 @@ def tabulate_coverage(results: TrackResults) -> pd.DataFrame:
 
 
 def tabulate_by_depth(results: TrackResults) -> pd.DataFrame:
-    """Return the mean size of the error of the medians predicted, by stretches of depth: columns
-    `DEPTH_COLUMNS`.
-    """
+    """Return the mean absolute error of the predicted medians by depth: columns `DEPTH_COLUMNS`."""
     scored = results.readings[results.readings["scored"]]
     scored = scored.assign(
         error_mm=(scored["median_mm"] - scored["measured_mm"]).abs(),

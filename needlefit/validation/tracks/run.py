@@ -1,4 +1,4 @@
-"""Carry out a study of tip tracks: fit to these runs, predict those, beside curves without mechanics."""
+"""Run a study of tip tracks: fit to some runs, predict others, beside baseline curves."""
 
 import math
 import time
@@ -50,7 +50,7 @@ from needlefit.validation.tracks.score import predict_runs, tabulate_tuned
 
 @dataclass(frozen=True)
 class TrackTask:
-    """One fit of a study: its problem, the runs it is judged by, and the recipe."""
+    """One fit of a study: its problem, the runs it is scored on, and the recipe."""
 
     name: str
     problem: TrackProblem
@@ -63,9 +63,7 @@ MIN_SCORED_READINGS = 2
 
 
 def require_scored(one: TrackTask, placed_by: float) -> None:
-    """Raise ConfigError if a predicted run has hardly a reading below `placed_by` mm, which only places
-    it.
-    """
+    """Raise ConfigError if a predicted run has too few readings beyond `placed_by` mm to be scored."""
     for track in one.held:
         if int((track.depth > placed_by).sum()) < MIN_SCORED_READINGS:
             raise ConfigError(
@@ -78,7 +76,7 @@ def require_scored(one: TrackTask, placed_by: float) -> None:
 
 
 def make_task(one: TrackFitRecord, dataset: TrackDataset, recipe: RecipeRecord) -> TrackTask:
-    """Return one fit with all that it names.
+    """Return one fit with everything that it names.
 
     Raises
     ------
@@ -126,7 +124,7 @@ def _check_needle(dataset: TrackDataset, tracks: tuple[TipTrack, ...], parameter
 def describe_configuration(
     name: str, record: TrackStudyRecord, dataset: TrackDataset, tasks: Sequence[TrackTask]
 ) -> dict[str, Any]:
-    """Return all that decides the result, as JSON values."""
+    """Return everything that decides the result, as JSON values."""
     return {
         "name": name,
         "versions": package_versions(PACKAGES),
@@ -152,7 +150,7 @@ def describe_configuration(
 
 
 def summarize_parameters(fit: str, problem: TrackProblem, posterior: Posterior) -> Iterator[Row]:
-    """Yield a row per free parameter: percentiles (Pa, mm), and how far the runs narrowed it."""
+    """Yield a row per free parameter: percentiles (Pa, mm), and posterior SD / prior SD."""
     percentiles, flat = posterior.percentiles(), posterior.draws.reshape(-1, len(posterior.names))
     widths = dict(zip(problem.names, problem.upper - problem.lower, strict=True))
     for k, name in enumerate(posterior.names):
@@ -187,7 +185,7 @@ class _TrackRows:
 
 @one_thread
 def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults:
-    """Carry out a study of tip tracks; the posterior is always sampled, for what is predicted is made of it.
+    """Run a study of tip tracks; the posterior is always sampled, since the predictions need it.
 
     Raises
     ------

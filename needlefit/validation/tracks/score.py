@@ -1,4 +1,4 @@
-"""How well the readings of one run were predicted by one method."""
+"""Score how well one method predicts the readings of one run."""
 
 from collections.abc import Iterator, Sequence
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 def tabulate_tuned(tuned: Sequence[TrackObservation], drawn: TrackDraws) -> Iterator[Row]:
-    """Yield what a method leaves of the runs that it was fitted to."""
+    """Yield the residuals of a method on the runs that it was fitted to."""
     for known, deflection in zip(tuned, drawn.tuned, strict=True):
         yield {
             **_describe_track(known.track, len(known.track.tip)),
@@ -37,7 +37,7 @@ def predict_runs(
     placed_by: float,
     rng: np.random.Generator,
 ) -> Iterator[tuple[Row, list[Row]]]:
-    """Yield for every run held out its scores, and its readings beside what was predicted of them."""
+    """Yield for every held-out run its scores, and its readings beside their predictions."""
     slope = estimate_slopes(drawn, tuned)
     for known, deflection in zip(held, drawn.held_out, strict=True):
         placed = count_registration_readings(known.track, placed_by)
@@ -49,7 +49,7 @@ def predict_runs(
 
 
 def count_registration_readings(track: TipTrack, placed_by: float) -> int:
-    """Return how many readings of a run say how it lies in the tracker's frame; the others are scored."""
+    """Return how many readings of a run locate it in the tracker's frame; the others are scored."""
     return max(1, int(np.sum(track.depth <= placed_by)))
 
 

@@ -1,6 +1,4 @@
-"""Run an adaptation: learn from more and more new insertions, in several orders, and score what is held
-out.
-"""
+"""Run an adaptation: fit to more and more new insertions, in several orders, and score held-out ones."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,7 +39,7 @@ INTERVAL_PERCENTILES = (2.5, 97.5)
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value and its 95 % interval over orders and needles; infinite where a count is not reached."""
+    """A value and its 95 % interval over orders and needles; infinite where a count is never reached."""
 
     value: float
     low: float
@@ -50,7 +48,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Resampling:
-    """Weights of orders (R, O) and of needles (R, H) in every repetition; in the first all weigh the same."""
+    """Bootstrap weights of orders (R, O) and of needles (R, H); in the first repetition all are equal."""
 
     orders: Floats
     needles: Floats
@@ -62,25 +60,28 @@ class Resampling:
 
 
 def resample(orders: int, needles: int, rng: np.random.Generator) -> Resampling:
-    """Return the weights of what there is, and of what is drawn again from it."""
+    """Draw the bootstrap weights of orders and needles."""
     return Resampling(_weights(orders, rng), _weights(needles, rng))
 
 
 def estimate_needed_count(means: Floats, counts: Sequence[int], limits: Floats) -> Estimate:
     """Return the smallest count from which on `means` (R, N) stay at or below their limit (R,)."""
     good = means <= limits[:, None]
+    # the product from the end is 1 as long as all later counts are good
     from_end = np.cumprod(good[:, ::-1], axis=1).sum(axis=1)  # how many counts stay good
     return estimate(np.array([*counts, np.inf])[len(counts) - from_end])
 
 
 def estimate(values: Floats) -> Estimate:
-    """Return the first of `values` (R,) with the interval of the others."""
+    """Return the first of `values` (R,), with the 95 % interval of the others."""
+    # inverted_cdf takes an existing value: interpolation with an infinite count would give NaN
     low, high = np.percentile(values[1:], INTERVAL_PERCENTILES, method="inverted_cdf")
     return Estimate(float(values[0]), float(low), float(high))
 
 
 def _weights(count: int, rng: np.random.Generator) -> Floats:
     drawn = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES)
+    # row 0 is the estimate itself, the others are its bootstrap repetitions
     return np.vstack([np.ones(count), drawn]) / count
 
 
@@ -94,9 +95,7 @@ CURVE_METRICS = (*ERROR_METRICS, "tip_crps_mm", "shape_crps_mm", "tip_in_50", "t
 
 
 def conclude(task: AdaptationTask, frames: Frames) -> tuple[str, ...]:
-    """Add `orders`, `curves`, `adaptation`, `insertions_needed` and `gains` to the frames; return the
-    faults.
-    """
+    """Add the tables `orders`, `curves`, `adaptation`, `insertions_needed` and `gains`; return the faults."""
     curves = pd.DataFrame(list(_curve_rows(task, frames["errors"])))
     frames["orders"] = pd.DataFrame(
         [
@@ -229,7 +228,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 
 
 def run(name: str, record: AdaptationRecord, settings: Settings) -> AnalysisResult:
-    """Carry out an adaptation.
+    """Run an adaptation study.
 
     Raises
     ------
@@ -240,7 +239,7 @@ def run(name: str, record: AdaptationRecord, settings: Settings) -> AnalysisResu
 
 
 def plan(task: AdaptationTask) -> AnalysisPlan:
-    """Return the tasks: the old model as it is, and what either approach makes of each set of new
+    """Return the tasks: score the old model as it is, and each approach fitted to each set of new
     insertions.
     """
     tasks: dict[str, AnalysisTask] = {"none": partial(_score_no_update, task)}

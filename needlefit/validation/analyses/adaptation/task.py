@@ -1,4 +1,4 @@
-"""The sides of an adaptation: what is old, new and held out, and in which orders the rest comes."""
+"""Define an adaptation: which insertions are old, new and held out, and the orders of the new ones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from needlefit.validation.job import Job, Settings, prepare
 
 @dataclass(frozen=True)
 class AdaptationTask:
-    """What all tasks of an adaptation share.
+    """The data that all tasks of an adaptation share.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class AdaptationTask:
     settings : Settings
     old, new : Job
     held_out : tuple of Insertion
-        New ones that never teach.
-    teaching : mapping
+        New ones that are never fitted to.
+    training : mapping
         The other new ones, by id.
     orders : tuple of tuple of str
         Orders of their ids, all different.
@@ -46,24 +46,24 @@ class AdaptationTask:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """How many insertions are learned from, ascending."""
+        """The numbers of insertions fitted to, ascending."""
         given = self.record.counts
         return tuple(range(len(self.training) + 1)) if given is None else tuple(sorted(set(given)))
 
     @property
     def sets(self) -> tuple[tuple[str, ...], ...]:
-        """The different sets that the first insertions of the orders make: what they teach has no order."""
+        """The different sets of first insertions of the orders; within a set the order does not matter."""
         return tuple(dict.fromkeys(first_sorted(order, n) for n in self.counts for order in self.orders))
 
     @cached_property
     def old_posterior(self) -> PosteriorFit:
-        """What is known of the old medium; computed once, the same in every process."""
+        """The fit and posterior of the old medium; computed once, the same in every process."""
         (fold,) = self.old.folds
         return fit_posterior(self.old, self.old.problem(fold), (fold.name,), self.settings)
 
     @cached_property
     def parameters(self) -> Parameters:
-        """The new medium's parameters, the inflated old posterior in place of what the medium states."""
+        """The new medium's parameters, with the widened old posterior as their prior."""
         spread = {name: _between_sd(name, self.record.between_media) for name in self.new.parameters.free}
         fit, thetas = self.old_posterior.fit.values, self.old_posterior.draws.thetas
         prior = widen_posterior(self.old.parameters, fit, thetas, self.new.parameters, spread)
@@ -71,17 +71,17 @@ class AdaptationTask:
 
 
 def first_sorted(order: tuple[str, ...], n: int) -> tuple[str, ...]:
-    """Return the first `n` of an order, as a set has them: sorted."""
+    """Return the first `n` of an order, sorted."""
     return tuple(sorted(order[:n]))
 
 
 def name_training_set(order: tuple[str, ...], n: int) -> str:
-    """Return how the frames call the first `n` of an order."""
+    """Return the name of a training set in the tables: the first `n` ids of an order, joined by +."""
     return "+".join(first_sorted(order, n)) or "nothing"
 
 
 def make_task(name: str, record: AdaptationRecord, settings: Settings) -> AdaptationTask:
-    """Return the task that a record states.
+    """Return the adaptation that a record describes.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def make_task(name: str, record: AdaptationRecord, settings: Settings) -> Adapta
 
 
 def draw_orders(names: tuple[str, ...], count: int, rng: np.random.Generator) -> tuple[tuple[str, ...], ...]:
-    """Return so many different orders, or all there are, drawn independently of each other."""
+    """Draw `count` different orders, or all there are, independently of each other."""
     found: dict[tuple[str, ...], None] = {}
     while len(found) < min(count, factorial(len(names))):
         found[tuple(names[k] for k in rng.permutation(len(names)))] = None

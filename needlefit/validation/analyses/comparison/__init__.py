@@ -1,11 +1,12 @@
-"""Which model predicts best: tissue laws and empirical curves, each on needles that it was not fitted to.
+"""Compare which model predicts best: tissue laws and empirical curves, on needles that they were not fitted
+to.
 
 Every candidate has a posterior, by one likelihood, of its own parameters and of one factor of the noise, so
 that what it misses is paid for as noise. How probable it makes a needle y that was held out of the data D,
 
     log p(y | D) = log of the mean, over the posterior of D, of p(y | theta) = log Z(D, y) - log Z(D),
 
-y being all its points together, is the ratio of two evidences (`inference.weighing.further`), each by
+y being all its points together, is the ratio of two evidences (`inference.importance.fit_posterior`), each by
 importance about its own peaks: errors of points, pose and depths as the likelihood has them, and the layers
 that the fit to D meets on the planned path of y, the same for all theta.
 

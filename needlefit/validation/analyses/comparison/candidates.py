@@ -1,4 +1,4 @@
-"""What a candidate learns from some insertions, and how probable it makes the points of another one."""
+"""Fit one candidate to some insertions, and compute the predictive density of another insertion."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -36,15 +36,15 @@ MAX_NOISE_FACTOR = 1000.0
 
 @dataclass(frozen=True)
 class ModelCandidate:
-    """What one candidate knows after some insertions.
+    """A fitted candidate: its parameters, its curve and its posterior.
 
     Attributes
     ----------
     values : mapping
         Its parameters at its greatest density (Pa, mm; curves: mm^-(k + 1)), the noise factor among them.
-    method : Rival
+    predictor : Predictor
         The curve of these.
-    known : Weighted
+    known : WeightedDraws
         Its posterior.
     after : callable
         Insertion -> its posterior after this one too; None where it has no simulated needle.
@@ -56,18 +56,18 @@ class ModelCandidate:
     after: Callable[[Insertion], WeightedDraws | None]
 
     def predict_density(self, insertion: Insertion) -> PredictiveDensity:
-        """Return how probable it makes all points of an insertion together."""
+        """Return the predictive density of all points of an insertion together."""
         both = self.after(insertion)
         return ZERO_DENSITY if both is None else compute_predictive_density(both, self.known)
 
 
 def fit_candidate(name: str, job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
-    """Return what the candidate of this name learns from a fold's insertions; None after a stop."""
+    """Fit the candidate `name` to the insertions of a fold; None after a stop."""
     return _fit_law(job, fold, settings) if name in laws.list_laws() else _fit_curve(name, job, fold)
 
 
 def candidate_job(name: str, job: Job) -> Job:
-    """Return the job of one candidate: its law, if it is one, and a noise factor that is estimated."""
+    """Return the job of one candidate: with its law, if it is one, and with an estimated noise factor."""
     medium = _with_law(job.medium, name) if name in laws.list_laws() else job.medium
     likelihood = job.recipe.likelihood.model_copy(update={"noise_scale": "estimated"})
     return replace(
@@ -104,6 +104,8 @@ def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
         if met is None:
             return None
         both = replace(problem, insertions=(*problem.insertions, met))
+        # the modes move when an insertion is added: importance sampling starts from those of the larger
+        # problem
         settled = [minimize_squares(both, end) for end in ends]
         peaks = select_distinct((one.theta for one in settled if np.isfinite(one.value)), width)
         if not len(peaks):

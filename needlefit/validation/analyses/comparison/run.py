@@ -1,4 +1,4 @@
-"""Compare candidates: each is fitted to all folds but one, and predicts that one."""
+"""Run a model comparison: each candidate is fitted to all folds but one, and predicts that one."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -42,9 +42,7 @@ AHEAD, BEHIND, TIE, REFERENCE = "ahead", "behind", "tie", "reference"
 
 
 def conclude(record: ComparisonRecord, frames: Frames) -> tuple[str, ...]:
-    """Add `differences` by needles, `group_differences` by groups and `comparison` by candidates; return the
-    faults.
-    """
+    """Add the tables `differences`, `group_differences` and `comparison`; return the faults."""
     scores = frames["scores"].astype({"log_density": float, "te_mm": float, "ipe_mean_mm": float})
     frames["differences"] = _difference_rows(scores, record.reference)
     rows = list(_comparison_rows(record, frames["differences"], scores, frames["fits"]))
@@ -63,24 +61,27 @@ def _difference_rows(scores: pd.DataFrame, reference: str) -> pd.DataFrame:
 
 
 def sum_differences(differences: pd.Series, groups: pd.Series) -> tuple[float, float, int]:
-    """Return the sum of differences, its standard error over groups, and how many groups there are."""
+    """Return the sum of differences, its standard error over groups, and the number of groups."""
     by = differences.groupby(groups, sort=False).sum()
     error = np.sqrt(len(by)) * by.std(ddof=1) if len(by) > 1 else np.nan
     return float(by.sum()), float(error), len(by)
 
 
 def monte_carlo_error(scores: pd.DataFrame) -> float:
-    """Return the Monte Carlo error of the sum of one candidate's log densities.
+    """Return the Monte Carlo error of the sum of one candidate's log predictive densities.
 
     What the needles of a fold share is the same error in all of them: it adds up, and does not average out.
     """
     whole, shared = (scores[key].astype(float) for key in ("log_density_se", "shared_se"))
     folds = shared.groupby(scores["fold"]).sum()
+    # the shared error is subtracted per needle and added back once per fold, as a sum: it does not average
+    # out
     return float(np.sqrt((whole**2 - shared**2).sum() + (folds**2).sum()))
 
 
 def verdict(difference: float, error: float) -> str:
-    """Return whether a candidate stands ahead of the reference, behind it, or cannot be told apart."""
+    """Return whether a candidate is ahead of the reference, behind it, or not significantly different."""
+    # written with `not`, so that a NaN is a tie
     if not abs(difference) > SIGNIFICANT_SE * error:
         return TIE
     return AHEAD if difference > 0 else BEHIND
@@ -180,7 +181,7 @@ integrals'."""
 
 
 def run(name: str, record: ComparisonRecord, settings: Settings) -> AnalysisResult:
-    """Carry out a comparison.
+    """Run a comparison study.
 
     Raises
     ------
@@ -244,7 +245,7 @@ def _make_dataset(name: str, record: ComparisonRecord, settings: Settings) -> Da
 
 
 def deal_folds(insertions: tuple[Insertion, ...], count: int) -> tuple[Fold, ...]:
-    """Return folds to which needles, or groups of repeats, are dealt in turn.
+    """Return folds to which needles, or groups of repeats, are assigned in turn.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Studies of insertions not made yet: what the next one would determine, and how to reach a target."""
+"""Plan insertions that are not made yet: which one to make next, and how to reach a target."""

@@ -1,4 +1,4 @@
-"""Where the tip of a planned needle comes to, draw by draw, and the plan that misses least.
+"""Predict the tip of a planned needle for every draw, and find the plan with the smallest expected miss.
 
 A plan is where the needle enters, at what angle, how deep, and to which side its bevel faces. Draws of the
 parameters each have errors of their own: the entry is shifted across and turned, the needle stops short or
@@ -48,7 +48,7 @@ OBSTACLE_PENALTY = 10.0
 
 @dataclass(frozen=True)
 class Aim:
-    """A plan: offset (mm), angle (degrees), depth (mm), and the side that the bevel faces, +1 or -1."""
+    """One plan: offset (mm), angle (degrees), depth (mm), and the bevel side, +1 or -1."""
 
     offset: float
     angle: float
@@ -58,7 +58,7 @@ class Aim:
 
 @dataclass(frozen=True)
 class ExecutionDraw:
-    """One draw: values (Pa, mm), and how its insertion errs: mm, rad, mm, mm (MOST_LAYERS,)."""
+    """One draw: parameter values (Pa, mm), and the errors with which the plan is executed."""
 
     values: Values
     across: float
@@ -69,7 +69,7 @@ class ExecutionDraw:
 
 @dataclass(frozen=True)
 class TargetSite:
-    """Where it is aimed: the plane, the target in it, what is in the way, and the tissue.
+    """The target, its plane, the obstacles and the tissue.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class TargetSite:
         return make_entry_frame(entry_plane.position_mm, normalize(entry_plane.direction), entry_plane.across)
 
     def insertion(self, aim: Aim, across: float = 0.0, turn: float = 0.0) -> Insertion:
-        """Return an aim as an insertion that errs, without its layers."""
+        """Return an aim as an insertion with execution errors, still without layers."""
         plane, angle = self.plane, math.radians(aim.angle) + turn
         x, y = plane.rotation[:, 0], plane.rotation[:, 1]
         ahead, left = math.cos(angle) * x + math.sin(angle) * y, math.cos(angle) * y - math.sin(angle) * x
@@ -98,7 +98,7 @@ class TargetSite:
         return replace(self.like, frame=frame, depth=aim.depth, side=aim.side)
 
     def layered(self, insertion: Insertion, values: Values) -> Insertion | None:
-        """Return an insertion with the layers on its path; None where that does not come to rest."""
+        """Return an insertion with the layers on its path; None if the iteration does not converge."""
         if not insertion.surfaces:
             return insertion
 
@@ -111,7 +111,7 @@ class TargetSite:
         return replace(insertion, boundaries=found[0], sequence=found[1])
 
     def shape(self, insertion: Insertion, values: Values) -> NeedleShape:
-        """Return the needle that `values` give."""
+        """Return the simulated needle for `values`."""
         return predict(values, self.job.medium, self.job.dataset.needle, insertion)
 
     def path(self, insertion: Insertion, trial: ExecutionDraw) -> Floats | None:
@@ -144,18 +144,18 @@ class TargetSite:
 
 
 def draw_execution(values: Values, like: Insertion, rng: np.random.Generator) -> ExecutionDraw:
-    """Return a draw whose insertion errs as is stated of `like`."""
+    """Return a draw with the execution errors that `like` states."""
     across, turn, deep = rng.standard_normal(3) * (like.pose_shift_sd, like.pose_angle_sd, like.depth_sd)
     return ExecutionDraw(values, float(across), float(turn), float(deep), rng.standard_normal(MAX_LAYERS))
 
 
 def execute_exactly(values: Values) -> ExecutionDraw:
-    """Return a needle of which everything is as planned."""
+    """Return a draw without execution errors."""
     return ExecutionDraw(values, 0.0, 0.0, 0.0, np.zeros(MAX_LAYERS))
 
 
 def clearance(path: Floats, obstacle: ObstacleRecord) -> float:
-    """Return how far a needle (K, 2) stays from an obstacle's rim, mm; negative within it."""
+    """Return the distance, mm, of a needle (K, 2) from the rim of an obstacle; negative inside it."""
     start, along = path[:-1], np.diff(path, axis=0)
     away = np.asarray(obstacle.centre_mm) - start
     part = np.clip(np.sum(away * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30), 0.0, 1.0)
@@ -164,7 +164,7 @@ def clearance(path: Floats, obstacle: ObstacleRecord) -> float:
 
 
 def aim_straight(entry_plane: EntryPlaneRecord, target: tuple[float, float], angle: float, side: int) -> Aim:
-    """Return the plan that would hit if the needle went straight, as near to it as the ranges allow."""
+    """Return the plan that would hit if the needle went straight, limited to the allowed ranges."""
     slope = math.tan(math.radians(angle))
     offset = np.clip(target[1] - target[0] * slope, *entry_plane.offset_mm)
     depth = np.clip(math.hypot(target[0], target[1] - offset), *entry_plane.depth_mm)
@@ -173,14 +173,14 @@ def aim_straight(entry_plane: EntryPlaneRecord, target: tuple[float, float], ang
 
 @dataclass(frozen=True)
 class OptimizedAim:
-    """A plan that was sought: the root of its mean squared miss (mm), over the draws it was sought on."""
+    """An optimised plan, and the root mean square of its miss (mm) over the draws it was optimised on."""
 
     aim: Aim
     rms: float
 
 
 def optimize_aim(site: TargetSite, trials: Sequence[ExecutionDraw], middle: Values) -> OptimizedAim:
-    """Return the plan that misses least over some trials: of several starts and both sides of the bevel.
+    """Return the plan with the smallest miss over some draws; several starts and both bevel sides are tried.
 
     Of plans that are equally good, to a micrometre, it is the one begun first: at the middle angle, bevel
     toward +y.

@@ -1,4 +1,6 @@
-"""Candidate insertions with the layers that each would meet, and the posterior of those made so far."""
+"""Make candidate insertions with the layers that each would meet, and the posterior from those made so
+far.
+"""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -36,7 +38,7 @@ MEASURED_POINTS = 31
 
 
 def iterate_places(record: NextInsertionRecord) -> Iterator[CandidatePlace]:
-    """Yield where every candidate would be."""
+    """Yield the entry, angle and depth of every candidate."""
     for entry in record.entries:
         for angle in entry.angles_deg:
             for depth in entry.depths_mm or record.depths_mm:
@@ -44,7 +46,7 @@ def iterate_places(record: NextInsertionRecord) -> Iterator[CandidatePlace]:
 
 
 def find_template(job: Job, like: str) -> Insertion:
-    """Return the insertion whose errors a new one would have.
+    """Return the insertion whose stated errors a new one gets.
 
     Raises
     ------
@@ -63,7 +65,7 @@ def find_template(job: Job, like: str) -> Insertion:
 
 
 def check_reach(job: Job, like: Insertion, depths: Mapping[str, float]) -> None:
-    """Refuse depths (mm, by the study's key) that the needle cannot be inserted to.
+    """Refuse depths (mm, by the study's key) that the needle cannot reach.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def check_reach(job: Job, like: Insertion, depths: Mapping[str, float]) -> None:
 def predict_candidate(
     job: Job, like: Insertion, place: CandidatePlace, values: Mapping[str, float]
 ) -> Insertion | None:
-    """Return a candidate as `values` (Pa, mm) predict it; None with no solution, or outside the medium.
+    """Return a candidate as `values` (Pa, mm) predict it; None if it has no solution or leaves the medium.
 
     The layers are those that the predicted needle meets, the same for all draws of the parameters: as it will
     be once they are measured.
@@ -106,7 +108,7 @@ def predict_candidate(
 
 
 def with_predicted_shape(job: Job, insertion: Insertion, values: Mapping[str, float]) -> Insertion | None:
-    """Return an insertion whose measured shape is the one that `values` predict; None without one."""
+    """Return an insertion with the shape that `values` predict as the measured one; None if there is none."""
     needle = predict(values, job.medium, job.dataset.needle, insertion)
     return (
         replace(insertion, planar=sample_inserted_points(needle, MEASURED_POINTS))
@@ -116,7 +118,7 @@ def with_predicted_shape(job: Job, insertion: Insertion, values: Mapping[str, fl
 
 
 def frame_of(entry: CandidateEntryRecord, angle: float) -> Frame:
-    """Return C in the world at an entry: x turned by `angle` (degrees) to where the bevel faces."""
+    """Return the frame C in the world at an entry, with x turned by `angle` (degrees) to the bevel side."""
     x = normalize(entry.direction)
     y = make_entry_frame(entry.position_mm, x, entry.bending_direction).rotation[:, 1]
     cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
@@ -184,23 +186,23 @@ class WeightedPosterior:
 
     @property
     def covariance(self) -> Floats:
-        """Of theta: (P, P)."""
+        """Covariance of theta: (P, P)."""
         away = self.thetas - self.weights @ self.thetas
         found: Floats = (away * self.weights[:, None]).T @ away
         return found
 
     def only(self, kept: Mask) -> Self:
-        """Return the draws of a mask (B,)."""
+        """Return only the draws of a mask (B,)."""
         weights = self.weights[kept]
         return replace(self, thetas=self.thetas[kept], weights=weights / weights.sum())
 
     def drawn(self, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
-        """Return which draws (`count`,) stand for the posterior, without weights."""
+        """Return indices (`count`,) of draws that represent the posterior without weights."""
         return rng.choice(len(self.weights), size=count, p=self.weights)
 
 
 def weigh_posterior(job: Job, settings: Settings) -> WeightedPosterior | None:
-    """Return what the insertions that tune a job tell; None after a stop."""
+    """Return the posterior given the insertions that a job is tuned on; None after a stop."""
     problem = job.problem(job.folds[0])
     learned = fit_posterior(job, problem, ("now",), settings)
     if settings.stop():
@@ -217,7 +219,7 @@ def weigh_posterior(job: Job, settings: Settings) -> WeightedPosterior | None:
 
 
 def predict_tips(known: WeightedPosterior, insertion: Insertion) -> Floats:
-    """Return the deflection (B,) of an insertion's tip by every draw, mm; NaN where a solve fails."""
+    """Return the tip deflection (B,) of an insertion for every draw, mm; NaN where a solve fails."""
     batch = make_batch(known.sets, known.problem.medium, known.problem.dataset.needle, insertion)
     (shapes,) = simulate_batches([batch], 1)
     found: Floats = compute_batch_positions(shapes, np.array([insertion.depth]))[:, 0, 1]
@@ -225,7 +227,7 @@ def predict_tips(known: WeightedPosterior, insertion: Insertion) -> Floats:
 
 
 def describe_posterior(known: WeightedPosterior) -> Row:
-    """Return how a posterior was come by, and what its draws are worth."""
+    """Return how a posterior was computed, and its effective sample size."""
     learned = known.learned
     return {
         "insertions": len(known.problem.insertions),

@@ -1,8 +1,8 @@
-"""Which insertion to make next: candidates ranked by what they are expected to tell, beside a repeat.
+"""Rank candidates for the next insertion by their expected information gain, beside a repeat.
 
-What a candidate tells is the mutual information of parameters and its data, by nested Monte Carlo over the
-posterior of what is known already (`inference.identifiability.gain`); its linear form stands beside it.
-Errors of pose, depths and points are those of the insertion that the study names as a model of a new one.
+The gain of a candidate is the mutual information of parameters and its data, by nested Monte Carlo over the
+posterior of what is known already (`inference.identifiability.design_gain`); its linear form stands beside
+it. Errors of pose, depths and points are those of the insertion that the study names as a model of a new one.
 All candidates predict data for the same draws: their differences are better known than their values.
 """
 
@@ -64,10 +64,10 @@ LINEAR_DRAWS = 24
 """Draws at which the linear gain is taken; it is their mean."""
 
 MIN_ESS, ROUGH_NOTE = 10.0, "rough"
-"""Draws on which a posterior must stand in the median; what is told by fewer is marked."""
+"""Effective sample size that a posterior must have in the median; rows with less are marked."""
 
 LEAST_KNOWN = "least_known"
-"""The combination of parameters that is known worst."""
+"""Name of the combination of parameters that is known worst."""
 
 _WHERE = ("role", "entry", "angle_deg", "depth_mm")
 FRAMES: Mapping[str, tuple[str, ...]] = {
@@ -96,12 +96,12 @@ class _CurrentKnowledge:
     Attributes
     ----------
     job : Job
-    known : Knowledge
+    known : WeightedPosterior
     ridge : (P,) array
         The unit combination of theta that is known worst.
     tips : (B, T) array
         Deflections of the tips asked for, mm.
-    of : (O,) array
+    outer_draws : (O,) array
         Draws whose data are predicted.
     """
 
@@ -119,6 +119,7 @@ class _CurrentKnowledge:
 
     def only(self, kept: NDArray[np.bool_]) -> "_CurrentKnowledge":
         """Return the same of the draws of a mask (B,) alone."""
+        # new numbers of the draws that stay
         places = np.cumsum(kept) - 1
         outer_draws = places[self.outer_draws[kept[self.outer_draws]]]
         return replace(self, known=self.known.only(kept), tips=self.tips[kept], outer_draws=outer_draws)
@@ -177,6 +178,7 @@ def _find_knowledge(
     solved = np.isfinite(found).all(axis=0)
     kept = known.only(solved)
     outer_draws = kept.drawn(OUTER_DRAWS, random_stream(job.recipe.seed, job.name, "outer"))
+    # eigenvalues ascend: the last vector has the largest variance; its sign is made unique below
     ridge = np.linalg.eigh(kept.covariance)[1][:, -1]
     upright = ridge * np.sign(ridge[np.argmax(np.abs(ridge))])
     return _CurrentKnowledge(job, kept, upright, found[:, solved].T, outer_draws)
@@ -248,8 +250,8 @@ def _estimate_gain(
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets])
     kept = now.only(solved)
     rng = random_stream(now.job.recipe.seed, now.job.name, *map(str, where.values()))
-    foreseen = PredictedData(np.log(kept.known.weights), scales[solved], white[solved], evidence.nodes)
-    return kept, nested_gain(foreseen, kept.outer_draws, kept.quantities, rng), int(np.sum(~solved))
+    predicted = PredictedData(np.log(kept.known.weights), scales[solved], white[solved], evidence.nodes)
+    return kept, nested_gain(predicted, kept.outer_draws, kept.quantities, rng), int(np.sum(~solved))
 
 
 def _estimate_linear_gain(now: _CurrentKnowledge, problem: Problem) -> float:

@@ -1,4 +1,4 @@
-"""The plan that brings the predicted tip to a target, beside plans that know less.
+"""Plan the insertion that brings the predicted tip to a target, beside plans that use less information.
 
 The plan is the one of least expected squared miss over draws of the posterior (`aiming`). Beside it stand:
 aiming straight at the target; the plan at the best fit, which takes its parameters for certain and their
@@ -97,7 +97,7 @@ GetDraws = Callable[[], _PlanningDraws | None]
 
 
 def run(name: str, record: PlanRecord, settings: Settings) -> AnalysisResult:
-    """Return the plan of a study, what it misses by, and what others would.
+    """Return the plan of a study and its expected miss, beside those of other plans.
 
     Raises
     ------
@@ -124,6 +124,7 @@ def _draw_executions(site: TargetSite, settings: Settings) -> _PlanningDraws | N
     found = weigh_posterior(site.job, settings)
     if found is None:
         return None
+    # search and test use different draws: a plan must not be tried on the draws it was fitted to
     even = np.arange(len(found.thetas)) % 2 == 0
     return _PlanningDraws(
         site,
@@ -209,7 +210,7 @@ def _plan_row(name: str, aimed: OptimizedAim, off: Floats, failed: int) -> Row:
 
 
 def at_bounds(entry_plane: EntryPlaneRecord, row: Row) -> tuple[str, ...]:
-    """Return which of a plan's values stand at a bound of the study file, as far as tables print them."""
+    """Return which values of a plan lie at a bound of the study file, at the precision of the tables."""
     ranges = {"offset": entry_plane.offset_mm, "angle": entry_plane.angle_deg, "depth": entry_plane.depth_mm}
     values = {"offset": row["offset_mm"], "angle": row["angle_deg"], "depth": row["depth_mm"]}
     return tuple(
@@ -270,7 +271,7 @@ def _conclude(limit: float, frames: Frames) -> tuple[str, ...]:
 
 
 def reaches(median: float | None, limit: float) -> bool:
-    """Return whether at least half of a plan's needles come within `limit` mm; none where none is solved."""
+    """Return whether at least half of a plan's needles come within `limit` mm; False if none is solved."""
     return median is not None and median <= limit
 
 

@@ -1,4 +1,4 @@
-"""All studies and fits on the twin of one seed, and the needle as it really is beside them."""
+"""Run all studies and fits on the twin of one seed, beside the true needle."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 def run_on_twin(
     seed: int, record: SeedsRecord, plan: Sequence[PlannedInsertion], settings: Settings
 ) -> FrameRows:
-    """Return the errors of all methods on one twin of the insertions `plan`, and parameters found on it."""
+    """Return the errors of all methods on one twin of the insertions `plan`, and the fitted parameters."""
     with TemporaryDirectory() as folder:
         dataset = build_unscanned(Path(folder), seed, plan)
         jobs = prepare_jobs(record.studies, record.fits, settings, str(dataset))
@@ -61,7 +61,7 @@ def run_on_twin(
 
 
 def true_predictor(seed: int) -> Predictor:
-    """Return the method that simulates a twin's true needle, moduli, friction and bevel.
+    """Return the method that simulates the twin's true needle, moduli, friction and bevel.
 
     It is given what the fit is given besides: the stated pose, the measured depth and crossings. What it
     still errs by is what the measurement does.

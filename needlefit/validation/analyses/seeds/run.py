@@ -59,7 +59,7 @@ twins by their means, on which it does; `verdict` is "wins", "loses", or "open" 
 
 
 def compare_methods(errors: pd.DataFrame, name: str, resamples: int) -> pd.DataFrame:
-    """Return every contest of the fit on held-out insertions."""
+    """Return every comparison of the fit with another method on held-out insertions."""
     held_out = errors[errors["role"] == "validate"]
     return pd.DataFrame(_comparison_rows(held_out, name, resamples), columns=list(COMPARISON_COLUMNS))
 
@@ -103,7 +103,7 @@ def _compare_pair(fitted: Floats, method: Floats, resamples: int, rng: np.random
 
 
 def bootstrap_interval(values: Floats, resamples: int, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of `values` (S, n), S clusters of n, by the cluster bootstrap."""
+    """Return the 95 % interval of the mean of `values` (S, n), by the bootstrap over S clusters of n."""
     clusters, members = values.shape
     twin = rng.integers(0, clusters, size=(resamples, clusters, 1))
     insertion = rng.integers(0, members, size=(resamples, clusters, members))
@@ -127,7 +127,7 @@ class _ErrorData:
 
 
 def explain_losses(comparisons: pd.DataFrame, errors: pd.DataFrame, parameters: pd.DataFrame) -> pd.DataFrame:
-    """Return the contests with an `explanation` of every one that the fit loses; else it is empty."""
+    """Return the comparisons with an `explanation` where the fit loses; it is empty elsewhere."""
     known = _ErrorData(errors, parameters)
     rows = comparisons.to_dict("records")
     why = [_explain(row, known) if row["verdict"] == "loses" else "" for row in rows]  # type: ignore[arg-type]
@@ -198,7 +198,7 @@ def _mean_error(errors: pd.DataFrame, method: str, metric: str) -> float:
 
 
 def run(name: str, record: SeedsRecord, settings: Settings) -> AnalysisResult:
-    """Carry out all studies and fits on every twin.
+    """Run all studies and fits on every twin.
 
     Raises
     ------
