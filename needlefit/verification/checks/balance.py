@@ -6,7 +6,7 @@ from needlefit.mechanics.load import SupportReaction, compute_loads
 from needlefit.verification.cases import EXACT_OPTIONS, RandomCase, draw_schedule
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
-RANDOM = 10
+RANDOM_CASES = 10
 
 
 def compute_imbalance(case: RandomCase) -> tuple[float, float]:
@@ -26,7 +26,7 @@ def _sum_over_sizes(values: list[float]) -> float:
 
 
 def _measure(rng: np.random.Generator) -> CheckOutcome:
-    forces, moments = zip(*(compute_imbalance(draw_schedule(rng)) for _ in range(RANDOM)), strict=True)
+    forces, moments = zip(*(compute_imbalance(draw_schedule(rng)) for _ in range(RANDOM_CASES)), strict=True)
     return CheckOutcome((worst(forces), worst(moments)))
 
 
@@ -35,8 +35,8 @@ CHECKS = (
         Group.SYMMETRIES,
         "Tissue, base, guides and tracked tip balance, schedules of all inputs",
         (
-            Quantity(f"sum of forces over their sizes, {RANDOM} random cases", at_most(1e-5), ""),
-            Quantity(f"sum of moments over their sizes, {RANDOM} random cases", at_most(1e-5), ""),
+            Quantity(f"sum of forces over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
+            Quantity(f"sum of moments over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
         ),
         _measure,
     ),

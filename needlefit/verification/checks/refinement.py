@@ -20,7 +20,7 @@ from needlefit.verification.cases import draw_case, require_converged
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
 REFINEMENT_FACTOR = 8
-RANDOM = 40
+RANDOM_CASES = 40
 
 
 def measure_error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> float:
@@ -47,8 +47,8 @@ def _random(rng: np.random.Generator) -> CheckOutcome:
     """Draw insertions that the model is meant for: it assumes small slopes."""
     errors = list[float]()
     steep = 0
-    while len(errors) < RANDOM:
-        if steep > RANDOM:
+    while len(errors) < RANDOM_CASES:
+        if steep > RANDOM_CASES:
             raise ArithmeticError(f"most insertions are steeper than {MAX_SLOPE:g}")
         case = draw_case(rng)
         if worst(np.abs(case.shape(ModelOptions()).slope)) > MAX_SLOPE:
@@ -64,7 +64,7 @@ CHECKS = (
     Check(Group.REFINEMENT, "The shipped scenes", (_LARGEST,), _scenes),
     Check(
         Group.REFINEMENT,
-        f"{RANDOM} random insertions, μ = 0.001 to 100 MPa, t = 5 to 80 mm, slopes to {MAX_SLOPE:g}",
+        f"{RANDOM_CASES} random insertions, μ = 0.001 to 100 MPa, t = 5 to 80 mm, slopes to {MAX_SLOPE:g}",
         (_LARGEST, Quantity("median of the same", at_most(1e-4), "mm")),
         _random,
     ),

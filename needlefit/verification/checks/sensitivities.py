@@ -21,7 +21,7 @@ from needlefit.verification.complex_step import PARAMETER_KINDS, derivatives, pa
 
 Floats = NDArray[np.float64]
 
-RANDOM = 10
+RANDOM_CASES = 10
 SENSITIVITY_OPTIONS: ModelOptions = EXACT_OPTIONS
 MIN_COLUMN = 1e-3
 """mm per unit (per logarithm of mu and EI): a column below is measured against this, for the state itself is
@@ -103,7 +103,7 @@ def _draw_layered(draw: Draw, rng: np.random.Generator, softest: float) -> Rando
 def _check(title: str, draw: Draw, softest: float, bound: float) -> Check:
     def measure(rng: np.random.Generator) -> CheckOutcome:
         found, remark = solve_cases(
-            lambda: _draw_layered(draw, rng, softest), differentiate_reference, RANDOM
+            lambda: _draw_layered(draw, rng, softest), differentiate_reference, RANDOM_CASES
         )
         columns = [(_kind(name), error) for each in found for name, error in measure_errors(each).items()]
         values = tuple(worst([e for kind, e in columns if kind == wanted]) for wanted in range(3))
@@ -115,7 +115,10 @@ def _check(title: str, draw: Draw, softest: float, bound: float) -> Check:
     quantities = tuple(Quantity(f"error of the {each}", at_most(bound), "") for each in words)
     reach = "μ = 0.2" if softest == PAPER_SOFTEST_MPA else "μ = 0.001"
     return Check(
-        Group.SENSITIVITIES, f"{RANDOM} random {title.format(f'{reach} to 100 MPa')}", quantities, measure
+        Group.SENSITIVITIES,
+        f"{RANDOM_CASES} random {title.format(f'{reach} to 100 MPa')}",
+        quantities,
+        measure,
     )
 
 

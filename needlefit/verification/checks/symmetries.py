@@ -21,7 +21,7 @@ from needlefit.verification.cases import (
 )
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
-RANDOM = 10
+RANDOM_CASES = 10
 
 
 def mirrored(case: RandomCase) -> float:
@@ -88,10 +88,10 @@ def _against(case: RandomCase, steps: tuple[Step, ...]) -> float:
 
 
 def _check(title: str, measure: Callable[[RandomCase], float], bound: float, draw: Draw = draw_case) -> Check:
-    words = f"difference of the deflection, {RANDOM} random cases"
+    words = f"difference of the deflection, {RANDOM_CASES} random cases"
 
     def largest(rng: np.random.Generator) -> CheckOutcome:
-        return CheckOutcome((worst([measure(draw(rng, 50.0, 1e-3)) for _ in range(RANDOM)]),))
+        return CheckOutcome((worst([measure(draw(rng, 50.0, 1e-3)) for _ in range(RANDOM_CASES)]),))
 
     return Check(Group.SYMMETRIES, title, (Quantity(words, at_most(bound), "mm"),), largest)
 

@@ -14,7 +14,7 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import require_converged
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
-RANDOM = 5
+RANDOM_CASES = 5
 _STAGE, _AXIS = 1.0, -2.0  # degrees to the insertion axis, of the stage and of the template
 
 
@@ -59,7 +59,7 @@ def _complex(points: NDArray[np.float64]) -> NDArray[np.complex128]:
 
 
 def _measure(rng: np.random.Generator) -> CheckOutcome:
-    poses = [(complex(*rng.uniform(-200, 200, 2)), float(rng.uniform(-3, 3))) for _ in range(RANDOM)]
+    poses = [(complex(*rng.uniform(-200, 200, 2)), float(rng.uniform(-3, 3))) for _ in range(RANDOM_CASES)]
     in_c, in_world = zip(*(compare_poses(*pose) for pose in poses), strict=True)
     return CheckOutcome((worst(in_c), worst(in_world)))
 
@@ -67,7 +67,7 @@ def _measure(rng: np.random.Generator) -> CheckOutcome:
 CHECKS = (
     Check(
         Group.SYMMETRIES,
-        f"Entry, template and stage moved together, {RANDOM} random poses",
+        f"Entry, template and stage moved together, {RANDOM_CASES} random poses",
         (
             Quantity("change of the deflection in its own frame", at_most(1e-7), "mm"),
             Quantity("distance from the needle moved by hand", at_most(1e-7), "mm"),
