@@ -57,8 +57,8 @@ def titles(module):
 
 def few(monkeypatch):
     """Draw fewer of the random cases that take longest."""
-    monkeypatch.setattr(sensitivities, "RANDOM", 2)
-    monkeypatch.setattr(refinement, "RANDOM", 10)
+    monkeypatch.setattr(sensitivities, "RANDOM_CASES", 2)
+    monkeypatch.setattr(refinement, "RANDOM_CASES", 10)
 
 
 @pytest.mark.parametrize("cases", ["few", pytest.param("all", marks=pytest.mark.slow)])

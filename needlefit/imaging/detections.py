@@ -24,7 +24,7 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 Floats = NDArray[np.float64]
 
 PROFILE_BEYOND_TIP_MM = 8.0
-"""How far beyond the tip the brightness is followed, mm, so that a page shows where the needle ends."""
+"""Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ MIN_SIDE_LENGTH_MM = 2.0
 """Air and tissue must each last so long along the needle to make an edge, mm."""
 
 EDGE_REACH_MM = 8.0
-"""How far to either side of the edge the model is laid over the profile, mm."""
+"""Distance to either side of the edge over which the model is fitted, mm."""
 
 MIN_EDGE_STEP_HU = 300.0
 """An edge from air to tissue rises by more than this, HU."""

@@ -96,7 +96,7 @@ def _hole_fault(surface: Surface, path: Path) -> list[Fault]:
 
 
 TANGENT_STEP_MM = 0.5
-"""How far to either side of a crossing the needle's direction is taken, mm."""
+"""Distance to either side of a crossing over which the needle's direction is taken, mm."""
 
 MIN_CROSSING_COSINE = 0.02
 """Least cosine between needle and normal: a needle that lies in a surface crosses it anywhere."""

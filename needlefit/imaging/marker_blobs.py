@@ -21,10 +21,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LEVEL_RATIO = 1.35
-"""From one level over tissue to the next."""
+"""Ratio of one level above tissue to the one before."""
 
 MAX_BRIGHT_VOXELS = 4_000_000
-"""Where more voxels exceed a level, it shows no separate things."""
+"""Largest number of voxels above a level; with more the level separates nothing."""
 
 MIN_DIAMETER_RATIO, MAX_DIAMETER_RATIO = 0.65, 1.45
 """Diameter of a ball of as many voxels, in those of the ball sought: noise, blur and bloom change it."""

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 Value = TypeVar("Value")
 
 EVALUATION_ERRORS = (NeedlefitError, ArithmeticError, np.linalg.LinAlgError)
-"""What an evaluation may raise and be counted as failed; anything else is a bug and ends the search."""
+"""Exceptions that count as a failed evaluation; any other one is a bug and ends the search."""
 
 MAX_FAILED_POINTS = 20
 """Failed points that one start, or one ensemble of the sampler, keeps; the others are only counted."""

@@ -23,7 +23,7 @@ INTERVAL_PROBABILITIES = (0.50, 0.95)
 """Probabilities of the central intervals that are reported."""
 
 BISECTION_STEPS = 60
-"""Of the bracket of a quantile: to rounding."""
+"""Bisections of the bracket of a quantile: to rounding."""
 
 CURVES_PER_DRAW = 10
 """Times that the errors about each draw are drawn where the whole curve is asked about."""

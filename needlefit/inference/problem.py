@@ -64,7 +64,7 @@ def _station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
 _DEFAULT_LIKELIHOOD = LikelihoodRecord()
 
 UNIFORM_NOISE = Noise(point_sd=0.1)
-"""That all points err alike; which deviation stands for it hardly matters."""
+"""Noise with the same deviation at all points, mm; its size hardly matters."""
 
 
 @dataclass(frozen=True)

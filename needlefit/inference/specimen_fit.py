@@ -91,7 +91,7 @@ UPPER_QUANTILE_95 = 0.975
 """Quantile of intervals of 95 %."""
 
 NORMAL_95_HALF_WIDTH_SD = 1.959964
-"""That quantile of the normal distribution."""
+"""Value of the standard normal distribution at that quantile."""
 
 
 @dataclass(frozen=True)

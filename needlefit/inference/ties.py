@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from needlefit.errors import ConfigError
 
 NOISE_SCALE = "noise_scale"
-"""What the deviations of noise and pose are multiplied by, where it is estimated; no medium has it."""
+"""Name of the estimated factor on the standard deviations of noise and pose; no medium has it."""
 
 _NAME = re.compile(r"(mu|alpha)([1-9]\d*)(_pa)?|(bevel|guide_distance)_mm|noise_scale")
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")

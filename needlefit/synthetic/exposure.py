@@ -102,7 +102,7 @@ VOXEL_MM = 0.46
 """Edge of a voxel, mm: the paper's."""
 
 FIELD_MARGIN_MM = 2.0
-"""What the field shows beyond what it must, mm."""
+"""Margin of the scanned field around what it must contain, mm."""
 
 UPRIGHT_ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Columns: the world's x (into the box) to the head, y to the right, z (up) to the front of the patient."""

@@ -21,12 +21,12 @@ from needlefit.project.input_files import MAX_TEXT_BYTES, is_file, open_regular,
 RESULTS_FILE = "results.json.gz"
 
 FORMAT_VERSION = 3
-"""Of the file, with a digest; `OLD_FORMAT_VERSION`, one line without, is still read; others are refused."""
+"""Version of the file, with a digest; `OLD_FORMAT_VERSION`, one line without, is still read; others are refused."""
 
 OLD_FORMAT_VERSION = 2
 
 MAX_UNPACKED_BYTES = 256 * 2**20
-"""Of the text in the file; the studies of the paper have some MB."""
+"""Largest size of the text in the file; the studies of the paper have some MB."""
 
 MAX_BRACKETS = 2_000_000
 """Lists and tables in it: each takes more memory than its text. Columns are one list each."""

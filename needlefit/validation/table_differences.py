@@ -200,7 +200,7 @@ _COMPARISONS: dict[str, tuple[TableSchema, _Compare]] = {
     "coverage": (ANY_COLUMNS, _compare_coverages),  # that of tip tracks has other columns
     "runs": (_RUNS, _compare_tracks),
 }
-"""What is read of each table, and what compares two of them."""
+"""The columns that are read from each table, and the function that compares two of them."""
 
 
 MIN_RELATIVE_CHANGE = 0.1

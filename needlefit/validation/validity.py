@@ -10,7 +10,7 @@ from needlefit.mechanics.validity import LIMITS, Validity
 from needlefit.project.result_warnings import ResultWarning
 
 VALIDITY_KEY = "validity"
-"""Of `run.json`."""
+"""Key in `run.json`."""
 
 FITTED_METHODS = ("fitted", "fitted_metric")
 """Rivals of which a warning is given; how far a published set strains the model is counted only."""

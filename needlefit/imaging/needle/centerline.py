@@ -35,7 +35,7 @@ BIN_LENGTH_MM = 2.0
 """Length of the pieces whose centroids are the first axis, mm."""
 
 BEVEL_MARGIN_MM = 1.2
-"""How far from its end a needle still looks shorter than it is, mm."""
+"""Length at its end by which a needle may look shorter than it is, mm."""
 
 MIN_RELATIVE_AMPLITUDE = 0.3
 """Cross-sections fainter than this part of the middle one are left out."""
@@ -50,7 +50,7 @@ MAX_EDGE_DISTANCE_MM = 3.0
 """An end this near to the volume's face (mm) has left it."""
 
 SYSTEMATIC_SD_MM = 0.002
-"""What no scatter along the needle shows, mm: the grid's own pattern."""
+"""Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid."""
 
 
 @dataclass(frozen=True)

@@ -24,16 +24,16 @@ REACH_BEFORE_MM, REACH_AFTER_MM = 6.0, 5.0
 """How far the fit reaches back from the bevel's heel, and on from the first guess of the tip, mm."""
 
 RADIAL_REACH_MM = 2.4
-"""How far the fit reaches from the axis, mm."""
+"""Radius around the axis that the fit uses, mm."""
 
 SHAFT_LENGTH_MM = 15.0
 """Length of the shaft from which its look is taken, mm."""
 
 START_OFFSETS_MM = np.arange(-3.0, 3.1, 0.75)
-"""Where around the first guess the search begins, mm."""
+"""Starting points of the search around the first guess, mm."""
 
 FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
-"""Where around the best of these the side of the bevel is looked for, mm."""
+"""Positions around the best of these at which the side of the bevel is tried, mm."""
 
 SOFT_LOSS_SD = 3.0
 """Residuals beyond so many deviations of the noise count less."""

@@ -12,13 +12,13 @@ MIN_MARKERS = 3
 """Markers that fix a rigid motion."""
 
 FOUND_SET, KNOWN_SET = "markers found in the scan", "known markers"
-"""Where an error stands that is of one set alone."""
+"""Location named in errors of a single set."""
 
 TOO_FEW_FIXES = {
     FOUND_SET: "lower the markers' threshold, give their places by hand, or scan with all markers in view",
     KNOWN_SET: "list every marker of the layout; where there are no more, add markers and scan again",
 }
-"""What fixes a set of too few."""
+"""Fixes for a set with too few markers."""
 
 
 @dataclass(frozen=True)

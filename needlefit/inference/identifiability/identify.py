@@ -46,7 +46,7 @@ LOG_POSTERIOR_TOLERANCE = 0.1
 """A start is practically as good as the best if its log posterior is within this of the best one's."""
 
 METRIC_RELATIVE_TOLERANCE, METRIC_TOLERANCE_MM = 0.01, 0.002
-"""Where the metric objective was minimised: if it is within 1 % or 0.002 mm of the best."""
+"""The same for the metric objective: within 1 % or 0.002 mm of the best one's."""
 
 BOUND_FRACTION = 1e-3
 """A parameter closer to a bound than this part of its range lies at it."""

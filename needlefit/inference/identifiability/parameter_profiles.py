@@ -15,7 +15,7 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 
 FREED_ALPHA_BOUNDS = (-3.0, 5.0)
-"""Where a fixed alpha is looked for once it is free: tissues and gels lie well within."""
+"""Bounds of a fixed alpha once it is freed: tissues and gels lie well within."""
 
 
 def find_fixed_alphas(problem: Problem) -> dict[str, tuple[str, ...]]:

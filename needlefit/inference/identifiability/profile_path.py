@@ -32,13 +32,13 @@ MAX_SIDE_POINTS = 24
 """Most points of one side."""
 
 MAX_ROOT_JUMP = 1.0
-"""Of the root of the deviance beyond the expected one: the point is tried from elsewhere too."""
+"""Largest jump of the root of the deviance beyond the expected one; above it other starts are tried too."""
 
 MIN_IMPROVEMENT = 5 * MIN_GAIN
 """A value is lower than another one if it is so by more than this."""
 
 MAX_RESTARTS = 3
-"""How often a profile begins again because it has met a better optimum."""
+"""Largest number of restarts of a profile after a better optimum was found."""
 
 
 @dataclass
@@ -62,7 +62,7 @@ class ProfilePath:
 
 @dataclass(frozen=True)
 class _PathSettings:
-    """What does not change along a profile."""
+    """The settings of one profile, constant along it."""
 
     target: SumOfSquares
     k: int

@@ -37,7 +37,7 @@ MIN_MODE_DISTANCE = 1e-3
 
 EFFORT = Effort()
 LARGER_EFFORT = Effort(draws=1000, components=30)
-"""Where the first effort did not do: far less than sampling takes."""
+"""Effort of the second attempt; still far less than MCMC needs."""
 
 
 def find_modes(fit: Fit, width: Floats) -> Floats:

@@ -21,7 +21,7 @@ MIN_TAIL_WEIGHTS = 5
 """Fewer weights make no tail."""
 
 PRIOR_SHAPE, PRIOR_WEIGHTS = 0.5, 10.0
-"""What the estimated k is drawn to, and by as many weights."""
+"""The estimated k is shrunk to this shape, with the weight of so many further weights."""
 
 GRID_COARSENESS = 3.0
 """The grid of the profile likelihood is that of a first quartile divided by this."""

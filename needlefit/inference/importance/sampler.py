@@ -210,7 +210,7 @@ def sample_by_importance(
 
 @dataclass(frozen=True)
 class _Round:
-    """What one proposal drew within the bounds, of how many tries."""
+    """The draws of one proposal within the bounds, and the number of tries."""
 
     proposal: StudentMixture
     thetas: Floats
@@ -253,7 +253,7 @@ def _weight_rounds(rounds: Sequence[_Round], min_ess: float) -> WeightedDraws:
 
 
 EM_STEPS = 6
-"""Of expectation and maximisation between rounds."""
+"""Steps of expectation and maximisation between rounds."""
 
 MIN_ESS_PER_COMPONENT = 12.0
 """Independent draws per component that a flatter density is chosen by."""
@@ -262,7 +262,7 @@ EARLY_ROUNDS, EARLY_POWER = 2, 0.5
 """In the first rounds the mixture follows this power of the density, and no weights are good enough yet."""
 
 EARLY_WIDENING, WIDENING = 1.5, 1.2
-"""What the scales are multiplied by, in the first rounds and then: tails are to be reached."""
+"""Factors on the scales in the first rounds and later, so that tails are reached."""
 
 MIN_COVARIANCE_FRACTION = 1e-4
 """Part of the draws' whole covariance that every component has at least."""

@@ -87,7 +87,7 @@ ALGORITHMS = {
     "isres": _without_gradient(nlopt.GN_ISRES, stochastic=True),
     "esch": _without_gradient(nlopt.GN_ESCH, stochastic=True),
 }
-"""What a recipe may ask for: `leastsquares`, `bobyqa+neldermead`, `crs2+slsqp`."""
+"""Algorithms that a recipe may name: `leastsquares`, `bobyqa+neldermead`, `crs2+slsqp`."""
 
 
 def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple[Algorithm, ...]:

@@ -134,7 +134,7 @@ def run_ensembles(
 
 @dataclass
 class _LastAcceptance:
-    """What emcee does not hand on without keeping the whole chain: who moved in the last step."""
+    """Which walkers moved in the last step: emcee gives this only if it stores the whole chain."""
 
     accepted: NDArray[np.bool_]
 

@@ -96,7 +96,7 @@ LogDensityFunction = Callable[[Floats], Floats]
 """Log densities (W,) of thetas (W, P), -inf where there is none."""
 
 MAX_LOG_DENSITY_DROP = 0.5
-"""Of the log density over one step: a standard deviation's worth, if all other parameters are held."""
+"""Largest fall of the log density over one step: one standard deviation, if all other parameters are held."""
 
 STEP_FRACTIONS = 0.25 * 0.5 ** np.arange(0, 16)
 """Steps that are tried, as parts of the range."""

@@ -89,7 +89,7 @@ class ProposalDensity:
 
     @cached_property
     def _whitening(self) -> Floats:
-        """What makes the shape round (P, P), from the right."""
+        """Whitening matrix (P, P) of the shape, applied from the right."""
         return np.asarray(np.linalg.inv(self.factor).T, dtype=np.float64)
 
 

@@ -81,10 +81,10 @@ def make_track_observation(track: TipTrack, noise: Noise) -> TrackObservation:
 
 
 DIFFERENCE_STEP = 1e-3
-"""Of the central differences, in theta: errors of 1e-6 from the step, 1e-4 mm at most from the solver."""
+"""Step of the central differences, in theta: errors of 1e-6 from the step, at most 1e-4 mm from the solver."""
 
 SCALE_MARGIN = 0.99
-"""Of the least noise scale, from which its residual counts."""
+"""Part of the smallest noise scale at which its residual begins."""
 
 
 @dataclass(frozen=True)

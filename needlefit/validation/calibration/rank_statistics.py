@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 BISECTIONS = 40
-"""Of the bracket of the pointwise probability, in its logarithm."""
+"""Bisections of the bracket of the pointwise probability, in its logarithm."""
 
 
 def count_limits(replicates: int, probability: float | Floats, error: float) -> tuple[Counts, Counts]:

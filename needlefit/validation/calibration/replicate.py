@@ -31,7 +31,7 @@ Control = Literal["sigma", "prior", "pose", "shuffled"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
 
 UNDERSTATED_SD_FACTOR = 0.7
-"""What the control "sigma" takes the deviations of noise and pose for, as a part of the true ones."""
+"""Factor on the true deviations of noise and pose that the control "sigma" assumes."""
 
 
 def corrupt_problem(problem: Problem, control: Control | None, scale: float) -> Problem:
@@ -84,7 +84,7 @@ Floats = NDArray[np.float64]
 DrawSource = Literal["importance", "sampler", "prior"]
 
 INFERENCE_STARTS = 4
-"""Of each fit; none looks at the truth."""
+"""Starts of each fit; none uses the truth."""
 
 
 @dataclass(frozen=True)

@@ -88,10 +88,10 @@ def _weights(count: int, rng: np.random.Generator) -> Floats:
 APPROACHES = ("inflated", "new", "none")
 
 ERROR_METRICS = ("te_mm", "ipe_mean_mm")
-"""What a count of insertions is asked of."""
+"""Metrics for which the needed number of insertions is estimated."""
 
 CURVE_METRICS = (*ERROR_METRICS, "tip_crps_mm", "shape_crps_mm", "tip_in_50", "tip_in_95", "shape_in_95")
-"""What becomes a curve: means over the held-out needles."""
+"""Metrics of the learning curves: means over the held-out needles."""
 
 
 def conclude(task: AdaptationTask, frames: Frames) -> tuple[str, ...]:
@@ -257,7 +257,7 @@ def _name_set(ids: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class _MediumKnowledge:
-    """What one way knows of a medium: every parameter at its best, draws, and what vouches for these."""
+    """The knowledge of a medium in one approach: best values, draws, and the checks of the draws."""
 
     values: Mapping[str, float]
     draws: Draws

@@ -86,7 +86,7 @@ are of logarithms, of alpha itself; those of `alphas` are what would be left if 
 is on how many draws the posterior afterwards stands."""
 
 AGREEMENT_COLUMNS = ("candidates", "spearman", "largest_excess_nats", "same_best")
-"""How the linear gain agrees with the nested one over the candidates."""
+"""Columns of the agreement of the linear gain with the nested one over the candidates."""
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ target."""
 
 @dataclass(frozen=True)
 class _PlanningDraws:
-    """What is known when it is planned, and the draws that plans are sought with and tried on."""
+    """The posterior at planning time, and the draws that plans are optimised and tested on."""
 
     site: TargetSite
     knowledge: WeightedPosterior

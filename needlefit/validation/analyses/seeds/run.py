@@ -120,7 +120,7 @@ UNEXPLAINED = "not explained"
 
 @dataclass(frozen=True)
 class _ErrorData:
-    """What reasons are sought in."""
+    """The data in which reasons for a loss are searched."""
 
     errors: pd.DataFrame
     parameters: pd.DataFrame
