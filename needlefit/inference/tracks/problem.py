@@ -81,7 +81,7 @@ def make_track_observation(track: TipTrack, noise: Noise) -> TrackObservation:
 
 
 DIFFERENCE_STEP = 1e-3
-"""Step of the central differences, in theta: errors of 1e-6 from the step, at most 1e-4 mm from the solver."""
+"""Step of the central differences, in theta: errors of 1e-6 from the step, 1e-4 mm at most from solves."""
 
 SCALE_MARGIN = 0.99
 """Part of the smallest noise scale at which its residual begins."""
