@@ -21,7 +21,7 @@ from needlefit.project.input_files import MAX_TEXT_BYTES, is_file, open_regular,
 RESULTS_FILE = "results.json.gz"
 
 FORMAT_VERSION = 3
-"""Version of the file, with a digest; `OLD_FORMAT_VERSION`, one line without, is read too, others are refused."""
+"""Version of the file, with a digest. `OLD_FORMAT_VERSION`, one line without, is read too; no other is."""
 
 OLD_FORMAT_VERSION = 2
 
