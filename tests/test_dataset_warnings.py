@@ -92,7 +92,7 @@ def test_one_reversed_insertion_gives_no_warning_for_its_medium():
 
 
 def test_insertions_that_cannot_be_judged_do_not_count_together(tmp_path):
-    rows = [row(name, "gel", layers=1, bevel=UP, side=-1, base_shift=2.0) for name in "abcd"]
+    rows = [row(name, "gel", layers=1, bevel=UP, side=-1, base_moved=2.0) for name in "abcd"]
     file = write_dataset(
         tmp_path, record(media={"gel": {}}, noise=NOISE), rows, dict.fromkeys("abcd", CURVE), {}
     )
@@ -100,7 +100,7 @@ def test_insertions_that_cannot_be_judged_do_not_count_together(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"base_shift": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}], ids=str
+    "change", [{"base_moved": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}], ids=str
 )
 def test_a_deflection_with_another_possible_cause_gives_no_warning(tmp_path, change):
     rows = [row("a", "gel", layers=1, bevel=UP, side=-1, **change)]

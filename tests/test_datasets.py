@@ -263,9 +263,9 @@ def test_every_insertion_may_have_its_own_scan(tmp_path):
 
 
 def test_a_base_that_was_moved_is_written_where_any_was(tmp_path):
-    rows = [row("a", base_shift=-12.5), row("b")]
+    rows = [row("a", base_moved=-12.5), row("b")]
     a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
-    assert (a.base_shift, b.base_shift) == (-12.5, 0.0)
+    assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
 
 
 def test_a_turn_about_any_axis_is_written_and_read(tmp_path):

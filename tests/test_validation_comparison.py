@@ -198,7 +198,7 @@ def test_a_study_names_its_data_or_makes_them():
         ComparisonRecord.model_validate({**RECORD, "candidates": ("linear", "straight")})
 
 
-MOVED = replace(insertion(40.0), base_shift=8.0)
+MOVED = replace(insertion(40.0), base_moved=8.0)
 THIN = medium(layers=1).model_copy(update={"thickness_mm": 5.0})
 SOFT = {"mu1_pa": 3e3, "alpha1": 1.0, "bevel_mm": 0.03}
 
@@ -211,7 +211,7 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
     assert shape.u == pytest.approx(
         simulate_steps(NEEDLE, tissue, steps, ModelOptions(tolerance=1e-9)).u, abs=1e-9
     )
-    still = predict(SOFT, THIN, NEEDLE, replace(MOVED, base_shift=0.0))
+    still = predict(SOFT, THIN, NEEDLE, replace(MOVED, base_moved=0.0))
     assert shape.constraints == pytest.approx(still.constraints, abs=1e-9)  # the cut stays where it was
     assert compute_positions(shape, np.array([0.0]))[0, 1] > 1.0  # the tissue gives way at the entry
     (lanes,) = simulate_batches([make_batch([SOFT], THIN, NEEDLE, MOVED)])

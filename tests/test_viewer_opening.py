@@ -90,7 +90,7 @@ AGAIN = insertion(38.0, [12.0, 21.5], (1, 2, 1))
         (TWO, medium()),
         (AGAIN, rules(thickness_mm=20.0, law="linear")),
         (dataclasses.replace(TWO, guide_distance=12.0), medium()),
-        (dataclasses.replace(TWO, base_shift=-1.5), rules(constraint_spacing_mm=2.5)),
+        (dataclasses.replace(TWO, base_moved=-1.5), rules(constraint_spacing_mm=2.5)),
         (TWO, rules(constraint_switch=0.2, tangent_part=0.5, first_cell_mm=0.4)),
     ],
 )

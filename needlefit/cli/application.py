@@ -13,6 +13,7 @@ from needlefit.cli.credibility import credibility
 from needlefit.cli.diff import diff
 from needlefit.cli.identify import identify
 from needlefit.cli.material import material
+from needlefit.cli.migrate import migrate
 from needlefit.cli.paper import paper
 from needlefit.cli.predict import predict
 from needlefit.cli.reconstruct import MultiFileCommand, reconstruct
@@ -27,7 +28,7 @@ from needlefit.cli.view import view
 
 _COMMANDS: tuple[Callable[..., None], ...] = (
     *(simulate, view, check, tune, identify, calibrate, predict, validate, report, diff),
-    *(verify, credibility, material, paper, init),
+    *(verify, credibility, material, paper, init, migrate),
 )
 
 _EPILOG = (

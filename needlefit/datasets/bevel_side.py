@@ -58,7 +58,7 @@ def compute_deflection_z(insertion: Insertion, noise: Noise) -> float:
 
     They allow for noise of points and pose, and for entry directions off by a third of `MIN_BEND_SLOPE`.
     """
-    if insertion.pose_source == "none" or insertion.base_shift:
+    if insertion.pose_source == "none" or insertion.base_moved:
         return math.nan
     return insertion.deflection / math.hypot(
         _compute_deflection_sd(insertion, noise), MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD
@@ -78,7 +78,7 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     changes, must say so. A free shape lies by its bend, and a base that was moved bends the needle too: they
     say nothing.
     """
-    if insertion.pose_source == "none" or insertion.base_shift:
+    if insertion.pose_source == "none" or insertion.base_moved:
         return "unknown"
     points = float(np.hypot(noise.point_sd, noise.correlated_sd))
     least = MIN_BEND_SLOPE * insertion.depth

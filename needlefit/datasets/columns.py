@@ -45,7 +45,7 @@ INSERTION_COLUMNS = (
 """The columns of `insertions.csv` in the order in which they are written; `BASE_SHIFT_COLUMN` follows where
 any base was moved, and `SCAN_COLUMNS` where any insertion has a motion of its own."""
 
-BASE_SHIFT_COLUMN = "base_shift_mm"
+BASE_SHIFT_COLUMN = "base_moved_mm"
 
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
@@ -97,5 +97,5 @@ class InsertionRow:
     depth_sd: float = 0.0
     guide_distance: float | None = None
     patient: Frame | None = None
-    base_shift: float = 0.0
+    base_moved: float = 0.0
     line: int = 0

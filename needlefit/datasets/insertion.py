@@ -110,7 +110,7 @@ class Insertion:
     surfaces: tuple[Surface, ...] = ()
     patient: Frame = IDENTITY_FRAME
     depth_sd: float = 0.0
-    base_shift: float = 0.0
+    base_moved: float = 0.0
 
     @property
     def deflection(self) -> float:

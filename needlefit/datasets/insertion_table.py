@@ -95,7 +95,7 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     shift_sd, angle_sd = column("pose_shift_sd_mm", 0.0), column("pose_angle_sd_deg", 0.0)
     boundary_sd, depth_sd = column("boundary_sd_mm", 0.0), column("depth_sd_mm", 0.0)
     depth, side, guide = column("depth_mm"), column("bevel_side", 1.0), column("guide_distance_mm", math.nan)
-    base_shift = column(BASE_SHIFT_COLUMN, 0.0)
+    base_moved = column(BASE_SHIFT_COLUMN, 0.0)
     sources = text.get("pose_source", blank) if pose_known else ["none"] * len(blank)
     return [
         InsertionRow(
@@ -116,7 +116,7 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
             depth_sd=float(depth_sd[n]),
             guide_distance=None if np.isnan(guide[n]) else float(guide[n]),
             patient=_make_patient_frame(turn[n], shift[n]),
-            base_shift=float(base_shift[n]),
+            base_moved=float(base_moved[n]),
             line=int(table.lines[n]),
         )
         for n in range(len(blank))

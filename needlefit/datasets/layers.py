@@ -172,7 +172,7 @@ def reduce_insertion(row: InsertionRow, points: Points, medium: Medium, patient:
         sd=points.sd,
         surfaces=medium.surfaces,
         patient=patient,
-        base_shift=row.base_shift,
+        base_moved=row.base_moved,
     )
 
 

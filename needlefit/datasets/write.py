@@ -111,10 +111,10 @@ def _write_text(path: Path, text: str) -> None:
 
 def _format_rows(rows: Sequence[InsertionRow]) -> str:
     lines: list[tuple[str, ...]] = [INSERTION_COLUMNS, *map(_format_cells, rows)]
-    if any(row.base_shift for row in rows):
+    if any(row.base_moved for row in rows):
         lines = [
             (*line, more)
-            for line, more in zip(lines, [BASE_SHIFT_COLUMN, *map(_format_base_shift, rows)], strict=True)
+            for line, more in zip(lines, [BASE_SHIFT_COLUMN, *map(_format_base_moved, rows)], strict=True)
         ]
     if any(row.patient is not None for row in rows):
         lines = [
@@ -123,8 +123,8 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
     return "".join(",".join(cells) + "\n" for cells in lines)
 
 
-def _format_base_shift(row: InsertionRow) -> str:
-    return _format_number(row.base_shift)
+def _format_base_moved(row: InsertionRow) -> str:
+    return _format_number(row.base_moved)
 
 
 def _format_scan(row: InsertionRow) -> tuple[str, ...]:

@@ -114,9 +114,9 @@ def _make_steps(values: Mapping[str, float], insertion: Insertion) -> tuple[Step
     bevel = Bevel(values["bevel_mm"], insertion.side)
     controls = _make_controls(values.get("guide_distance_mm", insertion.guide_distance))
     inserted = Step(insertion.depth, bevel, controls)
-    if not insertion.base_shift:
+    if not insertion.base_moved:
         return (inserted,)
-    return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_shift))
+    return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_moved))
 
 
 def _make_controls(guide_distance: float | None) -> Controls:
@@ -210,9 +210,9 @@ def make_scene_record(
         Every parameter of the medium, ties resolved (Pa, mm).
     """
     guide = values.get("guide_distance_mm", insertion.guide_distance)
-    moved = insertion.base_shift
+    moved = insertion.base_moved
     return SceneRecord(
-        schema_=1,
+        schema_=SceneRecord.SCHEMA,
         title=title,
         depth_mm=None if moved else insertion.depth,
         law=medium.law,
@@ -252,7 +252,7 @@ def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
 def _make_step_records(insertion: Insertion) -> tuple[StepRecord, StepRecord]:
     """Return the insertion, and the move of its base behind it."""
     inserted = StepRecord(depth_mm=insertion.depth)
-    return inserted, StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_shift)
+    return inserted, StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved)
 
 
 def _make_needle_record(dataset: Dataset) -> NeedleRecord:

@@ -16,6 +16,7 @@ from needlefit.errors import ConfigError
 from needlefit.project import input_files
 from needlefit.project.locate import file_label
 from needlefit.project.toml_lines import locate_key
+from needlefit.schemas.renamed import earlier_keys
 
 Location = tuple[int | str, ...]
 ErrorContext = dict[str, Any]
@@ -29,6 +30,8 @@ class SchemaFault:
     what: str
     expected: str
     fix: str
+    new_name: str = ""
+    """Of a key that was renamed."""
 
 
 _TYPE_NAMES: dict[type, str] = {
@@ -59,6 +62,7 @@ _EXPECTED: dict[str, Callable[[ErrorContext], str]] = {
     "dict_type": lambda _: "a table of keys and values",
     "model_type": lambda _: "a table of keys and values",
 }
+_MIGRATE = "write `{}`, or have `needlefit migrate FILE` rewrite the file"
 _MEMBER = re.compile(r"constrained-|literal\[")
 _LENGTH_FAULTS = {"too_short": "has too few members", "too_long": "has too many members"}
 
@@ -76,7 +80,18 @@ def schema_faults(error: ValidationError, kind: type[BaseModel]) -> list[SchemaF
         for each, place in zip(found, places, strict=True)
         if each["type"] != "too_short" or not any(_within(other, place) for other in places)
     ]
-    return _join_faults_of_key(faults)
+    return _join_faults_of_key(_without_renamed(faults))
+
+
+def _without_renamed(faults: list[SchemaFault]) -> list[SchemaFault]:
+    """Leave out that a key is missing where its table has it under its earlier name."""
+    new_keys = {_sibling(fault.key, fault.new_name) for fault in faults if fault.new_name}
+    return [fault for fault in faults if fault.new_name or fault.key not in new_keys]
+
+
+def _sibling(key: str, name: str) -> str:
+    table, dot, _ = key.rpartition(".")
+    return f"{table}{dot}{name}"
 
 
 def _strip_union_members(location: Location) -> Location:
@@ -132,6 +147,11 @@ def _as_written(value: str | float | bool) -> str:
 
 
 def _unknown(key: str, location: Location, kind: type[BaseModel]) -> SchemaFault:
+    holder = _record_at(kind, location[:-1])
+    new_name = earlier_keys(holder).get(str(location[-1])) if holder else None
+    if new_name:
+        what = f"key `{key}` is now called `{new_name}`"
+        return SchemaFault(key, what, "", _MIGRATE.format(new_name), new_name)
     known = list(_fields(kind, location[:-1]))
     near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
     return SchemaFault(
@@ -163,17 +183,27 @@ def _missing(location: Location, kind: type[BaseModel]) -> str:
 
 def _fields(kind: type[BaseModel], location: Location) -> dict[str, FieldInfo]:
     """Return the keys of the table at `location` of a record; none where that is no single record."""
+    holder = _record_at(kind, location)
+    return {} if holder is None else _fields_of(holder)
+
+
+def _fields_of(kind: type[BaseModel]) -> dict[str, FieldInfo]:
+    return {field.alias or name: field for name, field in kind.model_fields.items()}
+
+
+def _record_at(kind: type[BaseModel], location: Location) -> type[BaseModel] | None:
+    """Return the record of the table at `location` of a record; None where that is no single record."""
     for part in location:
         if isinstance(part, int):
             continue  # a list: its members' record was found with its key
-        fields = {field.alias or name: field for name, field in kind.model_fields.items()}
+        fields = _fields_of(kind)
         if part not in fields:
             continue  # the name of a table in a mapping, found with the mapping's key
         inner = list(_records(fields[part].annotation))
         if len(inner) != 1:
-            return {}
+            return None
         kind = inner[0]
-    return {field.alias or name: field for name, field in kind.model_fields.items()}
+    return kind
 
 
 def _records(annotation: object) -> Iterator[type[BaseModel]]:

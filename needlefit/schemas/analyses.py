@@ -3,7 +3,7 @@
 Each kind of analysis is a record with its own keys; all share those of `AnalysisRecord`.
 """
 
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, NonNegativeFloat, model_validator
 
@@ -25,6 +25,8 @@ class AnalysisRecord(FileRecord):
 
     `same_specimen = true` says that insertions are held out whose specimens are fitted to, on purpose.
     """
+
+    SCHEMA: ClassVar[int] = 2
 
     kind: Any
     title: str = ""
@@ -202,7 +204,7 @@ class SyntheticInsertionRecord(Record):
 
     depth_mm: float = Field(gt=0)
     side: Literal[1, -1] = 1
-    base_shift_mm: float = 0.0
+    base_moved_mm: float = 0.0
 
 
 class SyntheticDataRecord(Record):

@@ -1,9 +1,9 @@
 """Base classes of all schemas: frozen records without unknown keys, names, and rigid motions."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 
 from needlefit.schemas.names import file_name_fault, name_fault
 
@@ -17,9 +17,24 @@ class Record(BaseModel):
 
 
 class FileRecord(Record):
-    """A whole TOML file; `schema = 1` is the version of its layout."""
+    """A whole TOML file; `schema` is the version of its layout.
 
-    schema_: Literal[1] = Field(alias="schema")
+    `SCHEMA` is the version of today. A file of an earlier version is read as long as none of its keys was
+    renamed since (`needlefit/schemas/renamed.py`).
+    """
+
+    SCHEMA: ClassVar[int] = 1
+
+    schema_: int = Field(alias="schema", ge=1)
+
+    @field_validator("schema_")
+    @classmethod
+    def _check_schema(cls, schema: int) -> int:
+        if schema > cls.SCHEMA:
+            raise ValueError(
+                f"{schema} is of a later version of needlefit; this one reads up to {cls.SCHEMA}"
+            )
+        return schema
 
 
 def _check_name(name: str) -> str:

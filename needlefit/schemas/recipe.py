@@ -1,6 +1,6 @@
 """A recipe: how to search (algorithm, starts, budget), what to minimise, how to sample."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -79,6 +79,8 @@ class RecipeRecord(FileRecord):
     there go on as one. `evaluations` limits each start; one with derivatives counts as one, as does one
     without.
     """
+
+    SCHEMA: ClassVar[int] = 2
 
     title: str = ""
     minimize: ObjectiveName = "posterior"

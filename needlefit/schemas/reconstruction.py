@@ -1,6 +1,6 @@
 """A reconstruction recipe: what was scanned, and how needle, markers, entry and layers are found."""
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -84,6 +84,8 @@ class LayersRecord(Record):
 
 class ReconstructionRecord(FileRecord):
     """`configs/reconstruction/<name>.toml`."""
+
+    SCHEMA: ClassVar[int] = 2
 
     title: str = ""
     needle: ScannedNeedleRecord = ScannedNeedleRecord()

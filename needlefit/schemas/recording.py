@@ -1,5 +1,7 @@
 """The head of a recording of an interactive simulation."""
 
+from typing import ClassVar
+
 from pydantic import Field
 
 from needlefit.schemas.base import FileRecord, Record, RigidRows
@@ -23,6 +25,8 @@ class RecordingRecord(FileRecord):
     `needlefit` is the version that recorded it, `target` what was opened (see `needlefit view`). Without a
     `placement` the scene says where the needle lies: in the plane z = 0 of its own world.
     """
+
+    SCHEMA: ClassVar[int] = 2
 
     needlefit: str
     target: str

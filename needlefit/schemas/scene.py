@@ -4,7 +4,7 @@ import difflib
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -184,6 +184,8 @@ class SceneRecord(FileRecord):
     What a step does not say carries over from the step before, the first one's from `bevel`, `controls`
     and `guides`.
     """
+
+    SCHEMA: ClassVar[int] = 2
 
     title: str = ""
     note: str = ""

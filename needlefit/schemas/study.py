@@ -1,6 +1,6 @@
 """Fits and studies: which insertions (or tip tracks) are tuned on, and which are scored."""
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -28,6 +28,8 @@ class FitRecord(FileRecord):
     wrote, as in `{ 1 = "reports/material-gel/prior.toml" }`.
     `paper_parameters` names a row of the paper's parameter table to stand beside the fit (never a start).
     """
+
+    SCHEMA: ClassVar[int] = 2
 
     title: str = ""
     note: str = ""
@@ -90,6 +92,8 @@ class TrackStudyRecord(FileRecord):
     the tracker's frame; the deeper ones are scored. `same_specimen = true` says that predicted runs go into
     specimens that are fitted to, on purpose.
     """
+
+    SCHEMA: ClassVar[int] = 2
 
     observable: Literal["tip tracks"]
     title: str = ""

@@ -157,12 +157,12 @@ def make_recipe(setups: Sequence[ScanSetup]) -> ReconstructionRecord:
     """Return the recipe that states how accurately the marker positions are known, if that is not the
     default.
     """
-    plain = ReconstructionRecord(schema_=1)
+    plain = ReconstructionRecord(schema_=ReconstructionRecord.SCHEMA)
     known_sd = max(setup.known_sd for setup in setups)
     if known_sd == plain.markers.reference_sd_mm:
         return plain
     return ReconstructionRecord(
-        schema_=1,
+        schema_=ReconstructionRecord.SCHEMA,
         title="Twin",
         needle=ScannedNeedleRecord(name="18 gauge, 150 mm", note="Nominal; solid, its stylet in place."),
         markers=MarkersRecord(reference_sd_mm=known_sd),

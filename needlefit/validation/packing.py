@@ -7,6 +7,7 @@ that is still valid gzip and valid JSON is found.
 import gzip
 import hashlib
 import json
+import shlex
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,10 +21,13 @@ from needlefit.project.input_files import MAX_TEXT_BYTES, is_file, open_regular,
 
 RESULTS_FILE = "results.json.gz"
 
-FORMAT_VERSION = 3
-"""Version of the file, with a digest. `OLD_FORMAT_VERSION`, one line without, is read too; no other is."""
+FORMAT_VERSION = 4
+"""Of the file. `needlefit migrate` rewrites those of earlier versions, which had other names for columns."""
 
-OLD_FORMAT_VERSION = 2
+EARLIER_FORMAT_VERSION = 3
+
+FORMAT_VERSION_WITHOUT_DIGEST = 2
+"""One line of JSON."""
 
 MAX_UNPACKED_BYTES = 256 * 2**20
 """Largest size of the text in the file; the studies of the paper have some MB."""
@@ -57,6 +61,25 @@ def unpack(folder: Path) -> dict[str, Any]:
     DataError
         If it holds none, or one that is damaged, too large or of another version.
     """
+    version, table = unpack_version(folder)
+    if version != FORMAT_VERSION:
+        raise DataError(
+            "was written by an earlier version, which had other names for frames and columns",
+            where=str(folder / RESULTS_FILE),
+            expected=f"format {FORMAT_VERSION}; this is format {version}",
+            fix=f"rewrite it: {shlex.join(('needlefit', 'migrate', str(folder)))}",
+        )
+    return table
+
+
+def unpack_version(folder: Path) -> tuple[int, dict[str, Any]]:
+    """Return the format and the table that a run of this or an earlier version left in `folder`.
+
+    Raises
+    ------
+    DataError
+        If it holds none, or one that is damaged, too large or of a later version.
+    """
     path = folder / RESULTS_FILE
     if not is_file(path):
         raise DataError(
@@ -67,18 +90,19 @@ def unpack(folder: Path) -> dict[str, Any]:
         )
     first, _, rest = _unzip(path).partition(b"\n")
     head = _parse_table(first, path)
-    if head.get("format") == OLD_FORMAT_VERSION:
-        return head
-    if head.get("format") != FORMAT_VERSION:
+    version = head.get("format")
+    if version == FORMAT_VERSION_WITHOUT_DIGEST:
+        return version, head
+    if version not in (FORMAT_VERSION, EARLIER_FORMAT_VERSION):
         raise DataError(
             "is of a format that this version cannot read",
             where=str(path),
-            expected=f"format {FORMAT_VERSION} or {OLD_FORMAT_VERSION}",
+            expected=f"format {FORMAT_VERSION}",
             fix="read it with the version that wrote it, or run it again",
         )
     if head.get("sha256") != hashlib.sha256(rest).hexdigest():
         raise damage_error(path, "its content was changed: the digest does not match")
-    return _parse_table(rest, path)
+    return version, _parse_table(rest, path)
 
 
 def _unzip(path: Path) -> bytes:

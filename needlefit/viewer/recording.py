@@ -229,7 +229,12 @@ def make_head(
     target: str, first_cell: float, scene: dict[str, object], placement: PlacementRecord | None = None
 ) -> RecordingRecord:
     """Return the head of a new recording of a scene (a record) at `placement`."""
-    tables = {"schema": 1, "needlefit": __version__, "target": target, "first_cell_mm": first_cell}
+    tables = {
+        "schema": RecordingRecord.SCHEMA,
+        "needlefit": __version__,
+        "target": target,
+        "first_cell_mm": first_cell,
+    }
     lies = {} if placement is None else {"placement": placement.model_dump(mode="json")}
     return check(tables | lies | {"scene": scene}, RecordingRecord, "recording")
 

@@ -82,7 +82,7 @@ def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: Syntheti
         sequence=(1,),
         boundary_sd=0.0,
         depth_sd=record.depth_sd_mm,
-        base_shift=one.base_shift_mm,
+        base_moved=one.base_moved_mm,
     )
 
 

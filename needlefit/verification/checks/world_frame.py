@@ -25,7 +25,7 @@ def make_scene(origin: complex, turn: float) -> Scene:
     template = origin + (-15 + 0.4j) * cmath.exp(1j * turn)
     angle = math.degrees(turn)
     tables: dict[str, Any] = {
-        "schema": 1,
+        "schema": SceneRecord.SCHEMA,
         "title": "a template, two layers, the bevel turned over",
         "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
         "bevel": {"offset_mm": 0.15},

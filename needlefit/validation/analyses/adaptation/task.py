@@ -123,7 +123,12 @@ def _job(name: str, side: str, fit: FitRecord, settings: Settings) -> Job:
 
 def _fit_record(record: AdaptationRecord, side: KnownMediumRecord) -> FitRecord:
     named = {"dataset": record.dataset, "medium": side.medium, "recipe": record.recipe}
-    table = {"schema": 1, **named, "layer_count_rule": record.layer_count_rule, "tune": side.insertions}
+    table = {
+        "schema": FitRecord.SCHEMA,
+        **named,
+        "layer_count_rule": record.layer_count_rule,
+        "tune": side.insertions,
+    }
     return FitRecord.model_validate(table)
 
 

@@ -204,7 +204,7 @@ def plan(record: ComparisonRecord, job: Job, settings: Settings) -> AnalysisPlan
 
 
 def _prepare_job(name: str, record: ComparisonRecord, settings: Settings) -> Job:
-    table = {"schema": 1, "dataset": record.dataset or name, "medium": record.medium}
+    table = {"schema": FitRecord.SCHEMA, "dataset": record.dataset or name, "medium": record.medium}
     how = {"recipe": record.recipe, "layer_count_rule": record.layer_count_rule, "tune": record.insertions}
     fit = FitRecord.model_validate({**table, **how})
     with renamed_keys({"tune": "insertions"}):
