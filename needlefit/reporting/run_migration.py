@@ -80,7 +80,7 @@ def _rebuild(folder: Path, table: Table | None) -> None:
 def rename_results(table: Table) -> Table:
     """Return the stored results of a run with the names of today."""
     kind = table.get("kind", "")
-    renamed = {**table}
+    renamed = {key: value for key, value in table.items() if key != "format"}  # format 2 held it here
     if "record" in table:
         renamed["record"] = rename_keys(table["record"], _record_type(kind))
     if "run" in table:
