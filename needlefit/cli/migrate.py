@@ -45,8 +45,8 @@ def migrate(
             faults[path] = fault
     verb = "to rewrite" if dry_run else "rewritten"
     screen.print_line(f"{changed} {verb}, {len(found) - changed - len(faults)} up to date")
-    for path, fault in faults.items():
-        screen.print_note(f"skipped {path}, which this version cannot read: {fault.what[:200]}")
+    for path, skipped in faults.items():
+        screen.print_note(f"skipped {path}, which this version cannot read: {skipped.what[:200]}")
 
 
 def _find(path: Path) -> Iterator[Path]:

@@ -84,7 +84,7 @@ class Insertion:
         Every boundary of its medium as it lay at this insertion, world; empty where depths are given.
     patient : Frame
         The patient coordinates (LPS) of its scan in the world.
-    base_shift : float
+    base_moved : float
         How far the base was moved across, toward +y of C, after the insertion and before the measurement, mm.
     """
 

@@ -22,6 +22,7 @@ from needlefit.reporting.rebuild import rebuild
 from needlefit.reporting.table_files import write_json
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord, TrackStudyRecord
 from needlefit.validation.analyses.kinds import ANALYSIS_KINDS
 from needlefit.validation.packing import FORMAT_VERSION, RESULTS_FILE, pack, unpack_version
@@ -91,6 +92,7 @@ def rename_results(table: Table) -> Table:
         renamed["frames"] = {name: _rename_frame(frame, name) for name, frame in frames.items()}
     if "stages" in table:
         renamed["stages"] = {name: _rename_stage(stage) for name, stage in table["stages"].items()}
+        renamed["directions"] = _rename_frame(table["directions"], "directions")
     return renamed
 
 
@@ -124,10 +126,21 @@ def _record_type(kind: str) -> type[FileRecord]:
     return plain.get(kind, StudyRecord)
 
 
+_RUN_RECORDS: Mapping[str, type[FileRecord]] = {
+    "study": StudyRecord,
+    "fit": FitRecord,
+    "recipe": RecipeRecord,
+    "scene": SceneRecord,
+}
+"""What `run.json` repeats of the files that a run was made from."""
+
+
 def rename_run(run: Table) -> Table:
     """Return the `run.json` of one run with the names of today."""
     renamed = {RENAMED_RUN_KEYS.get(key, key): _rename_deep(value) for key, value in run.items()}
-    for key, kind in (("study", StudyRecord), ("fit", FitRecord), ("recipe", RecipeRecord)):
+    if "parts" in run:
+        renamed["parts"] = [rename_run(part) for part in run["parts"]]
+    for key, kind in _RUN_RECORDS.items():
         if isinstance(run.get(key), dict):
             record = _record_type(run[key]["kind"]) if run[key].get("kind") else kind
             record = TrackStudyRecord if "observes" in run[key] else record
@@ -146,10 +159,7 @@ def _rename_deep(value: object) -> object:
 def _rename_run_file(table: Table) -> Table:
     if holds_several_runs(table) or "design" in table:
         return {name: rename_run(part) if isinstance(part, dict) else part for name, part in table.items()}
-    renamed = rename_run(table)
-    if isinstance(table.get("parts"), list):
-        renamed["parts"] = [rename_run(part) for part in table["parts"]]
-    return renamed
+    return rename_run(table)
 
 
 def _rename_tables(folder: Path, run: Table) -> dict[str, tuple[str, str]]:

@@ -34,6 +34,7 @@ RENAMED_COLUMNS: Mapping[str, Names] = MappingProxyType(
         "coverage": {"rival": "method", "what": "quantity", "held": "covered", **_COUNTS},
         "curves": {"way": "approach"},
         "depths": {"rival": "method"},
+        "directions": {"contraction": "sd_ratio"},
         "draws": {"from": "draw_source"},
         "ecdfs": {"place": "rank", **_COUNTS},
         "errors": {"rival": "method", "way": "approach", "of": "aspect"},
@@ -82,10 +83,9 @@ RENAMED_VALUES: Mapping[tuple[str, str], Names] = MappingProxyType(
 
 RENAMED_RUN_KEYS: Names = MappingProxyType(
     {
-        "hand_tuned": "paper_parameters",
+        "from": "draw_source",
         "mend": "fix",
         "pieces": "tasks",
-        "reading": "layer_count_rule",
         "rival": "method",
     }
 )
