@@ -1,6 +1,6 @@
 """Results of earlier versions, which have no stamp: known by their `run.json`, and their files by name.
 
-These are the names that old versions wrote: never rename them.
+These are the names that earlier versions wrote, and those that `needlefit migrate` gave them: never rename them.
 """
 
 import csv
@@ -20,6 +20,7 @@ _UNSTAMPED_STEMS = (
     r"plans|population|posterior|predictive|profiles|profiles_design|profiles_fit|ranks|"
     r"reached|readings|recovered|references|replicates|report|residuals|rivals|run|runs"
     r"|scores|sensitivity|shapes|specimens|starts|studies|summary|timing|tips|told|"
+    r"comparison|comparisons|exceedances|gains|group_differences|insertions_needed|"
     r"tuning|tuning_by_layers|tuning_by_media|validation|verification|waterfall|within"
 )
 
