@@ -10,7 +10,7 @@ from needlefit.synthetic.metal import densify
 from needlefit.synthetic.phantoms import Phantom
 from needlefit.synthetic.render import render_scan
 
-RECIPE = ReconstructionRecord(schema=1)
+RECIPE = ReconstructionRecord(schema=2)
 SPACING = 0.46
 SHAPE = (48, 48, 110)  # 22 x 22 x 50 mm
 ENTRY = np.array([11.0, 11.0, 12.0])  # 12 mm of the box's face lie in air

@@ -270,6 +270,6 @@ def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, 
     if missing:
         raise ConfigError(
             f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
-            fix="name a set of the same layers, or leave hand_tuned out",
+            fix="name a set of the same layers, or leave paper_parameters out",
         )
     return {p: published[p] for p in parameters.names}
