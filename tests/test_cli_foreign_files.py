@@ -95,7 +95,7 @@ CASES = {
     "reconstruct": Case(
         ("reconstruct", SCANS, "--out", "out/rr", "-q"), ("out/rr", "out/rr.partial"), quick=False
     ),
-    "migrate": Case(("migrate", "out")),
+    "migrate": Case(("migrate", "./out/run")),
     "init": Case(("init", "out/project"), ("out/project/data", "out/project/configs", "out/project/studies")),
     "twin build": Case(("twin", "build", "--out", "out/twin", "-q"), ("out/twin",)),
     "twin ct": Case(

@@ -72,7 +72,7 @@ class MediumRecord(FileRecord):
     """`configs/media/<name>.toml`: the model of one medium, as a table of parameters by name.
 
     Names: `mu1_pa`, `alpha1`, ... one pair per layer, `bevel_mm`, and optionally `guide_distance_mm`.
-    `constraint_switch`, `tangent_part` and `first_cell_mm` are rules of the model (`mechanics.control.Rules`)
+    `constraint_switch`, `tangent_part` and `first_cell_mm` are options of the model (`ModelOptions`)
     that are decided; other values are for studies of how much they matter.
     """
 

@@ -77,7 +77,7 @@ def aggregate(results: Results, by: Sequence[str], how: Averaging = "macro") -> 
 def compare_methods(results: Results, against: str = "fitted", role: str = "validate") -> pd.DataFrame:
     """Compare every method with `against` on the same insertions, folds and points.
 
-    Repeats in one specimen are first averaged where there are specimens enough (`datasets.independent`):
+    Repeats in one specimen are first averaged where there are specimens enough (`group_independent`):
     the four depths of one hole are no four needles.
 
     Returns

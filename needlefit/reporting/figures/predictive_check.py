@@ -2,7 +2,7 @@
 
 The level of a measurement is the probability that was predicted of less: of a tip less far toward the
 bevel, of a shape nearer at its worst point. Where predictions are right, levels are uniform. A needle is one
-trial, and repeats in one specimen are one where there are specimens enough (`datasets.independent`).
+trial, and repeats in one specimen are one where there are specimens enough (`group_independent`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,6 +1,6 @@
 """Estimate how much specimens differ: mean and spread of a population in two stages; check by simulation.
 
-Stage one is the posterior of every specimen by itself; stage two is `inference.specimens`. What a further
+Stage one is the posterior of every specimen by itself; stage two is `specimen_spread`. What a further
 specimen may be follows from both. With a recovery, specimens of known mean and spread are made up, measured
 with the errors that the dataset states, and inferred in the same way; counted is how often the intervals held
 the truth. There the model that makes the needles is the one that is fitted: it proves the computation.

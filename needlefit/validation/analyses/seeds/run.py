@@ -8,9 +8,7 @@ that support it, computed from the same runs:
 
 - *the truth* knows needle, moduli, friction and bevel, of which a fit knows nothing;
 - *another medium*: the method errs more than the fit on the insertions that were tuned on, and less on a
-medium
-  that bends less than the fit predicts, because the method predicts less bending everywhere: no merit of what
-  it knows;
+  medium in which needles bend less than the fit predicts. It predicts less bending everywhere;
 - *its moduli*: those of the method are not fitted, and nearer to the twin's own than the fitted ones;
 - *too small to matter*: the difference is under a tenth of the noise floor.
 """
