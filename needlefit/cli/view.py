@@ -1,10 +1,8 @@
 """`needlefit view`: interactive simulation in the browser."""
 
-import asyncio
 import shlex
 import signal
 import threading
-import webbrowser
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -54,6 +52,9 @@ def view(
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording says what it is about: leave it out", param_hint="TARGET")
+    import asyncio  # here, since every `--help` would wait for it
+    import webbrowser
+
     require_writable(out / "view")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
@@ -101,7 +102,9 @@ def _trials(
 
 
 async def _until_stopped() -> None:
-    """Wait for Ctrl-C, or to be told to end."""
+    """Wait for Ctrl-C or a signal to end."""
+    import asyncio
+
     stopped, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
