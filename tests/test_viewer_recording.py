@@ -9,6 +9,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.migration import migrate_file
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.interaction.inputs import Change, find_changes
 from needlefit.viewer.interaction.steering import SteeredNeedle
@@ -102,7 +103,7 @@ def test_a_recording_is_a_table_for_others(tmp_path) -> None:
         ("depth_mm,,12.34567", f"depth_mm,{'9' * 5000},12.34567", "line .*: item"),
         ("5,1.2500,", "7,1.2500,", "step 7"),
         ("# first_cell_mm = 1.0", "# first_cell_mm = -1.0", "first_cell_mm"),
-        ("# schema = 1", "# schema = ", "TOML"),
+        ("# schema = 2", "# schema = ", "TOML"),
         ("depth_mm,,12.34567", "depth_mm,,500.0", "step 1 "),
         ("return_to,,2.0", "return_to,,77.0", "step 7 "),
         ("3,0.7500,bevel_side,,-1.0", "3,0.7500,return_to,,2.0", "step 3 "),
@@ -116,6 +117,24 @@ def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault)
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(NeedlefitError, match=f"log.csv.*{fault}"):
         list(replay(read_recording(path)))
+
+
+def test_a_recording_of_an_earlier_version_is_refused_with_its_line_and_rewritten(tmp_path) -> None:
+    path = tmp_path / "log.csv"
+    recorded(path)
+    today = path.read_text()
+    earlier = today.replace("# schema = 2", "# schema = 1").replace("# target =", "# subject =")
+    earlier = earlier.replace("guide_engaged", "guide_holds")
+    assert earlier != today and "guide_holds" in earlier
+    path.write_text(earlier)
+    with pytest.raises(NeedlefitError, match="`target`"):
+        read_recording(path)
+    path.write_text(earlier.replace("# subject =", "# target ="))
+    with pytest.raises(NeedlefitError, match=r"line .*: .*`guide_engaged`"):
+        read_recording(path)
+    path.write_text(earlier)
+    assert migrate_file(path)
+    assert path.read_text() == today
 
 
 def test_an_insertion_by_hand_is_the_simulated_one() -> None:
