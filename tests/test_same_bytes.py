@@ -204,7 +204,7 @@ def test_a_sampled_posterior_is_the_same_on_one_core_and_after_it_was_killed(new
     first = begin(COMMAND, [*SAMPLE, "--jobs", "2"], once)
     second = begin(COMMAND, SAMPLE, alone, one_core(), **ELSEWHERE)
     output(first), output(second)
-    kept = "out/small-tune.partial/*.posterior/*.kept"
+    kept = "out/small-tune.partial/*.posterior/*.checkpoint"
     kill_when(begin(COMMAND, [*SAMPLE, "--jobs", "2"], killed), kept, killed)
     output(begin(COMMAND, [*SAMPLE, "--jobs", "1", "--resume"], killed))
     expected = contents(once / "out")
