@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from needlefit.datasets.read import read as read_dataset
+    from needlefit.api import fit, load_dataset, load_run, predict, sample, validate
     from needlefit.errors import NeedlefitError
     from needlefit.inference.optimize import minimize
     from needlefit.inference.problem import Problem
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.mechanics.simulate import simulate, simulate_steps
     from needlefit.mechanics.tissue import Tissue
-    from needlefit.reporting.run_folder import write
-    from needlefit.validation.run import run
 
 __version__ = "0.1.0"
 
@@ -43,15 +41,18 @@ __all__ = [
     "Step",
     "Tissue",
     "TrackedTip",
+    "fit",
     "linearize",
+    "load_dataset",
+    "load_run",
     "minimize",
     "open_scene",
-    "read_dataset",
-    "run",
+    "predict",
+    "sample",
     "simulate",
     "simulate_batches",
     "simulate_steps",
-    "write",
+    "validate",
 ]
 
 _HOMES = {
@@ -73,15 +74,23 @@ _HOMES = {
     "TrackedTip": "mechanics.control",
     "simulate_steps": "mechanics.simulate",
     "simulate_batches": "mechanics.lanes",
+    "fit": "api",
     "linearize": "mechanics.linearize",
+    "load_dataset": "api",
+    "load_run": "api",
     "minimize": "inference.optimize",
-    "read_dataset": "datasets.read:read",
-    "run": "validation.run",
+    "predict": "api",
+    "sample": "api",
     "simulate": "mechanics.simulate",
-    "write": "reporting.run_folder",
+    "validate": "api",
 }
 
-_FORMER_NAMES = {"follow": "simulate_steps", "follow_batches": "simulate_batches", "Rules": "ModelOptions"}
+_FORMER_NAMES = {
+    "follow": "simulate_steps",
+    "follow_batches": "simulate_batches",
+    "read_dataset": "load_dataset",
+    "Rules": "ModelOptions",
+}
 
 
 def open_scene(name: str) -> "Scene":

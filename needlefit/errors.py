@@ -93,6 +93,10 @@ class ConfigError(NeedlefitError):
     exit_code = 3
 
 
+class UnfinishedWorkError(ConfigError):
+    """An interrupted run left work that this run would replace."""
+
+
 class DataError(NeedlefitError):
     """A dataset is wrong or missing."""
 

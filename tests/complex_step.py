@@ -6,7 +6,6 @@ arithmetic: boundaries and guides carry their step into quadrature points, weigh
 """
 
 # ruff: noqa: N803, N806  EI, K, N: the symbols of the equations
-import importlib
 import math
 from collections.abc import Sequence
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import ModelOptions, Step
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, make_lattice, plan_stops
 from needlefit.mechanics.tissue import Tissue
@@ -27,9 +27,9 @@ class Inputs:
     def __init__(self, needle: Needle, tissue: Tissue, stands: Sequence[float], name: str) -> None:
         for kind in ("mu", "alpha", "friction", "boundaries", "thickness"):
             setattr(self, kind, getattr(tissue, kind).astype(complex))
-        self.law = importlib.import_module(f"needlefit.mechanics.laws.{tissue.law}")
+        self.law = LAWS[tissue.law]
         self.rigidity = complex(needle.flexural_rigidity)
-        self.offset = self.base_y = self.base_slope = self.stage_slope = 0j
+        self.offset = self.cut_angle = self.base_y = self.base_slope = self.stage_slope = 0j
         self.guides = {x: np.zeros(3, dtype=complex) for x in stands}
         kind, _, what = name.partition("_") if name.startswith("guide") else (name, "", "")
         number = int("".join(filter(str.isdigit, kind)) or 0)
@@ -50,14 +50,20 @@ def follow(
     stands = sorted({guide.x for step in steps for guide in step.controls.guides})
     inputs = Inputs(needle, tissue, stands, name)
     lattice = lattice or make_lattice(steps, rules)
-    c, rays, tip = {0: 0j}, {}, (0.0, 0j, 0j)
+    c, rays, tip, slopes, cut = {0: 0j}, {}, (0.0, 0j, 0j), {}, 0j
     for stop in plan_stops(steps, lattice, needle.length):
         if stop.starts_ray:
             rays[stop.ray] = tip
+            if rules.path_angle:
+                c[0] = cut if tip[0] == 0 else c[0]
+                before = slopes[stop.cell - 2] if stop.extrapolates else tip[2]
+                rays[stop.ray] = tip[0], cut, 1.5 * tip[2] - 0.5 * before
         if stop.cell > 0:
             x, u, slope = rays[stop.ray]
             bevel = steps[stop.bevel_id].bevel
             turn = bevel.side * (bevel.offset + inputs.offset) / rules.spacing
+            if rules.path_angle:
+                turn = bevel.side * (bevel.cut_angle + inputs.cut_angle)
             c[stop.cell] = u + (stop.tip - x) * (slope + turn)
         x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
         y_c = np.array([c[m] for m in range(stop.cell + 1)])
@@ -69,27 +75,32 @@ def follow(
             for node in np.flatnonzero(real == guide.x):
                 nodes[node] += inputs.guides[guide.x][0]
                 state[node] += inputs.guides[guide.x][1:] * held.reshape(-1, 2)[node]
-        state = _equilibrium(inputs, nodes, x_c, y_c, state.ravel(), held).reshape(-1, 2)
+        state = _equilibrium(inputs, nodes, x_c, y_c, state.ravel(), held, rules.path_angle).reshape(-1, 2)
         tip = (stop.tip, state[-1, 0], state[-1, 1])
+        slopes[stop.cell] = tip[2]
+        cut = c[stop.cell] if stop.cell > 0 else tip[1]
     return tuple(a.imag / H for a in (nodes, state[:, 0], state[:, 1], y_c))
 
 
-def _equilibrium(inputs, nodes, x_c, y_c, u, held):
+def _equilibrium(inputs, nodes, x_c, y_c, u, held, linear):
     K_b = _bending(nodes, inputs.rigidity)
-    x, w, layer, nearest = _quadrature(nodes, x_c, inputs.boundaries)
+    x, w, layer, nearest = _quadrature(nodes, x_c, inputs.boundaries, linear)
+    c = y_c[nearest]
+    if linear:  # at complex places too
+        cell = np.clip(np.searchsorted(x_c, x.real) - 1, 0, len(x_c) - 2)
+        c = y_c[cell] + (x - x_c[cell]) * (np.diff(y_c) / np.diff(x_c))[cell]
     N, dN = _shapes(nodes, x)
     free = ~held
     t, gamma = inputs.thickness[layer], inputs.friction[layer]
     left = 4  # Newton steps after the real part has converged: the imaginary one is a step behind
     for _ in range(60):
-        e, slope = N @ u - y_c[nearest], dN @ u
+        e, slope = N @ u - c, dN @ u
         size = np.sign(e.real) * e
         lam = 1 - size / t
-        k = dk = 0
-        for at, alpha in enumerate(inputs.alpha):
-            mu, terms = inputs.mu[at] * (layer == at), inputs.law.terms(alpha)
-            k = k + mu * sum(b * lam**q for b, q in terms)
-            dk = dk + mu * sum(b * q * lam ** (q - 1) for b, q in terms)
+        mu, alpha = inputs.mu[layer], inputs.alpha[layer]
+        k = mu * inputs.law.k(lam, alpha)
+        # the tangent may be real: it is exact where the real part has converged
+        dk = mu * inputs.law.dk_dstretch(lam.real, alpha.real)
         kt = k - size / t * dk
         g = 1 - gamma * slope**2 / (1 + slope**2)
         dg = -2 * gamma * slope / (1 + slope**2) ** 2
@@ -114,10 +125,10 @@ def _bending(nodes, EI):
     return K
 
 
-def _quadrature(nodes, x_c, boundaries):
+def _quadrature(nodes, x_c, boundaries, linear):
     """Split at whatever lies strictly between entry and tip, as complex places in the order of real ones."""
     halfway = (x_c[1:] + x_c[:-1]) / 2
-    inner = np.concatenate((nodes, halfway, boundaries))
+    inner = np.concatenate((nodes, halfway, boundaries, x_c if linear else x_c[:0]))
     inner = inner[(inner.real > 0) & (inner.real < x_c[-1])]
     edges = np.concatenate(([0j], inner[np.argsort(inner.real, kind="stable")], [x_c[-1] + 0j]))
     edges = edges[np.concatenate(([True], np.diff(edges.real) > 0))]

@@ -8,9 +8,8 @@ import pandas as pd
 from reporting_results import study, with_predictions
 
 from needlefit.reporting.table_files import write_csv, write_json
-from needlefit.validation.packing import RESULTS_FILE
-from needlefit.validation.results import Results
-from needlefit.validation.stored import store_results
+from needlefit.studies.packing import RESULTS_FILE
+from needlefit.studies.run import Run, store_run
 
 VERSIONS = {"needlefit": "0.1.0", "numpy": "2.0", "python": "3.11"}
 WORK = {
@@ -31,18 +30,18 @@ RULES = {"element": 1.0, "spacing": 1.0, "tolerance": 1e-7}
 GROUPS = ("Closed forms", "Manufactured solutions", "Discretisation error", "Newton’s tangent")
 
 
-def results(number: int = 1, **changed: object) -> Results:
+def results(number: int = 1, **changed: object) -> Run:
     """A study with predictions, that says what it was computed with."""
     made = with_predictions(study(number))
     return replace(made, interrupted=False, run={**copy.deepcopy(WORK), "name": made.name, **changed})
 
 
-def leave(made: Results, folder: Path) -> Path:
+def leave(made: Run, folder: Path) -> Path:
     """Leave what a bundle reads of a run."""
     target = folder / made.name
     target.mkdir(parents=True)
-    assert store_results(made, target).name == RESULTS_FILE
-    write_json(target / "run.json", made.run)
+    assert store_run(made, target).name == RESULTS_FILE
+    write_json(target / "run.json", made.run_json)
     return target
 
 
@@ -61,7 +60,8 @@ def leave_verification(folder: Path, measured: float = 4e-8, **changed: object) 
         for k, group in enumerate(GROUPS)
     ]
     rows[0] |= {"measured": measured, "verdict": "passes" if measured <= 1e-7 else "FAILS"}
-    run = {"name": "verification", "versions": VERSIONS, "rules": RULES, "failed": 0, "seed": 1, **changed}
+    run = {"name": "verification", "versions": VERSIONS, "rules": RULES, "failed": 0, **changed}
+    run["study"] = {"kind": "verification", "seed": 1}
     return _leave(folder / "verification", run, "verification.csv", pd.DataFrame(rows))
 
 
@@ -80,15 +80,15 @@ def leave_calibration(folder: Path, of: str = "study1", **changed: object) -> Pa
         for level, covered, least, most in ((0.5, 250, 210, 290), (0.95, wide, 460, 490))
     ]
     run = {**copy.deepcopy(WORK), "name": of, "control": None, "sampled": False, "replicates": 500}
-    run |= {"not_calibrated": [], "passes": True, **changed}
+    run |= {"not_calibrated": [], "passes": True, "study": {"kind": "calibration"}, **changed}
     return _leave(folder / f"calibrate-{of}", run, "coverage.csv", pd.DataFrame(rows))
 
 
 def leave_sensitivity(folder: Path, of: str = "study1", **changed: object) -> Path:
     """The tie varied in two ways: mean IPE changes by 0.030 mm, or 0.3 floors, at most."""
     rows = [
-        {"aspect": what, "variation": name, "tuned": "again", "table": "validation", "study": of}
-        | {"medium": "phantom2", "layers": 3, "metric": metric, "value": 0.2, "as_decided": 0.2}
+        {"aspect": what, "variation": name, "tuned": "again", "grouping": "validation", "study": of}
+        | {"medium": "phantom2", "layers": 3, "metric": metric, "value": 0.2, "baseline_value": 0.2}
         | {"change": change, "change_in_floors": 10 * change}
         for what, name, change in (
             ("as decided", "as decided", 0.0),
@@ -102,7 +102,7 @@ def leave_sensitivity(folder: Path, of: str = "study1", **changed: object) -> Pa
     run |= {"study": {"kind": "sensitivity", "studies": [of], "fits": []}, "parts": [part], **changed}
     left = _leave(folder / "sensitivity", copy.deepcopy(run), "cells.csv", pd.DataFrame(rows))
     studies = [
-        {"aspect": "tie", "variation": name, "tuned": "again", "study": of, "threshold_mm": 0.74}
+        {"aspect": "tie", "variation": name, "tuned": "again", "study": of, "limit_mm": 0.74}
         | {"conclusion_changes": name == "ahead"}
         for name in ("ahead", "x")
     ]

@@ -9,6 +9,7 @@ import numpy as np
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.problem import Problem
 from needlefit.inference.problem import make_problem as build_problem
 from needlefit.mechanics.needle import Needle
@@ -80,7 +81,7 @@ def two_layers(record: MediumRecord | None = None, count: int = 3, **options: ob
 def problem(
     record: MediumRecord, made: Sequence[Insertion], how: LikelihoodRecord | None = None, **options: object
 ) -> Problem:
-    how = LikelihoodRecord() if how is None else how
+    how = PLAIN_LIKELIHOOD if how is None else how
     return build_problem(dataset(made, **options), made, record, WeightsRecord(), how)
 
 

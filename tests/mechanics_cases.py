@@ -1,10 +1,12 @@
 """Random insertions for tests: any tissue, any inputs, several steps with changes and retractions."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from needlefit.mechanics import laws
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 
@@ -36,14 +38,15 @@ def random_needle(rng: Random, rules: ModelOptions) -> Needle:
 def random_tissue(rng: Random, rules: ModelOptions, friction: float = 0.0) -> Tissue:
     """Return 1 to 4 layers, thin and thick, soft and stiff."""
     layers = int(rng.integers(1, 5))
-    return Tissue(
+    tissue = Tissue(
         mu=random_mu(rng, rules, layers),
         alpha=rng.uniform(-10, 10, layers),
         boundaries=np.sort(rng.uniform(1, 20, layers - 1)),
         thickness=rng.uniform(5.0, 80.0, layers),
         friction=friction * rng.uniform(size=layers),
-        law=str(rng.choice(laws.list_laws())),
+        law=str(rng.choice(LAWS.names())),
     )
+    return replace(tissue, alpha=LAWS[tissue.law].into_range(tissue.alpha))
 
 
 def random_bevel(rng: Random) -> Bevel:
@@ -100,7 +103,7 @@ def random_batch(rng: Random, sets: int) -> Batch:
     shape = (sets, tissue.layers)
     given = {
         "mu": random_mu(rng, rules, shape),
-        "alpha": rng.uniform(-10, 10, shape),
+        "alpha": LAWS[tissue.law].into_range(rng.uniform(-10, 10, shape)),
         "offset": rng.uniform(0, 0.3, sets),
         "rigidity": random_rigidity(rng, rules, sets),
         "base_y": rng.uniform(-0.5, 0.5, sets),

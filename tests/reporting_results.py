@@ -1,4 +1,4 @@
-"""Small made-up Results that take every branch of the reports; their errors follow from their shapes."""
+"""Small made-up Run that take every branch of the reports; their errors follow from their shapes."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,8 +7,11 @@ import numpy as np
 import pandas as pd
 
 from needlefit.schemas.study import StudyRecord
-from needlefit.validation import paper
-from needlefit.validation.results import COLUMNS, Results
+from needlefit.studies import paper
+from needlefit.studies.kinds.cross_validation import report
+from needlefit.studies.kinds.cross_validation.results import COLUMNS
+from needlefit.studies.kinds.cross_validation.run import find_faults
+from needlefit.studies.run import Run
 
 DEFLECTION = {("phantom2", 4): 4.3, ("phantom2", 3): 3.4, ("phantom2", 2): 0.9, ("phantom2", 1): 0.4}
 MISS = {  # method -> error of the tip as a share of the deflection, plus a shift in mm
@@ -134,8 +137,11 @@ def parameters(layers: int, fold: int, undetermined: bool, methods: tuple[str, .
                     "bound_low": np.nan if status != "free" else -3.0 if alpha else 1e3 if mu else 0.005,
                     "bound_high": np.nan if status != "free" else 5.0 if alpha else 1e8 if mu else 0.5,
                     "sd": np.nan if status != "free" else 40.0 if alpha else 0.72 if mu else 0.09,
-                    "spread_low": np.nan if not free else -2.4 if alpha else value / 30 if mu else 0.079,
-                    "spread_high": np.nan if not free else 4.6 if alpha else value * 30 if mu else 0.092,
+                    "low": np.nan if not free else -2.4 if alpha else value / 30 if mu else 0.079,
+                    "high": np.nan if not free else 4.6 if alpha else value * 30 if mu else 0.092,
+                    "interval_low": np.nan if not free else value / 1.2,
+                    "interval_high": np.nan if not free else value * 1.2,
+                    "draw_source": "importance" if free else "",
                     "determined": known,
                     "note": "fixed"
                     if fixed
@@ -180,7 +186,7 @@ def failed(begun: list[dict]) -> pd.DataFrame:
     about += ("gradients", "failed_solves", "stopped", "joined")
     rows = [
         {"fold": row["fold"], "fit": row["fit"], "start": row["start"]}
-        | {"insertion": "phantom2-4-01t", "reason": ("over-compressed", "not converged")[n % 4 == 3]}
+        | {"insertion": "phantom2-4-01t", "note": ("over-compressed", "not converged")[n % 4 == 3]}
         | {name: value for name, value in row.items() if name not in about}
         for row in begun
         for n in range(min(20, row["failed_solves"]))
@@ -202,19 +208,20 @@ def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]
     )
     words = ["mu1_pa and bevel_mm only as mu1_pa * bevel_mm^1.9", "bevel_mm with mu2_pa", "mu1_pa / mu2_pa"]
     sds = [0.008, 0.17, 0.91]
-    return {
+    empty = {name: pd.DataFrame(columns=list(columns)) for name, columns in COLUMNS.items()}
+    return empty | {
         "design": table,
         "errors": pd.DataFrame(errors),
         "shapes": pd.concat(shapes, ignore_index=True),
         "starts": pd.DataFrame(begun, columns=begun[0].keys()),
         "failures": failed(begun),
         "parameters": pd.DataFrame(params),
-        "directions": pd.DataFrame({"fold": 1, "sd": sds, "words": words}),
+        "directions": pd.DataFrame({"fold": 1, "sd": sds, "sd_ratio": 0.1, "note": words}),
     }
 
 
 @cache
-def study(number: int, origin: str = "synthetic") -> Results:
+def study(number: int, origin: str = "synthetic") -> Run:
     """One of the five studies; study 3 holds an insertion that did not converge, 5 a flagged EDP."""
     rng = np.random.default_rng(number)
     design = paper.read_published_table("study_design").query("study == @number")
@@ -233,7 +240,8 @@ def study(number: int, origin: str = "synthetic") -> Results:
     record = StudyRecord.model_validate(
         {
             "schema": 1,
-            "title": f"Study {number}",
+            "title": f"Study {number}: a made-up run",
+            "question": "Does a model tuned on some insertions predict the others?",
             "dataset": "twin",
             "medium": first["tune_medium"],
             "paper_study": number,
@@ -241,28 +249,35 @@ def study(number: int, origin: str = "synthetic") -> Results:
             "validate": [{"medium": first["validate_medium"]}],
         }
     )
-    return Results(
+    made = Run(
+        kind="cross_validation",
         name=f"study{number}",
-        title=f"Study {number}: a made-up run",
-        question="Does a model tuned on some insertions predict the others?",
         record=record,
         origin=origin,
         dataset_title="A made-up twin of the paper's insertions",
-        **frames(
+        frames=frames(
             errors,
             shapes,
             parameters(layers, 1, number != 1, methods),
             starts(rng, layers, 1, ("fitted", "hand_tuned_b")),
             insertions,
         ),
-        run={"needlefit": "0.1.0", "seed": 1, "dataset": {"digest": "ab" * 32}, "failed_solves": 600},
+        run={
+            "needlefit": "0.1.0",
+            "seed": 1,
+            "dataset": {"name": "twin", "digest": "ab" * 32},
+            "failed_solves": 600,
+        },
         timing={"seconds": 12.5, "out": "somewhere"},
         interrupted=number == 2,
     )
+    unconverged = {name: one.faults for name, one in made.posteriors.items()}
+    search_faults = made.run.get("search_faults", {})
+    return replace(made, faults=find_faults(made.frames["errors"], search_faults, unconverged))
 
 
 @cache
-def stereo() -> Results:
+def stereo() -> Run:
     """Leave one out over aligned, measured shapes: three folds, no paper row, no hand-tuned set."""
     rng = np.random.default_rng(11)
     shapes_of = [
@@ -288,17 +303,23 @@ def stereo() -> Results:
         params += parameters(1, fold, fold != 2, ("fitted",))
         begun += starts(rng, 1, fold, ("fitted",))
     record = StudyRecord.model_validate(
-        {"schema": 1, "dataset": "stereo", "medium": "gel", "leave_out": "insertion"}
+        {
+            "schema": 1,
+            "title": "Leave one insertion out",
+            "question": "Does the model predict a shape that it was not fitted to?",
+            "dataset": "stereo",
+            "medium": "gel",
+            "leave_out": "insertion",
+        }
     )
     both = [one | {"role": role} for role in ("tune", "validate") for one in shapes_of]
-    return Results(
+    return Run(
+        kind="cross_validation",
         name="stereo_insertions",
-        title="Leave one insertion out",
-        question="Does the model predict a shape that it was not fitted to?",
         record=record,
         origin="measured",
         dataset_title="Made-up stereo shapes",
-        **frames(errors, shapes, params, begun, both),
+        frames=frames(errors, shapes, params, begun, both),
         run={"needlefit": "0.1.0", "seed": 1},
         timing={},
         interrupted=False,
@@ -308,19 +329,23 @@ def stereo() -> Results:
 def test_made_up_results_have_the_columns_of_real_ones():
     for results in (study(1), stereo()):
         for name, columns in COLUMNS.items():
-            assert set(columns) <= set(getattr(results, name).columns)
+            assert set(columns) <= set(results.frames[name].columns)
 
 
-def with_predictions(results: Results, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) -> Results:
-    """Results with predictions of their held-out needles: levels in turn, bands about the measured shape."""
+def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) -> Run:
+    """Run with predictions of their held-out needles: levels in turn, bands about the measured shape."""
     rows, bands = [], []
-    held = results.errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
+    held = results.frames["errors"].query(
+        "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
+    )
     for n, (_, one) in enumerate(held.iterrows()):
         level = levels[n % len(levels)]
         row = {name: one[name] for name in ("fold", "insertion", "specimen", "medium", "layers", "depth_mm")}
         row |= {"draw_source": "importance", "certified": True, "draws": 100, "failed_solves": 0}
         tip, half = float(one["deflection_mm"]), 0.3
         row |= {"tip_measured_mm": tip, "tip_median_mm": tip, "tip_crps_mm": 0.1, "shape_crps_mm": 0.1}
+        row |= {"specimen_treatment": "same", "between_sd_ln_mu": np.nan, "between_sd_ln_b": np.nan}
+        row |= {"other_specimens": np.nan, "tip_interval_score_mm": 0.6}
         for what in ("tip", "shape"):
             row |= {f"{what}_pit": level, f"{what}_in_50": 0.25 <= level <= 0.75}
             row |= {f"{what}_in_95": 0.025 <= level <= 0.975}
@@ -328,25 +353,41 @@ def with_predictions(results: Results, levels: tuple[float, ...] = (0.1, 0.4, 0.
             row |= {f"tip_{size}_low_mm": tip - half, f"tip_{size}_high_mm": tip + half}
             row[f"points_in_{size}"] = 1.0
         rows.append(row)
-        along = results.shapes.query("insertion == @one.insertion and method == 'fitted' and j % 5 == 0")
+        along = results.frames["shapes"].query(
+            "insertion == @one.insertion and method == 'fitted' and j % 5 == 0"
+        )
         along = along[along["boundaries"] == "measured"]
         y = along["measured_y_mm"]
         band = {"fold": one["fold"], "insertion": one["insertion"], "x_mm": along["measured_x_mm"]}
         band |= {"measured_mm": y, "median_mm": y, "low_50_mm": y - 0.1, "high_50_mm": y + 0.1}
         bands.append(pd.DataFrame(band | {"low_95_mm": y - half, "high_95_mm": y + half}))
     predictive = pd.DataFrame(rows)[list(COLUMNS["predictive"])]
-    return replace(results, predictive=predictive, bands=pd.concat(bands, ignore_index=True))
+    return results.with_frames(predictive=predictive, bands=pd.concat(bands, ignore_index=True))
 
 
-def with_draws(results: Results, count: int = 200) -> Results:
-    """Results with draws on a ridge: mu times b squared known to 2 %, mu within a factor of 5."""
+def with_draws(results: Run, count: int = 200) -> Run:
+    """Run with draws on a ridge: mu times b squared known to 2 %, mu within a factor of 5."""
     rng = np.random.default_rng(5)
-    known = results.parameters.query("method == 'fitted'").drop_duplicates("parameter").set_index("parameter")
+    known = (
+        results.frames["parameters"]
+        .query("method == 'fitted'")
+        .drop_duplicates("parameter")
+        .set_index("parameter")
+    )
     values = {name: np.full(count, value) for name, value in known["value"].items()}
     stretch = 1.6 * rng.standard_normal(count)
     values["mu1_pa"] = values["mu1_pa"] * np.exp(stretch)
     values["bevel_mm"] = values["bevel_mm"] * np.exp(-stretch / 2 + 0.01 * rng.standard_normal(count))
     for name in known.index[known["status"] == "free"].difference(["mu1_pa", "bevel_mm"]):
         values[name] = values[name] * np.exp(0.3 * rng.standard_normal(count))
-    about = {"fold": results.parameters["fold"].iloc[0], "draw_source": "importance", "pareto_k": 0.31}
-    return replace(results, draws=pd.DataFrame(about | {"certified": True} | values))
+    about = {
+        "fold": results.frames["parameters"]["fold"].iloc[0],
+        "draw_source": "importance",
+        "pareto_k": 0.31,
+    }
+    return results.with_frames(draws=pd.DataFrame(about | {"certified": True} | values))
+
+
+def skip_figures(monkeypatch) -> None:
+    """Draw no figures of studies and fits: they take longest, and other tests look at them."""
+    monkeypatch.setattr(report, "REPORT", replace(report.REPORT, draw=lambda *_: {}))

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from needlefit.inference.importance.sampler import Effort
-from needlefit.reporting.analyses.next_insertion import summarize
-from needlefit.reporting.analyses.result_folder import write_analysis
-from needlefit.schemas.planning import CandidateEntryRecord, NextInsertionRecord
-from needlefit.validation.analyses.planning import candidates, next_insertion
-from needlefit.validation.analyses.planning.candidates import find_template, frame_of, predict_candidate
-from needlefit.validation.job import Settings, prepare
+from needlefit.studies.job import Settings, prepare
+from needlefit.studies.kinds.next_insertion import run
+from needlefit.studies.kinds.next_insertion.report import summarize
+from needlefit.studies.kinds.next_insertion.schema import CandidateEntryRecord, NextInsertionRecord
+from needlefit.studies.kinds.plan import candidates
+from needlefit.studies.kinds.plan.candidates import find_template, frame_of, predict_candidate
+from needlefit.studies.report import write_run
 
 CHICKEN = {
     "schema": 1,
@@ -70,15 +71,15 @@ def test_an_entry_lists_all_of_its_layers(entry, fault):
 
 
 def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
+    monkeypatch.setattr(run, "OUTER_DRAWS", 40)
     monkeypatch.setattr(candidates, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))
-    answer = next_insertion.run("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())
+    answer = run.run("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())
     found = answer.frames["candidates"].set_index("depth_mm")
     assert found["nats"][80] > found["nats"][10] + 5 * found["nats_se"][10]
     tips = answer.frames["tips"].set_index("depth_mm")
     assert tips["sd_after_mm"][80] < tips["sd_after_mm"][10] < tips["sd_now_mm"][10]
     alphas = answer.frames["alphas"]
-    assert np.all(alphas["sd_after"] > 0.99 * alphas["sd_before"])
+    assert np.all(alphas["sd_after"] > 0.99 * alphas["sd_now"])
     assert "80 mm deep" in summarize(answer)[0]
-    written = {path.name for path in write_analysis(answer, tmp_path / "out").iterdir()}
+    written = {path.name for path in write_run(answer, tmp_path / "out").iterdir()}
     assert {"gains.csv", "gains.pdf", "report.pdf", "report.html"} <= written

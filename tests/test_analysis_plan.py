@@ -6,19 +6,23 @@ from functools import cache
 import numpy as np
 import pytest
 
-from needlefit.reporting.analyses.plan import lay_out_tables, summarize
-from needlefit.reporting.analyses.result_folder import write_analysis
-from needlefit.schemas.planning import ObstacleRecord, PlanRecord
-from needlefit.validation.analyses.planning import candidates, plan
-from needlefit.validation.analyses.planning.aiming import (
+from needlefit.inference.draws import Draws
+from needlefit.inference.fit import Fit
+from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.kinds.plan import candidates, run
+from needlefit.studies.kinds.plan.aiming import (
     TargetSite,
     aim_straight,
     clearance,
     execute_exactly,
     optimize_aim,
 )
-from needlefit.validation.analyses.planning.candidates import find_template
-from needlefit.validation.job import Job, Settings, prepare
+from needlefit.studies.kinds.plan.candidates import WeightedPosterior, find_template
+from needlefit.studies.kinds.plan.report import lay_out_tables, summarize
+from needlefit.studies.kinds.plan.schema import ObstacleRecord, PlanRecord
+from needlefit.studies.new_specimens import NewSpecimens
+from needlefit.studies.posterior_fit import PosteriorFit
+from needlefit.studies.report import write_run
 
 CHICKEN = {
     "schema": 1,
@@ -90,22 +94,63 @@ def test_errors_of_the_entry_move_the_tip_as_a_rigid_body():
     assert shifted - there == pytest.approx(np.tile([-0.3 * np.sin(turn), 0.3 * np.cos(turn)], (41, 1)))
 
 
+def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
+    where, (fold,) = site(), job().folds
+    theta = job().parameters.theta({**SOFT, "bevel_spread": 0.1})
+    fit = Fit(tuple(theta), {}, 0.0, (), 1, 0, interrupted=False)
+    learned = PosteriorFit(fit, Draws(theta[None], "importance"), 0.0)
+    known = WeightedPosterior(job().problem(fold), learned, theta[None], np.ones(1))
+    unknown = {one.specimen: None for one in job().dataset.insertions}  # the stated spread alone is left
+    # so small that no draw meets a bound
+    stated = job().recipe.specimens.model_copy(update={"modulus_factor": 2.0, "bevel_factor": 1.2})
+    recipe = job().recipe.model_copy(update={"specimens": stated})
+    new = NewSpecimens(replace(job(), recipe=recipe), fold, theta, unknown)
+    bevel, moduli = {}, {}
+    for name, about in (("same", None), ("new", new)):
+        sets = [one.values for one in run._draw_trials(where, known, about, 4000)]
+        bevel[name], moduli[name] = (
+            np.std(np.log([values[key] for values in sets])) for key in ("bevel_mm", "mu1_pa")
+        )
+    assert bevel["same"] == pytest.approx(0.1, rel=0.05) and moduli["same"] < 1e-9
+    # of the new specimen, and of the one tuned on
+    assert moduli["new"] == pytest.approx(np.sqrt(2) * np.log(2), rel=0.05)
+    assert bevel["new"] == pytest.approx(np.hypot(0.1, np.sqrt(2) * np.log(1.2)), rel=0.05)
+
+
+def test_the_template_s_specimen_decides_unless_the_study_does():
+    fit = Fit((), {}, 0.0, (), 1, 0, interrupted=False)
+    draws = Draws(np.empty((1, 0)), "importance")
+    problem, learned = job().problem(job().folds[0]), PosteriorFit(fit, draws, 0.0)
+    known = WeightedPosterior(problem, learned, draws.thetas, np.ones(1))
+    tuned = {one.specimen for one in job().folds[0].tune}
+    other = next(one.id for one in job().dataset.insertions if one.specimen not in tuned)
+    for template, stated, differs in (
+        ("chicken-01", None, False),
+        ("chicken-01", "new", True),
+        (other, None, True),
+        (other, "same", False),
+    ):
+        where = site(template_insertion=template, specimen=stated)
+        assert (run._find_new_specimen(where, known) is not None) == differs
+
+
+@pytest.mark.slow
 def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(plan, "SEARCH_DRAWS", 3)
-    monkeypatch.setattr(plan, "TEST_DRAWS", 20)
+    monkeypatch.setattr(run, "SEARCH_DRAWS", 8)
+    monkeypatch.setattr(run, "TEST_DRAWS", 20)
     monkeypatch.setattr(
         candidates, "PLANNING_EFFORT", replace(candidates.PLANNING_EFFORT, draws=100, min_ess=100.0)
     )
-    answer = plan.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
-    plans = answer.frames["plans"].set_index("plan")
+    answer = run.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
+    plans = answer.frames["plans"].set_index("method")
     assert plans["rms_mm"]["expected"] < plans["rms_mm"]["straight"]
     rows = answer.frames["misses"]
-    misses = rows[rows["plan"] == "expected"]["miss_mm"]
+    misses = rows[rows["method"] == "expected"]["miss_mm"]
     assert len(misses) == 20
-    beyond = answer.frames["exceedances"].set_index(["plan", "limit_mm"])["share"]
+    beyond = answer.frames["exceedances"].set_index(["method", "limit_mm"])["share"]
     assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
     assert "45" in summarize(answer)[0]
-    written = {path.name for path in write_analysis(answer, tmp_path / "out").iterdir()}
+    written = {path.name for path in write_run(answer, tmp_path / "out").iterdir()}
     assert {"plane.pdf", "plane.csv", "within.pdf", "within.csv", "report.pdf"} <= written
 
 
@@ -117,17 +162,17 @@ def test_a_target_out_of_reach_is_refused():
 
 def test_a_plan_out_of_reach_is_reported_with_its_parameters_at_bounds(monkeypatch):
     """Straight ahead and 30 mm deep at most, a place 4 mm to the side is out of reach."""
-    monkeypatch.setattr(plan, "SEARCH_DRAWS", 2)
-    monkeypatch.setattr(plan, "TEST_DRAWS", 6)
+    monkeypatch.setattr(run, "SEARCH_DRAWS", 2)
+    monkeypatch.setattr(run, "TEST_DRAWS", 6)
     monkeypatch.setattr(
         candidates, "PLANNING_EFFORT", replace(candidates.PLANNING_EFFORT, draws=100, min_ess=100.0)
     )
     entry_plane = {**AHEAD, "depth_mm": [20, 30]}
     record = {**CHICKEN, "target_mm": [29, 4], "tolerances_mm": [1.0], "entry_plane": entry_plane}
-    answer = plan.run("aside", PlanRecord.model_validate(record), Settings())
+    answer = run.run("aside", PlanRecord.model_validate(record), Settings())
     (fault,) = (one for one in answer.faults if "no plan" in one)
     assert "1 mm" in fault
     result = summarize(answer)[0]
-    assert "x = 29, y = 4 mm" in result and "offset, angle" in result
+    assert "(29, 4 mm)" in result and "offset, angle" in result
     (table, _) = lay_out_tables(answer)
     assert "0.1*" in table.rows[0] and any(note.startswith("* ") for note in table.notes)

@@ -12,7 +12,8 @@ import pytest
 import typer
 from compression_cases import gel_file
 from credibility_cases import leave, results
-from reporting_results import study
+from light_runs import draw_blank
+from reporting_results import skip_figures, study
 from test_cli import run
 from test_cli_verify import GOOD
 from test_validation_checkpoint import HOLDS
@@ -21,7 +22,7 @@ from test_viewer_recording import recorded
 from needlefit.cli.application import build
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.ownership import STAMP, find_foreign, write_stamp
-from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.studies.checkpoint import open_checkpoint
 from needlefit.verification import run as verification
 from needlefit.viewer.interaction.inputs import Change
 
@@ -96,6 +97,7 @@ CASES = {
         ("reconstruct", SCANS, "--out", "out/rr", "-q"), ("out/rr", "out/rr.partial"), quick=False
     ),
     "migrate": Case(("migrate", "./out/run")),
+    "import": Case(("import", "curves.csv", "--out", "out/found", "--yes"), ("out/found",)),
     "init": Case(("init", "out/project"), ("out/project/data", "out/project/configs", "out/project/studies")),
     "twin build": Case(("twin", "build", "--out", "out/twin", "-q"), ("out/twin",)),
     "twin ct": Case(
@@ -177,12 +179,11 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("needlefit.validation.run.run", Stub.run)
-    monkeypatch.setattr(
-        "needlefit.reporting.run_folder._draw_figures", lambda *_: {}
-    )  # seconds, and other tests' business
+    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", Stub.run)
+    skip_figures(monkeypatch)  # seconds, and other tests' business
+    draw_blank(monkeypatch)
     for name in ("compile_pdf", "compile_html"):
-        monkeypatch.setattr(f"needlefit.reporting.run_folder.{name}", lambda _: b"a page")
+        monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
     monkeypatch.setattr(verification, "find_checks", lambda: GOOD)
     monkeypatch.setattr("needlefit.cli.view._server", lambda: steer)
     monkeypatch.setattr(
@@ -240,7 +241,7 @@ def carry_out(command: str, project: Path) -> None:
     if "./out/run" in case.words:
         leave_run(project / "out/run", command)
     # the second time what it wrote is replaced
-    for _ in range(1 if command.startswith(("init", "new dataset")) else 2):
+    for _ in range(1 if command.startswith(("init", "new dataset", "import")) else 2):
         assert run(*case.words) == case.code
     for place in case.folders:
         assert place.endswith(".partial") or any((project / place).iterdir())
@@ -270,7 +271,7 @@ def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, c
         plant(project / place)
         return results
 
-    monkeypatch.setattr("needlefit.validation.run.run", run_and_plant)
+    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", run_and_plant)
     partial = place.endswith(".partial")
     assert run(*CASES["tune"].words) == (0 if partial else 3)
     assert all((project / place / name).is_file() for name in FOREIGN)
@@ -308,7 +309,7 @@ def test_the_folder_is_removed_while_it_is_written(when, project, stubs, monkeyp
         shutil.rmtree(project / "out")
         return dataclasses.replace(study(1), name=name, record=record)
 
-    monkeypatch.setattr("needlefit.validation.run.run", run_and_remove)
+    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", run_and_remove)
     code = run(*CASES["tune"].words)
     printed = capsys.readouterr().err
     if when.startswith("before a row"):
@@ -323,6 +324,6 @@ def test_the_folder_is_removed_while_the_results_are_written(project, stubs, mon
         shutil.rmtree(project / "out")
         return b"a page"
 
-    monkeypatch.setattr("needlefit.reporting.run_folder.compile_pdf", remove)
+    monkeypatch.setattr("needlefit.reporting.document.compile_pdf", remove)
     assert run(*CASES["tune"].words) == 3
     assert "unexpected" not in capsys.readouterr().err

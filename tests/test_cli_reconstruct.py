@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import trimesh
+from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
 
 from needlefit.cli import main
 from needlefit.cli.reconstruct import repeat_option
@@ -39,7 +40,9 @@ def run(*words) -> int:
 
 def files(folder):
     return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != "timing.json"
     }
 
 
@@ -51,7 +54,9 @@ def warnings_of(folder) -> str:
 def done(tmp_path_factory):
     """The sample, reconstructed by its table."""
     folder = tmp_path_factory.mktemp("done") / "mydata"
-    assert run("reconstruct", SAMPLE / "scans.csv", "--out", folder, "-q") == 0
+    with pytest.MonkeyPatch.context() as patch:
+        search_once(patch)
+        assert run("reconstruct", SAMPLE / "scans.csv", "--out", folder, "-q") == 0
     return folder
 
 
@@ -59,9 +64,16 @@ FOUND: dict[tuple, object] = {}
 """What was found in a volume, by the function and the volume's content."""
 
 
+pytestmark = pytest.mark.usefixtures("read_here")
+
+
 @pytest.fixture
 def searched_once(monkeypatch):
     """Search a volume once for its needle and markers: for tests of what is made of what was found."""
+    search_once(monkeypatch)
+
+
+def search_once(patch):
 
     def remembered(function):
         def found(volume, *arguments):
@@ -75,7 +87,7 @@ def searched_once(monkeypatch):
         return found
 
     for function in (trace_needle, find_markers):
-        monkeypatch.setattr(f"needlefit.imaging.detections.{function.__name__}", remembered(function))
+        patch.setattr(f"needlefit.imaging.detections.{function.__name__}", remembered(function))
 
 
 def test_a_scan_becomes_a_checked_dataset(done):
@@ -100,16 +112,18 @@ def test_a_scan_becomes_a_checked_dataset(done):
 def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
     found = set(files(done))
     assert {
-        *("reconstruction.csv", "markers.csv", "crossings.csv", "reconstruction.json"),
+        *("reconstruction.csv", "markers.csv", "crossings.csv", "run.json", "results.json.gz"),
+        *("report.pdf", "report.html", "reconstruction.tex", "numbers.tex", "remarks.csv"),
         *("quality/sample.pdf", "slicer/sample.mrk.json", "slicer/sample.needle.ply"),
     } <= found
     row = pd.read_csv(done / "reconstruction.csv").iloc[0]
     assert (row["markers_paired"], row["markers_known"]) == (5, 5)
     assert row["fre_mm"] < 3 * row["expected_fre_mm"]
-    text = (done / "reconstruction.json").read_text()
+    text = (done / "run.json").read_text()
     assert str(shipped_folder()) not in text and "/tmp" not in text  # no path of a machine
 
 
+@pytest.mark.slow
 def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
     again = tmp_path / "mydata"
     shutil.copytree(done, again)
@@ -122,6 +136,19 @@ def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
     assert "# mine" in (again / "dataset.toml").read_text()
 
 
+def test_the_report_is_written_again_and_the_dataset_stays(done, tmp_path, capsys):
+    again = tmp_path / "mydata"
+    shutil.copytree(done, again)
+    assert run("report", str(again)) == 0
+    assert files(again) == files(done)
+    assert run("report", str(again), "--out", tmp_path / "elsewhere") == 0
+    assert not (tmp_path / "elsewhere" / "dataset.toml").exists()
+    capsys.readouterr()
+    assert run("diff", str(again), str(done), "--json") == 0
+    assert json.loads(capsys.readouterr().out) == []
+
+
+@pytest.mark.usefixtures("searched_once")
 def test_layers_take_all_words_up_to_the_next_option_and_dicom_is_read_alike(tmp_path, capsys):
     series = tmp_path / "series"
     write_volume(read_volume(VOLUME), series)
@@ -134,6 +161,7 @@ def test_layers_take_all_words_up_to_the_next_option_and_dicom_is_read_alike(tmp
     assert output["scans"][0]["depth_mm"] == pytest.approx(25.0, abs=0.4)
 
 
+@pytest.mark.usefixtures("searched_once")
 def test_a_scan_without_markers_defines_its_own_world_frame(tmp_path, capsys):
     assert run("reconstruct", VOLUME, "--out", tmp_path / "out", "-q") == 0
     (insertion,) = read_dataset(tmp_path / "out").insertions
@@ -159,6 +187,7 @@ def resumed(tmp_path_factory):
     return words, out
 
 
+@pytest.mark.slow
 def test_one_failure_loses_nothing_and_resume_completes_it(resumed):
     _, out = resumed
     assert [one.id for one in read_dataset(out).insertions] == ["truncated", "whole"]
@@ -176,6 +205,7 @@ def test_resumed_results_equal_those_of_one_run(resumed):
     assert found.keys() == at_once.keys()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("searched_once")
 def test_damaged_checkpoints_are_set_aside_and_no_pickle_is_opened(tmp_path, capsys, monkeypatch):
     class Bomb:
@@ -275,8 +305,8 @@ def wrong_markers(folder):
 
 def fiducials_as(folder, system):
     """The markers in the scan, written as LPS coordinates in a file that says `system`."""
-    from needlefit.datasets.formats.markups import Markups
     from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
+    from needlefit.datasets.markups import Markups
 
     points = find_markers(read_volume(VOLUME), ReconstructionRecord(schema=1)).centers
     path = folder / "fiducials.mrk.json"
@@ -413,6 +443,7 @@ def test_a_small_offset_of_the_stage_is_reported(tmp_path):
     assert "outside the tissue" in warnings_of(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_voxels_need_not_be_cubes(tmp_path):
     volume = read_volume(VOLUME)
     slices = volume.values[: 2 * (len(volume.values) // 2)]
@@ -472,6 +503,7 @@ def test_an_invalid_frame_is_refused(tmp_path, capsys):
     assert "'world', 'scan'" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("child_process_reader")
 def test_libraries_print_nothing_beside_the_error(tmp_path, capfd):
     for path in (truncated(tmp_path)[0], no_decoder(tmp_path)[0]):
         run("reconstruct", path, "--out", tmp_path / "out", "-q")

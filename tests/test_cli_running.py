@@ -10,9 +10,10 @@ import sys
 import time
 
 import pandas as pd
+import pytest
 
 from needlefit.cli import screen
-from needlefit.cli.exit_codes import Invocation, catch_interrupts
+from needlefit.cli.exit_codes import STOP_SIGNALS, Invocation, catch_interrupts
 from needlefit.cli.progress import report_lines, show_progress
 
 
@@ -33,21 +34,22 @@ def test_quiet_prints_nothing(capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def test_ctrl_c_once_sets_a_flag_and_restores_the_handler(capfd):
-    before = signal.getsignal(signal.SIGINT)
-    with catch_interrupts() as stop:
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_the_first_signal_sets_a_flag_and_restores_the_handler(number, capfd):
+    before = signal.getsignal(number)
+    with catch_interrupts(Invocation(("tune",))) as stop:
         assert not stop()
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
         assert stop()
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(number) is before
     assert "stopping" in capfd.readouterr().err
 
 
 def test_ctrl_c_twice_ends_at_once():
     code = (
         "import time\n"
-        "from needlefit.cli.exit_codes import catch_interrupts\n"
-        "with catch_interrupts():\n"
+        "from needlefit.cli.exit_codes import Invocation, catch_interrupts\n"
+        "with catch_interrupts(Invocation(('tune', 'gel'))):\n"
         "    print('ready', flush=True)\n"
         "    time.sleep(60)\n"
     )
@@ -59,6 +61,7 @@ def test_ctrl_c_twice_ends_at_once():
     running.stderr.read(10)  # the first one has been heard
     running.send_signal(signal.SIGINT)
     assert running.wait(timeout=30) == 130
+    assert b"needlefit tune gel --resume" in running.stderr.read()
     assert time.monotonic() - started < 30
     running.stdout.close()
     running.stderr.close()

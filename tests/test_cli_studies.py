@@ -10,13 +10,18 @@ import pytest
 from reporting_results import stereo, study
 from test_cli import run
 
+from needlefit.cli import screen
 from needlefit.project import locate
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.checkpoint import open_checkpoint
+from needlefit.studies.kind import kind_of
+from needlefit.studies.kinds.cross_validation.run import find_faults
 
 STUDY = 'schema = 1\ntitle = "Mine"\ndataset = "twin"\nmedium = "phantom2"\nvalidate = [{}]\n'
 FIT = 'schema = 1\ndataset = "twin"\nmedium = "phantom2"\n'
 with (locate.shipped_folder() / "data/paper/validation.csv").open(encoding="utf-8") as _file:
-    COLUMNS = _file.readline().strip().split(",")
+    METRICS = _file.readline().strip().split(",")[3:]
 
 
 class Stub:
@@ -30,12 +35,13 @@ class Stub:
         if settings.checkpoint is not None:
             settings.checkpoint.mkdir(parents=True, exist_ok=True)
         self.asked.append((name, record, settings))
-        return dataclasses.replace(self.results, name=name, record=record, title="Made up")
+        found = dataclasses.replace(self.results, kind=kind_of(record).name, name=name, record=record)
+        return dataclasses.replace(found, faults=find_faults(found.frames["errors"], {}, {}))
 
-    def write(self, results, folder, also):
+    def write(self, results, folder):
         folder.mkdir(parents=True)
         self.written.append((results, folder))
-        return []
+        return folder
 
 
 @pytest.fixture
@@ -47,8 +53,8 @@ def stub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
     def install(results) -> Stub:
         made = Stub(results)
-        monkeypatch.setattr("needlefit.validation.run.run", made.run)
-        monkeypatch.setattr("needlefit.reporting.run_folder.write", made.write)
+        monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", made.run)
+        monkeypatch.setattr("needlefit.studies.report.write_run", made.write)
         return made
 
     return install
@@ -63,25 +69,34 @@ def test_validate_writes_prints_and_removes_the_checkpoint(stub, capsys):
     assert made.written[0][1] == Path("reports/mine")
     assert not Path("reports/mine.partial").exists()
     out = capsys.readouterr().out
-    assert "SYNTHETIC data" in out and "noise floor" in out and "constant curvature" in out
+    assert "SYNTHETIC data" in out and "noise floor" in out and "μ₁" in out
+    tables = [line for line in out.splitlines() if not line.startswith(("Generalises", "Not ", "Does"))]
+    assert max(map(len, tables)) <= screen.SCREEN_COLUMNS
 
 
-def test_validate_json_has_the_paper_s_columns_first(stub, capsys):
+def test_a_warning_names_its_page_and_with_strict_ends_in_exit_code_5(stub, capsys):
+    warned = warnings_entry([ResultWarning("parameter_at_bound", "mu1 lies at its bound")])
+    results = study(1)
+    stub(dataclasses.replace(results, run={**results.run, **warned}))
+    assert run("validate", "mine") == 0
+    assert "docs/troubleshooting.md#parameter-at-bound" in capsys.readouterr().err
+    assert run("validate", "mine", "--out", "again", "--strict", "--json") == 5
+    found = json.loads(capsys.readouterr().out)
+    assert [one["kind"] for one in found["warnings"]] == ["parameter_at_bound"]
+    assert {one["status"] for one in found["verdicts"]} <= {"pass", "warn", "fail"}
+
+
+def test_validate_json_has_every_error_beside_the_paper_s(stub, capsys):
     stub(study(1))
     Path("studies/mine.toml").write_text(STUDY.replace("validate", "paper_study = 1\nvalidate"))
     assert run("validate", "mine", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)
-    metrics = COLUMNS[3:]
-    assert all(list(row)[: len(COLUMNS)] == COLUMNS for row in rows)
-    assert all(f"paper_{metric}" in row for row in rows for metric in metrics)
-    three_layers = rows[0]
-    assert (three_layers["study"], three_layers["validate_medium"], three_layers["validate_layers"]) == (
-        1,
-        "phantom2",
-        3,
-    )
-    assert (three_layers["paper_te_mm"], three_layers["paper_edp_percent"]) == (0.14, 5.56)
-    assert three_layers["origin"] == "synthetic"
+    rows = json.loads(capsys.readouterr().out)["validation"]
+    ours = [row for row in rows if (row["method"], row["boundaries"]) == ("fitted", "measured")]
+    assert [row["metric"] for row in ours[: len(METRICS)]] == METRICS
+    three_layers = {row["metric"]: row for row in ours[: len(METRICS)]}
+    head = three_layers["te_mm"]
+    assert [head[name] for name in ("study", "medium", "layers", "origin")] == [1, "phantom2", 3, "synthetic"]
+    assert (head["paper"], three_layers["edp_percent"]["paper"]) == (0.14, 5.56)
 
 
 def test_validate_reference_writes_evidence(stub):
@@ -91,15 +106,17 @@ def test_validate_reference_writes_evidence(stub):
     assert run("validate", "mine", "--reference", "--out", "new", "-q") == 0
     assert made.written[1][1] == Path("new/mine")
     evidence = pd.read_csv("new/reference/mine/validation.csv")
-    assert (evidence["te_mm"] == evidence["te_mm"].round(3)).all()
+    assert all(f"{value:.3g}" == f"{value:.6g}" for value in evidence["value"])
     assert "searches" not in json.loads(Path("new/reference/mine/run.json").read_text())
 
 
 def test_a_curve_that_beats_the_model_is_named(stub, capsys):
     stub(stereo())
-    assert run("validate", "mine") == 0
+    assert run("validate", "mine", "--explain") == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert re.search(r": straight line \(", printed)
+    assert run("validate", "mine", "--out", "brief") == 0
+    assert "straight line (" not in capsys.readouterr().out
 
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):
@@ -117,26 +134,50 @@ def test_validate_interrupted_keeps_its_checkpoint_and_prints_how_to_resume(stub
     assert "validate mine --seed 7 --resume\n" in capsys.readouterr().err
 
 
+def test_on_own_data_nothing_speaks_of_the_paper(stub, capsys):
+    stub(stereo())
+    assert run("validate", "mine") == 0
+    assert run("validate", "mine", "--explain", "--out", "explained") == 0
+    assert "paper" not in capsys.readouterr().out.lower()
+
+
+def test_unfinished_work_of_a_killed_run_is_kept_and_the_next_start_prints_how_to_go_on(stub, capsys):
+    made = stub(study(1))
+
+    def run_with_checkpoint(name, record, settings):
+        open_checkpoint(settings.checkpoint, settings.resume, {"n": 1})
+        return made.run(name, record, settings)
+
+    monkeypatch = pytest.MonkeyPatch()
+    with monkeypatch.context() as here:
+        here.setattr("needlefit.studies.kinds.cross_validation.run.run", run_with_checkpoint)
+        open_checkpoint(Path("reports/gel.partial"), False, {"n": 1}).keep_row("a", {"b": 0})
+        assert run("tune", "gel") == 3
+        assert "needlefit tune gel --resume\n" in capsys.readouterr().err
+        assert made.written == [] and list(Path("reports/gel.partial").glob("*.jsonl"))
+        assert run("tune", "gel", "--resume") == 0
+    assert made.written and not Path("reports/gel.partial").exists()
+
+
 def test_tune_of_a_study_tunes_only(stub, capsys):
     made = stub(study(1))
-    assert run("tune", "mine", "--sample", "--out", "mine out") == 0
+    assert run("tune", "mine", "--sample", "--out", "mine out", "--explain") == 0
     ((name, record, settings),) = made.asked
     assert (name, type(record), settings.sample) == ("mine-tune", FitRecord, True)
     assert record.medium == "phantom2"
     assert made.written[0][1] == Path("mine out/mine-tune")
     out = capsys.readouterr().out
-    assert re.search(r"NOT determined.*: alpha1: ", out)
-    assert "b re-tuned" in out and "4 of 8 starts" in out
-    assert "mu1_pa * bevel_mm^1.9" in out
+    assert "α₁ is not identifiable" in out and "4 of 8 starts" in out
+    assert "μ₁ · b^1.9" in out
 
 
 def test_tune_never_prints_what_is_not_determined_as_a_value(stub, capsys):
     stub(study(1))
     assert run("tune", "gel", "--json") == 0
     found = json.loads(capsys.readouterr().out)
-    rows = {row["parameter"]: row for row in found["parameters"]}
-    assert rows["alpha1"]["fitted"] == "not determined" and rows["alpha1"]["determined"] is False
-    assert rows["bevel_mm"]["fitted"] == "0.0847"
+    rows = {row["parameter"]: row for row in found["parameters"] if row["method"] == "fitted"}
+    assert rows["alpha1"]["value"] == "not determined" and rows["alpha1"]["determined"] is False
+    assert rows["bevel_mm"]["value"] == "0.0847"
     assert found["starts"][0]["objective"] is None  # infinite: every solve of that start failed
     assert (found["origin"], found["interrupted"]) == ("synthetic", False)
 
@@ -161,8 +202,8 @@ def test_a_wrong_study_is_refused_before_anything_runs(stub, capsys):
 
 def test_tune_interrupted_before_anything_is_found_leaves_an_earlier_result(stub, capsys):
     results = study(1)
-    nothing = results.errors.query("method != 'fitted'")
-    made = stub(dataclasses.replace(results, interrupted=True, errors=nothing))
+    nothing = results.frames["errors"].query("method != 'fitted'")
+    made = stub(dataclasses.replace(results.with_frames(errors=nothing), interrupted=True))
     assert run("tune", "gel") == 130
     assert made.written == []
     assert "tune gel --resume\n" in capsys.readouterr().err

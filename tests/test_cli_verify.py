@@ -7,6 +7,8 @@ import re
 import subprocess
 
 import pytest
+from light_runs import blank_figures  # noqa: F401 - a fixture
+from made_again import assert_made_again
 from test_cli import run
 
 from needlefit.verification import run as running
@@ -22,9 +24,17 @@ from needlefit.verification.check import (
 )
 
 FILES = {
-    "convergence.csv", "convergence.pdf", "report.pdf", "run.json", "timing.json",
-    "verification.csv", "verification.json", "needlefit.json",
-}  # fmt: skip
+    *(
+        "closed_forms.tex",
+        "convergence.csv",
+        "convergence.pdf",
+        "example.tex",
+        "manufactured.tex",
+        "needlefit.json",
+    ),
+    *("numbers.tex", "report.html", "report.pdf", "results.json.gz", "run.json", "stated.tex"),
+    *("timing.json", "verification.csv"),
+}
 H = (4.0, 2.0, 1.0)
 NORMS = {"deflection": 4, "slope": 3, "deflection at the nodes": 4, "slope at the nodes": 4}
 
@@ -78,27 +88,41 @@ def table(monkeypatch):
     return choose
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_good_table_is_printed_and_written(table, tmp_path, capsys):
     table(*GOOD)
-    assert run("verify", "--out", str(tmp_path)) == 0
+    assert run("verify", "--out", str(tmp_path), "--explain") == 0
     out = capsys.readouterr().out
     assert "Closed forms" in out
     assert "2.50 × 10⁻⁷" in out and "≤ 10⁻⁵" in out and "3.8 to 4.2" in out and "stated" in out
-    assert re.search(r"\n *All 2 rows .*; 1 ", out)
+    assert re.search(r"(?m)^All 2 .*; 1 ", out)
     assert f"written: {tmp_path}/verification/" in out
     folder = tmp_path / "verification"
     assert {path.name for path in folder.iterdir()} == FILES
     rows = read_csv(folder / "verification.csv")
     assert [row["verdict"] for row in rows] == ["passes", "passes", "stated"]
     assert float(rows[0]["measured"]) == 2.5e-7 and float(rows[0]["bound_high"]) == 1e-5
-    assert rows[0]["unit"] == "mm" and rows[2]["remark"] == "another model"
-    assert json.loads((folder / "verification.json").read_text())["rows"][1]["measured"] == pytest.approx(4)
+    assert rows[0]["unit"] == "mm" and rows[2]["note"] == "another model"
+    assert float(rows[1]["measured"]) == pytest.approx(4)
     orders = [row["order"] for row in read_csv(folder / "convergence.csv")]
     assert orders[:3] == ["", "4", "4"]
     about = json.loads((folder / "run.json").read_text())
-    assert about["seed"] == 1 and about["rules"]["spacing"] == 1.0 and "scipy" in about["versions"]
+    assert about["study"]["seed"] == 1 and about["rules"]["spacing"] == 1.0 and "scipy" in about["versions"]
 
 
+def test_a_verification_is_reported_again_and_compared(table, tmp_path, capsys):
+    table(*GOOD)
+    assert run("verify", "--out", str(tmp_path)) == 0
+    assert_made_again(tmp_path / "verification")
+    table(*GOOD, BAD)
+    assert run("verify", "--out", str(tmp_path / "b")) == 6
+    capsys.readouterr()
+    assert run("diff", str(tmp_path / "verification"), str(tmp_path / "b" / "verification"), "--json") == 0
+    found = {one["where"]: one for one in json.loads(capsys.readouterr().out)}
+    assert found["faults"]["matters"] and found["rows of verification"]["after"] == 4
+
+
+@pytest.mark.usefixtures("blank_figures")
 def test_a_failed_row_ends_in_exit_code_6_with_the_table_written(table, tmp_path, capsys):
     table(*GOOD, BAD, WORSE)
     assert run("verify", "--out", str(tmp_path), "--json") == 6
@@ -106,7 +130,7 @@ def test_a_failed_row_ends_in_exit_code_6_with_the_table_written(table, tmp_path
     found = json.loads(captured.out)
     assert [row["verdict"] for row in found["rows"]] == ["passes", "passes", "stated", "FAILS", "FAILS"]
     assert found["rows"][4]["measured"] is None
-    assert found["summary"].startswith("2 of 4 rows FAIL")
+    assert found["summary"].startswith("2 of 4 ")
     lines = [line.split(": ", 3) for line in captured.err.splitlines()]
     assert ["needlefit", "A mirror", "difference", "fails"] in lines
     assert lines[-1][1:3] == ["A step", "defect"] and "ZeroDivisionError: no luck" in lines[-1][3]
@@ -114,26 +138,29 @@ def test_a_failed_row_ends_in_exit_code_6_with_the_table_written(table, tmp_path
     assert (tmp_path / "verification" / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_verbose_shows_where_a_row_crashed(table, tmp_path, capsys):
     table(WORSE)
     assert run("verify", "--out", str(tmp_path), "-v") == 6
     assert "in crash" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_fault_of_the_solver_ends_in_exit_code_6(monkeypatch, tmp_path, capsys):
     """Not one of the checks' making: the law's coefficients are wrong by a thousandth."""
-    from needlefit.mechanics import laws
+    from needlefit.mechanics import simulate
     from needlefit.verification.checks import elastic_foundation
 
-    true = laws.power_terms
+    true = simulate.compile_law
     monkeypatch.setattr(
-        laws, "power_terms", lambda law, alpha: (1.001 * true(law, alpha)[0], true(law, alpha)[1])
+        simulate, "compile_law", lambda law, alpha: (1.001 * true(law, alpha)[0], true(law, alpha)[1])
     )
     monkeypatch.setattr(running, "find_checks", lambda: elastic_foundation.CHECKS)
     assert run("verify", "--out", str(tmp_path)) == 6
-    assert "FAILS" in capsys.readouterr().out
+    assert "FAIL" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_the_same_measurements_give_the_same_bytes(table, tmp_path, capsys):
     table(*GOOD)
     for name in ("a", "b"):

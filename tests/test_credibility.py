@@ -20,14 +20,16 @@ from test_cli import run
 
 from needlefit.errors import DataError
 from needlefit.project.ownership import STAMP, write_stamp
-from needlefit.reporting.credibility.case import load_case
-from needlefit.reporting.credibility.document import DISCLAIMER, compose_bundle
-from needlefit.reporting.credibility.factors import FACTORS, collect_entries
-from needlefit.reporting.credibility.verification_findings import find_code_verification
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
-from needlefit.validation.credibility_evidence import gather_evidence
-from needlefit.validation.csv_tables import find_damaged_files
+from needlefit.studies.csv_tables import find_damaged_files
+from needlefit.studies.job import Settings
+from needlefit.studies.kind import find_kind
+from needlefit.studies.kinds.credibility.case import load_case
+from needlefit.studies.kinds.credibility.evidence import gather_evidence
+from needlefit.studies.kinds.credibility.factors import FACTORS, collect_entries
+from needlefit.studies.kinds.credibility.report import DISCLAIMER, compose_sections
+from needlefit.studies.kinds.credibility.verification_findings import find_code_verification
 
 
 def read_findings(folder, *named, about=None):
@@ -42,6 +44,12 @@ def read_findings(folder, *named, about=None):
         one.factor.key: (" ".join(f.words for f in one.content.findings), list(one.gaps))
         for one in collect_entries(found)
     }
+
+
+def compose_blocks(folder):
+    """Return the report of the bundle of a run, down to its provenance."""
+    kind = find_kind("credibility")
+    return compose_sections(kind.run("bundle", kind.make_record(run=str(folder)), Settings()), {})
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +157,7 @@ def test_evidence_of_another_model_is_listed_but_not_counted(alone, tmp_path):
     (uncertainties,) = (one for one in every if one.factor.key == "uncertainties")
     assert not any("500 truths" in one.words for one in uncertainties.content.findings)
     assert "needlefit calibrate" in " ".join(uncertainties.gaps)
-    blocks = json.dumps(compose_bundle(found, every).blocks, default=str, ensure_ascii=False)
+    blocks = json.dumps(compose_blocks(alone), default=str, ensure_ascii=False)
     assert all(word in blocks for word in ("calibrate-study1", "cdcdcdcdcdcd…", "abababababab…"))
 
 
@@ -223,9 +231,8 @@ def test_equal_findings_of_several_runs_are_listed_once(tmp_path):
         leave(one, tmp_path)
     leave_calibration(tmp_path, of="study5")
     (tmp_path / "all").mkdir()
-    write_json(tmp_path / "all/run.json", {one.name: one.run for one in runs})
-    found = load_case(tmp_path / "all")
-    blocks = compose_bundle(found, collect_entries(found)).blocks
+    write_json(tmp_path / "all/run.json", {one.name: one.run_json for one in runs})
+    blocks = compose_blocks(tmp_path / "all")
     items = [item for block in blocks if block["kind"] == "list" for item in block["items"]]
     computed = [item for item in items if "Computed with" in item]
     assert len(computed) == 1 and computed[0].startswith("study1, study5: ") and "emcee 3.1" in computed[0]
@@ -255,27 +262,39 @@ def test_credibility_writes_the_same_bytes_and_prints_json(alone, tmp_path, caps
     assert run(*wanted) == 0
     assert "reports/credibility-study1/" in capsys.readouterr().out
     folder = tmp_path / "reports/credibility-study1"
-    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    first = read_files(folder)
     assert set(first) == {
-        "credibility.pdf",
-        "credibility.html",
-        "credibility.csv",
-        "run.json",
-        "needlefit.json",
+        *("credibility.csv", "credibility.tex", "evidence.csv", "evidence.tex", "needlefit.json"),
+        *("example.tex", "numbers.tex", "report.html", "report.pdf", "results.json.gz", "run.json"),
     }
     assert run(*wanted, "--json") == 0
     answer = json.loads(capsys.readouterr().out)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+    assert read_files(folder) == first
+    assert run("report", str(folder)) == 0
+    assert read_files(folder) == first
     assert {row["factor"] for row in answer["factors"]} == {one.name for one in FACTORS}
-    words = " ".join(re.sub(r"<[^>]*>", " ", first["credibility.html"].decode()).split())
+    words = " ".join(re.sub(r"<[^>]*>", " ", first["report.html"].decode()).split())
     assert DISCLAIMER.replace("&", "&amp;") in words
     rest = words.replace(DISCLAIMER.replace("&", "&amp;"), "") + first["credibility.csv"].decode()
     assert not re.search(r"compl(y|ies|ian)", rest)
     assert stated in words and str(tmp_path) not in words
     about = json.loads(first["run.json"])
-    assert about["stated"]["context_of_use"] and about["evidence"][0]["sha256"].keys() == {
+    assert about["stated"]["context_of_use"] and about["digests"]["verification"].keys() == {
         *("run.json", "verification.csv")
     }
+
+
+def read_files(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
+
+
+def test_a_bundle_about_a_run_that_changed_is_not_reported_again(alone, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("credibility", str(alone)) == 0
+    about = json.loads((alone / "run.json").read_text())
+    write_json(alone / "run.json", about | {"name": "another"})
+    assert run("report", "credibility-study1") == 3
+    assert str(alone) in capsys.readouterr().err
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path, capsys):

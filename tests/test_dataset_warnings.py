@@ -448,7 +448,7 @@ def test_check_prints_warnings_and_strict_ends_with_5(tmp_path, capsys):
     gel(tmp_path, (-1, -1, 1))
     assert run("check", str(tmp_path) + "/dataset.toml") == 0
     out, err = capsys.readouterr()
-    assert "no faults" in out and err.count("needlefit: warning") == 1
+    assert "No faults" in out and err.count("needlefit: warning") == 1
     assert run("check", f"{tmp_path}/", "--strict", "--json") == 5
     output = json.loads(capsys.readouterr().out)
     assert output["ok"] is True and [one["kind"] for one in output["warnings"]] == ["bevel_side"]

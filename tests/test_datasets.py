@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from needlefit.datasets.columns import InsertionRow
-from needlefit.datasets.formats.toml import dumps
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.noise import draw_point_noise, estimate_noise_floor
 from needlefit.datasets.read import check, read
@@ -17,6 +16,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
+from needlefit.project.toml_text import dumps
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.study import SelectionRecord
 
@@ -200,8 +200,8 @@ def test_noise_floor_of_a_shift(begins, expected, tmp_path):
     insertion = dataset.insertions[0]
     insertion = dataclasses.replace(insertion, planar=insertion.planar + np.array([begins, 0.0]))
     floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
-    assert floor.te_mm == pytest.approx(0.19 * expected, rel=0.03)
-    assert floor.ipe_mean_mm == pytest.approx(0.19 * expected, rel=0.03)
+    assert floor["te_mm"] == pytest.approx(0.19 * expected, rel=0.03)
+    assert floor["ipe_mean_mm"] == pytest.approx(0.19 * expected, rel=0.03)
 
 
 def test_noise_floor_of_an_angle_grows_from_the_entry(tmp_path):
@@ -209,13 +209,13 @@ def test_noise_floor_of_an_angle_grows_from_the_entry(tmp_path):
     turned = row("a", "given", layers=2, pose_angle_sd=0.01)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
     floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
-    assert floor.te_mm == pytest.approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
-    assert floor.ipe_mean_mm == pytest.approx(floor.te_mm / 2, rel=0.01)
+    assert floor["te_mm"] == pytest.approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
+    assert floor["ipe_mean_mm"] == pytest.approx(floor["te_mm"] / 2, rel=0.01)
 
 
 def test_noise_that_is_not_stated_has_no_floor(tmp_path):
     dataset = read(block(tmp_path, noise={}))
-    assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1)).te_mm)
+    assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1))["te_mm"])
 
 
 def test_point_noise_has_the_stated_covariance():

@@ -14,9 +14,7 @@ from needlefit.datasets.read import check
 from needlefit.errors import DataError
 from needlefit.project import input_files
 
-anything = settings(
-    max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+anything = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 finite = st.floats(-1e6, 1e6)
 
 

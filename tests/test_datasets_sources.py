@@ -9,9 +9,9 @@ import pytest
 from scipy.io import savemat
 from test_datasets import CURVE, SURFACES, record, row
 
-from needlefit.datasets.formats.markups import Markups
 from needlefit.datasets.formats.mat import read_curves
 from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
+from needlefit.datasets.markups import Markups
 from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.read import check, read
 from needlefit.datasets.template import write_template
@@ -114,7 +114,7 @@ def test_free_shapes_have_a_noise_floor_after_alignment(long):
         long.write_text(LONG + f"[noise]\ncorrelated_sd_mm = 0.1\ncorrelation_length_mm = {length}\n")
         dataset = read(long)
         floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(2))
-        assert low < floor.ipe_mean_mm < high
+        assert low < floor["ipe_mean_mm"] < high
 
 
 def test_matlab_centrelines_are_read_like_csv(tmp_path):

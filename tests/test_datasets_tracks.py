@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from track_cases import DEPTH, GUIDE, TOML, measured, track, written
 
-from needlefit.datasets.read import check, read
-from needlefit.datasets.tip_track_table import read_tracks
-from needlefit.datasets.tip_tracks import select_runs
+from needlefit.datasets.read import check, read, read_shapes
+from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import shipped_folder
-from needlefit.schemas.study import TrackSelectionRecord
+from needlefit.schemas.study import SelectionRecord
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +34,10 @@ def edit(folder, line, **cells):
 
 
 def test_runs_count_depth_and_guide_from_first_contact(tmp_path, runs):
-    dataset = read_tracks(written(tmp_path, runs))
-    assert [one.id for one in dataset.tracks] == ["rest", "moved"]
-    rest, moved = dataset.tracks
-    assert moved.depth == pytest.approx(DEPTH) and moved.guide == pytest.approx(GUIDE)
+    dataset = read(written(tmp_path, runs))
+    assert [one.id for one in dataset.insertions] == ["rest", "moved"]
+    rest, moved = dataset.insertions
+    assert moved.depths == pytest.approx(DEPTH) and moved.guide == pytest.approx(GUIDE)
     assert (rest.guided, moved.guided, moved.side, moved.sequence) == (False, True, 1, (1,))
     assert moved.tip == pytest.approx(runs[1].tip, abs=1e-5) and moved.heading is None
     assert check(tmp_path) == [] and dataset.noise.point_sd == 0.02
@@ -47,8 +46,8 @@ def test_runs_count_depth_and_guide_from_first_contact(tmp_path, runs):
 def test_a_run_with_an_invalid_reading_is_left_out_and_reported(tmp_path, runs):
     folder = written(tmp_path, runs)
     edit(folder, 20, ok="0")
-    dataset = read_tracks(folder)
-    assert [one.id for one in dataset.tracks] == ["rest"]
+    dataset = read(folder)
+    assert [one.id for one in dataset.insertions] == ["rest"]
     (remark,) = dataset.remarks
     assert all(part in remark for part in ("moved", "1 of its 13 readings", "26 mm"))
 
@@ -66,21 +65,21 @@ def test_faults_name_line_and_cell(tmp_path, runs, line, cells, expected):
     folder = written(tmp_path, runs)
     edit(folder, line, **cells)
     with pytest.raises(DataError, match=expected):
-        read_tracks(folder)
+        read(folder)
 
 
 def test_missing_columns_unknown_names_and_few_readings_are_refused(tmp_path, runs):
     folder = written(tmp_path / "a", runs, TOML.replace('"stage_mm"', '"stage"'))
     with pytest.raises(DataError, match="`stage`"):
-        read_tracks(folder)
+        read(folder)
     folder = written(tmp_path / "b", runs, TOML.replace("guide_mm =", "template_mm ="))
     with pytest.raises(DataError, match="template_mm"):
-        read_tracks(folder)
+        read(folder)
     folder = written(tmp_path / "c", runs)
     lines = table(folder).read_text().splitlines()
     table(folder).write_text("\n".join(lines[:5]) + "\n")
     with pytest.raises(DataError, match=r"run rest .*4 readings"):
-        read_tracks(folder)
+        read(folder)
 
 
 def test_layers_need_their_boundaries(tmp_path, runs):
@@ -92,25 +91,25 @@ def test_layers_need_their_boundaries(tmp_path, runs):
 
 def test_tracks_are_no_shapes(tmp_path, runs):
     with pytest.raises(DataError, match="tip tracks"):
-        read(written(tmp_path, runs))
+        read_shapes(written(tmp_path, runs))
 
 
 def test_empty_selections_are_refused(tmp_path, runs):
-    dataset = read_tracks(written(tmp_path, runs))
-    assert [one.id for one in select_runs(dataset, TrackSelectionRecord(guided=True))] == ["moved"]
-    with pytest.raises(ConfigError, match=r"run lost .* dataset mine"):
-        select_runs(dataset, TrackSelectionRecord(runs=("lost",)))
+    dataset = read(written(tmp_path, runs))
+    assert [one.id for one in select_insertions(dataset, SelectionRecord(guided=True))] == ["moved"]
+    with pytest.raises(ConfigError, match="insertion lost"):
+        select_insertions(dataset, SelectionRecord(insertions=("lost",)))
     with pytest.raises(ConfigError, match="dataset mine"):
-        select_runs(dataset, TrackSelectionRecord(runs=("rest",), guided=True))
+        select_insertions(dataset, SelectionRecord(insertions=("rest",), guided=True))
 
 
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
 def test_the_public_tip_tracks():
-    dataset = read_tracks(shipped_folder() / "data" / "guided_tips")
-    assert len([one for one in dataset.tracks if not one.guided and one.medium == "phantomB"]) == 5
+    dataset = read(shipped_folder() / "data" / "guided_tips")
+    assert len([one for one in dataset.insertions if not one.guided and one.medium == "phantomB"]) == 5
     assert any("phantomA_closedloop_03 " in remark for remark in dataset.remarks)
-    for one in dataset.tracks:
-        assert 90 < one.depth[-1] < 105 and np.abs(one.guide).max() < 13 and one.heading is not None
+    for one in dataset.insertions:
+        assert 90 < one.depths[-1] < 105 and np.abs(one.guide).max() < 13 and one.heading is not None
 
 
 def test_missing_public_tip_tracks_name_their_source(monkeypatch):

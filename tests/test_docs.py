@@ -1,25 +1,22 @@
 """The documentation's links lead somewhere, its commands exist, and what it shows is held against them."""
 
-import importlib.util
 import re
 
 import pytest
+from docs_scripts import load_script
 
 from needlefit.cli.application import build
 from needlefit.project.locate import shipped_folder
 
 DOCS = shipped_folder() / "docs"
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not run from the repository")
-PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("howto/*.md")), *sorted(DOCS.glob("../*/README.md"))]
+PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("guides/*.md")), *sorted(DOCS.glob("../*/README.md"))]
 WRITTEN = DOCS / "reference"  # by the build
 
 
 @pytest.fixture(scope="module")
 def transcripts():
-    spec = importlib.util.spec_from_file_location("transcripts", DOCS / "transcripts.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script(DOCS / "transcripts.py")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

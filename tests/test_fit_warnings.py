@@ -16,28 +16,28 @@ from needlefit.datasets.write import write_dataset
 from needlefit.inference.parameters import Parameters
 from needlefit.project.load import load
 from needlefit.project.result_warnings import read_warnings, warnings_entry
-from needlefit.reporting.study_report import warning_blocks
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.validation.fit_warnings import analysis_bound_warnings, baseline_warnings, bound_warnings
-from needlefit.validation.folds import make_folds, warn_shared_specimens
-from needlefit.validation.job import Settings, prepare
-from needlefit.validation.results import Results
-from needlefit.validation.run import run as run_fit
+from needlefit.studies.fit_warnings import analysis_bound_warnings, baseline_warnings, bound_warnings
+from needlefit.studies.folds import make_folds, warn_shared_specimens
+from needlefit.studies.job import Settings, prepare
+from needlefit.studies.kinds.cross_validation.run import run as run_fit
+from needlefit.studies.report import warning_blocks
+from needlefit.studies.run import Run
 
 BOUNDS = {"mu1_pa": (1e3, 1e9), "bevel_mm": (1e-3, 0.5)}
 
 
-def fitted(values: dict[str, float], folds_: int = 1) -> Results:
+def fitted(values: dict[str, float], folds_: int = 1) -> Run:
     """Return results whose fit ended at `values` in the last of so many folds, else in the middle."""
     results = study(1)
-    first = results.parameters.query("method == 'fitted'").iloc[0].to_dict()
+    first = results.frames["parameters"].query("method == 'fitted'").iloc[0].to_dict()
     rows = []
     for fold in range(folds_):
         for name, (low, high) in BOUNDS.items():
             value = values.get(name) if fold == folds_ - 1 else None
             place = {"parameter": name, "bound_low": low, "bound_high": high, "fold": f"fold {fold}"}
             rows.append({**first, **place, "status": "free", "value": value or np.sqrt(low * high)})
-    return replace(results, parameters=pd.DataFrame(rows, columns=results.parameters.columns))
+    return results.with_frames(parameters=pd.DataFrame(rows, columns=results.frames["parameters"].columns))
 
 
 @pytest.mark.parametrize(
@@ -60,17 +60,17 @@ def test_of_several_folds_one_warning_counts_them():
     assert "1 of 3 folds" in one.what
 
 
-def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Results:
+def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Run:
     """Return results whose methods have these mean in-plane errors, mm, insertion by insertion."""
     results = study(1)
-    first = results.errors.iloc[0].to_dict() | {"role": role, "boundaries": "measured"}
+    first = results.frames["errors"].iloc[0].to_dict() | {"role": role, "boundaries": "measured"}
     rows = [
         {**first, "method": method, "insertion": f"i{n}", "specimen": f"s{n}", "ipe_mean_mm": error}
         | {"te_mm": error, "floor_ipe_mean_mm": floor}
         for method, each in errors.items()
         for n, error in enumerate(each)
     ]
-    return replace(results, errors=pd.DataFrame(rows, columns=results.errors.columns))
+    return results.with_frames(errors=pd.DataFrame(rows, columns=results.frames["errors"].columns))
 
 
 def test_an_analysis_names_the_parameters_that_its_fits_left_at_a_bound():
@@ -117,7 +117,7 @@ def test_the_closest_curve_is_named_and_the_report_shows_it():
     results = scored("validate", errors)
     (one,) = baseline_warnings(results)
     assert "arc" in one.what and "0.040 mm against 0.256 mm" in one.what
-    blocks = warning_blocks([replace(results, run={**results.run, **warnings_entry([one])})])
+    blocks = warning_blocks(replace(results, run={**results.run, **warnings_entry([one])}))
     assert sum(one.what in str(block) for block in blocks) == 1
     assert read_warnings(warnings_entry([one])) == (one,)
 

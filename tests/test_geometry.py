@@ -1,5 +1,7 @@
 """Laws of frames, curves and comparisons: rigid invariance, known motions, straight lines, shifts."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,6 +19,7 @@ from needlefit.geometry.curves import (
     resample_curve,
 )
 from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
+from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics, pool_metric
 
 seeds = st.integers(0, 2**32 - 1)
 angles = st.floats(-np.pi, np.pi)
@@ -149,12 +152,12 @@ def test_free_frame_is_the_same_from_everywhere(seed):
 @given(st.floats(-5, 5), st.floats(-5, 5))
 def test_a_shifted_curve_errs_by_the_shift(dx, dy):
     curve = arc(150, 50)
-    errors = compare_curves(curve + np.array([dx, dy]), curve)
+    errors = compute_metrics(compare_curves(curve + np.array([dx, dy]), curve))
     shift = np.hypot(dx, dy)
-    for value in (errors.te, errors.median, errors.mean, errors.maximum):
-        assert value == pytest.approx(shift, abs=1e-12)
-    assert errors.std == pytest.approx(0, abs=1e-12)
-    assert errors.edp == pytest.approx(100 * shift / curve[-1, 1])
+    for name in ("te_mm", "median_err_mm", "ipe_mean_mm", "ipe_max_mm"):
+        assert errors[name] == pytest.approx(shift, abs=1e-12)
+    assert errors["ipe_std_mm"] == pytest.approx(0, abs=1e-12)
+    assert errors["edp_percent"] == pytest.approx(100 * shift / curve[-1, 1])
 
 
 @given(angles, shifts, shifts)
@@ -162,25 +165,64 @@ def test_a_shifted_curve_errs_by_the_shift(dx, dy):
 def test_distances_do_not_depend_on_the_frame(angle, dx, dy):
     a, b = arc(150, 50), arc(250, 50)
     here, there = compare_curves(a, b), compare_curves(turn(a, angle, (dx, dy)), turn(b, angle, (dx, dy)))
-    np.testing.assert_allclose(there.ipe, here.ipe, atol=1e-9)
+    np.testing.assert_allclose(there.distances, here.distances, atol=1e-9)
 
 
 def test_errors_by_hand():
     measured = np.array([[0.0, 1], [10, 1], [20, 5]])
-    errors = compare_curves(measured + np.array([[0, 0], [0, 1], [3, 4]]), measured)
-    np.testing.assert_allclose(errors.ipe, [0, 1, 5])
-    assert (errors.te, errors.edp, errors.median, errors.mean, errors.maximum) == (5, 125, 1, 2, 5)
-    assert errors.std == pytest.approx(np.sqrt(14 / 3))
-    assert errors.deflection == 4
+    curves = compare_curves(measured + np.array([[0, 0], [0, 1], [3, 4]]), measured)
+    np.testing.assert_allclose(curves.distances, [0, 1, 5])
+    expected = {"te_mm": 5, "edp_percent": 125, "median_err_mm": 1, "ipe_mean_mm": 2, "ipe_max_mm": 5}
+    assert compute_metrics(curves) == pytest.approx({**expected, "ipe_std_mm": np.sqrt(14 / 3)})
+    assert curves.deflection == 4
     assert COMPARISON_POINTS == 101
 
 
 def test_a_needle_that_stayed_straight_has_no_finite_edp():
     line = np.column_stack([np.arange(5.0), np.zeros(5)])
-    assert compare_curves(line, line).edp == 0
-    assert compare_curves(line + np.array([0, 1]), line).edp == np.inf
+    assert compute_metrics(compare_curves(line, line))["edp_percent"] == 0
+    assert compute_metrics(compare_curves(line + np.array([0, 1]), line))["edp_percent"] == np.inf
 
 
-def test_curves_of_different_stations_are_not_compared():
+def curves_with(distances, deflection):
+    """A curve of this measured deflection, simulated across by these distances."""
+    count = len(distances)
+    measured = np.column_stack([np.arange(count), np.linspace(2, 2 + deflection, count)])
+    return compare_curves(measured + np.column_stack([np.zeros(count), distances]), measured)
+
+
+def test_errors_of_several_insertions_by_hand():
+    """All points together: 0, 1, 2, 0, 3 mm. Tip errors 2 and 3 mm, deflections 4 and -1 mm."""
+    curves = [curves_with([0, 1, 2], 4), curves_with([0, 3], -1)]
+    expected = {"te_mm": 2.5, "edp_percent": 100, "median_err_mm": 1, "ipe_mean_mm": 1.2, "ipe_max_mm": 3}
+    expected["ipe_std_mm"] = np.sqrt(14 / 5 - 1.2**2)
+    assert {one.name: pool_metric(one, curves) for one in list_metrics()} == pytest.approx(expected)
+    assert compute_metrics(curves[1])["edp_percent"] == pytest.approx(300)
+    assert pool_metric(METRICS["edp_percent"], [curves_with([0, 0.1], -0.5)]) == pytest.approx(20)
+    straight = curves_with([0, 1], 0)
+    assert np.isnan(
+        [pool_metric(METRICS["edp_percent"], [straight]), pool_metric(METRICS["te_mm"], [])]
+    ).all()
+
+
+def test_the_mean_over_insertions_leaves_out_what_is_not_finite():
+    edp = dataclasses.replace(METRICS["edp_percent"], pool=None)
+    assert pool_metric(edp, [curves_with([0, 1], 0), curves_with([0, 1], 4), curves_with([0, 1], 2)]) == 37.5
+    assert np.isnan(pool_metric(edp, [curves_with([0, 1], 0)]))
+
+
+def test_the_metrics_of_tables_sentences_and_macros():
+    names = ["median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent"]
+    assert [one.name for one in list_metrics()] == names
+    assert [one.name for one in headline_metrics()] == ["ipe_mean_mm", "te_mm"]
+    assert [one.macro_name for one in list_metrics()] == ["median", "ipe", "ipe-sd", "ipe-max", "te", "edp"]
+    assert [one.name for one in list_metrics() if not one.has_floor] == ["ipe_std_mm", "edp_percent"]
+    assert [one.name for one in list_metrics() if one.relative] == ["edp_percent"]
+
+
+@pytest.mark.parametrize(
+    "shapes", [((11, 2), (12, 2)), ((11, 3), (11, 3)), ((11,), (11,)), ((2, 11, 2), (2, 11, 2))]
+)
+def test_curves_of_other_shapes_are_not_compared(shapes):
     with pytest.raises(ValueError, match="cannot be compared"):
-        compare_curves(arc(100, 50, 11), arc(100, 50, 12))
+        compare_curves(*(np.zeros(shape) for shape in shapes))

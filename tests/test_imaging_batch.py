@@ -69,6 +69,7 @@ def test_a_failed_scan_is_reported_and_the_others_are_reconstructed(sample, tmp_
     assert steps[-1][1:] == (3, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, monkeypatch, jobs):
     """The header passes, and the native reader of both processes crashes on what follows."""
@@ -140,6 +141,7 @@ def test_checkpoints_of_other_input_are_recomputed(change, sample, tmp_path, wor
     assert worked.done == ["sample"] * (1 if change == "nothing" else 2)
 
 
+@pytest.mark.slow
 def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
     """A series is named by any of its files; a change of another one is a change of the scan."""
     write_volume(read_volume(sample.volume), tmp_path / "series")
@@ -152,6 +154,7 @@ def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
     assert worked.done == ["sample"] * 2
 
 
+@pytest.mark.slow
 def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
     file, chance = tmp_path / "sample.checkpoint", random.Random(1)
@@ -169,6 +172,7 @@ def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
         assert len(worked.done) == number + 2
 
 
+@pytest.mark.slow
 def test_numbers_of_a_scan_count_to_the_last_digit(sample, tmp_path, worked):
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
     moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))

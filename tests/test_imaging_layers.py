@@ -21,6 +21,7 @@ from layer_cases import (
     save_segments,
     scan,
 )
+from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
 from test_datasets import record
 
 from needlefit.datasets.columns import InsertionRow
@@ -46,6 +47,8 @@ from needlefit.imaging.registration.register import register
 from needlefit.imaging.scan import LayerSource, StagePose
 from needlefit.imaging.volume import Volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
+
+pytestmark = pytest.mark.usefixtures("read_here")
 
 NORMAL = np.array([0.48, 0.6, 0.64])
 EXACT = LayerErrors(0.0, np.zeros(len(NEEDLE)))

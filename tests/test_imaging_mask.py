@@ -6,6 +6,7 @@ from dataclasses import replace
 import ct_cases as cases
 import numpy as np
 import pytest
+from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle.centerline import trace_needle
@@ -14,6 +15,8 @@ from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import write_volume
 from needlefit.synthetic.ct_scene import Needle3D
+
+pytestmark = pytest.mark.usefixtures("read_here")
 
 TRUTH = cases.axis(curve=(2.0, 0.0))
 

@@ -47,7 +47,7 @@ def proper(rotation):
 # known poses
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds)
 def test_exact_markers_in_any_order_give_the_pose_exactly(seed):
     rng = np.random.default_rng(seed)
@@ -61,7 +61,7 @@ def test_exact_markers_in_any_order_give_the_pose_exactly(seed):
     assert np.all(registration.leave_one_out < 1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seeds)
 def test_moving_the_scan_or_the_world_moves_the_answer_with_it(seed):
     rng = np.random.default_rng(seed)
@@ -130,6 +130,22 @@ def test_precise_markers_count_for_more_than_loose_ones():
     registration = register(loose, LAYOUT, sd)
     assert np.abs(registration.residuals[1:]).max() < 1e-3
     assert registration.residuals[0] == pytest.approx([-0.5, 0, 0], abs=1e-3)
+
+
+def test_deviations_are_one_number_or_of_each_marker_and_axis_or_covariances():
+    variances = np.array([[1.0, 4, 9], [1, 4, 9], [4, 4, 4]])
+    covariances = variances[:, :, None] * np.eye(3)
+    for sd, expected in (
+        (2.0, np.full((3, 3), 4.0)),
+        ([1.0, 2, 3], np.array([[1.0] * 3, [4.0] * 3, [9.0] * 3])),
+        (np.sqrt(variances), variances),
+        (covariances, variances),
+    ):
+        sets = make_marker_sets(LAYOUT[:3], LAYOUT[:3], sd, 0.0)
+        assert sets.found_covariance == pytest.approx(expected[:, :, None] * np.eye(3))
+    assert sets.variance_bound == pytest.approx(np.array([[9.0] * 3, [9.0] * 3, [4.0] * 3]))
+    assert sets.typical_sd == pytest.approx(np.sqrt(14 / 3))
+    assert sets.extent == pytest.approx(np.sqrt(19**2 + 80**2 + 42**2))
 
 
 def test_an_uncertain_axis_is_weighted_down():
@@ -221,6 +237,13 @@ def test_closest_points_keep_the_pairs_of_a_near_pose_and_drop_the_spurious():
     found = np.concatenate([LAYOUT[[4, 2, 0, 1, 5]] + 0.1 * rng.normal(size=(5, 3)), [[40, 0, 0]]])
     pairs = pair_by_icp(make_marker_sets(found, LAYOUT, 0.1, 0.0), rough)
     assert pairs.tolist() == [[0, 4], [1, 2], [2, 0], [3, 1], [4, 5]]
+
+
+def test_closest_points_weigh_markers_by_their_deviations():
+    pose = pose_of(np.random.default_rng(1))
+    sets = make_marker_sets(pose.to_local(LAYOUT), LAYOUT, [0.1, 0.1, 0.1, 3.0, 3.0, 3.0], 0.1)
+    turned = Rotation.from_rotvec([0.1, -0.05, 0.1]).as_matrix() @ pose.rotation
+    assert pair_by_icp(sets, Frame(pose.origin, turned)).tolist() == [[n, n] for n in range(6)]
 
 
 def test_a_rough_pose_settles_what_a_symmetric_layout_leaves_open():

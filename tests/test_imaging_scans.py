@@ -7,7 +7,7 @@ import pytest
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
-from needlefit.imaging.scan import SCAN_COLUMNS, LayerSource, Scan
+from needlefit.imaging.scan import SCAN_COLUMNS, SCANS_DOCUMENT, LayerSource, Scan
 from needlefit.imaging.scan_table import make_scans, read_scans, scan_id
 
 STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
@@ -120,7 +120,7 @@ def test_a_mistyped_column_is_an_error_that_names_the_nearest(folder):
 
 
 def test_every_column_is_documented():
-    text = (Path(__file__).parent.parent / "docs" / "scans.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parent.parent / SCANS_DOCUMENT).read_text(encoding="utf-8")
     between = {"entry_y_mm", "entry_z_mm", "entry_dx", "entry_dy"}  # `entry_x_mm` ... `entry_dz`
     assert [name for name in SCAN_COLUMNS if f"`{name}`" not in text and name not in between] == []
 
@@ -130,7 +130,7 @@ def test_a_table_without_volumes_is_refused(folder):
 
 
 def test_an_empty_table_names_the_page_of_its_columns(folder):
-    assert "docs/scans.md" in refused(folder, "")
+    assert SCANS_DOCUMENT in refused(folder, "")
 
 
 def test_duplicate_ids_are_refused(folder):

@@ -288,7 +288,7 @@ def test_nifti_without_a_form(tmp_path):
 @pytest.mark.parametrize(
     ("name", "tolerance"), [("a.nrrd", 1e-9), ("a.mha", 1e-6), ("a.nii.gz", 2e-5), ("a.nii", 2e-5)]
 )
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(direction=directions(), seed=st.integers(0, 2**32 - 1), whole=st.booleans())
 def test_written_and_read(tmp_path_factory, name, tolerance, direction, seed, whole):
     """NIfTI keeps its geometry in single precision, so it is as exact as that."""

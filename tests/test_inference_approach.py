@@ -8,6 +8,7 @@ import pytest
 from inference_cases import TRUTH, Squares, insertion, measure, medium, problem, squares_recipe, two_layers
 
 from needlefit.inference.fit import Callbacks, Start, start_from_dict, start_to_dict
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.optimize import minimize
 from needlefit.inference.optimize.multistart import group_approaches
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -107,10 +108,14 @@ def test_an_interrupted_approach_leaves_its_best_point():
 
 def test_uncertain_depths_are_approached_as_stated_and_a_metric_by_plain_squares():
     made = measure(TRUTH, medium(), insertion(40.0, (15.0,), (1, 2)))
-    certain, uncertain = (problem(medium(), [made], LikelihoodRecord(depths=d)) for d in ("fixed", "linear"))
+    plain = PLAIN_LIKELIHOOD
+    certain, uncertain = (
+        problem(medium(), [made], plain.model_copy(update={"depths": d})) for d in ("fixed", "linear")
+    )
     assert certain.approach("posterior") is None
     assert uncertain.approach("posterior") is None  # for no deviation of a depth is stated
-    doubtful = problem(medium(), [replace(made, boundary_sd=0.1)], LikelihoodRecord(depths="linear"))
+    assert problem(medium(), [made], LikelihoodRecord()).approach("posterior").likelihood.bevel_spread == 0
+    doubtful = problem(medium(), [replace(made, boundary_sd=0.1)], plain)
     assert doubtful.approach("posterior").likelihood.depths == "fixed"
     plain = doubtful.approach("metric")
     theta = plain.parameters.theta(TRUTH) + np.array([0.5, 0.0, 0.2])

@@ -8,7 +8,8 @@ from inference_cases import insertion
 
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import integrate_curvature
-from needlefit.inference.baselines import fit_baseline, fit_baselines, make_baseline_curve
+from needlefit.inference.baselines import fit_baseline, fit_baselines
+from needlefit.inference.compared_points import compare_points
 
 AT = np.linspace(0, 100, 21)
 
@@ -42,20 +43,30 @@ def test_before_the_entry_the_needle_is_straight():
 
 
 @pytest.mark.parametrize("pose", ["known", "free"])
-@pytest.mark.parametrize("coefficients", [(), (2e-3,), (1e-3, 1.5e-5)])
+@pytest.mark.parametrize("coefficients", [(), (2e-3,), (1e-3, 1.5e-5), (1e-3, 1e-5, 1e-7)])
 def test_a_curve_of_its_kind_is_recovered(pose, coefficients):
     tuned = [measured(d, coefficients, side) for d, side in ((80.0, 1), (95.0, -1), (100.0, 1))]
     if pose == "free":
         turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
         tuned = [replace(i, planar=i.planar @ turn + [5, 9]) for i in tuned]
-    name = ("straight", "constant_curvature", "linear_curvature")[len(coefficients)]
+    name = ("straight", "constant_curvature", "linear_curvature", "quadratic_curvature")[len(coefficients)]
     fitted = fit_baseline(name, pose, 10.0, tuned)
     assert fitted.coefficients == pytest.approx(coefficients, rel=1e-4)
     assert fitted.rms < 1e-3
     ahead = measured(120.0, coefficients)
-    assert make_baseline_curve(fitted, ahead)(np.array([120.0]))[0] == pytest.approx(
-        ahead.planar[-1], abs=1e-2
-    )
+    assert fitted.curve(ahead)(np.array([120.0]))[0] == pytest.approx(ahead.planar[-1], abs=1e-2)
+
+
+@pytest.mark.parametrize("pose", ["known", "free"])
+def test_the_mean_shape_is_the_mean_of_the_turns_from_the_tip(pose):
+    bent = [measured(100.0, (c,), side) for c, side in ((1e-3, 1), (3e-3, -1))]
+    fitted = fit_baseline("mean_shape", pose, 10.0, bent)
+    assert fitted.coefficients == pytest.approx([5 * 2e-3] * len(fitted.coefficients), rel=0.02)
+    mean = measured(100.0, (2e-3,), -1)
+    found, goal = compare_points(pose, 10.0, mean, fitted.curve(mean))
+    assert np.abs(found - goal).max() < 0.01
+    alone = fit_baseline("mean_shape", pose, 10.0, bent[:1])
+    assert alone.rms < 0.01
 
 
 def test_the_rms_is_over_distances():
@@ -66,8 +77,9 @@ def test_the_rms_is_over_distances():
 def test_richer_curves_fit_no_worse():
     tuned = [measured(d, (1e-3, 1e-5, 3e-7)) for d in (80.0, 100.0)]
     fits = fit_baselines("known", 0.0, tuned)
-    assert list(fits) == ["straight", "constant_curvature", "linear_curvature"]
-    errors = [b.rms for b in fits.values()]
+    nested = ["straight", "constant_curvature", "linear_curvature", "quadratic_curvature"]
+    assert list(fits) == [*nested, "mean_shape"]
+    errors = [fits[name].rms for name in nested]
     assert errors == sorted(errors, reverse=True)
 
 
@@ -84,7 +96,6 @@ def test_unknown_names_and_empty_selections_are_errors():
 def test_the_real_stereo_shapes_give_the_known_baselines():
     from needlefit.datasets.read import read
     from needlefit.geometry.compare import compare_curves
-    from needlefit.inference.compared_points import compare_points
     from needlefit.project.locate import find_file
 
     shapes = read(find_file("dataset", "stereo_shapes"))
@@ -92,9 +103,7 @@ def test_the_real_stereo_shapes_give_the_known_baselines():
     deep = [i for i in shapes.insertions if i.depth == 120]
     fits = fit_baselines(pose, drop, [i for i in shapes.insertions if i.depth < 120])
     errors = {
-        name: np.mean(
-            [compare_curves(*compare_points(pose, drop, i, make_baseline_curve(b, i))).mean for i in deep]
-        )
+        name: np.mean([compare_curves(*compare_points(pose, drop, i, b.curve(i))).distances for i in deep])
         for name, b in fits.items()
     }
     assert errors["straight"] == pytest.approx(0.59, abs=0.02)

@@ -13,9 +13,14 @@ from needlefit.inference.sampling.convergence import (
     r_hat,
 )
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", FutureWarning)  # arviz announces its next version once a day
-    import arviz
+
+@pytest.fixture(scope="module")
+def arviz():
+    """Imported here: it takes seconds, and every process of a parallel run imports this file."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # arviz announces its next version once a day
+        import arviz
+    return arviz
 
 
 def autoregressive(memory, shape, seed=1):
@@ -36,7 +41,7 @@ def chains(seed=2, drift=0.0):
 
 @pytest.mark.parametrize("drift", [0.0, 0.05, 0.5])
 @pytest.mark.parametrize("form", [lambda x: x, np.exp, lambda x: x**3])
-def test_r_hat_is_that_of_arviz(drift, form):
+def test_r_hat_is_that_of_arviz(drift, form, arviz):
     drawn = form(chains(drift=drift))
     assert r_hat(drawn) == pytest.approx(float(arviz.rhat(drawn, method="rank")), rel=1e-12)
 
@@ -48,7 +53,7 @@ def test_the_autocorrelation_time_of_a_known_series(memory):
     assert times.mean() == pytest.approx((1 + memory) / (1 - memory), rel=0.1)
 
 
-def test_independent_draws_agree_with_those_of_arviz():
+def test_independent_draws_agree_with_those_of_arviz(arviz):
     """Of one walker an ensemble is a chain; the estimates of both windows differ by a few percent."""
     series = autoregressive(0.8, (4, 20000, 1))
     found = assess_convergence(series[..., None], series, ["x"])
@@ -60,6 +65,12 @@ def test_independent_draws_agree_with_those_of_arviz():
 def test_walkers_that_are_independent_add_up():
     found = assess_convergence(autoregressive(0.5, (4, 3000, 16))[..., None], np.zeros((4, 3000, 16)), ["x"])
     assert found.ess_bulk[:, 0] == pytest.approx(np.full(4, 16 * 3000 / 3), rel=0.1)
+
+
+def test_the_walkers_of_an_ensemble_are_one_chain_step_by_step(arviz):
+    series = autoregressive(0.5, (3, 400, 5), 6) + 0.3 * np.arange(3)[:, None, None]
+    found = assess_convergence(series[..., None], np.zeros((3, 400, 5)), ["x"])
+    assert found.r_hat[0] == pytest.approx(float(arviz.rhat(series.reshape(3, -1), method="rank")), rel=1e-12)
 
 
 def test_convergence_is_checked_along_the_stiff_direction():

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from inference_cases import insertion
 
 from needlefit.inference.identifiability.design_gain import PredictedData, linearized_gain, nested_gain
-from needlefit.inference.likelihood.depths import Nodes
+from needlefit.inference.likelihood.nodes import ErrorAxis, Nodes, make_group, make_nodes
 
 COVARIANCE = np.array([[1.0, -0.6], [-0.6, 0.5]])
 SLOPES = np.array([[1.5, 0.4], [0.2, 1.1], [-0.7, 0.9]])  # (R, P), whitened
@@ -15,8 +16,13 @@ def predict_data(thetas: np.ndarray, by_depth: np.ndarray) -> PredictedData:
     first = thetas @ SLOPES.T
     white = np.stack([first, first + by_depth, first - by_depth], axis=1)  # (B, m, R)
     turns = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -0.5]])
-    nodes = Nodes((), np.empty((3, 0)), turns, None)
-    return PredictedData(np.full(len(thetas), -np.log(len(thetas))), np.ones(len(thetas)), white, nodes)
+    one = insertion(30.0)
+    nodes = Nodes(
+        (one,) * 3, np.empty((3, 0)), (ErrorAxis(),), turns, np.zeros((0, 3)), bevel=False, rule=None
+    )
+    count = len(thetas)
+    logs = np.full(count, -np.log(count))
+    return PredictedData(logs, np.ones(count), np.zeros(count), white, make_group(nodes))
 
 
 @pytest.mark.parametrize("by_depth", [np.zeros(3), np.array([0.5, -1.0, 2.0])])
@@ -47,7 +53,7 @@ def test_weights_count_as_draws():
     twice = np.concatenate([thetas, thetas[:10]])
     heavy = predict_data(thetas, np.zeros(3))
     weights = np.log(np.where(np.arange(50) < 10, 2.0, 1.0) / 60)
-    heavy = PredictedData(weights, heavy.scales, heavy.white, heavy.nodes)
+    heavy = PredictedData(weights, heavy.scales, heavy.spreads, heavy.white, heavy.group)
     of = np.arange(20)
     one = nested_gain(heavy, of, thetas, np.random.default_rng(3))
     other = nested_gain(predict_data(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
@@ -58,8 +64,9 @@ def test_weights_count_as_draws():
 def test_uninformative_data_have_zero_gain():
     rng = np.random.default_rng(4)
     thetas = rng.standard_normal((100, 1))
-    nodes = Nodes((), np.empty((1, 0)), np.array([[1.0]]), None)
-    blind = PredictedData(np.full(100, -np.log(100.0)), np.ones(100), np.zeros((100, 1, 5)), nodes)
+    group = make_group(make_nodes(insertion(30.0), np.empty(0), "fixed"))
+    logs = np.full(100, -np.log(100.0))
+    blind = PredictedData(logs, np.ones(100), np.zeros(100), np.zeros((100, 1, 5)), group)
     found = nested_gain(blind, np.arange(30), thetas, rng)
     assert found.nats == pytest.approx(0.0, abs=1e-12)
     assert found.quantity_nats == pytest.approx([0.0], abs=1e-12)

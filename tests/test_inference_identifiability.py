@@ -24,7 +24,7 @@ from needlefit.inference.identifiability.parameter_profiles import (
     profile_parameters,
 )
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
-from needlefit.validation.identification import add_sampled_ratios, identify_parameters, reconcile_verdict
+from needlefit.studies.identification import add_sampled_ratios, identify_parameters, reconcile_verdict
 
 MIDDLE = math.log(0.1)
 
@@ -84,7 +84,9 @@ def test_starts_outside_the_interval_and_differing_draws_are_reported():
 
 
 def test_layers_of_one_material_share_the_alpha_that_is_freed():
-    record = medium(4, mu3_pa={"tie": "mu1_pa"}, mu4_pa={"tie": "10 * mu2_pa"}, alpha3={"fixed": 1.0})
+    record = medium(
+        4, mu3_pa={"tie": "mu1_pa", "spread": 1}, mu4_pa={"tie": "10 * mu2_pa"}, alpha3={"fixed": 1.0}
+    )
     made = [measure({**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0, "mu4_pa": 2e8, "alpha4": 1.0}, record,
                     insertion(40.0, (12.0, 25.0), (1, 2, 3)))]  # fmt: skip
     p = problem(record, made)

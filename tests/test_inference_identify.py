@@ -11,6 +11,7 @@ from needlefit.datasets.select import group_independent
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.identify import identify, tip_range
 from needlefit.inference.identifiability.information import (
+    KNOWN_BY_PRIOR,
     cramer_rao,
     describe_combination,
     difference_jacobian,
@@ -149,6 +150,17 @@ def test_directions_are_formatted_as_text():
     assert describe_combination(np.array([0.001, 1.0]), ("alpha1", "mu2_pa")) == "mu2"
 
 
+def test_a_direction_that_a_tie_alone_knows_is_marked():
+    names, tie = ("mu1_pa", "mu3_pa"), math.log(1.2)
+    prior = np.eye(2) / 4**2 + np.outer([1, -1], [1, -1]) / tie**2
+    data = np.outer([1, 1], [1, 1]) / 0.1**2
+    known, tied = principal_directions(data + prior, names, prior)
+    assert known.is_informed and KNOWN_BY_PRIOR not in known.words
+    assert tied.sd_ratio == pytest.approx(1.0) and not tied.is_informed and KNOWN_BY_PRIOR in tied.words
+    assert tied.sd == pytest.approx(1 / math.sqrt(1 / 4**2 + 2 / tie**2))
+    assert all(one.is_informed for one in principal_directions(data + prior, names))
+
+
 def test_steps_suit_logarithms_and_alpha():
     assert difference_steps(("mu1_pa", "alpha1"))[1] > difference_steps(("mu1_pa", "alpha1"))[0] > 0
 
@@ -184,7 +196,9 @@ def test_a_scale_of_the_noise_is_known_from_the_number_of_points_and_takes_nothi
     """The logarithm of a Gaussian's deviation is known to 1 / sqrt(2 n) from n residuals."""
     record = medium(1)
     made = [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)]
-    estimated = problem(record, made, how=LikelihoodRecord(noise_scale="estimated"), noise=FINE)
+    estimated = problem(
+        record, made, how=LikelihoodRecord(noise_scale="estimated", bevel_spread=0.0), noise=FINE
+    )
     fixed = problem(record, made, noise=FINE)
     truth = {**TRUTH, "noise_scale": 1.0}
     with_scale, without = (identify(p, fit_at(p, truth)) for p in (estimated, fixed))

@@ -1,16 +1,24 @@
 """Importance sampling about modes: densities known in closed form come back, or k says that they do not."""
 
-import arviz
 import numpy as np
 import pytest
 from sampling_cases import Known, banana, gaussian, two_hills
-from scipy.stats import genpareto, norm
+from scipy.stats import genpareto, multivariate_t, norm
 
+from needlefit.inference.fit import Fit, Start
+from needlefit.inference.importance.fit_posterior import (
+    ZERO_DENSITY,
+    compute_predictive_density,
+    find_modes,
+    resample_draws,
+    select_distinct,
+)
 from needlefit.inference.importance.pareto import fit_pareto, smooth_weights
 from needlefit.inference.importance.sampler import (
     Effort,
     StudentMixture,
     WeightedDraws,
+    compute_ess,
     resample,
     sample_by_importance,
 )
@@ -105,6 +113,8 @@ def test_heavy_tails_are_not_certified():
 def test_smoothed_weights_are_arviz_s(shape):
     log_weights = np.log(genpareto.rvs(shape, size=1500, random_state=5))
     ours, k = smooth_weights(log_weights)
+    import arviz  # takes seconds, and every process of a parallel run imports this file
+
     theirs, their_k = arviz.psislw(log_weights.copy())
     assert k == pytest.approx(float(their_k), abs=1e-10)
     assert ours == pytest.approx(np.asarray(theirs), abs=1e-10)
@@ -129,7 +139,6 @@ def test_a_mixture_is_fitted_to_its_own_draws():
         start = start.refit(draws, even, 1e-9 * np.eye(2))
     assert start.weights == pytest.approx(true.weights, abs=0.03)
     assert start.centres == pytest.approx(true.centres, abs=0.12)
-    assert np.exp(true.log_density(draws[:1])) > 0
 
 
 def test_resampled_draws_stand_once_and_by_their_weight():
@@ -139,3 +148,81 @@ def test_resampled_draws_stand_once_and_by_their_weight():
     few = np.log(np.array([0.8, 0.2]))
     drawn = resample(WeightedDraws(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
     assert np.mean(drawn == 0) == pytest.approx(0.8, abs=0.03)
+
+
+def test_as_many_draws_as_there_are_have_the_spread_of_the_posterior_not_of_the_proposal():
+    """Weights of N(0, 1) on draws of N(0, 9): all 1000 taken once each would have a deviation of 3."""
+    rng = np.random.default_rng(3)
+    wide = 3.0 * rng.standard_normal(1000)
+    log_weights = -0.5 * wide**2 + wide**2 / 18
+    log_weights -= np.logaddexp.reduce(log_weights)
+    found = WeightedDraws(wide[:, None], np.zeros(1000), log_weights, 0.0, 250.0, 0.0)
+    exact = np.sqrt(np.exp(log_weights) @ wide**2)
+    assert np.std(wide[resample(found, 1000, rng)]) == pytest.approx(exact, rel=0.02)
+
+
+def test_the_density_of_a_mixture_is_that_of_students_t():
+    roots = np.array([[[1.0, 0.0], [0.5, 2.0]], [[0.3, 0.0], [0.0, 0.1]]])
+    mixture = StudentMixture(np.array([0.7, 0.3]), np.array([[0.0, 0.0], [6.0, 1.0]]), roots)
+    at = np.array([[0.0, 0.0], [5.9, 1.1], [-3.0, 40.0]])
+    parts = [multivariate_t(mixture.centres[k], roots[k] @ roots[k].T, df=5) for k in range(2)]
+    exact = np.log(0.7 * parts[0].pdf(at) + 0.3 * parts[1].pdf(at))
+    assert mixture.log_density(at) == pytest.approx(exact, abs=1e-12)
+
+
+def test_draws_of_a_mixture_have_its_quantiles():
+    mixture = StudentMixture(
+        np.array([0.25, 0.75]), np.array([[-100.0], [3.0]]), np.array([[[1.0]], [[2.0]]])
+    )
+    draws = mixture.draw(20_000, np.random.default_rng(1))[:, 0]
+    upper = draws[draws > -50]
+    assert len(upper) / 20_000 == pytest.approx(0.75, abs=0.015)
+    assert np.quantile(upper, [0.05, 0.5, 0.95]) == pytest.approx([3 - 2 * 2.015, 3, 3 + 2 * 2.015], abs=0.15)
+
+
+def made(theta: float, objective: float, index: int) -> Start:
+    return Start(index, (0.0,), (theta,), objective, 1, 0, "tolerance")
+
+
+def test_modes_are_distinct_ends_within_ten_nats_of_the_best():
+    starts = (
+        made(4.0, 11.9, 0),
+        made(1.0, 2.0, 1),
+        made(1.005, 2.0, 2),
+        made(7.0, 12.1, 3),
+        made(2.0, 5.0, 4),
+    )
+    fit = Fit((1.0,), {}, 2.0, starts, 5, 0, interrupted=False)
+    assert find_modes(fit, np.array([10.0])).tolist() == [[1.0], [2.0], [4.0]]
+
+
+def test_ends_nearer_than_a_thousandth_of_the_bounds_in_every_parameter_are_one():
+    ends = np.array([[1.0, 1.0], [1.0009, 1.09], [1.0011, 1.0], [1.0, 1.11]])
+    assert select_distinct(ends, np.array([1.0, 100.0])).tolist() == [[1.0, 1.0], [1.0011, 1.0], [1.0, 1.11]]
+
+
+def draws_of(weights: list[float], k: float, least: float, log_evidence: float = 0.0) -> WeightedDraws:
+    count, logs = len(weights), np.log(np.array(weights))
+    return WeightedDraws(np.arange(count)[:, None] * 1.0, np.zeros(count), logs, k, least, log_evidence)
+
+
+@pytest.mark.parametrize(("k", "least", "faults"), [(0.7, 2.0, 0), (0.71, 2.0, 1), (0.7, 2.01, 1)])
+def test_draws_are_certified_up_to_a_k_and_from_a_number_of_independent_draws(k, least, faults):
+    drawn = resample_draws(draws_of([0.5, 0.5], k, least), 2, np.random.default_rng(1))
+    assert len(drawn.faults) == faults and drawn.pareto_k == k
+    assert sorted(drawn.thetas[:, 0]) == [0.0, 1.0]
+
+
+def test_a_predictive_density_by_hand():
+    """Effective sample sizes: 4 of equal weights, 1 / (0.8^2 + 0.2^2) of two."""
+    both, first = draws_of([0.25] * 4, 0.2, 1.0, -3.0), draws_of([0.8, 0.2], 0.6, 1.0, -1.5)
+    assert compute_ess(first.log_weights) == pytest.approx(1 / 0.68)
+    found = compute_predictive_density(both, first)
+    assert (found.log_density, found.k) == (-1.5, 0.6)
+    assert found.se == pytest.approx(np.sqrt(0.25 + 0.68))
+    assert found.shared_se == pytest.approx(np.sqrt(0.68))
+    assert found.effective_sample_size == pytest.approx(1 / 0.68)
+
+
+def test_data_that_cannot_be_predicted_have_density_0():
+    assert np.exp(ZERO_DENSITY.log_density) == 0.0 and ZERO_DENSITY.effective_sample_size == 0.0

@@ -7,6 +7,7 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium, problem
 from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
+from needlefit.datasets.noise import displace_by_pose
 from needlefit.errors import DataError
 from needlefit.inference.likelihood.observation import (
     make_observation,
@@ -71,6 +72,14 @@ def test_the_covariance_of_two_points_by_hand():
     assert own == pytest.approx(np.array([[0.1, 0.05 / math.e], [0.05 / math.e, 0.34]]))
 
 
+def test_smooth_errors_are_correlated_by_materns_function():
+    noise = Noise(correlated_sd=0.2, correlation_length=10.0, correlation="matern32")
+    cov = points_covariance(np.array([0.0, 1.0, 10.0]), noise)
+    z = math.sqrt(3)
+    assert cov[0, 2] == pytest.approx(0.04 * (1 + z) * math.exp(-z))
+    assert 1 - cov[0, 1] / 0.04 == pytest.approx(0.5 * (z / 10) ** 2, rel=0.15)  # smooth: no first order
+
+
 def test_the_deviations_of_points_replace_the_datasets():
     noise, sd = Noise(point_sd=0.01, correlated_sd=0.3), np.linspace(0.1, 0.2, 41)
     known = make_observation(dataset([], noise), replace(straight(), sd=sd))
@@ -84,6 +93,26 @@ def test_a_pose_moves_a_parabola_by_its_modes():
     across, turn, along_axis = pose_modes(parabola).T
     assert across == pytest.approx(1.0) and turn == pytest.approx(x)
     assert along_axis == pytest.approx(-2e-3 * x, abs=1e-9)  # y(x - d) = y(x) - d y'(x)
+
+
+def test_a_pose_turns_about_the_entry_where_the_curve_begins_4_mm_in():
+    """0.01 rad about the entry moves a point by 0.01 of its depth: 0.04 mm at 4 mm, 0.4 mm at 40 mm."""
+    begun = STRAIGHT[4:]
+    assert pose_modes(begun)[[0, -1], 1] == pytest.approx([4.0, 40.0], abs=1e-12)
+    known = make_observation(
+        dataset([], Noise(point_sd=0.1)), replace(straight(angle_sd=0.01, depth=36.0), planar=begun)
+    )
+    cov = np.linalg.inv(known.whitening.T @ known.whitening)
+    assert cov[0, 0] == pytest.approx(0.1**2 + 0.04**2)
+    assert cov[-1, -1] == pytest.approx(0.1**2 + 0.4**2)
+    assert cov[0, -1] == pytest.approx(0.04 * 0.4)
+
+
+def test_the_noise_floor_and_the_likelihood_turn_a_pose_alike():
+    begun = STRAIGHT[4:]
+    normal = np.array([[0.0, 0.0, 1.0]])
+    moved = displace_by_pose(begun, np.zeros(2), 0.01, normal)[0, :, 1]
+    assert moved == pytest.approx(0.01 * pose_modes(begun)[:, 1], abs=1e-12)
 
 
 def test_pose_deviations_are_the_larger_of_two_statements():

@@ -1,7 +1,8 @@
-"""Uncertain depths: closed forms, and brute force."""
+"""Uncertain depths, bevels and poses, of one insertion and of several: closed forms, and brute force."""
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,14 +10,24 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
+from needlefit.errors import ConfigError
 from needlefit.inference.identifiability.information import difference_jacobian
-from needlefit.inference.likelihood.depths import NODE_POSITIONS_SD, Nodes, log_means, make_nodes, make_rule
 from needlefit.inference.likelihood.marginal import (
     linear_residual_derivatives,
     linear_residuals,
     log_marginals,
-    mixing_matrix,
+    mixing_matrices,
 )
+from needlefit.inference.likelihood.nodes import (
+    NODE_POSITIONS_SD,
+    ErrorAxis,
+    Nodes,
+    group_nodes,
+    make_group,
+    make_nodes,
+)
+from needlefit.inference.likelihood.observation import points_covariance
+from needlefit.inference.likelihood.quadrature import MAX_AXES, log_means, make_rule, make_table_axes
 from needlefit.schemas.recipe import LikelihoodRecord
 
 LINE = np.linspace(0.0, 40.0, 41)
@@ -29,8 +40,14 @@ def white_of(curve, depths, axes=3):
     return np.array([curve(t) for t in points])
 
 
-def one(white, made, scale=1.0):
-    return log_marginals(white[None], made, np.array([scale]))[0]
+def one(white, made, scale=1.0, spread=0.0):
+    return log_marginals([white[None]], make_group(made), np.array([scale]), np.array([spread]))[0]
+
+
+def integral(products, axes):
+    """The mean over `axes` independent errors."""
+    rule = make_rule(axes)
+    return log_means([products], [rule], [make_table_axes(rule, np.ones(axes), np.zeros((axes, 0)))])
 
 
 @pytest.mark.parametrize("depths", ["linear", "quadrature"])
@@ -46,7 +63,7 @@ def test_a_linear_dependence_gives_the_gaussian_of_the_summed_covariances(depths
 
 def test_quadrature_follows_what_is_not_linear():
     """One residual that saturates, against the integral by a fine sum; the spline errs by 0.02."""
-    made = make_nodes(replace(LAYERED, depth_sd=0.0, boundaries=np.array([12.0])), LINE, "quadrature")
+    made = make_nodes(replace(FLAT, sequence=(1, 2), boundaries=np.array([12.0])), LINE, "quadrature")
     got = one(white_of(lambda t: np.array([np.tanh(1.5 * t[0]) - 0.5]), "quadrature", 1), made)
     t = np.linspace(-8, 8, 4001)
     exact = np.log(np.sum(norm.pdf(t) * np.exp(-0.5 * (np.tanh(1.5 * t) - 0.5) ** 2)) * (t[1] - t[0]))
@@ -56,10 +73,10 @@ def test_quadrature_follows_what_is_not_linear():
 def test_nothing_uncertain_is_the_density_as_measured():
     certain = replace(LAYERED, boundary_sd=0.0, depth_sd=0.0)
     for made in (make_nodes(certain, LINE, "quadrature"), make_nodes(LAYERED, LINE, "fixed")):
-        assert made.axes == 0 and len(made.insertions) == 1
+        assert made.axes == () and len(made.insertions) == 1
         white = np.arange(5.0)[None]
         assert one(white, made, 2.0) == pytest.approx(-0.5 * 30 / 4 - 5 * math.log(2))
-        assert linear_residuals(white, made, 2.0)[0] == pytest.approx(white[0] / 2)
+        assert linear_residuals([white], make_group(made), 2.0, 0.0)[0] == pytest.approx(white[0] / 2)
 
 
 def test_nodes_move_one_boundary_or_the_entry():
@@ -77,14 +94,46 @@ def test_nodes_move_one_boundary_or_the_entry():
     assert made.s[2] == pytest.approx(LINE + 0.1) and made.s[3] == pytest.approx(LINE)
 
 
+def test_quadrature_over_too_many_depths_is_refused():
+    count = MAX_AXES + 1
+    depths, layers = np.linspace(4.0, 36.0, count), tuple(range(1, count + 2))
+    many = replace(LAYERED, id="many", boundaries=depths, sequence=layers, depth_sd=0.0)
+    with pytest.raises(ConfigError, match="many") as refused:
+        make_nodes(many, LINE, "quadrature")
+    assert refused.value.key == "likelihood.depths"
+    assert len(make_nodes(many, LINE, "linear").axes) == count
+
+
+def test_quadrature_over_too_many_shared_boundaries_is_refused():
+    """Each insertion crosses four of the six surfaces, or fewer."""
+    crossed = {"a": (1, 2, 3, 4, 5), "b": (3, 4, 5, 6), "c": (5, 6, 7), "d": (7, 6, 5), "e": (1, 2, 3, 4, 5)}
+    made = {}
+    for how in ("linear", "quadrature"):
+        made[how] = tuple(
+            make_nodes(
+                replace(
+                    FLAT, id=name, specimen="one", sequence=layers, boundaries=5.0 * np.arange(1, len(layers))
+                ),
+                LINE,
+                how,
+            )
+            for name, layers in crossed.items()
+        )
+    assert [len(group.surfaces) for _, group in group_nodes(made["linear"])] == [6]
+    with pytest.raises(ConfigError, match="a, b, c, d, e share 6"):
+        group_nodes(made["quadrature"])
+
+
 def test_thin_layers_stay_in_order():
     thin = replace(LAYERED, boundaries=np.array([0.1, 0.2]), boundary_sd=0.5)
     for moved in make_nodes(thin, LINE, "quadrature").insertions:
         assert moved.boundaries[0] > 0 and np.all(np.diff(moved.boundaries) > 0)
 
 
-@pytest.mark.parametrize("size", [0.5, 1.0, 2.0])
-@pytest.mark.parametrize("axes", [1, 2, 4])
+@pytest.mark.parametrize(
+    ("axes", "size"),
+    [*product((1, 2, 4), (0.5, 1.0, 2.0)), (MAX_AXES, 0.5), (MAX_AXES, 1.0)],
+)
 def test_what_acts_linearly_is_integrated_exactly(axes, size):
     """`size` is the whitened length of what one standard deviation does."""
     rng = np.random.default_rng(axes)
@@ -92,7 +141,7 @@ def test_what_acts_linearly_is_integrated_exactly(axes, size):
     slopes *= size / np.linalg.norm(slopes, axis=0)
     first = slopes @ rng.normal(size=axes) + rng.normal(size=20)
     white = white_of(lambda t: first + slopes @ t, "quadrature", axes)
-    got = log_means((white @ white.T)[None], make_rule(axes))[0]
+    got = integral((white @ white.T)[None], axes)[0]
     stiff = np.eye(20) + slopes @ slopes.T
     exact = -0.5 * first @ np.linalg.solve(stiff, first) - 0.5 * np.linalg.slogdet(stiff)[1]
     assert got == pytest.approx(exact, abs=0.01)
@@ -104,7 +153,8 @@ def test_the_mixing_is_the_densitys_derivative(depths):
     made = make_nodes(LAYERED, LINE, depths)
     white, step = rng.normal(size=(len(made.insertions), 6)), rng.normal(size=(len(made.insertions), 6))
     slope = (one(white + 1e-5 * step, made, 1.3) - one(white - 1e-5 * step, made, 1.3)) / 2e-5
-    assert -np.sum(mixing_matrix(white, made, 1.3) @ white * step) == pytest.approx(slope, rel=1e-6)
+    (mixed,), _ = mixing_matrices([white], make_group(made), 1.3, 0.0)
+    assert -np.sum(mixed @ white * step) == pytest.approx(slope, rel=1e-6)
 
 
 def test_the_residuals_of_the_linear_density_and_their_slopes():
@@ -113,12 +163,12 @@ def test_the_residuals_of_the_linear_density_and_their_slopes():
     white, by = rng.normal(size=(7, 6)), rng.normal(size=(7, 6, 2))
 
     def both(theta):
-        return np.append(*linear_residuals(white + by @ theta, made, 1.3))
+        return np.append(*linear_residuals([white + by @ theta], make_group(made), 1.3, 0.0))
 
-    found, log_det = linear_residuals(white, made, 1.3)
+    found, log_det = linear_residuals([white], make_group(made), 1.3, 0.0)
     shrunk = one(white, made, 1.3) + 6 * math.log(1.3)
     assert -0.5 * (found @ found + log_det) == pytest.approx(shrunk)
-    exact = np.vstack(linear_residual_derivatives(white, by, made, 1.3))
+    exact = np.vstack(linear_residual_derivatives([white], [by], make_group(made), (1.3, 0.0), np.zeros(2)))
     np.testing.assert_allclose(exact, difference_jacobian(both, np.zeros(2), np.full(2, 1e-5)), atol=1e-7)
 
 
@@ -126,12 +176,27 @@ def layered(depths, noise_scale=1.0, pose="known"):
     record = medium()
     made = [
         replace(
-            measure(TRUTH, record, insertion(d, (9.2, 17.0), (1, 2, 1), side)), boundary_sd=0.15, depth_sd=0.1
+            measure(TRUTH, record, insertion(d, (9.2, 17.0), (1, 2, 1), side)),
+            specimen="one",
+            boundary_sd=0.15,
+            depth_sd=0.1,
         )
         for d, side in ((32.3, 1), (38.0, -1))
     ]
-    how = LikelihoodRecord(depths=depths, noise_scale=noise_scale)
+    how = LikelihoodRecord(depths=depths, noise_scale=noise_scale, bevel_spread=0.0)
     return problem(record, made, how=how, pose=pose, noise=Noise(0.19, 0.02, 0.05, 5.0))
+
+
+def assert_exact_gradient(p, theta, rel):
+    """Return the gradient, which is that of differences; many thetas at once give what each gives alone."""
+    value, gradient = p.gradient(theta)
+    assert value == pytest.approx(p.log_posterior(theta), rel=rel)
+    assert p.log_posteriors(theta[None])[0] == pytest.approx(value, rel=1e-6)
+    for along in np.eye(len(theta)):
+        ends = [p.log_posterior(theta + h * along) for h in (-2e-3, -1e-3, 1e-3, 2e-3)]
+        slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / 12e-3
+        assert gradient @ along == pytest.approx(slope, rel=1e-5, abs=1e-5 * np.linalg.norm(gradient))
+    return gradient
 
 
 @pytest.mark.parametrize("noise_scale", [0.8, "estimated"])
@@ -139,13 +204,7 @@ def layered(depths, noise_scale=1.0, pose="known"):
 def test_every_gradient_is_exact_and_many_thetas_give_what_each_gives_alone(depths, noise_scale):
     p = layered(depths, noise_scale)
     theta = p.parameters.theta({**TRUTH, "noise_scale": 1.2}) + 0.05
-    value, gradient = p.gradient(theta)
-    assert value == pytest.approx(p.log_posterior(theta), rel=1e-6)
-    assert p.log_posteriors(theta[None])[0] == pytest.approx(value, rel=1e-6)
-    for along in np.eye(len(theta)):
-        ends = [p.log_posterior(theta + h * along) for h in (-2e-3, -1e-3, 1e-3, 2e-3)]
-        slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / 12e-3
-        assert gradient @ along == pytest.approx(slope, rel=1e-5, abs=1e-5 * np.linalg.norm(gradient))
+    assert_exact_gradient(p, theta, rel=1e-6)
 
 
 @pytest.mark.parametrize("noise_scale", [0.8, "estimated"])
@@ -164,7 +223,7 @@ def test_the_density_is_a_constant_less_half_the_squared_residuals(depths, noise
 
 def test_a_scale_of_the_noise_is_normalised():
     """Without misfit the density of n residuals falls as scale^-n, and is flat in nothing else."""
-    low, high = (layered("fixed", scale) for scale in (0.5, 2.0))
+    low, high = (layered("fixed", scale, "free") for scale in (0.5, 2.0))
     theta = low.parameters.theta(TRUTH)
     n = sum(known.rows for known in low.density.observations)
     fell = low.log_posterior(theta) - high.log_posterior(theta)
@@ -172,7 +231,10 @@ def test_a_scale_of_the_noise_is_normalised():
 
 
 def test_a_failed_node_fails_the_density():
-    made = Nodes((LAYERED, LAYERED, LAYERED), np.zeros((3, 1)), np.array([[1, 0, 0], [0, -0.5, 0.5]]), None)
+    linear = np.array([[1, 0, 0], [0, -0.5, 0.5]])
+    made = Nodes(
+        (LAYERED,) * 3, np.zeros((3, 1)), (ErrorAxis(),), linear, np.zeros((0, 3)), bevel=False, rule=None
+    )
     white = np.ones((3, 4))
     white[2] = np.nan
     assert math.isnan(one(white, made))
@@ -182,5 +244,115 @@ def test_many_sets_are_integrated_as_each_alone():
     rng = np.random.default_rng(6)
     many = rng.normal(size=(90, 1 + 4 * 4, 3))
     products = many @ many.transpose(0, 2, 1)
-    alone = [log_means(one[None], make_rule(4))[0] for one in products]
-    assert log_means(products, make_rule(4)).tolist() == alone
+    alone = [integral(one[None], 4)[0] for one in products]
+    assert integral(products, 4).tolist() == alone
+
+
+SPREAD = 0.3
+FLAT = replace(insertion(40.0, (12.0, 20.0), (1, 2, 3)), boundary_sd=0.15)
+
+
+def linear_case(depths, seed, rows=6):
+    """Three insertions, two of one specimen: nodes, residuals at them, and what makes their covariance."""
+    rng = np.random.default_rng(seed)
+    insertions = [replace(FLAT, id=name, specimen=name[0]) for name in ("a1", "a2", "b1")]
+    made = tuple(make_nodes(one, LINE, depths, bevel=True, constants=1) for one in insertions)
+    first, slopes = rng.normal(size=(3, rows)), 0.4 * rng.normal(size=(3, rows, 2))
+    bevel, pose = rng.normal(size=(3, rows)), rng.normal(size=(3, rows))
+    whites = [
+        np.vstack(
+            [
+                white_of(lambda t, k=k: first[k] + slopes[k] @ t, depths, 2),
+                first[k] + np.outer([-0.1, 0.1], bevel[k]),
+                pose[k],
+            ]
+        )
+        for k in range(3)
+    ]
+    return made, whites, (first, slopes, bevel, pose)
+
+
+def exact_covariance(parts, scale, rows=6):
+    """Of the residuals of all three insertions, with a shared part of 0.1 mm of 0.15 mm in the first two."""
+    _, slopes, bevel, pose = parts
+    total = np.zeros((3, rows, 3, rows))
+    for k in range(3):
+        own = slopes[k] @ slopes[k].T + SPREAD**2 * np.outer(bevel[k], bevel[k]) + np.outer(pose[k], pose[k])
+        total[k, :, k] = scale**2 * np.eye(rows) + own
+    total[0, :, 1] = (0.1 / 0.15) ** 2 * slopes[0] @ slopes[1].T
+    total[1, :, 0] = total[0, :, 1].T
+    return total.reshape(3 * rows, 3 * rows)
+
+
+@pytest.mark.parametrize("depths", ["linear", "quadrature"])
+def test_what_insertions_share_and_what_each_has_are_the_gaussian_of_their_covariance(depths):
+    made, whites, parts = linear_case(depths, seed=7)
+    groups = group_nodes(made)
+    assert [members for members, _ in groups] == [(0, 1), (2,)]
+    got = sum(
+        log_marginals([whites[k][None] for k in members], group, np.array([1.3]), np.array([SPREAD]))[0]
+        for members, group in groups
+    )
+    exact = multivariate_normal(cov=exact_covariance(parts, 1.3)).logpdf(parts[0].ravel())
+    assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9 if depths == "linear" else 5e-3)
+
+
+@pytest.mark.parametrize("depths", ["linear", "quadrature"])
+def test_the_mixing_of_a_group_is_the_densitys_derivative_by_residuals_and_spread(depths):
+    made, whites, _ = linear_case(depths, seed=8)
+    (members, group), _ = group_nodes(made)
+    chosen = [whites[k] for k in members]
+    rng = np.random.default_rng(9)
+    steps = [rng.normal(size=white.shape) for white in chosen]
+
+    def density(h, spread):
+        moved = [(white + h * step)[None] for white, step in zip(chosen, steps, strict=True)]
+        return log_marginals(moved, group, np.array([1.3]), np.array([spread]))[0]
+
+    mixed, by_spread = mixing_matrices(chosen, group, 1.3, SPREAD)
+    slope = (density(1e-5, SPREAD) - density(-1e-5, SPREAD)) / 2e-5
+    got = -sum(np.sum(m @ w * step) for m, w, step in zip(mixed, chosen, steps, strict=True))
+    assert got == pytest.approx(slope, rel=1e-6)
+    ends = [density(0.0, SPREAD * math.exp(h)) for h in (1e-4, -1e-4)]
+    assert by_spread == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-6)
+
+
+@pytest.mark.parametrize("noise_scale", [1.0, "estimated"])
+@pytest.mark.parametrize("depths", ["linear", "quadrature"])
+def test_bevels_that_differ_have_exact_gradients_and_residuals(depths, noise_scale):
+    record = medium()
+    made = [replace(one, specimen="one") for one in layered(depths).insertions]
+    how = LikelihoodRecord(depths=depths, noise_scale=noise_scale)
+    p = problem(record, made, how=how, noise=Noise(0.19, 0.02, 0.05, 5.0))
+    theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
+    gradient = assert_exact_gradient(p, theta, rel=1e-9)
+    if depths == "linear":
+        found, exact = p.jacobian(theta)
+        assert -(found @ exact) == pytest.approx(gradient, rel=1e-6, abs=1e-6)
+        assert sum(p.density.residual_counts) == len(found) - 2  # the normalising one, the spread's prior
+
+
+def test_a_bevel_spread_that_is_held_stays_in_the_residuals():
+    """Depths fixed: the log det then varies with the bevel's effect alone."""
+    made = [replace(one, boundary_sd=0.0, depth_sd=0.0) for one in layered("fixed").insertions]
+    p = problem(medium(), made, how=LikelihoodRecord(depths="fixed"), noise=Noise(0.19, 0.02, 0.05, 5.0))
+    free = [name for name in p.parameters.free if name != "bevel_spread"]
+    p = p.with_parameters(p.parameters.with_only(free, {"bevel_spread": 0.3}))
+    theta = p.parameters.theta(TRUTH) + 0.05
+    found, exact = p.jacobian(theta)
+    assert len(p.density.observations[0].nodes.effects) == 1
+    assert p.residuals(theta) == pytest.approx(found, rel=1e-9, abs=1e-9)
+    assert -(found @ exact) == pytest.approx(p.gradient(theta)[1], rel=1e-6, abs=1e-6)
+    assert sum(p.density.residual_counts) == len(found) - 1
+
+
+def test_a_scale_of_the_noise_is_none_of_the_pose():
+    plain, scaled = layered("fixed"), layered("fixed", 3.0)
+    theta = plain.parameters.theta(TRUTH) + 0.1
+    exact = 0.0
+    whites = plain.density.whitened_residuals([plain.values(theta)], 1)
+    for known, white in zip(plain.density.observations, whites, strict=True):
+        points = points_covariance(known.nodes.s[0], plain.dataset.noise)
+        residuals = np.linalg.solve(known.whitening, white[0, 0])
+        exact += multivariate_normal(cov=9 * points + (known.covariance() - points)).logpdf(residuals)
+    assert scaled.log_posterior(theta) == pytest.approx(exact, rel=1e-9)

@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from inference_cases import TRUTH, medium
+from inference_cases import MU, TRUTH, medium
+from pydantic import ValidationError
+from scipy.stats import kstest
 
 from needlefit.errors import ConfigError
-from needlefit.inference.parameters import Parameters, make_tissue
+from needlefit.inference.draws import draw_from_prior
+from needlefit.inference.parameters import Parameters, make_tissue, with_hyperparameters, without_prior
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 
 def test_theta_is_the_logarithm_of_moduli_and_lengths_and_alpha_itself():
@@ -27,7 +31,7 @@ def test_ties_follow_chains_and_multiply_factors():
         4,
         mu2_pa={"tie": "10 * mu1_pa"},
         mu3_pa={"tie": "0.5*mu2_pa"},
-        mu4_pa={"tie": "mu3_pa"},
+        mu4_pa={"tie": "mu3_pa", "spread": 1},
         alpha2={"tie": "-1 * alpha1"},
     )
     p = Parameters.from_record(record)
@@ -38,13 +42,20 @@ def test_ties_follow_chains_and_multiply_factors():
     assert p.status["mu4_pa"] == "tied" and p.status["alpha1"] == "fixed" and p.status["mu1_pa"] == "free"
 
 
+@pytest.mark.parametrize("spread", [0.5, 101.0, 1e60])
+def test_a_spread_of_a_tie_is_a_factor_of_at_most_100(spread):
+    with pytest.raises(ValidationError):
+        medium(2, mu2_pa={"tie": "mu1_pa", "spread": spread})
+    Parameters.from_record(medium(2, mu2_pa={"tie": "mu1_pa", "spread": 100.0}))
+
+
 @pytest.mark.parametrize(
     ("changed", "fault"),
     [
         ({"mu1_pa": {"tie": "mu9_pa"}}, "has not"),
         ({"mu1_pa": {"tie": "stiffness"}}, "`stiffness`"),
-        ({"mu1_pa": {"tie": "mu2_pa"}, "mu2_pa": {"tie": "mu1_pa"}}, "circle"),
-        ({"mu1_pa": {"tie": "mu1_pa"}}, "circle"),
+        ({"mu1_pa": {"tie": "mu2_pa"}, "mu2_pa": {"tie": "mu1_pa", "spread": 1}}, "circle"),
+        ({"mu1_pa": {"tie": "mu1_pa", "spread": 1}}, "circle"),
         ({"mu1_pa": {"tie": "alpha1"}}, "different quantities"),
         ({"mu1_pa": {"tie": "-2 * mu2_pa"}}, "stay positive"),
         ({"mu1_pa": {"tie": "ten * mu2_pa"}}, "no number"),
@@ -67,7 +78,7 @@ def test_a_missing_parameter_is_named():
 
 
 def test_with_only_keeps_ties_to_what_stays_free_and_fixes_the_rest_at_the_given_values():
-    p = Parameters.from_record(medium(3, mu3_pa={"tie": "mu1_pa"}))
+    p = Parameters.from_record(medium(3, mu3_pa={"tie": "mu1_pa", "spread": 1}))
     paper = {"mu1_pa": 2e5, "alpha1": 1.0, "mu2_pa": 3e7, "alpha2": -1.0, "mu3_pa": 2e6, "alpha3": 0.5}
     b = p.with_only(["bevel_mm"], {**paper, "bevel_mm": 0.03})
     assert b.free == ("bevel_mm",)
@@ -94,18 +105,65 @@ def test_tissue_repeats_layers_in_the_order_met_and_turns_pa_into_mpa():
         make_tissue(TRUTH, (1, 3), np.array([10.0]), medium())
 
 
+TWO_MATERIALS = {"mu3_pa": "mu1_pa", "mu4_pa": "mu2_pa"}
+
+
 @pytest.mark.parametrize(
     ("name", "tied", "free"),
     [
-        ("phantom1", {"mu4_pa"}, {"mu1_pa", "mu2_pa", "mu3_pa", "bevel_mm"}),
-        ("phantom2", {"mu3_pa", "mu4_pa"}, {"mu1_pa", "mu2_pa", "bevel_mm"}),
-        ("phantom3", {"mu3_pa", "mu4_pa"}, {"mu1_pa", "mu2_pa", "bevel_mm"}),
-        ("chicken", set(), {"mu1_pa", "bevel_mm"}),
-        ("gel_stereo", set(), {"mu1_pa", "bevel_mm"}),
+        ("phantom1", {"mu4_pa": "mu2_pa"}, {"mu1_pa", "mu2_pa", "mu3_pa", "mu4_pa", "bevel_mm"}),
+        ("phantom2", TWO_MATERIALS, {"mu1_pa", "mu2_pa", "mu3_pa", "mu4_pa", "bevel_mm"}),
+        ("phantom3", TWO_MATERIALS, {"mu1_pa", "mu2_pa", "mu3_pa", "mu4_pa", "bevel_mm"}),
+        ("chicken", {}, {"mu1_pa", "bevel_mm"}),
+        ("gel_stereo", {}, {"mu1_pa", "bevel_mm"}),
     ],
 )
 def test_the_shipped_media_tie_as_the_paper_does_and_fix_every_alpha(name, tied, free):
     p = Parameters.from_record(load(find_file("medium", name), MediumRecord))
     assert set(p.free) == free
-    assert {n for n, status in p.status.items() if status == "tied"} == tied
+    assert {(tie.name, tie.source, tie.factor, tie.spread) for tie in p.prior.ties} == {
+        (name, source, 1.0, 1.2) for name, source in tied.items()
+    }
+    assert {name: source for name, (_, source) in without_prior(p).ties.items()} == tied
     assert all(status == "fixed" for n, status in p.status.items() if n.startswith("alpha"))
+
+
+def test_a_tie_with_a_spread_is_a_prior_about_its_source():
+    record = medium(
+        4,
+        mu2_pa={"tie": "10 * mu1_pa", "spread": 2.0},
+        mu3_pa={"tie": "mu2_pa", "spread": 1},
+        mu4_pa={"tie": "mu3_pa"},
+    )
+    p = Parameters.from_record(record)
+    assert p.free == ("mu1_pa", "mu2_pa", "mu4_pa", "bevel_mm") and set(p.ties) == {"mu3_pa"}
+    at = p.values(p.theta({"mu1_pa": 1e4, "mu2_pa": 2e5, "mu4_pa": 2.4e5, "bevel_mm": 0.1}))
+    # ln 2 / ln 2 from ten times mu1, and ln 1.2 / ln 1.2 from mu3, which is mu2
+    assert p.prior.residuals(at) == pytest.approx([1.0, 1.0])
+    assert p.prior.sd("mu1_pa") == p.prior.sd("mu4_pa") == math.inf
+    assert p.bounds["mu2_pa"] == pytest.approx((MU[0] * 10 / 2**6, MU[1] * 10 * 2**6))
+    exact = without_prior(p)
+    assert exact.free == ("mu1_pa", "bevel_mm")
+    assert exact.values(np.log([1e4, 0.1]))["mu4_pa"] == pytest.approx(1e5)
+    with pytest.raises(ConfigError, match="factor"):
+        Parameters.from_record(medium(2, alpha2={"tie": "alpha1", "spread": 1.2}))
+    with pytest.raises(ConfigError, match="circle"):
+        Parameters.from_record(medium(2, mu1_pa={"tie": "mu2_pa"}, mu2_pa={"tie": "mu1_pa"}))
+
+
+def test_draws_of_the_prior_are_flat_where_only_ties_are_stated():
+    record = medium(
+        3,
+        mu1_pa={"bounds": [1e4, 1e5]},
+        mu2_pa={"tie": "2 * mu1_pa", "spread": 1.1},
+        mu3_pa={"bounds": MU, "prior": {"median": 1e6, "factor": 2.0}},
+    )
+    p = with_hyperparameters(Parameters.from_record(record), LikelihoodRecord(bevel_spread=0.2))
+    sets = [p.values(theta) for theta in draw_from_prior(p, 4000, np.random.default_rng(1))]
+    drawn = {name: np.array([values[name] for values in sets]) for name in p.names}
+    place = np.log(drawn["mu1_pa"] / 1e4) / math.log(10)
+    assert kstest(place, "uniform").pvalue > 0.01
+    ratio = np.log(drawn["mu2_pa"] / drawn["mu1_pa"] / 2) / math.log(1.1)
+    assert kstest(ratio, "norm").pvalue > 0.01
+    assert kstest(np.log(drawn["mu3_pa"] / 1e6) / math.log(2), "norm").pvalue > 0.01
+    assert np.sqrt(np.mean(drawn["bevel_spread"] ** 2)) == pytest.approx(0.2, rel=0.05)

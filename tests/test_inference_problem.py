@@ -65,7 +65,7 @@ def test_noise_free_shapes_give_their_parameters_back(jobs):
     ("changed", "free"),
     [
         ({"mu2_pa": {"tie": "10 * mu1_pa"}}, 2),
-        ({"mu2_pa": {"tie": "mu1_pa"}}, 2),
+        ({"mu2_pa": {"tie": "mu1_pa", "spread": 1}}, 2),
         ({"mu2_pa": {"fixed": 2e7}, "mu1_pa": {"fixed": 3e5}}, 1),
         ({"bevel_mm": {"fixed": 0.08}}, 2),
     ],

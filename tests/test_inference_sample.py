@@ -13,7 +13,8 @@ from needlefit.errors import ConfigError, DataError, FitError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling import sample as sample_module
 from needlefit.inference.sampling import walkers
-from needlefit.inference.sampling.ensembles import INDEPENDENT, parse_moves
+from needlefit.inference.sampling.ensembles import INDEPENDENT, SNOOKER_LENGTH, _propose_snooker, parse_moves
+from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.sampling.snapshots import Snapshots
@@ -59,6 +60,7 @@ def test_a_gaussian_is_recovered(long):
     assert np.cov(flat.T) == pytest.approx(COV, abs=0.01)
     low, middle, high = (long.percentiles()["x0"][k] for k in (0, 2, 4))
     assert (low, middle, high) == pytest.approx((0.4 - 0.392, 0.4, 0.4 + 0.392), abs=0.04)
+    assert long.percentiles()["x0"] == pytest.approx(np.quantile(flat[:, 0], [0.025, 0.16, 0.5, 0.84, 0.975]))
     assert long.log_posterior[0, 0] == gaussian(long.draws[0, 0])
 
 
@@ -110,6 +112,43 @@ def test_nan_infinity_and_failed_solves_have_no_density_and_are_counted():
     assert got.failures > 0
     assert got.draws[..., 0].max() <= 0.7 and got.draws[..., 1].max() <= 0.2
     assert got.draws[..., 1].min() >= -0.7
+
+
+def test_failures_are_counted_and_points_beyond_the_bounds_are_none():
+    values = {0.0: 1.5, 0.5: math.nan, 1.0: math.inf, 1.5: -math.inf}
+    evaluator = Evaluator(box(lambda theta: values[theta[0]]), 1)
+    thetas = np.array([[0.0, 0], [0.5, 0], [1.0, 0], [1.5, 0], [2.5, 0]])
+    assert evaluator(thetas).tolist() == [1.5, *[-math.inf] * 4]
+    assert evaluator.failures == 2 and evaluator.failed == [[(0.5, 0.0), (1.0, 0.0)]]
+
+
+def test_the_laplace_approximation_of_a_gaussian_is_the_gaussian_within_its_bounds():
+    """Its precision, and that of a uniform density as wide as the bounds: 12 / width^2."""
+    lower, upper = np.array([-1.0, -4.0]), np.array([3.0, 2.0])
+
+    def density(thetas):
+        return np.array([gaussian(theta) for theta in thetas])
+
+    found = approximate_by_laplace(density, MEAN, lower, upper)
+    exact = np.linalg.inv(PRECISION + np.diag(12 / (upper - lower) ** 2))
+    assert found.centre == pytest.approx(MEAN, abs=1e-12)
+    assert found.axes @ found.axes.T == pytest.approx(exact, rel=1e-6)
+    at_bound = approximate_by_laplace(density, upper, lower, upper)
+    assert at_bound.centre == pytest.approx(upper - 1e-3 * (upper - lower), abs=1e-12)
+
+
+def test_a_snooker_step_goes_along_the_line_through_another_walker():
+    """Its length comes from two more, projected; the correction is the stretch to the power P - 1."""
+    own, others = np.array([[1.0, 2.0, 2.0]]), np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 6.0, 0.0]])
+    moved, factor = _propose_snooker(own, [others], np.random.RandomState(1))
+    steps = []
+    for z, a, b in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
+        away = own[0] - others[z]
+        unit = away / np.linalg.norm(away)
+        there = own[0] + SNOOKER_LENGTH * unit * (unit @ (others[a] - others[b]))
+        stretch = np.linalg.norm(there - others[z]) / np.linalg.norm(away)
+        steps.append([*there, 2 * np.log(stretch)])
+    assert min(np.abs(np.array(steps) - [*moved[0], factor[0]]).max(axis=1)) < 1e-12
 
 
 def test_a_bug_is_raised():

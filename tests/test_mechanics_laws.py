@@ -1,16 +1,17 @@
 """Tissue laws: what each says by hand, and how truly the kernel's polynomial says it."""
 
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from plugin_cases import install, plugin_folder
 
-from needlefit.errors import ModelError
-from needlefit.mechanics import laws, reference
-from needlefit.mechanics.control import Bevel, Controls
-from needlefit.mechanics.kernel.foundation import make_foundation
+from needlefit.errors import ConfigError, ModelError
+from needlefit.mechanics import reference
+from needlefit.mechanics.control import Bevel, Controls, Guide
+from needlefit.mechanics.kernel.foundation import evaluate_table, make_foundation
+from needlefit.mechanics.law_form import compile_law, differentiate_law
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import compile_tissue, simulate
 from needlefit.mechanics.tissue import Tissue
@@ -23,15 +24,20 @@ def modulus(law: str, alpha: float, stretch: np.ndarray) -> np.ndarray:
     """Return k / mu, written as in the paper."""
     if law == "linear":
         return np.full_like(stretch, 3.0)
+    if law == "fung":
+        strain = stretch**2 + 2 / stretch - 3
+        return np.exp(alpha * strain) * (
+            2 * stretch + stretch**-2 + 2 * alpha * stretch * (stretch - stretch**-2) ** 2
+        )
     alpha = 2.0 if law == "neo_hookean" else alpha
     return 2 * (stretch ** (alpha - 1) + 0.5 * stretch ** (-alpha / 2 - 1))
 
 
-@pytest.mark.parametrize("law", laws.list_laws())
+@pytest.mark.parametrize("law", LAWS.names())
 @pytest.mark.parametrize("thickness", [0.3, 5.0, 40.0, 80.0])
 def test_the_polynomial_is_the_law_as_far_as_it_is_used(law: str, thickness: float) -> None:
     """To 1e-9 of k, and its tangent d(k e)/de to 1e-7, over the widest prior."""
-    for alpha in np.linspace(-10, 10, 41):
+    for alpha in LAWS[law].into_range(np.linspace(-10, 10, 41)):
         layer = compile_tissue(Tissue(mu=[0.7], alpha=[alpha], thickness=[thickness], law=law))
         e = np.linspace(0.0, layer.limit[0], 50)
         assert 0.004 * thickness < layer.limit[0] <= 0.2 * thickness
@@ -60,7 +66,7 @@ def test_the_linear_law_is_a_number() -> None:
 
 def test_layers_are_independent() -> None:
     def layers(mu: list, alpha: list, thickness: list):
-        terms = laws.power_terms("ogden", np.array(alpha))
+        terms = compile_law("ogden", np.array(alpha))
         return make_foundation(np.array(mu), *terms, np.array(thickness), np.zeros(len(mu)))
 
     both, second = layers([0.2, 3.0], [-7.0, 4.0], [5.0, 60.0]), layers([3.0], [4.0], [60.0])
@@ -96,30 +102,69 @@ def test_in_thick_tissue_every_law_is_linear() -> None:
     assert off[0] > 50 * off[1] > 2500 * off[2]
 
 
-@pytest.fixture
-def sister(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Put one more file into the folder of laws."""
-    (tmp_path / "sister.py").write_text("def terms(alpha):\n    return [(3.0, -alpha), (0.5, 2.0)]\n")
-    monkeypatch.setattr(laws, "__path__", [*laws.__path__, str(tmp_path)])
-    caches = (laws.list_laws, laws.term_slopes, laws._make_terms_at_zero)
-    for cached in caches:
-        cached.cache_clear()
-    yield "sister"
-    for cached in caches:
-        cached.cache_clear()
-    sys.modules.pop("needlefit.mechanics.laws.sister", None)
+SISTER = """
+from needlefit.mechanics.laws import PowerLaw
+
+class Sister(PowerLaw):
+    name, label = "sister", "sister foundation"
+
+    def terms(self, alpha):
+        return [(3.0, -alpha), (0.5, 2.0)]
+
+SISTER = Sister()
+"""
 
 
-def test_a_law_is_one_file(sister: str) -> None:
+def test_a_law_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is found by its name, and neither reference nor kernel needs a change."""
-    assert sister in laws.list_laws()
-    tissue = Tissue(mu=[0.5], alpha=[4.0], thickness=[2.0], law=sister)
-    case = (NEEDLE, tissue, Bevel(0.1), 9.0, BASE)
-    fast, slow = simulate(*case), reference.simulate(*case)
-    np.testing.assert_allclose(fast.u, slow.u, atol=1e-8)
-    assert compile_tissue(tissue).series[0, 0] == pytest.approx(0.5 * 3.5, rel=1e-9)
-
-
-def test_without_that_file_there_is_no_such_law() -> None:
-    with pytest.raises(ModelError, match=r"law .*`sister`"):
+    install(tmp_path, module="sister_laws", source=SISTER)
+    with plugin_folder(tmp_path, monkeypatch):
+        assert "sister" in LAWS.names() and LAWS["sister"].uses_alpha
+        tissue = Tissue(mu=[0.5], alpha=[4.0], thickness=[2.0], law="sister")
+        case = (NEEDLE, tissue, Bevel(0.1), 9.0, BASE)
+        fast, slow = simulate(*case), reference.simulate(*case)
+        np.testing.assert_allclose(fast.u, slow.u, atol=1e-8)
+        assert compile_tissue(tissue).series[0, 0] == pytest.approx(0.5 * 3.5, rel=1e-9)
+    with pytest.raises(ConfigError, match=r"law .*`sister`"):
         compile_tissue(Tissue(mu=[0.5], alpha=[4.0], law="sister"))
+
+
+def test_which_laws_use_alpha() -> None:
+    assert {name for name in LAWS.names() if LAWS[name].uses_alpha} == {"fung", "ogden"}
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0, 5.0, 20.0])
+def test_a_table_is_its_law_as_far_as_it_reaches(alpha: float) -> None:
+    """k, dk/dlambda and dk/dalpha of the table against those of the law, over k."""
+    law, (table, _) = LAWS["fung"], compile_law("fung", np.array([alpha]))
+    by_alpha, _ = differentiate_law("fung", np.array([alpha]))
+    reach = table[0, 0]
+    assert 0.4 < reach < 0.8
+    d = np.linspace(0, reach, 500)
+    k = law.k(1 - d, np.full(500, alpha))
+    found = np.array([evaluate_table(table, 0, x) for x in d])
+    np.testing.assert_allclose(found[:, 0], k, rtol=2e-11)
+    np.testing.assert_allclose(-found[:, 1] / k, law.dk_dstretch(1 - d, np.full(500, alpha)) / k, atol=1e-8)
+    slope = np.array([evaluate_table(by_alpha, 0, x)[0] for x in d])
+    strain = (1 - d) ** 2 + 2 / (1 - d) - 3
+    bend = 2 * (1 - d) * (1 - d - (1 - d) ** -2) ** 2
+    by_hand = strain * k + np.exp(alpha * strain) * bend
+    np.testing.assert_allclose(slope / k, by_hand / k, atol=1e-9)
+
+
+def test_fung_is_neo_hookean_at_zero() -> None:
+    assert deflection("fung", 0.0) == pytest.approx(deflection("neo_hookean", 1.0), abs=1e-9)
+    assert abs(deflection("fung", 5.0) - deflection("fung", 0.0)) > 1e-4
+
+
+def test_a_table_ends_where_its_law_is_too_steep() -> None:
+    """Beyond, tissue is over-compressed; a law that is too steep at once is refused."""
+    tissue = Tissue(mu=[1e-4], alpha=[20.0], thickness=[1.0], law="fung")
+    assert compile_law("fung", np.array([20.0]))[0][0, 0] < 0.5
+    held = Controls(base_y=0.0, guides=(Guide(10.0, 0.7, None, in_tissue=True),))
+    shape = simulate(NEEDLE, tissue, Bevel(0.1), 20.0, held)
+    assert not shape.converged
+    with pytest.raises(ModelError, match="`fung`"):
+        compile_law("fung", np.array([1000.0]))
+    with pytest.raises(ModelError, match="`fung`"):
+        compile_law("fung", np.array([-100.0]))

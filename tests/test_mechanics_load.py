@@ -134,7 +134,7 @@ def test_the_load_is_that_of_the_reference(switch: float) -> None:
     tissue = Tissue(LAYERS.mu, LAYERS.alpha, LAYERS.boundaries, LAYERS.thickness, np.array([0.5, 2.0, 1.0]))
     rules, controls = ModelOptions(switch=switch), Controls(base_slope=0.1)
     shape = simulate(NEEDLE, tissue, Bevel(0.2), 27.4, controls, rules)
-    change = reference.change_depths(shape.constraints[:, 0], switch)
+    change = reference.change_depths(shape.constraints[:, 0], rules)
     x, weight = reference.quadrature(shape.x, change, tissue.boundaries)
     value, slope = (
         rows @ np.column_stack((shape.u, shape.slope)).ravel()

@@ -126,7 +126,7 @@ ANGLES = st.floats(-180, 180)
 SHIFTS = st.floats(-50, 50)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(turn=ANGLES, shift_x=SHIFTS, shift_y=SHIFTS, start=ANGLES)
 def test_a_scene_moved_as_a_whole_is_the_same_scene(turn, shift_x, shift_y, start):
     motion = Entry(shift_x, shift_y, math.radians(turn))

@@ -153,12 +153,12 @@ def test_the_base_is_dragged_in_millimetres_and_one_undo_takes_it_back(page) -> 
 
 def test_the_bevel_turns_over_and_the_needle_with_it(page) -> None:
     side = go_to(page, 20)["bevel"]["side"]
-    before = go_to(page, 25)["tip"]["slope"]
+    before = go_to(page, 25)["tip"]["rotation"]
     page.focus("#canvas")
     page.keyboard.press("f")
-    assert until(page, f"state => state.bevel.side === {-side}")["tip"]["slope"] == before
+    assert until(page, f"state => state.bevel.side === {-side}")["tip"]["rotation"] == before
     after = go_to(page, 30)
-    assert side * (after["tip"]["slope"] - before) < 0
+    assert side * (after["tip"]["rotation"] - before) < 0
 
 
 def test_a_guide_is_added_dragged_and_taken_away(page) -> None:
@@ -287,7 +287,7 @@ def test_band_validity_and_pause_messages_are_shown(page) -> None:
     )
     shown(page, "slope 0.4 (limit 0.3)")
     shown(page, "Go on")
-    assert "slope 0.4" in page.locator("#said").text_content()
+    assert "slope 0.4" in page.locator("#announced").text_content()
 
 
 def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chromium) -> None:
@@ -312,6 +312,7 @@ def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chrom
     context.close()
 
 
+@pytest.mark.slow
 def test_a_killed_server_loses_no_step(tmp_path, chromium) -> None:
     server = Server(tmp_path, "study2")
     with opened(chromium, server) as page:

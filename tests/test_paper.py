@@ -4,8 +4,8 @@ import pandas as pd
 import pytest
 
 from needlefit.errors import ConfigError
-from needlefit.validation import paper
-from needlefit.validation.paper.claims import Claim, ClaimBound
+from needlefit.studies import paper
+from needlefit.studies.paper.claims import Claim, ClaimBound
 
 
 def by_topic(part: str) -> Claim:

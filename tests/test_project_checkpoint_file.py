@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+import os
 import pickle
 import random
 from contextlib import suppress
@@ -77,6 +78,7 @@ def forged(path: Path, table: object, data: bytes = b"") -> Path:
     "row",
     [
         *(["a", "|O", [1]], ["a", "<U8", [1]], ["a", "<f8", [-1]], ["a", "<f8", [2**39]], ["a", "<f8", [2]]),
+        *(["a", "|b1", [3]], ["a", "<f8", [0]]),  # four bytes follow
         *(["a", "<f8", ["1"]], ["a", "<f8", [True]], ["a", "<f8", []], ["a", "<f8", 1], ["a"], "a", None),
     ],
 )
@@ -116,6 +118,30 @@ def test_setting_aside_overwrites_nothing(tmp_path):
         "a.damaged-2": "a",
         "a.damaged-3": "a.damaged-3",
     }
+
+
+def test_a_name_taken_meanwhile_is_not_overwritten(tmp_path, monkeypatch):
+    link = os.link
+
+    def link_later(path, aside):
+        if aside.name.endswith("-1"):
+            aside.write_text("theirs")
+        link(path, aside)
+
+    (tmp_path / "a").write_text("mine")
+    monkeypatch.setattr(os, "link", link_later)
+    assert set_aside(tmp_path / "a").read_text() == "mine"
+    assert (tmp_path / "a.damaged-1").read_text() == "theirs" and not (tmp_path / "a").exists()
+
+
+def test_setting_aside_on_a_disk_without_links(tmp_path, monkeypatch):
+    def no_link(*_):
+        raise OSError(1, "Operation not permitted")
+
+    (tmp_path / "a").write_text("mine")
+    monkeypatch.setattr(os, "link", no_link)
+    assert set_aside(tmp_path / "a").read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.damaged-1"]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from needlefit.mechanics import scene
 from needlefit.project.init import copy_project
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.outputs import require_output_files, require_writable
+from needlefit.studies import targets as targets  # bound before a test takes away what it imports
 from needlefit.verification import run as verification
 
 
@@ -54,8 +55,8 @@ def test_valid_output_names_pass(tmp_path):
 def test_every_command_refuses_a_name_that_is_too_long_before_it_works(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for place in (
-        "needlefit.validation.run.run",
-        "needlefit.validation.job.prepare",
+        "needlefit.studies.kinds.cross_validation.run.run",
+        "needlefit.studies.job.prepare",
         "needlefit.cli.view._trials",
         "needlefit.synthetic.build.build_dataset",
         "needlefit.synthetic.scans.write_scans",

@@ -4,6 +4,7 @@ import re
 import shlex
 
 import pytest
+from docs_scripts import load_script
 
 from needlefit.cli.application import build
 from needlefit.project.locate import shipped_folder
@@ -29,7 +30,7 @@ def test_a_python_example_prints_the_output_below_it(code, prints, capsys):
 
 
 def test_there_are_python_examples():
-    assert len(EXAMPLES) == 2
+    assert EXAMPLES
 
 
 def test_every_command_exists():
@@ -61,3 +62,8 @@ def test_every_named_file_exists():
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", TEXT) if not link.startswith("http")]
     assert links
     assert [link for link in links if not (README.parent / link).exists()] == []
+
+
+def test_the_results_are_the_stored_ones():
+    module = load_script(README.parent / "docs/readme_results.py")
+    assert module.write_page() == TEXT, "run `python docs/readme_results.py`"

@@ -8,9 +8,9 @@ import pytest
 from needlefit.project.load import load
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES, find_file
 from needlefit.project.run_file import read_run
-from needlefit.reporting.reference import round_frame
 from needlefit.schemas.study import SelectionRecord, StudyRecord
-from needlefit.validation.run import Settings, run
+from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.reference import round_frame
 
 REFERENCE = Path(__file__).parent.parent / "reports/reference"
 TOLERANCE = 0.002
@@ -42,7 +42,7 @@ def test_every_study_of_the_paper_has_its_evidence():
 
 def test_the_reduced_study_has_the_errors_of_the_evidence(rerun):
     committed = pd.read_csv(REFERENCE / "study5/errors.csv").set_index(KEY)[SCORES]
-    again = rerun.errors[rerun.errors["method"] != "fitted_metric"].set_index(KEY)[SCORES]
+    again = rerun.frames["errors"].query("method != 'fitted_metric'").set_index(KEY)[SCORES]
     assert set(again.index.get_level_values("method")) >= {"fitted", "hand_tuned_b", "straight"}
     gap = (again - committed.loc[again.index]).abs().max()
     assert (gap <= TOLERANCE).all(), gap

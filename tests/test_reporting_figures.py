@@ -1,16 +1,15 @@
 """What figures count and measure, apart from how they look."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from reporting_results import stereo, study, with_draws, with_predictions
 
-from needlefit.reporting import figures
-from needlefit.reporting.figures.insertions import collect_curves, subtract_fit
-from needlefit.reporting.figures.waterfall import describe_counts
+from needlefit.studies.kinds.cross_validation import figures
+from needlefit.studies.kinds.cross_validation.figures.insertions import collect_curves, subtract_fit
+from needlefit.studies.kinds.cross_validation.figures.waterfall import describe_counts
 
 
 def test_residuals_are_heights_above_the_fit_at_the_same_depth():
@@ -27,29 +26,30 @@ def test_residuals_are_heights_above_the_fit_at_the_same_depth():
 
 
 def test_starts_are_counted_as_each_search_had_them():
-    assert re.findall(r"\d+ \w+", describe_counts(study(5).starts)) == ["8 starts", "2 searches"]
-    assert re.findall(r"\d+ \w+", describe_counts(stereo().starts)) == ["8 starts", "3 folds"]
-    assert describe_counts(stereo().starts.query("fold == 1")) == "8 starts"
+    assert re.findall(r"\d+ \w+", describe_counts(study(5).frames["starts"])) == ["8 starts", "2 searches"]
+    assert re.findall(r"\d+ \w+", describe_counts(stereo().frames["starts"])) == ["8 starts", "3 folds"]
+    assert describe_counts(stereo().frames["starts"].query("fold == 1")) == "8 starts"
 
 
 def test_bands_stay_at_the_needle_they_were_predicted_for():
     """Tilted by what the frames of score and prediction differ, a band keeps its distances to the needle."""
     results = with_predictions(with_draws(study(5)))
-    tilted = results.bands.copy()
+    tilted = results.frames["bands"].copy()
     for name in ("measured_mm", "low_95_mm", "high_95_mm", "low_50_mm", "high_50_mm"):
         tilted[name] += 0.01 * tilted["x_mm"]
     drawn, again = (
-        collect_curves(one, "validate", ("fitted",)) for one in (results, replace(results, bands=tilted))
+        collect_curves(one, "validate", ("fitted",)) for one in (results, results.with_frames(bands=tilted))
     )
     assert (drawn["curve"] == "95 %").any()
     for name in ("low_mm", "high_mm"):
         assert again[name].dropna().tolist() == pytest.approx(drawn[name].dropna().tolist())
 
 
-def test_needles_are_drawn_to_scale(monkeypatch, tmp_path):
+def test_all_panels_have_the_stated_vertical_scale(monkeypatch, tmp_path):
     painted = []
     monkeypatch.setattr("needlefit.reporting.figures.style.draw", lambda path, paint: painted.append(paint()))
     for results in (study(5), stereo()):
         figures.draw_overlays(results, tmp_path / "overlays.pdf")
     shown = [axes for figure in painted for axes in figure.axes if axes.get_visible()]
-    assert shown and {axes.get_aspect() for axes in shown} == {1.0}
+    assert shown and {axes.get_aspect() for axes in shown} == {5.0, 20.0}
+    assert [re.findall(r"× (\d+)", one.get_supylabel()) for one in painted] == [["20"], ["5"]]

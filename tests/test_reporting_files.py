@@ -1,7 +1,6 @@
 """Files: whole or not there, the same bytes every time, synthetic data called so."""
 
 import csv
-import dataclasses
 import hashlib
 import json
 import os
@@ -12,25 +11,27 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from reporting_results import stereo, study
+from light_runs import blank_figures  # noqa: F401 - a fixture
+from reporting_results import skip_figures, stereo, study
 
 from needlefit.errors import ConfigError
-from needlefit.reporting import run_folder
-from needlefit.reporting.combined_report import write_combined
 from needlefit.reporting.figures.style import choose_vertical_scale
-from needlefit.reporting.study_report import compose_report
-from needlefit.validation.results import COLUMNS
+from needlefit.studies.combined_report import write_combined
+from needlefit.studies.kinds.cross_validation.results import COLUMNS
+from needlefit.studies.report import compose_run_report, write_run
 
 EARLIER = '{"versions": {"needlefit": "0.1.0"}}'
 """`run.json` of a result without a stamp."""
 
-FIGURES = ("boxplot", "overlays", "residuals", "baselines", "waterfall")
+FIGURES = ("boxplot", "schematic", "overlays", "residuals", "baselines", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
-    *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),
+    *(f"{name}.csv" for name in ("validation", "tuning", "parameters")),
+    *(f"{name}.tex" for name in ("validation", "tuning_by_layers", "tuning_by_media", "parameters")),
     *(f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "csv")),
     *(
         "numbers.tex",
+        "example.tex",
         "report.pdf",
         "report.html",
         "results.json.gz",
@@ -44,7 +45,7 @@ EXPECTED = {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("reports") / "study1"
-    run_folder.write(study(1), folder)
+    write_run(study(1), folder)
     return folder
 
 
@@ -65,7 +66,8 @@ def test_a_result_folder_holds_every_file(folder):
 def test_another_process_writes_the_same_bytes(folder, tmp_path):
     code = (
         "from pathlib import Path; from reporting_results import study; "
-        "from needlefit.reporting.run_folder import write; write(study(1), Path('again'))"
+        "from needlefit.studies.report import write_run; "
+        "write_run(study(1), Path('again'))"
     )
     here = Path(__file__).parent
     environment = os.environ | {"PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "SOURCE_DATE_EPOCH": "86400"}
@@ -97,30 +99,30 @@ def test_every_csv_row_is_marked_synthetic(folder):
 
 def test_failures_are_counted_by_reason_where_there_are_any():
     """Start 0 of both fits fails 600 times, every fourth time because it does not converge; 20 are kept."""
-    texts = [block.get("text") or "" for block in compose_report(study(1), {}).blocks]
+    texts = [block.get("text") or "" for block in compose_run_report(study(1), {}).blocks]
     (warning,) = (text for text in texts if "failures.csv" in text)
     assert re.findall(r"\d+", warning) == ["1200", "9600", "40", "30", "10"]
     assert "30 over-compressed" in warning and "10 not converged" in warning
 
 
 def test_the_report_warns_before_any_number():
-    document = compose_report(study(1), {})
+    document = compose_run_report(study(1), {})
     assert document.synthetic
     assert "consistency" in document.blocks[0]["text"]
-    assert all(b["synthetic"] for b in document.blocks if b["kind"] in ("table", "figure"))
-    assert "INTERRUPTED" in compose_report(study(2), {}).blocks[1]["text"]
-    assert "NOT CONVERGED" in compose_report(study(3), {}).blocks[1]["text"]
-    measured = compose_report(stereo(), {})
+    assert "INTERRUPTED" in compose_run_report(study(2), {}).blocks[1]["text"]
+    assert "NOT CONVERGED" in compose_run_report(study(3), {}).blocks[1]["text"]
+    measured = compose_run_report(stereo(), {})
     assert not measured.synthetic
-    assert measured.blocks[0]["kind"] == "list"
+    assert measured.blocks[0]["kind"] == "verdict"
 
 
 def test_all_studies_together(tmp_path):
-    files = write_combined([study(1), study(5)], [], tmp_path / "all")
+    files = write_combined([study(1), study(5)], tmp_path / "all")
     assert {"validation.csv", "tuning.csv", "parameters.csv", "boxplot.pdf", "report.pdf"} <= {
         path.name for path in files
     }
-    assert pd.read_csv(tmp_path / "all" / "validation.csv")["study"].tolist() == [1, 1, 1, 5]
+    groups = pd.read_csv(tmp_path / "all" / "validation.csv").drop_duplicates(["study", "medium", "layers"])
+    assert groups["study"].tolist() == [1, 1, 1, 5]
     assert set(json.loads((tmp_path / "all" / "run.json").read_text())) == {"study1", "study5"}
 
 
@@ -132,47 +134,48 @@ def test_a_failure_keeps_the_earlier_result_and_leaves_no_partial_one(tmp_path, 
     def fail(_: object) -> bytes:
         raise OSError("disk full")
 
-    monkeypatch.setattr(run_folder, "compile_pdf", fail)
-    monkeypatch.setattr(run_folder, "_draw_figures", lambda *_: {})
+    monkeypatch.setattr("needlefit.reporting.document.compile_pdf", fail)
+    skip_figures(monkeypatch)
     with pytest.raises(OSError, match="disk full"):
-        run_folder.write(study(1), target)
+        write_run(study(1), target)
     assert [p.name for p in tmp_path.iterdir()] == ["study1"]
     assert [p.name for p in target.iterdir()] == ["run.json"]
 
 
 def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_folder, "compile_pdf", lambda _: b"%PDF")
-    monkeypatch.setattr(run_folder, "_draw_figures", lambda *_: {})
+    monkeypatch.setattr("needlefit.reporting.document.compile_pdf", lambda _: b"%PDF")
+    skip_figures(monkeypatch)
     target = tmp_path / "study1"
     target.mkdir()
     (target / "run.json").write_text(EARLIER)
     (target / "corner.csv").write_text("")
-    files = run_folder.write(study(1), target, {"extra.txt": lambda path: path.write_text("more")})
+    files = write_run(study(1), target)
     assert not (target / "corner.csv").exists()
-    assert target / "extra.txt" in files
+    assert (files / "methods.tex").exists() or (files / "numbers.tex").exists()
     assert [p.name for p in tmp_path.iterdir()] == ["study1"]
 
 
 def test_a_foreign_folder_is_never_replaced(tmp_path):
     (tmp_path / "thesis.docx").write_text("years of work")
     with pytest.raises(ConfigError, match=r"thesis\.docx"):
-        run_folder.write(study(1), tmp_path)
+        write_run(study(1), tmp_path)
     assert (tmp_path / "thesis.docx").read_text() == "years of work"
 
 
 def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
     names = ("errors", "shapes", "parameters", "directions", "starts")
     nothing = {name: pd.DataFrame(columns=list(COLUMNS[name])) for name in names}
-    files = run_folder.write(dataclasses.replace(study(1), **nothing), tmp_path / "stopped")
-    assert "report.pdf" in {path.name for path in files}
-    assert "validation.csv" not in {path.name for path in files}
+    files = write_run(study(1).with_frames(**nothing), tmp_path / "stopped")
+    assert "report.pdf" in {path.name for path in files.iterdir()}
+    assert "validation.csv" not in {path.name for path in files.iterdir()}
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_fit_has_no_validation_table_but_a_report(tmp_path):
     whole = study(1)
-    parts = {name: getattr(whole, name) for name in ("errors", "shapes", "design")}
-    tuned = dataclasses.replace(whole, **{k: v[v["role"] == "tune"] for k, v in parts.items()})
-    names = {path.name for path in run_folder.write(tuned, tmp_path / "fit")}
+    parts = {name: whole.frames[name] for name in ("errors", "shapes", "design")}
+    tuned = whole.with_frames(**{k: v[v["role"] == "tune"] for k, v in parts.items()})
+    names = {path.name for path in write_run(tuned, tmp_path / "fit").iterdir()}
     assert {"tuning.csv", "overlays.pdf", "waterfall.pdf", "report.pdf"} <= names
     assert not {"validation.csv", "boxplot.pdf"} & names
 

@@ -1,13 +1,15 @@
+import json
 import re
 from html.parser import HTMLParser
 
 import pytest
 from reporting_results import study
 
-from needlefit.reporting import document, figures
+from needlefit.reporting import document
 from needlefit.reporting.document import compile_html
-from needlefit.reporting.study_report import compose_report
-from needlefit.reporting.table_layout import TableColumn, TableLayout, text_column
+from needlefit.reporting.table_layout import TableColumn, TableLayout
+from needlefit.studies.kinds.cross_validation import figures
+from needlefit.studies.report import compose_run_report
 
 
 class Outline(HTMLParser):
@@ -41,14 +43,25 @@ class Outline(HTMLParser):
 def page(tmp_path_factory):
     one = study(5)
     drawn = {"waterfall": figures.draw_waterfall(one, tmp_path_factory.mktemp("page") / "waterfall.pdf")}
-    return compile_html(compose_report(one, drawn)), one
+    return compile_html(compose_run_report(one, drawn)), one
 
 
 def test_the_page_needs_no_network(page):
     outline = Outline(page[0])
     assert all(image["src"].startswith("data:image/svg+xml;base64,") for image in outline.all("img"))
-    assert not outline.all("script") and not outline.all("link")
-    assert not re.search(rb'(src|href)="(https?:)?//', page[0]) and b"@import" not in page[0]
+    assert not outline.all("link") and not any("src" in script for script in outline.all("script"))
+    markup = re.sub(rb"<script.*?</script>", b"", page[0], flags=re.S)
+    assert not re.search(rb'(src|href)="(https?:)?//', markup) and b"@import" not in markup
+
+
+def test_the_page_explores_every_scored_insertion(page):
+    text = page[0].decode().partition('id="explorer-data">')[2].partition("</script>")[0]
+    data, errors = json.loads(text), page[1].frames["errors"]
+    scored = errors.query("role == 'validate' and boundaries == 'measured' and method == 'fitted'")
+    assert [one["cells"][0] for one in data["insertions"]] == scored["insertion"].tolist()
+    assert [one["error"] for one in data["insertions"]] == pytest.approx(scored["te_mm"].tolist())
+    assert all({"measured", "fitted"} <= set(one["curves"]) for one in data["insertions"])
+    assert all("fitted" not in one["residuals"] for one in data["insertions"])
 
 
 def test_every_figure_and_table_can_be_reached_and_is_described(page):
@@ -64,25 +77,29 @@ def test_every_figure_and_table_can_be_reached_and_is_described(page):
 def test_the_page_and_the_pdf_have_the_same_text(page):
     content, one = page
     words = " ".join("".join(Outline(content).words).split())
-    for block in compose_report(one, {}).blocks:
+    for block in compose_run_report(one, {}).blocks:
         if block["kind"] == "text" and "^" not in block["text"]:
             assert " ".join(block["text"].split()) in words
-    assert "SYNTHETIC DATA" in words
+    assert "Synthetic data" in words
 
 
 def test_equal_reports_give_equal_bytes(page):
-    one = compose_report(study(5), {})
+    one = compose_run_report(study(5), {})
     assert compile_html(one) == compile_html(one)
 
 
 def test_user_text_is_escaped():
     display = TableLayout(
-        "t", "<b>bold</b>", (text_column("<i>"), TableColumn("x")), (("mu * b^-1.9", "<script>"),)
+        "t",
+        "<b>bold</b>",
+        (TableColumn("<i>", align="left"), TableColumn("x")),
+        (("mu * b^-1.9", "<script>"),),
     )
-    blocks = (document.heading("a & b"), document.table(display, False))
+    blocks = (document.heading("a & b"), document.table(display))
     content = compile_html(document.Document("<u>", "", False, blocks))
     outline = Outline(content)
-    assert not {"b", "i", "u", "script"} & ({tag for tag, _ in outline.tags} - {"b"})
+    assert not {"i", "u"} & {tag for tag, _ in outline.tags}
+    assert b"<td" in content and b"<script></td>" not in content
     assert b"b<sup>\xe2\x88\x921.9</sup>" in content and "a & b" in outline.words
     assert "<script>" in outline.words and "<b>bold</b>" in "".join(outline.words)
 
@@ -91,11 +108,14 @@ def test_prose_has_no_backticks():
     text = "made by `needlefit twin`"
     blocks = (document.text(text), document.bullets([text]), document.note(text), document.warning(text))
     content = compile_html(document.Document("t", "", False, blocks)).decode()
-    assert content.count("made by needlefit twin") == 4 and "`" not in content.split("</style>")[1]
+    assert (
+        content.count("made by needlefit twin") == 4
+        and "`" not in content.split("<main>")[1].split("</main>")[0]
+    )
 
 
 def test_a_table_without_rows_is_left_out():
-    display = TableLayout("t", "nothing", (text_column("a"),), ())
-    assert not Outline(
-        compile_html(document.Document("t", "", False, (document.table(display, False),)))
-    ).all("table")
+    display = TableLayout("t", "nothing", (TableColumn("a"),), ())
+    assert not Outline(compile_html(document.Document("t", "", False, (document.table(display),)))).all(
+        "table"
+    )

@@ -2,17 +2,23 @@
 
 import dataclasses
 import re
+import shutil
 
 import pytest
 from reporting_results import stereo, study
 
-from needlefit.reporting.latex import format_macros
-from needlefit.reporting.methods_paragraph import (
+from needlefit.reporting.document import Document
+from needlefit.reporting.latex import format_table_macros
+from needlefit.reporting.paper_example import compile_example, format_example
+from needlefit.reporting.table_layout import TableColumn, TableLayout
+from needlefit.studies.kinds.cross_validation.macros import format_macros
+from needlefit.studies.kinds.cross_validation.methods_paragraph import (
     compose_methods,
     format_methods_latex,
     format_methods_text,
     format_references,
 )
+from needlefit.studies.report import write_run
 
 RECIPE = {
     "minimize": "posterior", "algorithm": "leastsquares", "starts": 16, "metric": True,
@@ -49,6 +55,7 @@ def test_citations_and_entries_correspond():
     cited = {
         key for keys in re.findall(r"\\cite\{([^}]*)\}", format_methods_latex(one)) for key in keys.split(",")
     }
+    assert "url" in format_references(one).partition("\n")[0]
     entries = set(re.findall(r"^@\w+\{([^,]+),", format_references(one), re.M))
     assert cited == entries and {"wang-bevel-tip", "nlopt"} <= cited and "emcee" not in cited
 
@@ -60,10 +67,11 @@ def test_results_without_a_run_have_no_methods():
 @pytest.mark.parametrize("results", [study(5), stereo()], ids=["study5", "stereo"])
 def test_a_macro_holds_what_the_table_prints(results):
     text = format_macros([results])
-    defined = dict(re.findall(r"csname nf@(\S+)\\endcsname\{(.*)\}$", text, re.M))
-    assert len(defined) == text.count(r"\expandafter")  # no key twice
+    lines = re.findall(r"^\\nf(?:num|range|text)\{([^}]*)\}\{(.*)\}$", text, re.M)
+    defined = dict(lines)
+    assert len(defined) == len(lines) > 100  # no key twice
     bevel = next(words for key, words in defined.items() if key.endswith("-bevel"))
-    row = results.parameters.query("method == 'fitted' and parameter == 'bevel_mm'").iloc[0]
+    row = results.frames["parameters"].query("method == 'fitted' and parameter == 'bevel_mm'").iloc[0]
     assert (
         bevel == "not determined"
         if not row["determined"]
@@ -74,5 +82,40 @@ def test_a_macro_holds_what_the_table_prints(results):
 
 def test_a_length_is_printed_to_a_hundredth_and_missing_cells_are_dashes():
     text = format_macros([study(5)])
-    assert re.search(r"-te\\endcsname\{\d+\.\d\d\}", text)
+    assert re.search(r"^\\nfnum\{study5-chicken-1-te\}\{\d+\.\d\d\}$", text, re.M)
+    assert re.search(r"^\\nfnum\{study5-chicken-1-paper-edp\}\{500\}$", text, re.M)
     assert "nan" not in text and "None" not in text
+
+
+def test_keys_of_parameters_differ_by_their_symbols():
+    columns = (TableColumn("Parameter", align="left"), TableColumn("Coverage", "%"))
+    table = TableLayout("ranks", "", columns, (("μ₁", "94"), ("μ₂", "95"), ("ln b", "–")))
+    macros = format_table_macros("study2", [table])
+    assert r"\nfnum{study2-ranks-mu1-coverage}{94}" in macros
+    assert r"\nfnum{study2-ranks-mu2-coverage}{95}" in macros
+
+
+def test_methods_name_synthetic_data():
+    one = run_of(dataset={"name": "twin"})
+    assert "synthetic" in format_methods_latex(one)
+    measured = dataclasses.replace(one, origin="measured")
+    assert "synthetic" not in format_methods_latex(measured)
+
+
+def test_edp_is_defined_by_the_deflection():
+    assert "100 TE / |deflection|" in format_methods_text(run_of())
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="LaTeX is not installed")
+@pytest.mark.slow
+def test_the_example_compiles(tmp_path):
+    folder = write_run(run_of(), tmp_path / "study1")
+    compile_example(folder, tmp_path / "example.pdf")
+    assert (tmp_path / "example.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_the_example_inputs_every_table_and_the_methods(tmp_path):
+    blocks = ({"kind": "figure", "half": True, "path": tmp_path / "boxplot.pdf", "caption": "50 %"},)
+    text = format_example(Document("A & B", "", False, blocks), ["validation", "parameters"], methods=True)
+    assert set(re.findall(r"\\input\{(\w+)\}", text)) == {"numbers", "methods", "validation", "parameters"}
+    assert r"\title{A \& B}" in text and r"\begin{figure}" in text and r"\caption{50 \%}" in text

@@ -9,18 +9,18 @@ from reporting_results import study
 
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.reporting.posterior import (
+from needlefit.reporting.table_files import to_records
+from needlefit.studies.kinds.cross_validation.posterior import (
     describe_outside_fits,
     describe_unconverged,
     lay_out_posterior,
     tabulate_percentiles,
 )
-from needlefit.reporting.study_report import compose_report
-from needlefit.reporting.tables import to_records
-from needlefit.validation.results import Results
+from needlefit.studies.report import compose_run_report
+from needlefit.studies.run import Run
 
 
-def sampled(low: float, high: float, r_hat: float = 1.0) -> Results:
+def sampled(low: float, high: float, r_hat: float = 1.0) -> Run:
     """Study 5 with b drawn evenly between two bounds; the fit ended at 0.0847 mm."""
     draws = np.tile(np.linspace(low, high, 400), 4).reshape(4, 400, 1)
     many = np.full((4, 1), 500.0)
@@ -38,12 +38,12 @@ def sampled(low: float, high: float, r_hat: float = 1.0) -> Results:
         interrupted=False,
     )
     one = study(5)
-    fold = str(one.parameters["fold"].iloc[0])
+    fold = str(one.frames["parameters"]["fold"].iloc[0])
     return dataclasses.replace(one, posteriors={fold: posterior})
 
 
-def fitted(results: Results) -> float:
-    table = results.parameters.query("method == 'fitted' and parameter == 'bevel_mm'")
+def fitted(results: Run) -> float:
+    table = results.frames["parameters"].query("method == 'fitted' and parameter == 'bevel_mm'")
     return float(table["value"].iloc[0])
 
 
@@ -62,10 +62,10 @@ def test_a_fit_outside_the_central_95_percent_is_reported():
     assert to_records(tabulate_percentiles(outside))[0]["fit_in_central_95"] is False
     by_metric = describe_outside_fits(outside)
     assert "95 %" in by_metric and re.search(r"\bb\b", by_metric) and "error bars" in by_metric
-    peak = dataclasses.replace(outside, starts=outside.starts.assign(minimized="posterior"))
+    peak = outside.with_frames(starts=outside.frames["starts"].assign(minimized="posterior"))
     assert "95 %" in describe_outside_fits(peak) and "error bars" not in describe_outside_fits(peak)
     assert "‡" in "".join(lay_out_posterior(outside).rows[0])
-    blocks = compose_report(outside, {}).blocks
+    blocks = compose_run_report(outside, {}).blocks
     assert describe_outside_fits(outside) in [block.get("text") for block in blocks]
     assert "posterior" in [block.get("name") for block in blocks]
 
@@ -78,7 +78,7 @@ def test_an_unconverged_posterior_is_flagged_in_every_output():
     layout = lay_out_posterior(loose)
     assert "NOT CONVERGED" in layout.caption and "NOT CONVERGED" in layout.rows[0]
     assert to_records(tabulate_percentiles(loose))[0]["converged"] is False
-    assert warning in [block.get("text") for block in compose_report(loose, {}).blocks]
+    assert warning in [block.get("text") for block in compose_run_report(loose, {}).blocks]
     fine = sampled(0.05, 0.15)
     assert describe_unconverged(fine) == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
 
@@ -86,4 +86,4 @@ def test_an_unconverged_posterior_is_flagged_in_every_output():
 def test_without_a_posterior_the_report_mentions_none():
     assert tabulate_percentiles(study(5)).empty
     assert describe_outside_fits(study(5)) == ""
-    assert "posterior" not in [block.get("name") for block in compose_report(study(5), {}).blocks]
+    assert "posterior" not in [block.get("name") for block in compose_run_report(study(5), {}).blocks]

@@ -25,13 +25,13 @@ def frames(sds):
         name = f"mu{n + 1}_pa"
         about = {"parameter": name, "value": math.exp(12.0), "fisher_sd": sd, "status": "free", "rise": 6.2}
         low, high = (math.exp(12 + side * 1.96 * sd) for side in (-1, 1))
-        rows.append({**about, **closed, "interval_low": low, "interval_high": high})
+        rows.append({**about, **closed, "low": low, "high": high})
         points += [
             {"parameter": name, "value": math.exp(12 + sd * x), "deviance": x**2, "slope": 2 * x / sd}
             for x in np.linspace(-2.5, 2.5, 9)
         ]
     about = {"parameter": "alpha1", "value": 1.0, "fisher_sd": math.inf, "status": "fixed", "rise": 0.01}
-    rows.append({**about, **open_, "interval_low": -3.0, "interval_high": 5.0})
+    rows.append({**about, **open_, "low": -3.0, "high": 5.0})
     points += [{"parameter": "alpha1", "value": x, "deviance": 0.0, "slope": 0.0} for x in (-3.0, 1.0, 5.0)]
     made = pd.DataFrame(points).assign(fold="all", threshold=DEVIANCE_95)
     return pd.DataFrame(rows).assign(fold="all"), made

@@ -11,22 +11,24 @@ import trimesh
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from needlefit.datasets.formats.slicer import read_lists
+from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.registration.register import register
 from needlefit.project.random_streams import random_stream
-from needlefit.reporting.figures.scan_sections import choose_spans
 from needlefit.reporting.figures.scan_views import outline_surface
 from needlefit.reporting.figures.style import LETTER_WIDTH_MM, MIN_LABEL_GAP_MM, spread_labels
-from needlefit.reporting.quality import list_facts, write_quality
-from needlefit.reporting.reconstruction_folder import (
-    lay_out_reconstructions,
+from needlefit.studies.kinds.reconstruction import KIND
+from needlefit.studies.kinds.reconstruction.figures import choose_spans
+from needlefit.studies.kinds.reconstruction.quality import list_facts, write_quality
+from needlefit.studies.kinds.reconstruction.report import lay_out_reconstructions
+from needlefit.studies.kinds.reconstruction.run import (
+    tabulate_batch,
     tabulate_crossings,
     tabulate_markers,
     tabulate_reconstructions,
-    write_tables,
 )
-from needlefit.reporting.slicer import write_scan
+from needlefit.studies.report import write_files
+from needlefit.studies.slicer import write_scan
 
 ENTRY, TIP = np.array([11.0, 11.0, 12.0]), np.array([11.0, 14.0, 40.0])  # LPS of the rendered needle
 LONG = tuple(f"remark {n}: the surface and the scan disagree by more than they should" for n in range(40))
@@ -111,7 +113,7 @@ def test_a_layer_is_outlined_where_the_picture_cuts_it():
 def test_slicer_gets_the_needle_where_it_lies_in_the_scan(tmp_path):
     one = cases.small()
     files = write_scan(one, tmp_path / "slicer", 1.27)
-    lists = {markups.name.removeprefix("phantom1-03 "): markups for markups in read_lists(files[0])}
+    lists = {markups.name.removeprefix("phantom1-03 "): markups for markups in read_mrk_json(files[0])}
     assert [*lists] == [
         f"{name} (synthetic)"
         for name in (
@@ -159,11 +161,16 @@ def test_without_markers_and_layers_their_lists_are_left_out(tmp_path):
 # tables
 
 
+def tabulate(*batch):
+    record = KIND.make_record(scans=[one.scan.id for one in batch], recipe={"schema": 1})
+    return tabulate_batch("batch", record, batch)
+
+
 def test_tables_hold_every_scan_pair_and_crossing(tmp_path):
     batch = [cases.small(), cases.small(markers=False, layers=False)]
-    files = write_tables(batch, tmp_path)
-    scans, markers, crossings = (pd.read_csv(path) for path in files)
-    assert [path.name for path in files] == ["reconstruction.csv", "markers.csv", "crossings.csv"]
+    write_files(tabulate(*batch), tmp_path)
+    names = ("reconstruction", "markers", "crossings")
+    scans, markers, crossings = (pd.read_csv(tmp_path / f"{name}.csv") for name in names)
     assert (len(scans), len(markers), len(crossings)) == (2, 5, 1)
     assert scans.loc[0, "markers_paired"] == 5 and np.isnan(scans.loc[1, "markers_paired"])
     assert scans["depth_mm"].to_numpy() == pytest.approx(28.22, abs=0.15)
@@ -185,12 +192,12 @@ def test_an_empty_batch_has_its_columns():
 
 
 def test_the_summary_lists_the_results():
-    full = lay_out_reconstructions([cases.small()])
+    full = lay_out_reconstructions(tabulate(cases.small()))
     row = dict(zip((column.label for column in full.columns), full.rows[0], strict=True))
-    assert row["Markers"] == "5/6" and row["Layers at (mm)"] == "14.00 ± 0.12"
+    assert row["Markers"] == "5/6" and row["Layers at"] == "14.00 ± 0.12"
     assert "synthetic" in full.caption
-    bare = lay_out_reconstructions([cases.small(markers=False, layers=False)])
-    assert not {"Markers", "FRE", "Layers at (mm)"} & {column.label for column in bare.columns}
+    bare = lay_out_reconstructions(tabulate(cases.small(markers=False, layers=False)))
+    assert not {"Markers", "FRE", "Layers at"} & {column.label for column in bare.columns}
 
 
 # what the nouns tell

@@ -17,7 +17,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Entry, Scene, simulate_scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.tissue import Tissue
-from needlefit.reporting import figures
+from needlefit.reporting.figures import scene as figures
 from needlefit.reporting.figures import steps as painted
 from needlefit.reporting.figures.steps import describe_changes, paint_steps
 from needlefit.reporting.figures.style import RC_PARAMS
@@ -86,10 +86,11 @@ def test_the_largest_number_of_panels_has_room_for_its_titles(tmp_path):
 
 
 @pytest.mark.parametrize(("side", "angle"), [(1, 0.0), (-1, 0.3)])
-def test_labels_of_layers_stay_in_the_panel_and_clear_of_its_title(side, angle):
+def test_labels_of_layers_stay_in_the_panel_and_clear_of_its_title(side, angle, monkeypatch):
+    monkeypatch.setattr(painted, "MAX_PANELS", 8)
     needle = Needle.from_tube(150.0, 1.27, 80e3)
     tissue = Tissue(np.array([0.1, 0.2, 0.3]), np.ones(3), np.array([20.0, 40.0]))
-    steps = tuple(Step(3.2 * n, Bevel(0.05, side)) for n in range(1, painted.MAX_PANELS + 6))
+    steps = tuple(Step(6.2 * n, Bevel(0.05, side)) for n in range(1, painted.MAX_PANELS + 6))
     many = Scene(needle, tissue, steps, entry=Entry(5.0, -7.0, angle))
     with matplotlib.style.context(["default", RC_PARAMS]):
         figure = paint_steps("Many steps", many, simulate_scene(many))

@@ -11,10 +11,11 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from light_runs import few_draws  # noqa: F401 - a fixture
 from test_cli import run as command
-from test_validation_run import project, study  # noqa: F401 - a fixture
+from test_validation_run import made, project, study  # noqa: F401 - a fixture
 
-from needlefit.datasets.formats.slicer import read_lists
+from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import arc_length
@@ -26,10 +27,10 @@ from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.scene import Entry
 from needlefit.project.random_streams import random_stream
-from needlefit.reporting.slicer import write_needles, write_scene
-from needlefit.validation.job import prepare
-from needlefit.validation.needles_in_scan import BAND_DRAWS, FoldFit, place_needles
-from needlefit.validation.run import Settings, run
+from needlefit.studies.job import prepare
+from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.needles_in_scan import BAND_DRAWS, FoldFit, place_needles, read_needles
+from needlefit.studies.slicer import write_needles, write_scene
 
 POLYGON = (
     TUBE_FACETS / 2 * math.sin(2 * math.pi / TUBE_FACETS)
@@ -82,9 +83,11 @@ def test_a_ply_states_lps_and_is_reproducible(tmp_path):
     np.testing.assert_allclose(again.bounds, body.bounds, atol=1e-5)
 
 
-@pytest.fixture
-def fitted(project: Path):  # noqa: F811
-    job = prepare("needles", study(), Settings())
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory):
+    with pytest.MonkeyPatch.context() as here:
+        here.chdir(made(tmp_path_factory.mktemp("fitted")))
+        job = prepare("needles", study(), Settings())
     (fold,) = job.folds
     problem = job.problem(fold)
     fit = minimize(problem, job.recipe, random_stream(1, "test"), Callbacks())
@@ -133,7 +136,7 @@ def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
     job, fold, known = fitted
     values = known.fit.values
     offsets = values["bevel_mm"] * np.linspace(0.9, 1.1, BAND_DRAWS)
-    draws = posterior(job, [[values["mu1_pa"], b] for b in offsets])
+    draws = posterior(job, [[values["mu1_pa"], b, 0.1] for b in offsets])
     one = place_needles(job, fold, dataclasses.replace(known, posterior=draws))["needle-3"]
     assert one.band.source == "posterior" and not one.band.converged  # a single short ensemble
     same = place_needles(
@@ -141,7 +144,7 @@ def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
     )
     assert np.abs(same["needle-3"].band.high - same["needle-3"].band.low).max() < 1e-12
     for height, b in ((one.band.low, 0.905), (one.band.middle, 1.0), (one.band.high, 1.095)):
-        at = posterior(job, [[values["mu1_pa"], b * values["bevel_mm"]]])
+        at = posterior(job, [[values["mu1_pa"], b * values["bevel_mm"], 0.1]])
         single = place_needles(job, fold, dataclasses.replace(known, posterior=at))["needle-3"].band
         np.testing.assert_allclose(height[-1], single.middle[-1], atol=2e-3)
     np.testing.assert_allclose(one.band.middle, one.fitted, atol=2e-3)
@@ -156,8 +159,9 @@ def turned(folder: Path) -> None:
     file.write_text(text.replace("[frame]", f"[frame]\n{motion}"))
 
 
+@pytest.mark.slow
 def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
-    world = run("needles", study(), Settings()).needles
+    world = read_needles(run("needles", study(), Settings()).frames["needles"])
     turned(project)
     results = run("needles", study(), Settings())
     out, again = tmp_path / "slicer", tmp_path / "again"
@@ -168,12 +172,12 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
         f"needle-{n}.{e}" for n in range(1, 5) for e in ("mrk.json", "needle.ply", "band.ply")
     )
     assert all((out / name).read_bytes() == (again / name).read_bytes() for name in names)
-    measured, predicted, low, high = read_lists(out / "needle-3.mrk.json")
+    measured, predicted, low, high = read_mrk_json(out / "needle-3.mrk.json")
     assert [one.name for one in (measured, predicted)] == [
         "needle-3 measured (synthetic)", "needle-3 predicted (synthetic)"
     ]  # fmt: skip
     assert "95 % band, low" in low.name and "95 % band, high" in high.name
-    assert read_lists(out / "needle-1.mrk.json")[1].name == "needle-1 fitted (synthetic)"
+    assert read_mrk_json(out / "needle-1.mrk.json")[1].name == "needle-1 fitted (synthetic)"
     assert (measured.labels[0], measured.labels[-1]) == ("entry", "tip")
     for curve, there in ((measured, world["needle-3"].measured), (predicted, world["needle-3"].fitted)):
         np.testing.assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)
@@ -185,6 +189,7 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
     assert band.is_watertight and band.volume > body.volume
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_free_shapes_lie_on_the_measured_ones(project):  # noqa: F811
     """Known up to a rigid motion, the fit is laid on the needle where that stands, wherever it does."""
     file = project / "data" / "needles" / "dataset.toml"
@@ -192,15 +197,16 @@ def test_free_shapes_lie_on_the_measured_ones(project):  # noqa: F811
     i, j = text.index("[media"), text.index("[checksums]")
     file.write_text(text[:i] + f"[media.gel]\nboundaries_mm = [{needles.INTERFACE}]\n")
     assert j > i and read(file).pose == "free"
-    for one in run("needles", study(), Settings()).needles.values():
+    for one in read_needles(run("needles", study(), Settings()).frames["needles"]).values():
         gaps = np.linalg.norm(one.fitted[:, None] - one.measured[None], axis=2).min(axis=1)
         assert gaps.max() < 0.1
         assert one.band is not None
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_leave_one_out_places_every_needle_as_held_out(project):  # noqa: F811
     record = study(leave_out="specimen", tune={}, validate=())
-    placed = run("loo", record, Settings()).needles
+    placed = read_needles(run("loo", record, Settings()).frames["needles"])
     assert {one.role for one in placed.values()} == {"validate"} and len(placed) == 4
 
 
@@ -217,7 +223,7 @@ def scene(capsys, tmp_path):
 def test_simulate_writes_the_needle_in_its_world(scene):
     code, path, output = scene(".mrk.json", "figure1")
     answer = json.loads(output.out)
-    lists = read_lists(path)
+    lists = read_mrk_json(path)
     assert code == 0 and len(lists) == len(answer["steps"]) == 3
     for curve, step in zip(lists, answer["steps"], strict=True):
         np.testing.assert_allclose(curve.points[-1], [*step["tip_mm"], 0], atol=1e-9)

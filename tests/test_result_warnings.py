@@ -1,6 +1,17 @@
 """Warnings: their line, what a run keeps of them."""
 
-from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
+import ast
+import re
+from pathlib import Path
+
+import needlefit
+from needlefit.project.result_warnings import (
+    TROUBLESHOOTING_PAGE,
+    ResultWarning,
+    read_warnings,
+    warnings_entry,
+)
+from needlefit.project.unit_warnings import WARNING_KIND
 
 
 def test_a_warning_is_one_line_and_a_run_keeps_its_file_without_the_folder():
@@ -11,3 +22,24 @@ def test_a_warning_is_one_line_and_a_run_keeps_its_file_without_the_folder():
     ]
     assert [kept.where for kept in read_warnings(warnings_entry([one]))] == ["insertions.csv:3"]
     assert read_warnings({}) == ()
+
+
+def _kinds_in_sources() -> set[str]:
+    """Return the kinds of all warnings that the package makes."""
+    package = Path(needlefit.__file__).parent
+    calls = [
+        call
+        for path in package.rglob("*.py")
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "ResultWarning" and call.args
+    ]
+    named = {WARNING_KIND if isinstance(call.args[0], ast.Name) else call.args[0].value for call in calls}
+    assert len(calls) > len(named) > 10
+    return named
+
+
+def test_every_kind_of_warning_has_a_section_that_explains_it():
+    page = Path(__file__).parents[1] / TROUBLESHOOTING_PAGE
+    anchors = set(re.findall(r"^\((.+)\)=$", page.read_text(encoding="utf-8"), re.MULTILINE))
+    wanted = {ResultWarning(kind, "").help_page for kind in _kinds_in_sources()}
+    assert wanted <= {f"{TROUBLESHOOTING_PAGE}#{anchor}" for anchor in anchors}

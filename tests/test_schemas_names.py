@@ -9,13 +9,12 @@ from track_cases import HEAD, TOML
 from needlefit.datasets.compression import read_compression
 from needlefit.datasets.read import check, read
 from needlefit.datasets.template import write_template
-from needlefit.datasets.tip_track_table import read_tracks
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.scan_table import make_scans, read_scans
 from needlefit.project.load import check as check_tables
 from needlefit.project.locate import find_studies, find_study_or_fit, shipped_folder
 from needlefit.schemas.names import file_name_fault, name_fault, spreadsheet_text
-from needlefit.schemas.study import TrackFitRecord
+from needlefit.studies.kinds.tracks.schema import TrackFitRecord
 
 BAD = [
     "=1+1",
@@ -81,7 +80,7 @@ def test_runs_and_fits_of_tip_tracks_are_refused(tmp_path):
     (tmp_path / "steps.csv").write_text(HEAD + rows)
     (tmp_path / "dataset.toml").write_text(TOML)
     with pytest.raises(DataError, match="=run") as error:
-        read_tracks(tmp_path / "dataset.toml")
+        read(tmp_path / "dataset.toml")
     assert "steps.csv:2" in str(error.value)
     tables = {"name": "../fit", "medium": "gel", "tune": {}, "validate": {}}
     with pytest.raises(ConfigError, match=r"\.\./fit"):

@@ -6,13 +6,14 @@ import pytest
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.transferred_prior import MIN_SPREAD, widen_posterior
-from needlefit.schemas.analyses import AdaptationRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.validation.analyses.adaptation.run import estimate, estimate_needed_count, plan, resample
-from needlefit.validation.analyses.adaptation.task import AdaptationTask, draw_orders
-from needlefit.validation.analyses.runner import run_analysis
-from needlefit.validation.folds import Fold
-from needlefit.validation.job import Job, Settings
+from needlefit.studies.folds import Fold
+from needlefit.studies.job import Job, Settings
+from needlefit.studies.kinds.adaptation.report import REPORT
+from needlefit.studies.kinds.adaptation.run import estimate, estimate_needed_count, plan, resample
+from needlefit.studies.kinds.adaptation.schema import AdaptationRecord
+from needlefit.studies.kinds.adaptation.task import AdaptationTask, draw_orders
+from needlefit.studies.runner import run_analysis
 from tests.inference_cases import dataset, insertion, measure, medium, squares_recipe
 
 COUNTS = (0, 1, 2, 3)
@@ -72,7 +73,7 @@ def test_an_inflated_prior_is_the_old_posterior_widened_by_twice_the_spreads_squ
     fit = old.values(centre)
     same = widen_posterior(old, fit, thetas, old, {})
     wider = widen_posterior(old, fit, thetas, old, {"mu1_pa": 0.6, "bevel_mm": 0.2})
-    assert same.mean == pytest.approx(centre)
+    assert [same.marginals[name][0] for name in old.free] == pytest.approx(centre)
     found, more = (np.linalg.inv(prior.information(old.free)) for prior in (same, wider))
     assert found == pytest.approx(covariance, abs=0.02)
     assert more - found == pytest.approx(np.diag([2 * 0.6**2, 2 * 0.2**2]), abs=1e-9)
@@ -84,7 +85,7 @@ def test_layers_that_the_old_medium_ties_may_differ_in_the_new_one():
     fit = old.values(old.theta({"mu1_pa": 1e5, "bevel_mm": 0.1}))
     thetas = np.array([old.theta(fit), old.theta({**fit, "mu1_pa": 1.2e5})])
     prior = widen_posterior(old, fit, thetas, new, {"mu1_pa": 0.5, "mu2_pa": 0.5})
-    assert dict(zip(prior.names, np.exp(prior.mean), strict=True)) == pytest.approx(
+    assert {name: np.exp(mean) for name, (mean, _) in prior.marginals.items()} == pytest.approx(
         {"mu1_pa": 1e5, "mu2_pa": 2e5, "bevel_mm": 0.1}
     )
     cov = np.linalg.inv(prior.information(new.free))
@@ -133,21 +134,36 @@ def not_new():
 
 def test_a_medium_that_is_not_new_costs_nothing(not_new):
     table = not_new.frames["insertions_needed"]
-    counts = table[table["target"] == "floor"].set_index(["approach", "measure"])["n"]
+    counts = table[table["target"] == "floor"].set_index(["method", "metric"])["n"]
     assert counts["none", "te_mm"] == 0
     assert counts["inflated", "te_mm"] == 0
     assert counts["new", "te_mm"] == 1
-    errors = not_new.frames["adaptation"].set_index(["approach", "n"])["te_mm"]
+    errors = not_new.frames["adaptation"].set_index(["method", "n"])["te_mm"]
     assert errors["none", 0] < 1e-3
     assert errors["inflated", 0] == pytest.approx(errors["none", 0], abs=1e-6)
     assert not_new.faults == ()
 
 
 def test_without_spread_and_new_data_the_inflated_posterior_is_the_old_one(not_new):
-    scores = not_new.frames["adaptation"].set_index(["approach", "n"])["tip_crps_mm"]
+    scores = not_new.frames["adaptation"].set_index(["method", "n"])["tip_crps_mm"]
     assert scores["inflated", 0] == pytest.approx(scores["none", 0], rel=0.2)  # as a Gaussian
 
 
 def test_held_out_insertions_are_never_fitted(not_new):
     assert set(not_new.frames["errors"]["insertion"]) == {"at48"}
     assert set(not_new.frames["fits"]["learned_from"]) == {"nothing", "at42"}
+
+
+def test_the_report_has_a_line_per_approach_and_count(not_new):
+    assert REPORT.summarize(not_new)
+    curves, needed = REPORT.lay_out(not_new)
+    # New insertions alone need one; without an update there is nothing to learn from.
+    assert [(row[0] != "", row[1]) for row in curves.rows] == [
+        (True, "0"),
+        (False, "1"),
+        (True, "1"),
+        (True, "0"),
+    ]
+    heads = [(column.label, column.unit) for column in curves.columns]
+    assert len(set(heads)) == len(heads) and ("TE", "range, mm") in heads
+    assert len(needed.rows) == 2 * len({row[0] for row in needed.rows}) and len(needed.columns) == 7

@@ -14,8 +14,10 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.validation.calibration.measurement import simulate_measurement
-from needlefit.validation.calibration.rank_statistics import (
+from needlefit.studies.folds import Fold
+from needlefit.studies.job import Job
+from needlefit.studies.kinds.calibration.measurement import simulate_measurement
+from needlefit.studies.kinds.calibration.rank_statistics import (
     RANK_DRAWS,
     count_covered,
     count_limits,
@@ -26,11 +28,10 @@ from needlefit.validation.calibration.rank_statistics import (
     tabulate_coverage,
     tabulate_ecdfs,
 )
-from needlefit.validation.calibration.replicate import CONTROLS, Experiment, replicate, simulate_experiment
-from needlefit.validation.folds import Fold
-from needlefit.validation.job import Job
+from needlefit.studies.kinds.calibration.replicate import Experiment, replicate, simulate_experiment
+from needlefit.studies.kinds.calibration.schema import CONTROLS
 
-ENOUGH = {"sigma": 40, "prior": 20, "pose": 10, "shuffled": 8}
+ENOUGH = {"sigma": 80, "prior": 20, "pose": 10, "shuffled": 8}
 """Replicates by which each control is noticed."""
 
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
@@ -125,7 +126,8 @@ def test_without_errors_a_measured_needle_is_the_likelihood_s_own(pose):
     still = replace(job.dataset, noise=replace(job.dataset.noise, registration_mean=0.0), pose=pose)
     for one in job.folds[0].tune:
         sure = replace(one, pose_angle_sd=0.0)
-        seen = simulate_measurement(still, sure, SEEN, job.medium, np.random.default_rng(2), scale=1e-9)
+        quiet = {**SEEN, "noise_scale": 1e-9}
+        seen = simulate_measurement(still, sure, quiet, job.medium, np.random.default_rng(2))
         problem = Problem(still, (seen,), job.medium, job.parameters, job.recipe.weights)
         residuals = problem.residuals(problem.parameters.theta(SEEN))[: sum(problem.density.residual_counts)]
         assert np.abs(residuals).max() < (1e-3 if pose == "known" else 0.05)
@@ -158,7 +160,7 @@ def test_the_sampler_is_used_on_request_and_flags_missing_convergence():
     row = replicate(
         1, Experiment(replace(job, recipe=hurried), {"mu1_pa": 0.3, "bevel_mm": 0.95}, sampled=True)
     )
-    assert row["draw_source"] == "sampler" and not row["trusted"] and row["pareto_k"] is None
+    assert row["draw_source"] == "sampler" and not row["certified"] and row["pareto_k"] is None
     assert 0 <= row["rank_bevel_mm"] <= RANK_DRAWS
 
 

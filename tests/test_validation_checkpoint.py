@@ -1,6 +1,8 @@
 """Checkpoints: what is whole is used, what is damaged is set aside, one process at a time."""
 
 import dataclasses
+import errno
+import hashlib
 import json
 import os
 import random
@@ -15,7 +17,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.fit import Start
 from needlefit.project.checkpoint_folder import remove_checkpoint
 from needlefit.project.ownership import STAMP
-from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.studies.checkpoint import open_checkpoint
 
 START = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
 FLIPS = 300
@@ -74,6 +76,14 @@ def test_rows_of_another_task_are_ignored(tmp_path):
     checkpoint.keep_row("pieces", {"piece": "a", "rows": {}})
     checkpoint.keep_row("pieces", {"piece": "b"})
     assert [row["piece"] for row in checkpoint.rows("pieces", ("piece", "rows"))] == ["a"]
+
+
+def test_a_row_that_is_no_text_is_set_aside_whatever_its_digest(tmp_path):
+    file, row = kept(tmp_path / "c"), b'{"index": "\xff"}'
+    with file.open("ab") as stream:
+        stream.write(hashlib.sha256(row).hexdigest()[:16].encode() + b" " + row + b"\n")
+    found, lines = resumed(tmp_path / "c")
+    assert found == [0, 1, 2] and len(lines) == 1
 
 
 @pytest.mark.parametrize(
@@ -152,7 +162,7 @@ def test_foreign_files_are_kept_when_a_run_begins_and_ends(tmp_path, name):
 HOLDS = """
 import sys
 from pathlib import Path
-from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.studies.checkpoint import open_checkpoint
 checkpoint = open_checkpoint(Path(sys.argv[1]), False, {"n": 1})
 print("holds", flush=True)
 sys.stdin.read()
@@ -173,6 +183,23 @@ def test_one_process_at_a_time(tmp_path):
         assert len(lines) == 1 and (tmp_path / "c" / STAMP).read_bytes() == before
         os.kill(process.pid, signal.SIGKILL)
         process.wait(10)
+    assert open_checkpoint(tmp_path / "c", True, {"n": 1}).lock is not None
+
+
+def test_a_full_disk_is_the_reason_why_a_checkpoint_cannot_be_opened(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "open", full)
+    with pytest.raises(ConfigError, match=os.strerror(errno.ENOSPC)):
+        open_checkpoint(tmp_path / "c", False, {"n": 1})
+
+
+def test_a_lock_is_free_again_once_it_is_released(tmp_path):
+    pytest.importorskip("fcntl")
+    first = open_checkpoint(tmp_path / "c", False, {"n": 1})
+    assert first.lock is not None and open_checkpoint(tmp_path / "c", True, {"n": 1}).lock is None
+    first.lock.release()
     assert open_checkpoint(tmp_path / "c", True, {"n": 1}).lock is not None
 
 

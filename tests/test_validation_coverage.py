@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needlefit.inference.predictive_distribution import PredictiveMixture, simulate_shape_pit
-from needlefit.validation.proportions import estimate_proportion, wilson_interval
+from needlefit.studies.proportions import estimate_proportion, wilson_interval
 
 
 def test_wilson_gives_the_textbook_interval():
@@ -22,7 +22,7 @@ def test_repeats_of_one_specimen_do_not_narrow_the_interval():
 
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])
 def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
-    """Levels of curves drawn from what is foretold are uniform, whether points go together or not."""
+    """PIT values of curves drawn from the prediction are uniform, whether points are correlated or not."""
     rng, s = np.random.default_rng(3), np.arange(30.0)
     covariance = 0.04 * np.exp(-np.abs(s[:, None] - s) / length) + 1e-9 * np.eye(30)
     root = np.linalg.cholesky(covariance)

@@ -7,9 +7,8 @@ import pytest
 from test_cli import run
 
 from needlefit.errors import DataError
-from needlefit.reporting.differences import lay_out_differences, summarize_differences
-from needlefit.reporting.rebuild import rebuild
-from needlefit.validation.run_differences import compare_runs
+from needlefit.studies.differences import lay_out_differences, summarize_differences
+from needlefit.studies.run_differences import compare_runs
 
 ERRORS = pd.DataFrame(
     {
@@ -20,11 +19,12 @@ ERRORS = pd.DataFrame(
 )  # fmt: skip
 PARAMETERS = pd.DataFrame(
     {
-        "fold": "all", "parameter": ["mu1_pa", "mu2_pa", "bevel_mm"], "status": ["free", "tied", "free"],
+        "fold": "all", "method": "fitted", "parameter": ["mu1_pa", "mu2_pa", "bevel_mm"],
+        "status": ["free", "tied", "free"],
         "determined": [True, True, False], "value_used": [1e5, 1e5, 0.1], "sd": [0.1, np.nan, 0.5],
     }
 )  # fmt: skip
-RUN = {"dataset": {"sha256": "abc"}, "recipe": {"seed": 1, "starts": 8}, "interrupted": False}
+RUN = {"kind": "fit", "dataset": {"sha256": "abc"}, "recipe": {"seed": 1, "starts": 8}, "interrupted": False}
 
 
 def write(folder, errors=ERRORS, parameters=PARAMETERS, **run_changes):
@@ -86,7 +86,8 @@ def test_errors_are_compared_insertion_by_insertion(gap, matters, slight, first,
     (one,) = compare_runs(first, write(tmp_path / "b", errors=changed.iloc[::-1]))
     assert (one.what, one.matters, one.slight) == ("error", matters, slight)
     assert one.after - one.before == pytest.approx(np.mean(gap))
-    assert len(lay_out_differences([one]).rows) == (0 if slight else 1)
+    assert len(lay_out_differences([one]).rows) == (1 if matters else 0)
+    assert len(lay_out_differences([one], everything=True).rows) == 1
 
 
 def test_insertions_of_one_run_only_are_listed(first, tmp_path):
@@ -99,14 +100,22 @@ def test_the_command_prints_what_matters_first(first, tmp_path, capsys):
     second = write(tmp_path / "b", errors=changed, recipe={"seed": 2, "starts": 8})
     assert run("diff", str(first), str(second)) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert re.findall(r"\d+ \w+", lines[0]) == ["1 result", "1 of", "1 key"]
+    assert re.findall(r"\d+ \w+", lines[0]) == ["1 of", "1 change", "1 key"]
     assert run("diff", str(first), str(second), "--json") == 0
     assert [row["matters"] for row in json.loads(capsys.readouterr().out)] == [None, True]
 
 
+KINDS_BY_TABLE = {
+    "identify": "identification",
+    "forecast": "prediction",
+    "coverage": "calibration",
+    "replicates": "calibration",
+}
+
+
 def table(folder, name, rows):
     folder.mkdir(exist_ok=True)
-    (folder / "run.json").write_text("{}")
+    (folder / "run.json").write_text(json.dumps({"kind": KINDS_BY_TABLE[name]}))
     pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
     return folder
 
@@ -115,7 +124,7 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
     row = {"stage": "design", "fold": "all", "parameter": "mu1_pa", "determined": True, "sd": 0.1}
     one = table(tmp_path / "a", "identify", [row])
     two = table(tmp_path / "b", "identify", [{**row, "determined": False, "sd": 0.2}])
-    (two / "run.json").write_text('{"design": {"dataset": {"name": "other"}}}')
+    (two / "run.json").write_text('{"kind": "identification", "dataset": {"name": "other"}}')
     named, verdict, wider = compare_runs(one, two)
     assert (named.what, named.where, named.after) == ("input", "dataset.name", "other")
     assert (verdict.before, verdict.after, verdict.matters) == ("determined", "not determined", True)
@@ -124,10 +133,17 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
 
 def test_a_moved_tip_prediction_is_given_in_its_deviations(tmp_path):
     """A band of 3.92 mm is a deviation of 1 mm: a median that moved by 0.4 mm is what it was, by 0.6 not."""
-    row = {"s_mm": 50.0, "needle_median_mm": 2.0, "needle_95_low_mm": 0.04, "needle_95_high_mm": 3.96}
+    row = {
+        "quantity": "needle",
+        "level": 0.95,
+        "s_mm": 50.0,
+        "median_mm": 2.0,
+        "low_mm": 0.04,
+        "high_mm": 3.96,
+    }
     one = table(tmp_path / "a", "forecast", [row])
     for moved, matters in ((0.4, False), (0.6, True)):
-        two = table(tmp_path / "b", "forecast", [{**row, "needle_median_mm": 2.0 + moved}])
+        two = table(tmp_path / "b", "forecast", [{**row, "median_mm": 2.0 + moved}])
         (found,) = compare_runs(one, two)
         assert (
             found.why.startswith(f"{moved:g} ")
@@ -160,11 +176,17 @@ def test_runs_of_different_kinds_are_not_compared(tmp_path):
         compare_runs(one, two)
 
 
-@pytest.mark.parametrize(
-    ("file", "command"), [("verification.csv", "needlefit verify"), ("material.json", "material FILE")]
-)
-def test_quick_results_are_not_rebuilt_from_storage(file, command, tmp_path):
-    (tmp_path / "run.json").write_text("{}")
-    (tmp_path / file).write_text("")
-    with pytest.raises(DataError, match=command):
-        rebuild(tmp_path, tmp_path / "again")
+def test_predictions_of_one_insertion_in_two_ways_are_compared_each_with_its_own(first, tmp_path):
+    treatments = ["others", "training only"]
+    predictive = pd.DataFrame(
+        [("all", i, way, "tip", 0.95, 0.1) for way in treatments for i in "abcd"],
+        columns=["fold", "insertion", "specimen_treatment", "quantity", "level", "crps_mm"],
+    )
+    second = write(tmp_path / "b")
+    for folder in (first, second):
+        predictive.to_csv(folder / "predictive.csv", index=False)
+    assert compare_runs(first, second) == []
+    worse = predictive["crps_mm"].where(predictive["specimen_treatment"] == "others", 0.5)
+    predictive.assign(crps_mm=worse + 0.001 * np.arange(8)).to_csv(second / "predictive.csv", index=False)
+    (found,) = compare_runs(first, second)
+    assert found.matters and found.after > found.before

@@ -4,10 +4,10 @@ import pytest
 
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.reporting.tables import to_records
+from needlefit.reporting.table_files import to_records
 from needlefit.schemas.study import StudyRecord
-from needlefit.validation.job import Settings, prepare
-from needlefit.validation.summary import tabulate_design
+from needlefit.studies.job import Settings, prepare
+from needlefit.studies.summary import tabulate_design
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,18 @@
-"""Held-out needles foretold: what the width is made of, and that the measured shape is only compared."""
+"""Predictions of held-out needles: parts of the width; the measured shape is only compared."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from needlefit.inference.identifiability.identify import identify
-from needlefit.inference.likelihood.observation import pose_sds
+from needlefit.inference.likelihood.observation import make_observation, pose_sds
 from needlefit.inference.optimize import minimize
+from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.reporting.score_tables import lay_out_coverage
+from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import StudyRecord
-from needlefit.validation.held_out_predictions import (
+from needlefit.studies.held_out_predictions import (
     BAND_COLUMNS,
     BAND_POINTS,
     PREDICTIVE_COLUMNS,
@@ -20,21 +20,28 @@ from needlefit.validation.held_out_predictions import (
     predict_held_out,
     tabulate_held_out,
 )
-from needlefit.validation.job import Settings, prepare
-from needlefit.validation.needles_in_scan import FoldFit
+from needlefit.studies.job import Settings, prepare, with_one_bevel
+from needlefit.studies.kinds.cross_validation.score_tables import lay_out_coverage
+
+POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
+
+COPIES = 200
+"""Draws that are all the same one."""
 
 
 @pytest.fixture(scope="module")
 def job():
     record = load(find_file("study", "study2"), StudyRecord).model_copy(update={"recipe": "quick"})
-    return prepare("small", record, Settings())
+    prepared = with_one_bevel(prepare("small", record, Settings()))
+    # exact ties leave one needle few parameters: importance sampling then suffices, in seconds
+    return replace(prepared, parameters=without_prior(prepared.parameters))
 
 
 @pytest.fixture(scope="module")
 def known(job):
     problem = job.problem(job.folds[0])
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    return draw_fold_parameters(job, job.folds[0], FoldFit(fit, identify(problem, fit)))[0]
+    return draw_fold_parameters(job, job.folds[0], fit, None, Settings())[0]
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +51,7 @@ def few_draws(known):
 
 def sure(known):
     """One of the draws, as if nothing were open about the parameters."""
-    return replace(known, thetas=np.repeat(known.thetas[:1], len(known.thetas), axis=0))
+    return replace(known, thetas=np.repeat(known.thetas[:1], COPIES, axis=0))
 
 
 def of(job, *insertions):
@@ -96,6 +103,22 @@ def test_open_depths_and_parameters_widen_it(job, known):
     assert width(exact(insertion), sure(known)) < width(insertion, sure(known)) < width(insertion, known)
 
 
+def test_a_bevel_that_varies_between_insertions_widens_it(job, known):
+    spread = with_bevel_spread(job.parameters, 0.1)
+    thetas = np.column_stack([sure(known).thetas, np.full(COPIES, np.log(0.1))])
+    insertion = exact(job.folds[0].validate[0])
+    varying = replace(job, parameters=spread)
+    (wide,), (one,) = (
+        tuple(tabulate_held_out(each, of(job, insertion), draws))
+        for each, draws in ((varying, replace(known, thetas=thetas)), (job, sure(known)))
+    )
+    widths = [row["tip_95_high_mm"] - row["tip_95_low_mm"] for row in (wide, one)]
+    tips = [row["tip_median_mm"] for row in (wide, one)]
+    by_bevel = 2 * 1.959964 * 0.1 * abs(tips[1])  # the tip is all but proportional to b
+    assert widths[0] == pytest.approx(np.hypot(widths[1], by_bevel), rel=0.15)
+    assert tips[0] == pytest.approx(tips[1], rel=0.02)
+
+
 def test_the_measured_shape_is_only_compared(job, known):
     insertion = job.folds[0].validate[0]
     bent = replace(insertion, planar=insertion.planar + np.array([0.0, 5.0]))
@@ -124,8 +147,8 @@ def test_the_table_counts_covered_insertions(job, few_draws):
     rows = list(tabulate_held_out(job, of(job, *job.folds[0].validate[:2]), few_draws))
     rows[0] |= {"tip_in_50": True, "tip_in_95": True}
     rows[1] |= {"tip_in_50": False, "tip_in_95": True}
-    table = lay_out_coverage(replace(study(2), predictive=pd.DataFrame(rows)))
-    assert table.rows[0][2:4] == ("1 of 2 (9–91 %)", "2 of 2 (34–100 %)")
+    table = lay_out_coverage(study(2).with_frames(predictive=pd.DataFrame(rows)))
+    assert table.rows[0][3:5] == ("1 of 2 (9–91 %)", "2 of 2 (34–100 %)")
     assert "posterior" in table.caption
 
 
@@ -135,4 +158,6 @@ def test_the_noise_scale_is_that_of_the_prediction(job, known):
     wide = replace(job, recipe=job.recipe.model_copy(update={"likelihood": doubled}))
     (one,), (two,) = (tuple(tabulate_held_out(each, of(job, insertion), sure(known))) for each in (job, wide))
     widths = [row["tip_95_high_mm"] - row["tip_95_low_mm"] for row in (one, two)]
-    assert widths[1] == pytest.approx(2 * widths[0], rel=1e-6)
+    points = make_observation(job.dataset, insertion, likelihood=POINTS).point_covariance[-1, -1]
+    added = np.diff(np.square(widths))[0]  # the scale is of the points' noise alone, not of the pose's
+    assert added == pytest.approx((2 * 1.959964) ** 2 * 3 * points, rel=1e-4)

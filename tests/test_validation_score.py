@@ -1,15 +1,15 @@
 """What is scored: planned layers, flags, the paper's set with its bevel re-tuned, starts of their own."""
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium
+from light_runs import few_draws, predict_by_few_draws
 from scipy.optimize import brentq
-from test_validation_run import MEDIUM, fitted, frames, project, study
+from test_validation_run import MEDIUM, fitted, made, project, study
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
@@ -18,16 +18,19 @@ from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.forward_model import predict
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.reporting.number_format import format_number
-from needlefit.reporting.parameter_table import tabulate_parameters
-from needlefit.validation.folds import make_folds
-from needlefit.validation.run import Settings, run
-from needlefit.validation.score import Scorer, curve_predictor, model_predictor
+from needlefit.studies.folds import make_folds
+from needlefit.studies.kinds.cross_validation.parameter_table import arrange_parameters, tabulate_parameters
+from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.run import Run
+from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 
-__all__ = ["project"]  # the fixture
+__all__ = ["few_draws", "project"]  # the fixtures
 
 WRONG = {**TRUTH, "bevel_mm": 0.25, "mu1_pa": 1e6}
-FLOOR = NoiseFloor(0.1, 0.11, 0.3, 0.25)
-ONE_EVALUATION = 'schema = 1\nalgorithm = "neldermead"\nstarts = 3\nevaluations = 1\n'
+FLOOR = {"median_err_mm": 0.1, "ipe_mean_mm": 0.11, "ipe_max_mm": 0.3, "te_mm": 0.25}
+ONE_EVALUATION = (
+    'schema = 1\nalgorithm = "neldermead"\nstarts = 3\nevaluations = 1\n[likelihood]\nbevel_spread = 0.0\n'
+)
 
 
 # ---- measured and planned layers
@@ -96,7 +99,9 @@ def along_x(scored: Insertion):
 def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend: float, flagged: bool, side: int) -> None:
     (row,), _ = scorer().score({}, straight(bend, side), curve_predictor(along_x))
     assert row["edp_flagged"] is flagged
-    (row,), _ = scorer(NoiseFloor(*[math.nan] * 4)).score({}, straight(bend, side), curve_predictor(along_x))
+    (row,), _ = scorer(dict.fromkeys(FLOOR, math.nan)).score(
+        {}, straight(bend, side), curve_predictor(along_x)
+    )
     assert row["edp_flagged"] is False
 
 
@@ -145,43 +150,47 @@ def test_a_failed_solve_is_infinitely_wrong_and_not_drawn() -> None:
 PUBLISHED = {"mu1_pa": 2.2e5, "alpha1": 1.0, "mu2_pa": 3.2e7, "alpha2": -1.0}
 
 
-def test_the_papers_set_keeps_everything_but_its_bevel(project: Path) -> None:
-    results = run("methods", study(paper_parameters="study1"), Settings())
-    sets = {name: rows.set_index("parameter") for name, rows in results.parameters.groupby("method")}
+METRIC = 'schema = 1\nstarts = 2\nmetric = true\nmetric_algorithm = "slsqp"\n'
+
+
+@pytest.fixture(scope="module")
+def several_fits(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A study fitted by both objectives, with the paper's set beside the fits."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(made(tmp_path_factory.mktemp("fits")))
+        Path("configs/recipes/gel.toml").write_text(METRIC)
+        predict_by_few_draws(patch)
+        return run("fits", study(paper_parameters="study1"), Settings())
+
+
+def test_the_papers_set_keeps_everything_but_its_bevel(several_fits: Run) -> None:
+    frames = several_fits.frames
+    sets = {name: rows.set_index("parameter") for name, rows in frames["parameters"].groupby("method")}
     paper, retuned = (sets[name]["value"].to_dict() for name in ("hand_tuned", "hand_tuned_b"))
     assert paper == {**PUBLISHED, "bevel_mm": 0.085}
     assert retuned == {**PUBLISHED, "bevel_mm": retuned["bevel_mm"]}
     assert abs(retuned["bevel_mm"] - 0.085) > 1e-3
     assert sets["hand_tuned"]["status"].unique().tolist() == ["published"]
     assert sets["hand_tuned_b"].query("status == 'free'").index.tolist() == ["bevel_mm"]
-    starts = results.starts[results.starts["fit"] == "hand_tuned_b"]
-    assert len(starts) == 4
+    starts = frames["starts"][frames["starts"]["fit"] == "hand_tuned_b"]
+    assert len(starts) == 2
     for name, value in PUBLISHED.items():
         assert (starts[name] == value).all()
-    assert fitted(results)["mu2_pa"] == 2e7  # the medium's own
-    tuned = results.errors.query("role == 'tune' and boundaries == 'measured'")
+    assert fitted(several_fits)["mu2_pa"] == 2e7  # the medium's own
+    tuned = frames["errors"].query("role == 'tune' and boundaries == 'measured'")
     ipe = tuned.groupby("method")["ipe_mean_mm"].mean()
     assert ipe["fitted"] < min(ipe["hand_tuned"], ipe["hand_tuned_b"])
 
 
-@pytest.mark.parametrize("metric", [True, False])
-def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(project: Path, metric: bool) -> None:
-    recipe = f'schema = 1\nstarts = 2\nmetric = {str(metric).lower()}\nmetric_algorithm = "slsqp"\n'
-    (project / "configs" / "recipes" / "gel.toml").write_text(recipe)
-    results = run("both", study(), Settings())
-    both = {"fitted", "fitted_metric"} if metric else {"fitted"}
-    assert set(results.starts["fit"]) == set(results.parameters["method"]) == both
-    assert set(results.errors["method"]) & {"fitted", "fitted_metric"} == both
-    printed = tabulate_parameters(results).set_index("parameter")
-    if not metric:
-        assert set(printed["fitted_metric"]) == {""}
-        return
-    minimized = results.starts.groupby("fit")["minimized"].unique()
+def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(several_fits: Run) -> None:
+    frames, both = several_fits.frames, {"fitted", "fitted_metric"}
+    assert all(both <= set(frames[name]["method"]) for name in ("parameters", "errors"))
+    minimized = frames["starts"].groupby("fit")["minimized"].unique()
     assert (minimized["fitted"], minimized["fitted_metric"]) == (["posterior"], ["metric"])
-    second = results.parameters.query("method == 'fitted_metric'").set_index("parameter")["value"]
-    assert second["mu2_pa"] == 2e7 and abs(second["bevel_mm"] / fitted(results)["bevel_mm"] - 1) < 0.01
-    assert printed["fitted_metric_value_used"].to_dict() == second.to_dict()
-    assert printed.loc["bevel_mm", "fitted_metric"] == format_number(second["bevel_mm"])
+    second = frames["parameters"].query("method == 'fitted_metric'").set_index("parameter")["value"]
+    assert second["mu2_pa"] == 2e7 and abs(second["bevel_mm"] / fitted(several_fits)["bevel_mm"] - 1) < 0.01
+    printed = {row["parameter"]: row for row in arrange_parameters(tabulate_parameters(several_fits))}
+    assert printed["bevel_mm"]["fitted_metric"] == format_number(second["bevel_mm"])
 
 
 @pytest.mark.slow
@@ -191,16 +200,17 @@ def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -
     fixed = MEDIUM.replace("mu1_pa = { bounds = [3e4, 3e6] }", "mu1_pa = { fixed = 3e5 }")
     (project / "configs" / "media" / "gel.toml").write_text(fixed)
     record = study(tune={}, validate=[], leave_out="specimen", paper_parameters="study1")
-    starts = run("starts", record, Settings()).starts
+    starts = run("starts", record, Settings()).frames["starts"]
     assert len(starts) == 2 * 2 * 3
     assert (starts["evaluations"] == 1).all()
     assert starts["bevel_mm"].nunique() == len(starts)
-    again = run("starts", record, Settings()).starts
+    again = run("starts", record, Settings()).frames["starts"]
     assert again["bevel_mm"].tolist() == starts["bevel_mm"].tolist()
-    other = run("starts", record, Settings(seed=7)).starts
+    other = run("starts", record, Settings(seed=7)).frames["starts"]
     assert not set(other["bevel_mm"]) & set(starts["bevel_mm"])
 
 
+@pytest.mark.slow
 def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(project: Path) -> None:
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")
@@ -210,37 +220,28 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
     assert [[i.id for i in fold.validate] for fold in found] == [[id_] for id_ in ids]
     assert [[i.id for i in fold.tune] for fold in found] == [[i for i in ids if i != id_] for id_ in ids]
     results = run("loo", record, Settings())
-    held_out = results.errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
+    held_out = results.frames["errors"].query(
+        "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
+    )
     pairs = list(zip(held_out["fold"], held_out["insertion"], strict=True))
     assert pairs == [(f"without {id_}", id_) for id_ in ids]
-    tuned = results.errors.query("role == 'tune' and method == 'straight'")
+    tuned = results.frames["errors"].query("role == 'tune' and method == 'straight'")
     assert tuned.groupby("fold")["insertion"].nunique().tolist() == [3, 3, 3, 3]
-    design = results.design.set_index("role")
+    design = results.frames["design"].set_index("role")
     assert design.loc["tune", "insertions"] == design.loc["validate", "insertions"] == 4
     assert design.loc["tune", ["depth_min_mm", "depth_max_mm"]].tolist() == [24.0, 41.0]
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_tie_shares_its_sources_verdict_times_its_factor(project: Path) -> None:
     tied = MEDIUM.replace("mu2_pa = { fixed = 2e7 }", 'mu2_pa = { tie = "50 * mu1_pa" }')
     (project / "configs" / "media" / "gel.toml").write_text(tied)
-    rows = run("tied", study(), Settings()).parameters.set_index("parameter")
+    rows = run("tied", study(), Settings()).frames["parameters"].set_index("parameter")
     mu1, mu2 = rows.loc["mu1_pa"], rows.loc["mu2_pa"]
-    assert mu2["status"] == "tied" and mu2["note"] == "tied: 50 * mu1_pa"
-    for column in ("value", "spread_low", "spread_high"):
+    assert mu2["status"] == "tied" and mu2["note"].startswith("tied: 50 * mu1_pa")
+    for column in ("value", "low", "high", "interval_low", "interval_high"):
         assert mu2[column] == pytest.approx(50 * mu1[column])
-    assert mu2["determined"] == mu1["determined"]
+    assert mu1["determined"] and not mu2["determined"]  # only the tie determines it
     assert math.isnan(mu2["sd"]) and mu1["sd"] > 0
     assert [mu1["bound_low"], mu1["bound_high"]] == [3e4, 3e6] and math.isnan(mu2["bound_low"])
     assert rows.loc["alpha1", "note"].startswith("fixed") and not rows.loc["alpha1", "determined"]
-
-
-def test_the_run_records_its_settings(project: Path) -> None:
-    results = run("run", study(), Settings())
-    starts = results.starts
-    assert results.run["evaluations"] == starts["evaluations"].sum()
-    assert results.run["folds"][0]["validate"] == ["needle-3", "needle-4"]
-    search = results.run["searches"]["all"]["fitted"]
-    assert search["negative_log_posterior"] == starts["objective"].min()
-    assert search["values"] == fitted(results)
-    assert json.loads(json.dumps(results.run)) == results.run
-    assert [name for name, frame in frames(results).items() if frame.empty] == ["failures"]

@@ -8,25 +8,24 @@ import pandas as pd
 import pytest
 
 from needlefit.datasets.read import read
+from needlefit.metrics import METRICS, list_metrics
 from needlefit.project.locate import find_file
-from needlefit.reporting.analyses.result_folder import ANALYSIS_PAGES
-from needlefit.synthetic.build import build_unscanned
-from needlefit.synthetic.design import select_planned_insertions
-from needlefit.validation.analyses.kinds import load_analysis, run
-from needlefit.validation.analyses.paper_cells import (
-    ERROR_COLUMNS,
-    generalisation_threshold,
-    tabulate_cells,
-    tabulate_generalisation,
-)
-from needlefit.validation.analyses.seeds.run import (
+from needlefit.studies.job import Settings
+from needlefit.studies.kind import find_kind
+from needlefit.studies.kinds.seeds.run import (
     UNEXPLAINED,
     bootstrap_interval,
     compare_methods,
     explain_losses,
 )
-from needlefit.validation.job import Settings
-from needlefit.validation.results import METRICS
+from needlefit.studies.paper.cells import (
+    generalisation_threshold,
+    tabulate_cells,
+    tabulate_generalisation,
+)
+from needlefit.studies.study_files import load_study
+from needlefit.synthetic.build import build_unscanned
+from needlefit.synthetic.design import select_planned_insertions
 
 RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")
 
@@ -35,8 +34,8 @@ def errors(**columns: list) -> pd.DataFrame:
     """Return error rows, what is not given filled in."""
     count = len(next(iter(columns.values())))
     rest = {"study": "study3", "role": "validate", "medium": "phantom1", "specimen": "a", "layers": 3}
-    rest |= dict.fromkeys([*METRICS, "deflection_mm", "predicted_deflection_mm"], 1.0)
-    rest |= dict.fromkeys([name for name in ERROR_COLUMNS if name.startswith("floor_")], 0.1)
+    rest |= dict.fromkeys([*METRICS.names(), "deflection_mm", "predicted_deflection_mm"], 1.0)
+    rest |= {f"floor_{metric.name}": 0.1 for metric in list_metrics() if metric.has_floor}
     rest |= {"insertion": "i", "method": "fitted", "converged": True, "seed": 1}
     return pd.DataFrame({**{name: [value] * count for name, value in rest.items()}, **columns})
 
@@ -82,8 +81,8 @@ def test_a_comparison_is_won_where_the_interval_excludes_zero():
         parts.append(errors(**pd.DataFrame(pairs).to_dict("list"), te_mm=te.tolist(), method=[method] * 24))
     found = compare_methods(pd.concat(parts), "x", 500).query("metric == 'te_mm'").set_index("method")
     assert found["verdict"].to_dict() == {"straight": "wins", "truth": "open"}
-    assert found.loc["straight", "difference_mm"] == pytest.approx(-0.5 - 0.1 * noise.mean())
-    assert found.loc["straight", ["twins", "insertions", "twins_better"]].tolist() == [8, 3, 8]
+    assert found.loc["straight", "difference"] == pytest.approx(-0.5 - 0.1 * noise.mean())
+    assert found.loc["straight", ["replicates", "insertions", "replicates_better"]].tolist() == [8, 3, 8]
 
 
 def test_a_loss_is_explained_only_where_the_data_support_it():
@@ -103,15 +102,15 @@ def test_a_loss_is_explained_only_where_the_data_support_it():
     )
     frame = errors(**{name: list(values) for name, values in columns.items()})
     lost = {"study": "study3", "medium": "phantom1", "layers": 3, "method": "straight", "metric": "te_mm"}
-    comparison = pd.DataFrame([{**lost, "verdict": "loses", "difference_mm": 1.0, "floor_mm": 0.1}])
+    comparison = pd.DataFrame([{**lost, "verdict": "loses", "difference": 1.0, "floor": 0.1}])
     none = pd.DataFrame(
-        {"study": [], "parameter": pd.Series([], dtype=str), "value": [], "true": [], "paper": []}
+        {"study": [], "parameter": pd.Series([], dtype=str), "value": [], "truth": [], "paper": []}
     )
-    (why,) = explain_losses(comparison, frame, none)["explanation"]
+    (why,) = explain_losses(comparison, frame, none)["note"]
     assert re.search(r"\b1\.00 mm\b.*\b3\.00\b.*\b0\.00\b", why)  # measured, the fit, the method
     frame.loc[1, "te_mm"] = 0.05  # now the method errs less on what was tuned on as well
-    assert explain_losses(comparison, frame, none)["explanation"].tolist() == [UNEXPLAINED]
-    assert explain_losses(comparison.assign(verdict="wins"), frame, none)["explanation"].tolist() == [""]
+    assert explain_losses(comparison, frame, none)["note"].tolist() == [UNEXPLAINED]
+    assert explain_losses(comparison.assign(verdict="wins"), frame, none)["note"].tolist() == [""]
 
 
 def test_the_threshold_lies_in_the_gap_of_the_papers_table():
@@ -124,7 +123,7 @@ def test_every_cell_is_next_to_the_papers_value():
     held_out = errors(te_mm=[1.0, 2.0, np.inf], converged=[True, True, False])
     fits = errors(study=["phantom2"] * 2, role=["tune"] * 2, medium=["phantom2"] * 2, layers=[4, 3])
     found = tabulate_cells(pd.concat([held_out, fits]), {"study3": 3}).set_index(
-        ["table", "layers", "metric"]
+        ["grouping", "layers", "metric"]
     )
     cell = found.loc[("validation", 3, "te_mm")]
     assert (cell["value"], cell["paper"], cell["insertions"], cell["not_converged"]) == (1.5, 2.82, 3, 1)
@@ -143,15 +142,15 @@ def test_the_studies_on_two_twins_are_reported(tmp_path, monkeypatch):
     keys += 'generalization_studies = ["small"]\n'
     (tmp_path / "studies/two.toml").write_text(f"schema = 1\n{keys}")
     monkeypatch.chdir(tmp_path)
-    record = load_analysis(find_file("study", "two"))
+    record = load_study(find_file("study", "two"))
     assert record is not None
-    answer = run("two", record, Settings())
+    answer = find_kind("seeds").run("two", record, Settings())
     table = answer.frames["errors"]
     truth = table[(table["method"] == "truth") & (table["role"] == "validate")]
     assert truth["te_mm"].max() < 0.5 and truth["seed"].nunique() == 2  # registration alone
     assert answer.run["seeds"] == [1, 2] and answer.run["twins"] == "not scanned"
-    page = ANALYSIS_PAGES["seeds"]
-    assert "2 of 2 twins" in page.summarize(answer)[0]
+    page = find_kind("seeds").report
+    assert "2 of 2 " in page.summarize(answer)[0]
     assert {"generalising.pdf", "comparisons.pdf", "cells.pdf"} == {
         p.name for p in page.draw(answer, tmp_path).values()
     }

@@ -9,12 +9,12 @@ import pytest
 from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import make_options, predict
 from needlefit.project.locate import find_file
-from needlefit.reporting.analyses.result_folder import ANALYSIS_PAGES
-from needlefit.schemas.analyses import VariationRecord
-from needlefit.validation.analyses.kinds import load_analysis, run
-from needlefit.validation.analyses.paper_cells import prepare_jobs
-from needlefit.validation.analyses.sensitivity import apply_variation
-from needlefit.validation.job import Settings
+from needlefit.studies.job import Settings
+from needlefit.studies.kind import find_kind
+from needlefit.studies.kinds.sensitivity.run import apply_variation
+from needlefit.studies.kinds.sensitivity.schema import VariationRecord
+from needlefit.studies.paper.cells import prepare_jobs
+from needlefit.studies.study_files import load_study
 
 RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")
 STUDY = """schema = 1
@@ -61,6 +61,16 @@ def test_a_variation_changes_what_it_names_and_nothing_else():
         assert one.sequence == other.sequence
 
 
+def test_the_path_angle_takes_the_place_of_b_and_is_tuned_again():
+    job = prepare_jobs(["study2"], [], Settings())["study2"]
+    changed = apply_variation(job, VariationRecord(factor="advance", name="path angle", advance="path_angle"))
+    assert make_options(changed.medium).path_angle and changed.medium.law == job.medium.law
+    renamed = ["cut_angle_deg" if name == "bevel_mm" else name for name in job.parameters.free]
+    assert list(changed.parameters.free) == renamed and changed.parameters.ties == job.parameters.ties
+    values = {**job.hand_tuned, "cut_angle_deg": 3.0}
+    assert predict(values, changed.medium, job.dataset.needle, job.insertions[0]).converged
+
+
 def test_a_stiffer_needle_in_as_much_stiffer_tissue_bends_alike():
     job = prepare_jobs(["study2"], [], Settings())["study2"]
     stiff = apply_variation(job, VariationRecord(factor="rigidity", name="more", rigidity_factor=1.1))
@@ -82,7 +92,7 @@ def test_a_variation_that_changes_nothing_is_refused(tmp_path):
     file = tmp_path / "nothing.toml"
     file.write_text(SENSITIVITY.replace("rigidity_factor = 1.1\n", ""))
     with pytest.raises(ConfigError, match="changes nothing"):
-        load_analysis(file)
+        load_study(file)
 
 
 def test_a_small_study_under_two_variations(tmp_path, monkeypatch):
@@ -92,18 +102,18 @@ def test_a_small_study_under_two_variations(tmp_path, monkeypatch):
     (tmp_path / "studies/small.toml").write_text(STUDY)
     (tmp_path / "studies/varied.toml").write_text(SENSITIVITY)
     monkeypatch.chdir(tmp_path)
-    record = load_analysis(find_file("study", "varied"))
+    record = load_study(find_file("study", "varied"))
     assert record is not None
-    answer = run("varied", record, Settings())
-    studies = answer.frames["studies"].set_index(["aspect", "tuned"])
-    assert abs(studies.loc[("rigidity", "again"), "te_change_mm"]) < 1e-3
-    assert abs(studies.loc[("rigidity", "kept"), "te_change_mm"]) > 1e-3
+    answer = find_kind("sensitivity").run("varied", record, Settings())
+    studies = answer.frames["studies"].set_index(["aspect", "tuned", "metric"])["change"].sort_index()
+    assert abs(studies.loc["rigidity", "again", "te_mm"]) < 1e-3
+    assert abs(studies.loc["rigidity", "kept", "te_mm"]) > 1e-3
     assert ("constraint spacing", "kept") not in studies.index  # b is per spacing
     ratios = answer.frames["parameter_changes"].set_index(["aspect", "parameter"])["ratio"]
     assert ratios["rigidity", "mu1_pa"] == pytest.approx(1.1, rel=0.01)
     assert pd.isna(ratios["constraint spacing", "bevel_mm"])
-    page = ANALYSIS_PAGES["sensitivity"]
-    assert "all 2 variations" in page.summarize(answer)[0]
+    page = find_kind("sensitivity").report
+    assert "2 variations" in page.summarize(answer)[0]
     assert page.draw(answer, tmp_path)["studies"].is_file()
     again, kept, *_ = page.lay_out(answer)
     assert len(again.rows) == 3 and len(kept.rows) == 2

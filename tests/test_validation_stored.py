@@ -10,42 +10,41 @@ from test_reporting_posterior import sampled
 
 from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior import save
-from needlefit.reporting.combined_report import write_combined
-from needlefit.reporting.rebuild import rebuild
 from needlefit.reporting.table_files import write_json
-from needlefit.validation.packing import RESULTS_FILE
-from needlefit.validation.results import COLUMNS
-from needlefit.validation.stored import restore_results, store_results
+from needlefit.studies.combined_report import write_combined
+from needlefit.studies.kinds.cross_validation.results import COLUMNS
+from needlefit.studies.packing import RESULTS_FILE
+from needlefit.studies.rebuild import rebuild
+from needlefit.studies.run import restore_run, store_run
 
 
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
 def test_stored_values_round_trip_to_the_last_digit(results, tmp_path):
-    store_results(results, tmp_path)
-    found = restore_results(tmp_path)
+    store_run(results, tmp_path)
+    found = restore_run(tmp_path)
     for name in COLUMNS:
-        pd.testing.assert_frame_equal(getattr(found, name), getattr(results, name), check_exact=True)
+        pd.testing.assert_frame_equal(found.frames[name], results.frames[name], check_exact=True)
     assert found.record == results.record and type(found.record) is type(results.record)
-    assert found.needles.keys() == results.needles.keys()
     again = tmp_path / "again"
     again.mkdir()
-    assert store_results(found, again).read_bytes() == (tmp_path / RESULTS_FILE).read_bytes()
+    assert store_run(found, again).read_bytes() == (tmp_path / RESULTS_FILE).read_bytes()
 
 
 def test_floats_that_are_no_numbers_and_cells_that_are_empty_survive(tmp_path):
     one = study(1)
-    starts = one.starts.copy()
+    starts = one.frames["starts"].copy()
     starts.loc[0, "objective"] = np.inf
     starts.loc[1, "objective"] = np.nan
     starts["joined"] = [None, *range(len(starts) - 1)]
-    store_results(dataclasses.replace(one, starts=starts), tmp_path)
-    found = restore_results(tmp_path).starts
+    store_run(one.with_frames(starts=starts), tmp_path)
+    found = restore_run(tmp_path).frames["starts"]
     pd.testing.assert_frame_equal(found, starts, check_exact=True)
     assert found["joined"].dtype == starts["joined"].dtype
 
 
 def test_a_folder_without_results_is_an_error_that_names_it(tmp_path):
     with pytest.raises(DataError, match="no stored results") as fault:
-        restore_results(tmp_path)
+        restore_run(tmp_path)
     assert str(tmp_path) in fault.value.where
 
 
@@ -53,39 +52,40 @@ def test_a_folder_without_results_is_an_error_that_names_it(tmp_path):
     "damage", [lambda b: b[: len(b) // 2], lambda b: b"{}", lambda b: gzip.compress(b"{}")]
 )
 def test_damaged_results_are_an_error(damage, tmp_path):
-    path = store_results(study(1), tmp_path)
+    path = store_run(study(1), tmp_path)
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(DataError) as caught:
-        restore_results(tmp_path)
+        restore_run(tmp_path)
     assert RESULTS_FILE in caught.value.where and caught.value.fix
 
 
 def test_results_of_another_format_are_refused(tmp_path):
-    path = store_results(study(1), tmp_path)
+    path = store_run(study(1), tmp_path)
     head, content = gzip.decompress(path.read_bytes()).split(b"\n")
     path.write_bytes(gzip.compress(json.dumps(json.loads(head) | {"format": 99}).encode() + b"\n" + content))
     with pytest.raises(DataError, match="format"):
-        restore_results(tmp_path)
+        restore_run(tmp_path)
 
 
 def test_a_posterior_is_read_from_the_file_beside(tmp_path):
     one = sampled(0.08, 0.09)
     (posterior,) = one.posteriors.values()
-    store_results(one, tmp_path)
+    store_run(one, tmp_path)
     save(posterior, tmp_path / "posterior.nc")
-    (fold,) = restore_results(tmp_path).posteriors
-    found = restore_results(tmp_path).posteriors[fold]
+    (fold,) = restore_run(tmp_path).posteriors
+    found = restore_run(tmp_path).posteriors[fold]
     assert fold in one.posteriors and found.names == posterior.names
     assert np.array_equal(found.draws, posterior.draws)
 
 
+@pytest.mark.slow
 def test_a_joint_report_is_rebuilt_from_the_runs_beside_it(tmp_path):
     every = [dataclasses.replace(study(k), name=f"study{k}") for k in (1, 5)]
     for one in every:
         (tmp_path / one.name).mkdir()
-        store_results(one, tmp_path / one.name)
-        write_json(tmp_path / one.name / "run.json", one.run)
-    write_combined(every, [], tmp_path / "all")
+        store_run(one, tmp_path / one.name)
+        write_json(tmp_path / one.name / "run.json", one.run_json)
+    write_combined(every, tmp_path / "all")
     rebuild(tmp_path / "all", tmp_path / "again")
     first, second = tmp_path / "all", tmp_path / "again"
     for path in first.iterdir():

@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layers
 
-from needlefit.datasets.noise import NoiseFloor
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.inference.evaluation_checks import find_outside_validity
 from needlefit.inference.forward_model import predict
 from needlefit.project.result_warnings import read_warnings
-from needlefit.schemas.analyses import VariationRecord
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.validation.score import Scorer, model_predictor
-from needlefit.validation.validity import ValidityCounts, describe_outside, validity_warnings
+from needlefit.studies.kinds.sensitivity.schema import VariationRecord
+from needlefit.studies.score import Scorer, model_predictor
+from needlefit.studies.validity import ValidityCounts, describe_outside, validity_warnings
 
 STEEP = {**TRUTH, "bevel_mm": 0.9}
 
@@ -37,7 +36,7 @@ def test_parameter_sets_are_outside_where_any_of_their_needles_is():
 def test_scored_simulations_are_counted_and_named():
     one = insertion(41.0, (25.0,), (1, 2))
     data = dataset([one])
-    scorer = Scorer(data, "listed", {one.id: NoiseFloor(0.1, 0.11, 0.3, 0.25)})
+    scorer = Scorer(data, "listed", {one.id: {"te_mm": 0.25}})
     for method, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
         place = {"fold": "all", "role": "tune", "method": method}
         scorer.score(place, one, model_predictor(values, medium(), data))
@@ -59,7 +58,9 @@ def test_a_run_inside_its_limits_has_no_warning():
     assert list(validity_warnings({"validity": counts.table()})) == []
     assert describe_outside({"validity": counts.table()}) == ""
     assert describe_outside({}) == "" and list(validity_warnings({})) == []  # an earlier version's run
-    counts.draws.add(400, 3)
+    counts.draws.add(400, 3)  # fewer than one in a hundred
+    assert list(validity_warnings({"validity": counts.table()})) == []
+    counts.draws.add(400, 30)
     assert len(list(validity_warnings({"validity": counts.table()}))) == 1
     assert read_warnings({}) == ()
 

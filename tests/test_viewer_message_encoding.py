@@ -89,7 +89,7 @@ def test_constraint_points_are_sent_with_the_needle(encode) -> None:
     assert state["tip_path"][1][-1] == pytest.approx(state["tip"]["y"], abs=1e-4)
 
 
-@pytest.mark.parametrize(("y", "faults"), [(2.0, 0), (6.0, 1)])
+@pytest.mark.parametrize(("y", "faults"), [(2.0, 0), (6.0, 2)])
 def test_the_page_is_given_the_limits_that_are_exceeded(encode, y, faults) -> None:
     """The needle's slope is greatest between base and guide, where no node stands."""
     found = encode(NEEDLE, {"guide_x_mm@1": 20.0 - LENGTH, "guide_y_mm@1": 0.0}, {"base_y_mm": y})

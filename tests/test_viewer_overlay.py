@@ -28,6 +28,7 @@ from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
+from needlefit.metrics import compute_metrics
 from needlefit.viewer.overlay.band import ParameterDraws, compute_band, select_layer_draws
 from needlefit.viewer.overlay.measured import compute_live_errors, make_measured_overlay
 from needlefit.viewer.overlay.slice import InsertionScan, find_scan, read_slice
@@ -60,9 +61,11 @@ def test_errors_up_to_the_depth_in_common(depth, whole):
     angle, upto = 0.05, min(depth, 40.0)
     found = compute_live_errors(of(oblique(angle)), straight(depth))
     chord = 2 * upto * math.sin(angle / 2)
-    assert found.te == pytest.approx(chord) and found.ipe_max == pytest.approx(chord)
-    assert found.ipe_mean == pytest.approx(chord / 2)
-    assert found.edp == pytest.approx(100 * chord / (upto * math.sin(angle)))
+    assert found.values["te_mm"] == pytest.approx(chord) and found.values["ipe_max_mm"] == pytest.approx(
+        chord
+    )
+    assert found.values["ipe_mean_mm"] == pytest.approx(chord / 2)
+    assert found.values["edp_percent"] == pytest.approx(100 * chord / (upto * math.sin(angle)))
     assert (found.upto, found.whole, found.floor) == (upto, whole, 0.2)
 
 
@@ -71,15 +74,14 @@ def test_errors_grow_into_those_of_the_whole_needle():
     one = of(dataclasses.replace(oblique(0.05), planar=1.03 * oblique(0.05).planar))
     almost, there = (compute_live_errors(one, straight(depth)) for depth in (40.0 - 1e-5, 40.0))
     assert (almost.whole, there.whole) == (False, True)
-    assert almost.te == pytest.approx(there.te, abs=1e-4) and there.te > 1.2
+    assert almost.values["te_mm"] == pytest.approx(there.values["te_mm"], abs=1e-4)
+    assert there.values["te_mm"] > 1.2
 
 
 def test_at_the_measured_depth_errors_are_those_of_a_study():
     shape = predict(OFF, medium(), dataset([MEASURED]).needle, MEASURED)
-    expected = compare_curves(*compare_points("known", 0.0, MEASURED, lambda s: compute_positions(shape, s)))
-    found = compute_live_errors(of(MEASURED), shape)
-    assert (found.te, found.ipe_mean, found.ipe_max) == (expected.te, expected.mean, expected.maximum)
-    assert found.edp == expected.edp
+    curves = compare_curves(*compare_points("known", 0.0, MEASURED, lambda s: compute_positions(shape, s)))
+    assert compute_live_errors(of(MEASURED), shape).values == compute_metrics(curves)
 
 
 def test_without_a_measured_shape_there_are_no_errors():
@@ -89,7 +91,9 @@ def test_without_a_measured_shape_there_are_no_errors():
     assert compute_live_errors(one, straight(40.0)).floor is None
     shifted = dataclasses.replace(oblique(0.0), planar=np.add(oblique(0.0).planar, [0.0, 0.3]))
     found = compute_live_errors(of(shifted), straight(40.0))
-    assert found.te == pytest.approx(0.3) and found.edp is None  # no deflection to divide by
+    assert (
+        found.values["te_mm"] == pytest.approx(0.3) and found.values["edp_percent"] is None
+    )  # no deflection to divide by
 
 
 def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_whole():
@@ -98,7 +102,7 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
     shape = predict(OFF, medium(), dataset([free]).needle, free)
     one = of(free, "free", shape=shape, drop=5.0)
     expected = compare_curves(*compare_points("free", 5.0, free, lambda s: compute_positions(shape, s)))
-    assert compute_live_errors(one, shape).te == expected.te
+    assert compute_live_errors(one, shape).values["te_mm"] == expected.tip_error
     assert compute_live_errors(one, straight(30.0)) is None
     onto = compute_positions(shape, one.s)
     assert np.linalg.norm(one.points - onto, axis=1).max() < 0.3  # from 30 mm away
@@ -134,7 +138,7 @@ def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
     found = compute_band(drawn, SCENE.needle, SCENE.tissue, session.input_path(), SCENE.rules, 0.7)
     s = np.linspace(0.0, session.depth, len(found.x))
     heights, x = [], []
-    for mu, alpha, offset in zip(drawn.mu, drawn.alpha, drawn.offset, strict=True):
+    for mu, alpha, offset in zip(drawn.mu, drawn.alpha, drawn.bevel, strict=True):
         tissue = Tissue(mu, alpha, SCENE.tissue.boundaries, SCENE.tissue.thickness)
         points = compute_positions(session.simulate_again(tissue, offset).now.shape, s)
         x.append(points[:, 0])
@@ -148,19 +152,19 @@ def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
 
 def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
     same = spread(5)
-    same = ParameterDraws(*(part[[0] * 5] for part in (same.mu, same.alpha, same.offset)))
-    same.offset[3] = np.nan
+    same = ParameterDraws(*(part[[0] * 5] for part in (same.mu, same.alpha, same.bevel)))
+    same.bevel[3] = np.nan
     args = (SCENE.needle, SCENE.tissue, SCENE.steps, SCENE.rules, 1.0)
     found = compute_band(same, *args)
     assert found.failed == 1
     np.testing.assert_allclose(found.low, found.high, atol=1e-9)
     tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0], alpha=same.alpha[0])
-    bent = dataclasses.replace(SCENE.steps[0].bevel, offset=float(same.offset[0]))
+    bent = dataclasses.replace(SCENE.steps[0].bevel, offset=float(same.bevel[0]))
     alone = simulate_steps(
         SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules
     )
     assert found.low[-1] == pytest.approx(alone.deflection, abs=1e-6)
-    assert compute_band(ParameterDraws(same.mu, same.alpha, same.offset * np.nan), *args) is None
+    assert compute_band(ParameterDraws(same.mu, same.alpha, same.bevel * np.nan), *args) is None
 
 
 def test_before_first_contact_there_is_no_band():

@@ -7,6 +7,7 @@ import needles
 import numpy as np
 import pandas as pd
 import pytest
+from light_runs import few_draws  # noqa: F401 - a fixture
 from test_cli import run as command
 from test_viewer_opening import FIT
 
@@ -17,10 +18,10 @@ from needlefit.inference.compared_points import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.study import StudyRecord
-from needlefit.validation.job import Settings
-from needlefit.validation.needles_in_scan import NEEDLE_POINTS
-from needlefit.validation.run import run
-from needlefit.validation.stored import store_results
+from needlefit.studies.job import Settings
+from needlefit.studies.kinds.cross_validation.run import run
+from needlefit.studies.needles_in_scan import NEEDLE_POINTS, read_needles
+from needlefit.studies.run import store_run
 from needlefit.viewer.export import replay_to_end
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
@@ -51,7 +52,7 @@ def fitted(folder: Path, pose: str):
     results = run("small", study, Settings())
     out = folder / "reports" / "small"
     out.mkdir(parents=True)
-    store_results(results, out)
+    store_run(results, out)
     (out / "run.json").write_text(json.dumps(results.run))
     return results
 
@@ -67,6 +68,7 @@ def steered(path: Path) -> None:
     RecordingWriter(path, head).write(RecordedStep(1, 0.5, (change,), steering.now.shape.deflection))
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("pose", ["known", "free"])
 def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -76,15 +78,16 @@ def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, 
     one = next(one for one in read_dataset(tmp_path / "data" / "needles").insertions if one.id == ID)
     s = select_points(pose, 2.0 if pose == "free" else 0.0, one, NEEDLE_POINTS).s
     found = outcome.placement.to_patient(compute_positions(outcome.state.shape, s))
-    np.testing.assert_allclose(found, results.needles[ID].fitted, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found, read_needles(results.frames["needles"])[ID].fitted, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_files_of_a_recording_are_in_the_scan_and_in_the_world_of_the_data(
     tmp_path, monkeypatch, capsys
 ) -> None:
     """Without the data: the log holds where its needle lies."""
     monkeypatch.chdir(tmp_path)
-    expected = fitted(tmp_path, "known").needles[ID].fitted
+    expected = read_needles(fitted(tmp_path, "known").frames["needles"])[ID].fitted
     steered(tmp_path / "log.csv")
     (tmp_path / "data").rename(tmp_path / "gone")
     files = ("--csv", "a.csv", "--slicer", "a.mrk.json", "--plot", "a.svg", "--json")

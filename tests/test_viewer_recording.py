@@ -6,11 +6,12 @@ import pytest
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.control import Guide, TrackedTip
 from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.project.migration import migrate_file
 from needlefit.schemas.scene import SceneRecord
+from needlefit.studies.migration import migrate_file
 from needlefit.viewer.interaction.inputs import Change, find_changes
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
@@ -46,18 +47,22 @@ WANDERING = [
 ]
 
 
+def nodes_y(shape) -> np.ndarray:
+    return compute_positions(shape, shape.x)[:, 1]
+
+
 def recorded(path, changes=WANDERING) -> list[np.ndarray]:
-    """Write a recording of changes; return the deflections after each step."""
+    """Write a recording of changes; return the y of the nodes after each step."""
     steering = steer()
     recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN.model_dump(mode="json", by_alias=True)))
-    found = [steering.now.shape.u]
+    found = [nodes_y(steering.now.shape)]
     for n, step in enumerate(changes, start=1):
         act(steering, *step)
         if n == 2:
             steering.keep()
         given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
-        recorder.write(RecordedStep(n, 0.25 * n, given, float(steering.now.shape.u[-1])))
-        found.append(steering.now.shape.u)
+        recorder.write(RecordedStep(n, 0.25 * n, given, steering.now.shape.deflection))
+        found.append(nodes_y(steering.now.shape))
     return found
 
 
@@ -67,7 +72,7 @@ def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
     again = list(replay(read_recording(path)))
     assert len(again) == len(found) == len(WANDERING) + 1
     for replayed, expected in zip(again, found, strict=True):
-        np.testing.assert_array_equal(replayed.state.shape.u, expected)
+        np.testing.assert_array_equal(nodes_y(replayed.state.shape), expected)
     assert max(replayed.tip_offset_mm for replayed in again) == 0.0
     assert again[4].time == 1.0
 

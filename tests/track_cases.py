@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.insertion import Noise
-from needlefit.datasets.tip_tracks import TipTrack
-from needlefit.inference.parameters import Parameters
-from needlefit.inference.tracks.problem import TrackProblem
-from needlefit.inference.tracks.simulation import simulate_tips
+from needlefit.datasets.insertion import Dataset, Noise
+from needlefit.datasets.tip_tracks import TipReadings, TipTrack, make_track
+from needlefit.inference.forward_model import simulate_deflections
+from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import WeightsRecord
 
 NEEDLE = Needle(200.0, 2.5e4)
 NOISE = Noise(point_sd=0.02)
@@ -65,18 +65,35 @@ valid = "ok"
 
 def track(name: str, guide: np.ndarray, depth: np.ndarray = DEPTH, side: int = 1) -> TipTrack:
     """A run not yet measured: its tip is 0."""
-    return TipTrack(name, "gel", "gel", side, depth, np.zeros(len(depth)), guide, np.empty(0), (1,))
+    readings = TipReadings(depth, np.zeros(len(depth)), guide)
+    return make_track(name, "gel", "gel", side, readings, (np.empty(0), (1,)))
+
+
+def with_tip(one: TipTrack, tip: np.ndarray) -> TipTrack:
+    """The run with these readings of its tip."""
+    return replace(one, planar=np.column_stack([one.depths, tip]))
+
+
+def simulate_tips(tracks: list[TipTrack]) -> tuple[np.ndarray, ...]:
+    """The tips (1, n) of every run at the truth."""
+    return simulate_deflections([TRUTH], MEDIUM, NEEDLE, tracks, [one.depths for one in tracks])
 
 
 def measured(one: TipTrack, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> TipTrack:
     """The run as the model has it at the truth, in such a frame, with noise if seeded."""
-    (tip,) = simulate_tips([TRUTH], MEDIUM, NEEDLE, [one])
-    noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.depth))
-    return replace(one, tip=tip[0] + shift + slope * one.depth + noise)
+    (tip,) = simulate_tips([one])
+    noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.tip))
+    return with_tip(one, tip[0] + shift + slope * one.depths + noise)
 
 
-def problem(tracks: list[TipTrack]) -> TrackProblem:
-    return TrackProblem(NEEDLE, tuple(tracks), MEDIUM, Parameters.from_record(MEDIUM), NOISE)
+def dataset(tracks: list[TipTrack]) -> Dataset:
+    return Dataset(
+        "cases", "cases", "synthetic", NEEDLE, tuple(tracks), ("gel",), NOISE, "tracker", 0.0, Path(), "0"
+    )
+
+
+def problem(tracks: list[TipTrack], medium: MediumRecord = MEDIUM) -> Problem:
+    return make_problem(dataset(tracks), tracks, medium, WeightsRecord())
 
 
 def written(folder: Path, tracks: list[TipTrack], toml: str = TOML) -> Path:
@@ -84,7 +101,7 @@ def written(folder: Path, tracks: list[TipTrack], toml: str = TOML) -> Path:
     rows = [
         f"{one.id},{one.medium},{depth + 0.7:.4f},{tip:.5f},{guide - 25.0:.4f},1"
         for one in tracks
-        for depth, tip, guide in zip(one.depth, one.tip, one.guide, strict=True)
+        for depth, tip, guide in zip(one.depths, one.tip, one.guide, strict=True)
     ]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "steps.csv").write_text(HEAD + "\n".join(rows) + "\n")

@@ -13,23 +13,36 @@ _Run = Annotated[
 ]
 
 
-def diff(run_a: _Run, run_b: _Run, json: options.Json = False, verbose: options.Verbose = False) -> None:
-    """Say what RUN_B changed from RUN_A: inputs, parameters, errors on the same insertions, verdicts.
+def diff(
+    run_a: _Run,
+    run_b: _Run,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also print the changes that do not matter.")
+    ] = False,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Compare RUN_B with RUN_A: inputs, parameters, errors on the same insertions, verdicts.
 
-    And whether it matters: beside each change stands how large it is in its own uncertainty.
+    Prints the changes that matter, each with its size relative to its own uncertainty, and the inputs that
+    differ. `--json` has all changes.
     """
     from needlefit.project.locate import find_run
-    from needlefit.reporting.differences import (
+    from needlefit.studies.differences import (
         differences_to_json,
         lay_out_differences,
         summarize_differences,
     )
-    from needlefit.validation.run_differences import compare_runs
+    from needlefit.studies.run_differences import compare_runs
 
     found = compare_runs(find_run(run_a), find_run(run_b))
     if json:
         screen.show_json(differences_to_json(found))
         return
-    screen.print_line(summarize_differences(found))
-    if found:
-        screen.show_display(lay_out_differences(found))
+    screen.print_text(summarize_differences(found))
+    table = lay_out_differences(found, everything)
+    if table.rows:
+        screen.print_line()
+        screen.show_display(table, notes=everything)
+    if table.notes and not everything:
+        screen.print_text("\n".join(table.notes))

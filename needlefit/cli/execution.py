@@ -1,6 +1,5 @@
 """Settings of a run: options, progress, and the folders of results and checkpoints."""
 
-import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,15 +11,13 @@ from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.progress import show_progress
 from needlefit.errors import ConfigError
+from needlefit.project.threads import count_cores
 
 if TYPE_CHECKING:
     from needlefit.project.progress import Progress
-    from needlefit.schemas.analyses import AnalysisRecord
-    from needlefit.schemas.study import FitRecord, StudyRecord, TrackStudyRecord
-    from needlefit.validation.analyses.runner import AnalysisResult
-    from needlefit.validation.job import Settings
-    from needlefit.validation.results import Results
-    from needlefit.validation.tracks.results import TrackResults
+    from needlefit.schemas.base import FileRecord
+    from needlefit.studies.job import Settings
+    from needlefit.studies.run import Run
 
 
 @dataclass(frozen=True)
@@ -70,29 +67,23 @@ class Execution:
         """Return where a run keeps what it has finished."""
         return self.out / f"{name}.partial"
 
-    def run(self, name: str, record: "StudyRecord | FitRecord") -> "Results":
+    def run(self, name: str, record: "FileRecord") -> "Run":
         """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`."""
-        from needlefit.validation.run import run
+        from needlefit.studies.kind import kind_of
 
         with show_progress(self.invocation.quiet) as report:
-            return run(name, record, self._settings(name, report))
+            return kind_of(record).run(name, record, self._settings(name, report))
 
-    def run_tracks(self, name: str, record: "TrackStudyRecord") -> "TrackResults":
-        """Run one study of tip tracks; else as `run`."""
-        from needlefit.validation.tracks.run import run
-
-        with show_progress(self.invocation.quiet) as report:
-            return run(name, record, self._settings(name, report))
-
-    def run_analysis(self, name: str, record: "AnalysisRecord") -> "AnalysisResult":
-        """Run one analysis; else as `run`."""
-        from needlefit.validation.analyses.kinds import run
-
-        with show_progress(self.invocation.quiet) as report:
-            return run(name, record, self._settings(name, report))
+    def run_and_write(self, name: str, record: "FileRecord") -> "Run":
+        """Run one study and write its folder; an interrupted one ends the command."""
+        result = self.run(name, record)
+        if result.interrupted:
+            raise self.interrupted()
+        self.write(result)
+        return result
 
     def _settings(self, name: str, report: "Progress") -> "Settings":
-        from needlefit.validation.job import Settings
+        from needlefit.studies.job import Settings
 
         return Settings(
             seed=self.seed,
@@ -106,14 +97,11 @@ class Execution:
             file=self.file,
         )
 
-    def write(self, results: "Results") -> Path:
-        """Write the results; return their folder."""
-        from needlefit.reporting.posterior import make_posterior_writers
-        from needlefit.reporting.run_folder import write
+    def write(self, result: "Run") -> Path:
+        """Write a run; return its folder."""
+        from needlefit.studies.report import write_run
 
-        folder = self.folder(results.name)
-        write(results, folder, make_posterior_writers(results))
-        return folder
+        return write_run(result, self.folder(result.name))
 
     def remove_checkpoint(self, name: str) -> None:
         """Remove the checkpoint of a run that is complete."""
@@ -123,7 +111,7 @@ class Execution:
 
     def interrupted(self) -> typer.Exit:
         """Say how to go on; return the exit to raise."""
-        screen.print_note(f"needlefit: interrupted; to go on: {self.invocation.resuming()}")
+        screen.print_note(self.invocation.interrupt_message())
         return typer.Exit(exit_codes.INTERRUPTED)
 
 
@@ -132,29 +120,12 @@ def print_remark(line: str) -> None:
     screen.print_note(f"needlefit: {line}")
 
 
-def count_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def require_converged(results: "Results") -> None:
+def require_converged(results: "Run") -> None:
     """End with its exit code if a scored simulation of the fit, its search, or a posterior did not converge.
 
     The results are written by then, marked.
     """
-    require_no_faults(list_faults(results))
-
-
-def list_faults(results: "Results") -> list[str]:
-    """Return what did not converge: scored simulations of the fit, its search, a posterior."""
-    fitted = results.errors[results.errors["method"] == "fitted"]
-    failed = int((~fitted["converged"].astype(bool)).sum())
-    faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
-    for fold, found in results.run.get("search_faults", {}).items():
-        faults += [fault if fold == "all" else f"{fold}: {fault}" for fault in found]
-    for posterior in results.posteriors.values():
-        faults += [f"the posterior has not converged: {why}" for why in posterior.faults]
-    return [f"{results.name}: {fault}" for fault in faults]
+    require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
 
 
 def require_no_faults(faults: Iterable[str]) -> None:

@@ -11,12 +11,19 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import FrameType
 
-from needlefit.errors import ConfigError, FitError, NeedlefitError, printable
+from needlefit.errors import (
+    ConfigError,
+    FitError,
+    NeedlefitError,
+    UnfinishedWorkError,
+    printable,
+    without_controls,
+)
 
 
 @dataclass
 class Invocation:
-    """One call of the program; the options -q, -v and --strict write `quiet`, `verbose` and `strict`.
+    """One call of the program; the options -q, -v, --strict and --explain write `quiet`, `verbose`, ...
 
     `warned` is whether a warning was printed: with `strict` the exit code then is that of no convergence.
     """
@@ -25,12 +32,17 @@ class Invocation:
     quiet: bool = False
     verbose: bool = False
     strict: bool = False
+    explain: bool = False
     warned: bool = False
 
     def resuming(self) -> str:
         """Return the command line that goes on where this one stopped."""
         words = self.words if "--resume" in self.words else (*self.words, "--resume")
         return shlex.join(("needlefit", *words))
+
+    def interrupt_message(self) -> str:
+        """Return the line that says how to go on."""
+        return f"needlefit: interrupted; to go on: {self.resuming()}"
 
 
 UNEXPECTED, NOT_CONVERGED, VERIFICATION_FAILED, INTERRUPTED = 1, 5, 6, 130
@@ -59,6 +71,8 @@ def report_error(error: BaseException, invocation: Invocation) -> int | None:
     error = _to_user_error(error)
     if isinstance(error, NeedlefitError):
         print(f"needlefit: {error}", file=sys.stderr)
+        if isinstance(error, UnfinishedWorkError):
+            print(f"needlefit: to go on with it: {without_controls(invocation.resuming())}", file=sys.stderr)
         return error.exit_code
     hint = "" if invocation.verbose else " (-v shows where)"
     print(f"needlefit: unexpected {type(error).__name__}: {error}{hint}", file=sys.stderr)
@@ -116,27 +130,36 @@ def _is_usage_error(error: BaseException) -> bool:
 
 
 _FIRST_INTERRUPT_MESSAGE = b"\nneedlefit: stopping after this step; Ctrl-C again leaves at once\n"
+STOP_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Windows has no SIGHUP."""
 _SHOW_CURSOR = b"\x1b[?25h"
 
 
 @contextmanager
-def catch_interrupts() -> Iterator[Callable[[], bool]]:
-    """Yield the question "has Ctrl-C been pressed?" for the time of a long run."""
+def catch_interrupts(invocation: Invocation) -> Iterator[Callable[[], bool]]:
+    """Yield whether the run is to stop, after Ctrl-C, SIGTERM or SIGHUP; the second one ends it at once.
+
+    Either way the command line that goes on is printed.
+    """
     pressed = threading.Event()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         if pressed.is_set():
+            _write(
+                without_controls(f"\n{invocation.interrupt_message()}\n").encode(errors="backslashreplace")
+            )
             if sys.stderr.isatty():
                 _write(_SHOW_CURSOR)
             os._exit(INTERRUPTED)  # threads that are still computing would hold up any softer way out
         pressed.set()
         _write(_FIRST_INTERRUPT_MESSAGE)
 
-    before = signal.signal(signal.SIGINT, on_signal)
+    before = {number: signal.signal(number, on_signal) for number in STOP_SIGNALS}
     try:
         yield pressed.is_set
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _write(text: bytes) -> None:

@@ -1,4 +1,4 @@
-"""`needlefit material`: what a compression test says of alpha and mu."""
+"""`needlefit material`: fit alpha and mu to a compression test."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -6,6 +6,9 @@ from typing import Annotated, Literal
 import typer
 
 from needlefit.cli import options, screen
+from needlefit.cli.execution import Execution
+from needlefit.cli.show_results import show_result
+from needlefit.project.progress import never_stop
 
 
 def material(
@@ -15,50 +18,37 @@ def material(
     ],
     stress: Annotated[
         Literal["nominal", "true"] | None,
-        typer.Option(help="What a column `stress_kpa` holds whose name does not say it."),
+        typer.Option(help="Stress measure of a column `stress_kpa`, whose name does not state it."),
     ] = None,
     foundation: Annotated[
         tuple[float, float] | None,
         typer.Option(
             metavar="FACTOR SPREAD",
             help="Write a prior of the model's mu too: FACTOR times the material's shear modulus, known "
-            "within a factor of SPREAD. docs/model.md says between which bounds FACTOR lies.",
+            "within a factor of SPREAD. docs/model.md states the bounds of FACTOR.",
         ),
     ] = None,
     out: options.Out = Path("reports"),
+    strict: options.Strict = False,
+    explain: options.Explain = False,
     json: options.Json = False,
     verbose: options.Verbose = False,
 ) -> None:
     """Fit mu and alpha of the Ogden law to a compression test.
 
-    Shapes of needles cannot tell alpha; a test can. Says over which alphas it cannot either, and writes the
-    prior that fits use, with tables and figure, to OUT/material-<file>/.
+    Needle shapes do not identify alpha; a compression test can. Prints the estimates and the 95 % regions of
+    alpha, and writes the prior for fits, with tables and figures, to OUT/material-<file>/.
     """
-    from needlefit.datasets.compression import read_compression
-    from needlefit.inference.material import MaterialFoundation, fit_material
     from needlefit.project.ownership import require_replaceable
-    from needlefit.reporting.material import (
-        MaterialReport,
-        lay_out_material,
-        material_to_json,
-        write_material,
-    )
-    from needlefit.reporting.material_tables import summarize_material
     from needlefit.schemas.names import require_file_name
+    from needlefit.studies.kind import find_kind
 
     require_file_name(file.stem, str(file))
     name = f"material-{file.stem}"
+    execution = Execution(context.find_root().obj, out, None, None, False, never_stop)
     require_replaceable(out / name)
-    stated = None if foundation is None else MaterialFoundation(*foundation)
-    test = read_compression(file, stress)
-    report = MaterialReport(name, test, fit_material(test), stated)
-    write_material(report, out / name)
-    if json:
-        screen.show_json(material_to_json(report))
-        return
-    screen.show_display(lay_out_material(report))
-    for sentence in (*test.warnings, *summarize_material(report.material, stated)):
-        screen.print_line(f"{sentence[:1].upper()}{sentence[1:].removesuffix('.')}.")
-    if report.material.alpha_identified:
+    record = find_kind("material").make_record(file=str(file), stress=stress, foundation=foundation)
+    found = execution.run_and_write(name, record)
+    show_result(execution.invocation, found, out / name, json)
+    if found.run["prior"] is not None and not json:
         screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{out / name}/prior.toml" }}')
-    screen.print_line(f"written: {out / name}/")

@@ -46,7 +46,7 @@ def migrate(
     verb = "to rewrite" if dry_run else "rewritten"
     screen.print_line(f"{changed} {verb}, {len(found) - changed - len(faults)} up to date")
     for path, skipped in faults.items():
-        screen.print_note(f"skipped {path}, which this version cannot read: {skipped.what[:200]}")
+        screen.print_note(f"skipped {path}, which {skipped.what[:200]}; {skipped.fix}".removesuffix("; "))
 
 
 def _find(path: Path) -> Iterator[Path]:
@@ -85,8 +85,8 @@ def _is_candidate(file: Path) -> bool:
 def _migrate(path: Path, dry_run: bool) -> bool:
     """Rewrite one file or run, and print its name; return whether there was anything to rewrite."""
     from needlefit.project.input_files import is_dir
-    from needlefit.project.migration import migrate_file
-    from needlefit.reporting.run_migration import migrate_run
+    from needlefit.studies.migration import migrate_file
+    from needlefit.studies.run_migration import migrate_run
 
     changed = migrate_run(path, dry_run) if is_dir(path) else migrate_file(path, dry_run)
     if changed:

@@ -8,6 +8,9 @@ import typer
 from needlefit.project.locate import STUDY_GROUPS, list_names, list_runs
 from needlefit.schemas.limits import MAX_SEED
 
+if TYPE_CHECKING:
+    from needlefit.schemas.scene import SceneRecord
+
 
 def _set_quiet(context: typer.Context, value: bool) -> bool:
     context.find_root().obj.quiet = value
@@ -24,6 +27,29 @@ def _set_strict(context: typer.Context, value: bool) -> bool:
     return value
 
 
+def _set_explain(context: typer.Context, value: bool) -> bool:
+    context.find_root().obj.explain = value
+    return value
+
+
+def _use_plugins(modules: list[str] | None) -> list[str] | None:
+    if modules:
+        from needlefit.registry import use_plugins
+
+        use_plugins(modules)
+    return modules
+
+
+Plugins = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--plugins",
+        metavar="MODULE",
+        callback=_use_plugins,
+        is_eager=True,
+        help="Also use the tissue laws, file formats, ... of this installed Python module. Repeatable.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", callback=_set_quiet, help="No progress on stderr.")]
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", callback=_set_verbose, help="Tracebacks of errors.")
@@ -39,6 +65,11 @@ Resume = Annotated[bool, typer.Option("--resume", help="Go on where an interrupt
 Strict = Annotated[
     bool,
     typer.Option("--strict", callback=_set_strict, help="Exit code 5 after a warning; results are written."),
+]
+
+Explain = Annotated[
+    bool,
+    typer.Option("--explain", callback=_set_explain, help="All tables, with notes and diagnostics."),
 ]
 
 
@@ -86,10 +117,22 @@ def _with_prefix(known: list[str], incomplete: str) -> list[str]:
     return [name for name in known if name.startswith(incomplete)]
 
 
-if TYPE_CHECKING:
-    from needlefit.schemas.scene import SceneRecord
-
-
+Target = Annotated[
+    str,
+    typer.Argument(
+        metavar="TARGET",
+        autocompletion=complete_targets,
+        help="A study, a fit in configs/fits, or a path.",
+    ),
+]
+RunFolder = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN",
+        autocompletion=complete_runs,
+        help="A folder of results, or its bare name in reports/.",
+    ),
+]
 Depth = Annotated[
     float | None,
     typer.Option(metavar="MM", help="Inserted arc length, of a scene without steps; else the scene's."),

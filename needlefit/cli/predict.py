@@ -1,17 +1,19 @@
-"""`needlefit predict`: where the needle of a planned insertion will be, and how sure that is."""
+"""`needlefit predict`: the needle of a planned insertion, with its uncertainty."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.execution import count_cores
+from needlefit.cli.execution import Execution
 from needlefit.cli.exit_codes import catch_interrupts
 from needlefit.cli.options import Depth, Set, complete_scenes, complete_targets, scene_record
-from needlefit.cli.progress import show_progress
-from needlefit.cli.screen import print_warnings
-from needlefit.project.result_warnings import WARNINGS_KEY, to_rows, warnings_entry
+from needlefit.cli.show_results import show_run, show_warnings
+from needlefit.project.input_files import is_file
+
+if TYPE_CHECKING:
+    from needlefit.studies.run import Run
 
 
 def predict(
@@ -37,76 +39,68 @@ def predict(
         Path | None,
         typer.Option(metavar="DIR", help="Result of `tune TARGET --sample` (default: OUT/TARGET-tune)."),
     ] = None,
+    specimen: Annotated[
+        Literal["new", "same"],
+        typer.Option(help="Whether it goes into a specimen like those tuned on, or into one of them."),
+    ] = "new",
     depth: Depth = None,
     set_: Set = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
+    resume: options.Resume = False,
     strict: options.Strict = False,
+    explain: options.Explain = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Predict a planned insertion with what a TARGET's data tell.
+    """Predict a planned insertion with the parameters fitted to a TARGET's data.
 
-    The scene says needle, depth, places of the layers, bevel side and controls; moduli and bevel offset come
-    from draws of the TARGET's posterior: where one was sampled from that, else importance-weighted about a
-    fit made now. Prints tip and bands, and writes shape and picture to OUT/predict-TARGET-SCENE/.
+    The scene defines needle, depth, layer depths, bevel side and controls. Moduli and bevel offset are draws
+    of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
+    new fit. For a new specimen the spread between specimens is added. Prints the tip with its intervals, and
+    writes shape and figure to OUT/predict-TARGET-SCENE/.
     """
-    invocation = context.find_root().obj
-    with catch_interrupts() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        from needlefit.cli.tune import add_target_context, load_fit
-        from needlefit.mechanics.scene import Scene
-        from needlefit.project.ownership import require_replaceable
-        from needlefit.project.unit_warnings import scene_warnings
-        from needlefit.reporting.forecast import (
-            describe_convergence,
-            lay_out_forecast,
-            summarize_tip,
-            write_forecast,
-        )
+    with catch_interrupts(
+        context.find_root().obj
+    ) as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.schemas.names import require_file_name
-        from needlefit.validation.forecast import draw_parameters, forecast, outside_warnings
-        from needlefit.validation.job import Settings, prepare
-        from needlefit.validation.provenance import describe_configuration
+        from needlefit.studies.kind import find_kind
+        from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE
+        from needlefit.studies.targets import load_target
 
-        where, planned = scene_record(scene, depth, set_ or [])
-        name, record = load_fit(target)
+        scene_name, planned = scene_record(scene, depth, set_ or [])
+        target_name, _, _ = load_target(target)
         require_file_name(Path(scene).stem, scene)
-        folder = out / f"predict-{name.removesuffix('-tune')}-{Path(scene).stem}"
-        require_replaceable(folder)
-        screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
-        with show_progress(invocation.quiet) as report:
-            settings = Settings(seed=seed, jobs=jobs or count_cores(), progress=report, stop=stop)
-            with add_target_context(target):
-                job = prepare(name, record, settings)
-            draws = draw_parameters(job, run or out / name, settings, required=run is not None)
-        if draws is None:
-            screen.print_note("needlefit: interrupted; nothing was written")
-            raise typer.Exit(exit_codes.INTERRUPTED)
-        found = forecast(Scene.from_record(planned, where), draws, job)
-        title, synthetic = planned.title or scene, job.dataset.origin == "synthetic"
-        warned = [*job.warnings, *scene_warnings(planned, where), *outside_warnings(found)]
-        run_table = {
-            **describe_configuration(job),
-            "scene": planned.model_dump(mode="json", by_alias=True),
-            **warnings_entry(warned),
-        }
-        write_forecast(found, folder, title, run_table, synthetic)
-    if json:
-        screen.show_json(
-            {
-                "target": name,
-                "scene": scene,
-                **summarize_tip(found),
-                WARNINGS_KEY: to_rows(warned),
-                "written": str(folder),
-            }
+        name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
+        execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop)
+        execution.prepare([name])
+        if run is None and is_file(out / target_name / POSTERIOR_FILE):
+            run = out / target_name
+        record = find_kind("prediction").make_record(
+            target=target,
+            scene=planned,
+            scene_name=scene_name,
+            posterior=None if run is None else str(run),
+            specimen=specimen,
         )
-    else:
-        screen.show_display(lay_out_forecast(found, title, synthetic))
-        screen.print_line(f"written: {folder}/")
-    print_warnings(invocation, warned)
+        found = execution.run_and_write(name, record)
+        execution.remove_checkpoint(name)
+    _show(execution, found, scene, json)
     if found.faults:
-        screen.print_note(f"needlefit: {name}: the posterior has {describe_convergence(found)}")
+        from needlefit.studies.kinds.prediction.report import describe_convergence
+
+        screen.print_note(f"needlefit: {target_name}: the posterior has {describe_convergence(found)}")
         raise typer.Exit(exit_codes.NOT_CONVERGED)
+
+
+def _show(execution: Execution, found: "Run", scene: str, json: bool) -> None:
+    from needlefit.studies.report import run_to_json
+
+    folder = execution.folder(found.name)
+    if json:
+        screen.show_json({**run_to_json(found), "scene": scene, "written": str(folder)})
+        show_warnings(execution.invocation, found)
+    else:
+        show_run(execution.invocation, found, folder)

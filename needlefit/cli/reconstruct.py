@@ -8,7 +8,7 @@ import typer
 from typer.core import TyperCommand
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.execution import count_cores, print_remark
+from needlefit.cli.execution import print_remark
 from needlefit.cli.exit_codes import catch_interrupts
 from needlefit.cli.options import complete_reconstructions
 from needlefit.cli.options import complete_scans as complete_scans
@@ -17,12 +17,13 @@ from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
+from needlefit.project.threads import count_cores
 
 if TYPE_CHECKING:
     from needlefit.imaging.batch import ReconstructionFailure
-    from needlefit.imaging.reconstruction import Reconstruction
     from needlefit.imaging.scan import Scan
     from needlefit.project.result_warnings import ResultWarning
+    from needlefit.studies.run import Run
 
 
 MAX_DEFAULT_JOBS = 2
@@ -88,9 +89,9 @@ def reconstruct(
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 
-    Needle, markers and tissue are found in each scan; its markers lay it on the world. DATASET takes the
-    dataset, tables of what was found, and for every scan a quality page (quality/) and files for 3D Slicer
-    (slicer/). A scan that fails is named, with how to fix it (exit code 3), and the others are written.
+    Finds needle, markers and tissue in each scan, and registers it to world coordinates with its markers.
+    DATASET takes the dataset, its tables, and for every scan a quality page (quality/) and files for 3D
+    Slicer (slicer/). A scan that fails is reported with its fix (exit code 3); the others are written.
     """
     named = {
         "markers": markers,
@@ -102,7 +103,9 @@ def reconstruct(
         "medium": medium,
     }
     invocation = context.find_root().obj
-    with catch_interrupts() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+    with catch_interrupts(
+        context.find_root().obj
+    ) as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.imaging.assembly import DatasetDescription
         from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
         from needlefit.project.checkpoint_folder import claim_checkpoint, remove_checkpoint
@@ -110,9 +113,10 @@ def reconstruct(
         from needlefit.project.locate import find_file
         from needlefit.project.outputs import require_no_inputs_within
         from needlefit.project.ownership import require_own_checkpoint, require_replaceable
-        from needlefit.reporting.reconstruction_folder import write_reconstruction
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
+        from needlefit.studies.kinds.reconstruction.report import write_reconstruction
+        from needlefit.studies.verdict import judge_run
 
         require_file_name(out.resolve().name, str(out))
         require_replaceable(out)
@@ -131,19 +135,23 @@ def reconstruct(
                 ),
             )
             if len(found) < len(wanted):
-                screen.print_note(f"needlefit: interrupted; to go on: {invocation.resuming()}")
+                screen.print_note(invocation.interrupt_message())
                 raise typer.Exit(exit_codes.INTERRUPTED)
             failed = [one for one in found if isinstance(one, ReconstructionFailure)]
             ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
+            written = None
             if ones:
                 about = DatasetDescription(out.resolve().name, title)
-                kept, faulty = write_reconstruction(out, ones, record, about, report)
-                ones, failed = list(kept), [*failed, *faulty]
-    warnings = warnings_in(out) if ones else []
-    _show(out, ones, failed, warnings if json else None)
+                written, faulty = write_reconstruction(out, ones, record, about, report)
+                failed = [*failed, *faulty]
+    warnings = warnings_in(out) if written else []
+    if written and not json:
+        screen.print_text(f"{judge_run(written)[0].sentence}.")
+    _print_failures(written, failed)
     print_warnings(invocation, warnings)
-    if failed and ones:
-        screen.print_note(f"needlefit: what is finished is kept in {keep}; to go on: {invocation.resuming()}")
+    _show(out, written, failed, warnings if json else None)
+    if failed and written:
+        screen.print_note(f"needlefit: finished scans are kept in {keep}; to go on: {invocation.resuming()}")
     else:
         remove_checkpoint(keep, print_remark)
     if lock is not None:
@@ -177,29 +185,35 @@ def warnings_in(dataset: Path) -> "list[ResultWarning]":
 
 def _show(
     out: Path,
-    ones: "Sequence[Reconstruction]",
+    found: "Run | None",
     failed: "Sequence[ReconstructionFailure]",
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
-    from needlefit.reporting.reconstruction_folder import lay_out_reconstructions, tabulate_reconstructions
+    from needlefit.studies.kinds.reconstruction.report import lay_out_first, summarize
 
     if as_json is not None:
-        rows = tabulate_reconstructions(ones).to_dict(orient="records") if ones else []
+        rows = found.frames["reconstruction"].to_dict(orient="records") if found else []
         errors = [
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
-        about = {"dataset": str(out) if ones else None, WARNINGS_KEY: to_rows(as_json)}
+        about = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
         screen.show_json({**about, "scans": rows, "failed": errors})
-    elif ones:
-        screen.show_display(lay_out_reconstructions(ones))
-        screen.print_line(f"written: {out}/")
+    elif found:
+        screen.print_line()
+        for table in lay_out_first(found):
+            screen.show_display(table, notes=False)
+        for remark in summarize(found)[1:]:
+            screen.print_text(remark)
+        screen.print_line(f"written: {out}/ (figures of each scan in {out}/quality/)")
+
+
+def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]") -> None:
     for one in failed:
         screen.print_note(f"needlefit: {_describe_failure(one)}")
-    if failed and len(ones):
-        screen.print_note(
-            f"needlefit: {len(failed)} of {len(failed) + len(ones)} scans failed; the others are written"
-        )
+    if failed and found:
+        count = len(failed) + len(found.frames["reconstruction"])
+        screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")
 
 
 def _describe_failure(failure: "ReconstructionFailure") -> str:

@@ -6,38 +6,49 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.options import complete_runs
+from needlefit.cli.show_results import show_run
 
 
 def report(
-    run: Annotated[
-        str,
-        typer.Argument(
-            metavar="RUN",
-            autocompletion=complete_runs,
-            help="A folder of results, or its bare name in reports/.",
-        ),
-    ],
+    context: typer.Context,
+    run: options.RunFolder,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write to this folder; the run's own by default."),
     ] = None,
+    latex: Annotated[
+        Path | None,
+        typer.Option(
+            "--latex",
+            metavar="PDF",
+            help="Also compile example.tex, a paper of all tables and figures. Needs LaTeX.",
+        ),
+    ] = None,
+    explain: options.Explain = False,
+    strict: options.Strict = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Write tables, figures and report of a RUN again, without fitting anything.
+    """Write tables, figures and report of a RUN again, and print it, without fitting anything.
 
     From the stored results, exact to the last digit: as after an update that draws figures differently, or
     where files were lost. A file that was changed is never replaced: remove it first. `all` is made again
     from the runs beside it.
     """
     from needlefit.project.locate import find_run
-    from needlefit.reporting.rebuild import rebuild
-    from needlefit.validation.csv_tables import find_damaged_files
+    from needlefit.studies.csv_tables import find_damaged_files
+    from needlefit.studies.rebuild import rebuild
 
     folder = find_run(run)
     damaged = find_damaged_files(folder)
-    written = rebuild(folder, folder if out is None else out)
+    written = folder if out is None else out
+    runs = rebuild(folder, written)
+    for one in runs:
+        show_run(context.find_root().obj, one, written, named=len(runs) > 1)
     for name, what in damaged.items():
         screen.print_note(f"needlefit: damaged, and not used: {folder}/{name} {what}")
-    screen.print_line(f"written: {written}/")
+    if latex is not None:
+        from needlefit.reporting.paper_example import compile_example
+
+        compile_example(written, latex)
+        screen.print_line(f"written: {latex}")

@@ -2,16 +2,18 @@
 
 import json
 import math
+import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 from needlefit.cli.exit_codes import Invocation
 from needlefit.errors import without_controls
 from needlefit.project.json_values import to_json_values
-from needlefit.project.result_warnings import ResultWarning, read_warnings
+from needlefit.project.result_warnings import ResultWarning
 
 if TYPE_CHECKING:
     from needlefit.reporting.table_layout import TableLayout
@@ -22,10 +24,22 @@ def print_line(text: str = "") -> None:
     print(without_controls(text))
 
 
+def print_text(text: str) -> None:
+    """Print sentences, wrapped between words to the width of a terminal; in a pipe each is one line."""
+    print_line(_wrap(text, sys.stdout))
+
+
+def _wrap(text: str, stream: TextIO) -> str:
+    if not stream.isatty():
+        return text
+    width = shutil.get_terminal_size().columns
+    return "\n".join(textwrap.fill(line, width, break_on_hyphens=False) for line in text.splitlines())
+
+
 def print_note(text: str) -> None:
     """Print a line that is no result to stderr, behind all that stdout was given before."""
     sys.stdout.flush()  # else, where both go to one file, it stands before the result
-    print(without_controls(text), file=sys.stderr)
+    print(_wrap(without_controls(text), sys.stderr), file=sys.stderr)
 
 
 def compile_ahead(*kernel_parts: str, quiet: bool = False) -> None:
@@ -62,13 +76,20 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
     _show(columns, [[text for text, _ in row] for row in rows])
 
 
-def show_display(table: "TableLayout") -> None:
-    """Print a table that is ready to be set: its caption, its cells, its notes."""
+SCREEN_COLUMNS = 100
+"""Width that tables keep to where their words can be wrapped."""
+
+
+def show_display(table: "TableLayout", notes: bool = True) -> None:
+    """Print a table that is ready to be set: its caption, its cells, its notes if wanted.
+
+    Without notes it keeps to `SCREEN_COLUMNS` in a pipe too.
+    """
     columns = [(f"{column.label} {column.unit}", column.align == "right") for column in table.columns]
-    print_line(table.caption)
-    _show(columns, table.rows, table.breaks, table.strong)
-    for line in table.notes:
-        print_line(line)
+    print_text(table.caption)
+    _show(columns, table.rows, table.breaks, table.strong, None if notes else SCREEN_COLUMNS)
+    for line in table.notes if notes else ():
+        print_text(line)
 
 
 def _show(
@@ -76,10 +97,11 @@ def _show(
     rows: Sequence[Sequence[str]],
     breaks: Sequence[int] = (),
     strong: Sequence[int] = (),
+    wanted_width: int | None = None,
 ) -> None:
     """Print cells under (head, whether it stands at the right).
 
-    In a pipe nothing is cut off or wrapped; on a terminal too narrow the words are wrapped, not the numbers.
+    To keep to the width of a terminal, or a wanted one, words are wrapped, not numbers; nothing is cut off.
     """
     from rich import box
     from rich.console import Console
@@ -99,6 +121,8 @@ def _show(
 
     console = Console(width=None if sys.stdout.isatty() else 1000)
     wide = build(1)
+    if wanted_width is not None and console.measure(wide).minimum <= wanted_width < console.width:
+        console.width = wanted_width
     console.print(wide if console.measure(wide).maximum <= console.width else build(0))
     print_line()
 
@@ -108,24 +132,29 @@ def _cell(value: object) -> tuple[str, bool]:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "", False
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value), False
+        return str(value), _is_number_as_text(value)
     return (f"{value:.4g}" if isinstance(value, float) else str(value)), True
 
 
+def _is_number_as_text(value: object) -> bool:
+    try:
+        float(str(value))
+    except ValueError:
+        return False
+    return True
+
+
 def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning]) -> None:
-    """Print warnings to stderr; with `--strict` the command then ends with exit code 5."""
+    """Print warnings to stderr, each with the page that explains it.
+
+    With `--strict` the command then ends with exit code 5.
+    """
     for one in warnings:
         invocation.warned = True
-        print_note(f"needlefit: warning: {one}")
+        print_note(f"needlefit: warning: {one} ({one.help_page})")
 
 
-def print_run_warnings(invocation: Invocation, run: Mapping[str, Any], dataset: str = "") -> None:
-    """Print the warnings that a run keeps; `dataset` is the file of its data, if that is known."""
-    folder = Path(dataset).parent
-    print_warnings(invocation, (_with_folder(one, folder) for one in read_warnings(run)))
-
-
-def _with_folder(one: ResultWarning, folder: Path) -> ResultWarning:
+def locate_warning(one: ResultWarning, folder: Path) -> ResultWarning:
     """Return a warning about a file of a folder with the file's path."""
     file = one.where.rpartition(":")[0] or one.where
     return replace(one, where=str(folder / one.where)) if file and (folder / file).is_file() else one

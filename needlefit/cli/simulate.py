@@ -12,6 +12,7 @@ from needlefit.cli.options import Depth, Set, complete_scenes, scene_record
 from needlefit.cli.screen import print_warnings
 from needlefit.cli.simulation_outcome import (
     SimulationOutcome,
+    describe_outcome,
     replay_recording,
     show_summary,
     simulate_scene,
@@ -88,17 +89,18 @@ def simulate(
     else:
         if scene is not None or depth is not None or set_:
             raise typer.BadParameter(
-                "the recording holds its scene: leave out SCENE, --depth and --set", param_hint="--recording"
+                "the recording contains its scene: leave out SCENE, --depth and --set",
+                param_hint="--recording",
             )
         done = replay_recording(recording, step, written)
     # before anything is printed: a name may be none of a picture
-    for option, path in written.items():
-        if done.files[option.removeprefix("--")](path) is not False:
-            screen.print_note(f"{'drawn' if option == '--plot' else 'written'}: {path}")
-    _show(context.find_root().obj, done, json)
+    saved = [
+        path for option, path in written.items() if done.files[option.removeprefix("--")](path) is not False
+    ]
+    _show(context.find_root().obj, done, saved, json)
 
 
-def _show(invocation: Invocation, done: SimulationOutcome, json: bool) -> None:
+def _show(invocation: Invocation, done: SimulationOutcome, saved: Sequence[Path], json: bool) -> None:
     """Print where the needle ends; leave with an exit code of its own where it was not found."""
     summary = summarize_simulation(done.scene, done.shapes, done.placement) | done.more
     warnings = [*done.warnings, *validity_warnings(summary["validity"]["faults"])]
@@ -106,13 +108,17 @@ def _show(invocation: Invocation, done: SimulationOutcome, json: bool) -> None:
     if json:
         screen.show_json(summary)
     else:
-        show_summary(done.title, summary)
+        screen.print_text(describe_outcome(summary))
     print_warnings(invocation, warnings)
+    if not json:
+        show_summary(done.title, summary)
+    for path in saved:
+        screen.print_note(f"written: {path}")
     if not summary["converged"]:
         steps = len(done.scene.steps)
         failed = f"step {len(done.shapes)} of {steps}" if steps > 1 else "the solution"
         screen.print_note(
-            f"needlefit: {failed} did not converge ({summary['status']}); what it prints is no result"
+            f"needlefit: {failed} did not converge ({summary['status']}); the printed values are no result"
         )
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 

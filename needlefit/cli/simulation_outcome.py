@@ -16,9 +16,11 @@ from needlefit.project.view_targets import find_view_target
 
 if TYPE_CHECKING:
     from needlefit.geometry.frames import Placement
-    from needlefit.mechanics.scene import Scene
+    from needlefit.mechanics.scene import Entry, Scene
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.project.result_warnings import ResultWarning
+    from needlefit.reporting.table_files import Row
+    from needlefit.reporting.table_layout import TableLayout
     from needlefit.schemas.scene import SceneRecord
 
 
@@ -45,7 +47,7 @@ def write_picture(done: SimulatedScene, path: Path) -> None:
 
 def write_curves(done: SimulatedScene, path: Path) -> bool:
     """Write the needle for 3D Slicer; False where there is none."""
-    from needlefit.reporting.slicer import write_scene
+    from needlefit.studies.slicer import write_scene
 
     return write_scene(done.scene.entry.placement, done.shapes, path, done.diameter)
 
@@ -80,7 +82,6 @@ class SimulationOutcome:
 
     Attributes
     ----------
-    title : str
     scene : Scene
         Its steps are those that `shapes` belong to.
     shapes : tuple of NeedleShape
@@ -91,7 +92,6 @@ class SimulationOutcome:
         What else `--json` says.
     placement : Placement or None
         Where a measured needle lies; None of a scene, which says so itself.
-    warnings : tuple of ResultWarning
     """
 
     title: str
@@ -165,12 +165,6 @@ def _view_target_files(target: str) -> list[Path]:
     return [view_target.path.parent if view_target.kind == "dataset" else view_target.path]
 
 
-if TYPE_CHECKING:
-    from needlefit.geometry.frames import Placement
-    from needlefit.mechanics.scene import Entry, Scene
-    from needlefit.mechanics.shape import NeedleShape
-
-
 def summarize_simulation(
     scene: "Scene", shapes: "Sequence[NeedleShape]", placement: "Placement | None" = None
 ) -> dict[str, Any]:
@@ -210,7 +204,7 @@ def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement 
         "deflection_mm": shape.deflection,
         "tip_slope": slope,
         "tip_mm": (placement or entry).to_world(compute_positions(shape, shape.x[-1:]))[0],
-        "tip_angle_deg": math.degrees(entry.angle + math.atan(slope)),
+        "tip_angle_deg": math.degrees(entry.angle + slope),
         "converged": shape.converged,
         "status": shape.status,
         "valid": shape.valid,
@@ -219,54 +213,57 @@ def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement 
 
 
 def show_summary(title: str, summary: dict[str, Any]) -> None:
-    """Print a summary in lines under a title."""
-    interfaces = ", ".join(f"{depth:g}" for depth in summary["boundaries_mm"]) or "none"
-    state = "yes" if summary["converged"] else f"NO: {summary['status']}"
-    rows = [
-        ("depth", f"{summary['depth_mm']:g} mm"),
-        ("deflection", f"{_format_length(summary['deflection_mm'])} mm, tip in the constraint frame"),
-        ("tip", f"({', '.join(map(_format_length, summary['tip_mm']))}) mm in the world"),
-        ("boundaries", interfaces + (" mm" if interfaces != "none" else "")),
-        ("converged", f"{state} ({summary['iterations']} Newton iterations)"),
-        ("valid", _describe_validity(summary)),
-    ]
+    """Print a row for each step, and boundaries, iterations and, of a recording, the difference from it."""
+    interfaces = ", ".join(f"{depth:g}" for depth in summary["boundaries_mm"])
+    screen.print_line()
+    screen.print_text(title)
+    screen.show_display(_lay_out_steps(summary["steps"]), notes=False)
+    screen.print_line(f"Layer boundaries: {f'{interfaces} mm' if interfaces else 'none'}")
+    state = "" if summary["converged"] else "not converged, "
+    slope = f"; largest slope {summary['max_slope']:.3f}" if summary["converged"] else ""
+    screen.print_line(f"Solution: {state}{summary['iterations']} Newton iterations{slope}")
     if "replayed" in summary:
-        rows.append(("replayed", _describe_replay(**summary["replayed"])))
-    screen.print_line(title)
-    if len(summary["steps"]) > 1:
-        for n, step in enumerate(summary["steps"], start=1):
-            screen.print_line(f"  {f'step {n}':<11} {_format_step(step)}")
-    for label, text in rows:
-        screen.print_line(f"  {label:<11} {text}")
+        screen.print_line(f"Replayed: {_describe_replay(**summary['replayed'])}")
 
 
-def _describe_validity(summary: dict[str, Any]) -> str:
-    """Return whether the needle keeps to what the model assumes."""
+def describe_outcome(summary: dict[str, Any]) -> str:
+    """Return where the needle ends in one sentence, or that no solution was found."""
+    depth = f"depth {summary['depth_mm']:g} mm"
     if not summary["converged"]:
-        return "NO: no solution"
-    faults = summary["validity"]["faults"]
-    return f"NO: {'; '.join(faults)}" if faults else f"yes (slopes up to {summary['max_slope']:.3f})"
+        return f"NOT CONVERGED at {depth}: {summary['status']}."
+    place = ", ".join(map(_format_length, summary["tip_mm"]))
+    valid = "" if summary["valid"] else "; outside what the model assumes"
+    deflection = _format_length(summary["deflection_mm"])
+    return f"Tip deflection {deflection} mm at {depth}; tip at ({place}) mm in the world{valid}."
+
+
+def _lay_out_steps(steps: Sequence[Mapping[str, Any]]) -> "TableLayout":
+    from needlefit.reporting.table import Table
+
+    rows = [_describe_step(number, step) for number, step in enumerate(steps, start=1)]
+    columns = ("step", "inserted_mm", "tip_deflection_mm", "tip_position", "tip_angle_deg", "step_state")
+    caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
+    return Table("steps", caption, rows, columns).lay_out()
+
+
+def _describe_step(number: int, step: Mapping[str, Any]) -> "Row":
+    found = bool(step["converged"])
+    state = ("ok" if step["valid"] else "outside the model's limits") if found else str(step["status"])
+    place = ", ".join(map(_format_length, step["tip_mm"])) if found else None
+    lengths = {"tip_deflection_mm": step["deflection_mm"] if found else None, "inserted_mm": step["depth_mm"]}
+    angle = step["tip_angle_deg"] if found else None
+    return {"step": number, **lengths, "tip_position": place, "tip_angle_deg": angle, "step_state": state}
 
 
 def _describe_replay(steps: int, tip_offset_mm: float) -> str:
-    text = f"{steps} step{'' if steps == 1 else 's'}, the tip "
+    text = f"{steps} step{'' if steps == 1 else 's'}, tip "
     return text + (
-        f"up to {tip_offset_mm:.1g} mm from where it was recorded"
+        f"up to {tip_offset_mm:.1g} mm from the recorded one"
         if tip_offset_mm
-        else "as recorded, bit for bit"
+        else "identical to the recorded one"
     )
 
 
 def _format_length(value: float) -> str:
     """Return a length in print; a dash where the needle was not found."""
-    return f"{value:z.3f}" if math.isfinite(value) else "–"
-
-
-def _format_step(step: dict[str, Any]) -> str:
-    """Return a step in one line."""
-    depth = f"{step['depth_mm']:g} mm deep"
-    if not step["converged"]:
-        return f"{depth}: {step['status'] if step['status'] == 'not reached' else 'NO: ' + step['status']}"
-    x, y = step["tip_mm"]
-    deflection, angle = step["deflection_mm"], step["tip_angle_deg"]
-    return f"{depth}, deflection {deflection:z.3f} mm, tip ({x:z.3f}, {y:z.3f}) mm at {angle:z.2f}°"
+    return f"{value:z.3f}".replace("-", "−") if math.isfinite(value) else "–"

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import count_cores
 from needlefit.cli.progress import show_progress
+from needlefit.project.threads import count_cores
 
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes (default: all cores); changes no byte.")]
 

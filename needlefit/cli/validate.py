@@ -34,11 +34,12 @@ def validate(
     ] = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
+    explain: options.Explain = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Run a STUDY: tune on these, score on those, or whatever else its file asks.
+    """Run a STUDY: fit, score held-out insertions, compare, plan, as its file states.
 
     `all` runs the paper's five, and the fits that fill its tuning tables; `everything` all studies there are
     besides, but those whose data are not here.
@@ -48,13 +49,14 @@ def validate(
 
     Ctrl-C once saves what is finished and prints the line that goes on; twice leaves at once.
     """
-    with catch_interrupts() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+    with catch_interrupts(
+        context.find_root().obj
+    ) as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.cli.run_study import plan_studies, run_studies
 
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample)
         todo = plan_studies(study)
-        execution.prepare([*(work.name for work in todo if not work.sampled), *_combined_report_names(study)])
-        execution.prepare([work.name for work in todo if work.sampled], replaces_posterior=True)
+        execution.prepare([*(work.name for work in todo), *_combined_report_names(study)])
         if reference:
             execution.prepare([f"reference/{work.name}" for work in todo], replaces_posterior=True)
         done = run_studies(execution, todo, json)
@@ -77,12 +79,13 @@ def _combined_report_names(study: str) -> list[str]:
 
 
 def _write_combined_report(execution: Execution, study: str, done: "StudyOutcomes", json: bool) -> None:
-    from needlefit.reporting.combined_report import write_combined
-    from needlefit.reporting.score_tables import lay_out_tuning
+    from needlefit.studies.combined_report import write_combined
+    from needlefit.studies.kinds.cross_validation.score_tables import lay_out_tuning
 
     folder = execution.folder(study)
-    write_combined(done.scored, done.tuned, folder, done.analyses)
+    write_combined(done.runs, folder)
     if not json:
+        tuned = [one for one in done.runs if one.kind == "fit"]
         for by in ("layers", "media"):
-            screen.show_display(lay_out_tuning(done.tuned, by))
+            screen.show_display(lay_out_tuning(tuned, by))
         screen.print_line(f"written: {folder}/")

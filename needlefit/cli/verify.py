@@ -1,17 +1,14 @@
-"""`needlefit verify`: is the model solved rightly?"""
+"""`needlefit verify`: test that the model's equations are solved correctly."""
 
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.progress import show_progress
-
-if TYPE_CHECKING:
-    from needlefit.verification.run import Verification
-
+from needlefit.cli.execution import Execution
+from needlefit.cli.show_results import show_result
+from needlefit.project.progress import never_stop
 
 FOLDER = "verification"
 
@@ -20,58 +17,28 @@ def verify(
     context: typer.Context,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random cases.")] = 1,
     out: options.Out = Path("reports"),
+    explain: options.Explain = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
     """Verify the solver: closed forms, observed orders, an independent solution, symmetries.
 
-    Every figure is measured now; none is stored. Prints the table and writes it as CSV, JSON
-    and PDF to OUT/verification/. Exit code 6 where a row fails.
+    All values are measured in this run. Prints the outcome of each group of checks, with --explain every
+    check, and writes CSV, LaTeX, PDF and HTML to OUT/verification/. Exit code 6 if a check fails.
     """
-    from needlefit.project.ownership import require_replaceable
-    from needlefit.reporting.verification import (
-        summarize_verification,
-        tabulate_refinements,
-        tabulate_verification,
-        write_verification,
-    )
-    from needlefit.verification.run import verify as measure
+    from needlefit.studies.kind import find_kind
 
-    folder = out / FOLDER
-    require_replaceable(folder)
-    invocation = context.find_root().obj
-    screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
-    started = time.perf_counter()
-    with show_progress(invocation.quiet) as report:
-        found = measure(seed, progress=report)
-    if invocation.verbose:
-        for trace in found.traces:
+    execution = Execution(context.find_root().obj, out, None, None, False, never_stop)
+    execution.prepare([FOLDER])
+    found = execution.run_and_write(FOLDER, find_kind("verification").make_record(seed=seed))
+    if execution.invocation.verbose:
+        for trace in found.timing.get("traces", ()):
             screen.print_note(trace)
-    write_verification(found, folder, {"seconds": round(time.perf_counter() - started, 2)})
-    if json:
-        screen.show_json(
-            {
-                "seed": seed,
-                "summary": summarize_verification(found),
-                "rows": tabulate_verification(found),
-                "refinements": tabulate_refinements(found),
-            }
-        )
-    else:
-        _show(found, folder)
-    for row in found.failed:
-        screen.print_note(
-            f"needlefit: {row.title}: {row.quantity}: fails{f' ({row.remark})' if row.remark else ''}"
-        )
-    if found.failed:
+    show_result(execution.invocation, found, execution.folder(FOLDER), json)
+    rows = found.frames["verification"]
+    for row in rows[rows["verdict"] == "FAILS"].to_dict("records"):
+        remark = f" ({row['note']})" if row["note"] else ""
+        screen.print_note(f"needlefit: {row['check']}: {row['quantity']}: fails{remark}")
+    if found.faults:
         raise typer.Exit(exit_codes.VERIFICATION_FAILED)
-
-
-def _show(found: "Verification", folder: Path) -> None:
-    from needlefit.reporting.verification import lay_out_verification, summarize_verification
-
-    for part in lay_out_verification(found):
-        screen.show_display(part)
-    screen.print_line(summarize_verification(found))
-    screen.print_line(f"written: {folder}/")

@@ -5,7 +5,7 @@ import signal
 import threading
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,6 +18,7 @@ from needlefit.project.outputs import require_writable
 if TYPE_CHECKING:
     from needlefit.viewer.serving.connections import AccessControl
     from needlefit.viewer.serving.trials import TrialRegistry
+    from needlefit.viewer.viewed_scene import ViewedScene
 
 
 def view(
@@ -33,8 +34,12 @@ def view(
     ] = None,
     recording: Annotated[
         Path | None,
-        typer.Option(metavar="LOG", help="A recording to carry out again, and to go on from; no TARGET."),
+        typer.Option(metavar="LOG", help="A recording to replay and to continue from; no TARGET."),
     ] = None,
+    specimen: Annotated[
+        Literal["new", "same"],
+        typer.Option(help="Whether a run's band takes specimens not tuned on for other ones."),
+    ] = "new",
     port: Annotated[
         int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: one that is free).")
     ] = 0,
@@ -51,14 +56,14 @@ def view(
     needle, as it happens; `needlefit simulate --recording LOG` replays it. Ctrl-C ends.
     """
     if recording is not None and target is not None:
-        raise typer.BadParameter("the recording says what it is about: leave it out", param_hint="TARGET")
+        raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
     import asyncio  # here, since every `--help` would wait for it
     import webbrowser
 
     require_writable(out / "view")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
-    trials = _trials(context.find_root().obj, target, recording, out / "view")
+    trials = _trials(context.find_root().obj, target, recording, out / "view", specimen)
 
     def ready(access: "AccessControl") -> None:
         screen.print_line(access.address)
@@ -89,16 +94,24 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
 
 
 def _trials(
-    invocation: Invocation, target: str | None, recording: Path | None, folder: Path
+    invocation: Invocation,
+    target: str | None,
+    recording: Path | None,
+    folder: Path,
+    specimen: Literal["new", "same"],
 ) -> "TrialRegistry":
     from needlefit.viewer.opening import open_recording, open_target
     from needlefit.viewer.recording import read_recording
     from needlefit.viewer.serving.trials import TrialRegistry
 
     source = None if recording is None else read_recording(recording)
-    shown = open_target(target) if source is None else open_recording(source)
+    shown = open_target(target, specimen=specimen) if source is None else open_recording(source)
     print_warnings(invocation, shown.warnings)
-    return TrialRegistry(shown, folder, lambda insertion: open_target(shown.name, insertion), source)
+
+    def reopen(insertion: str) -> "ViewedScene":
+        return open_target(shown.name, insertion, specimen)
+
+    return TrialRegistry(shown, folder, reopen, source)
 
 
 async def _until_stopped() -> None:

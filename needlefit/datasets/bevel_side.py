@@ -1,6 +1,4 @@
-"""Check whether measured needles bend toward the side their bevel faces, as every needle of the
-model does.
-"""
+"""Check whether measured needles bend toward the side their bevel faces, as the model's needles do."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -9,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from needlefit.datasets.columns import Floats
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.datasets.tip_tracks import TipTrack
@@ -96,9 +94,9 @@ def find_track_bend_side(track: TipTrack, noise: Noise) -> BendSide:
     """
     if track.guided:
         return "unknown"
-    bend, scatter = fit_parabola(track.depth, track.side * track.tip)
+    bend, scatter = fit_parabola(track.depths, track.side * track.tip)
     points = float(np.hypot(noise.point_sd, noise.correlated_sd))
-    limit = max(MIN_BEND_SLOPE * float(track.depth[-1]), SIGNIFICANT_SD * float(np.hypot(scatter, points)))
+    limit = max(MIN_BEND_SLOPE * track.depth, SIGNIFICANT_SD * float(np.hypot(scatter, points)))
     return _classify((bend, limit))
 
 

@@ -9,9 +9,9 @@ import pandas as pd
 
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault, from_error
-from needlefit.datasets.formats import mat, slicer
+from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, read_curve, read_table
-from needlefit.datasets.formats.points import Points
+from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.schemas.dataset import DatasetRecord, FrameRecord, InsertionsRecord
@@ -96,7 +96,7 @@ def _check_constant(long: LongTable, record: InsertionsRecord, found: list[Fault
                         where,
                         f"column `{column}` changes within insertion {name}",
                         "one value",
-                        "fix the cells, or tell the insertions apart by this column too (group_by)",
+                        "fix the cells, or distinguish the insertions by this column too (group_by)",
                     )
                 )
 
@@ -106,7 +106,7 @@ def find_points(
 ) -> tuple[Points | None, list[Fault]]:
     """Return an insertion's points in the world (None after a fault) and the faults of their cells.
 
-    What 3D Slicer wrote stands in the scan, and is brought from there into the world.
+    Points of a format that holds coordinates of the scan are brought from there into the world.
     """
     found: list[Fault] = []
     lines = record.centerlines
@@ -123,21 +123,20 @@ def find_points(
                 ]
             return read_curve(long.part(long.groups[row.id]), lines.columns, found), found
         path = folder / lines.pattern.replace("{id}", row.id)
-        if path.suffix.lower() == ".mat":
-            return _require_finite(mat.read_points(path), found), found
-        if path.suffix.lower() in slicer.SLICER_SUFFIXES:
-            points = slicer.read_points(path)
+        format_ = find_format(path) or FORMATS["csv"]
+        points = format_.read_one(path, lines.columns, found)
+        if points is None or (points := _require_finite(points, found)) is None:
+            return None, found
+        if format_.in_scan:
             patient = row.patient or make_patient_frame(record.frame)
-            return replace(points, values=patient.to_world(points.values)), found
-        return read_curve(read_table(path), lines.columns, found), found
+            points = replace(points, values=patient.to_world(points.values))
+        return points, found
     except DataError as error:
         return None, [*found, from_error(error)]
 
 
 def make_patient_frame(record: FrameRecord) -> Frame:
-    """Return the patient coordinates, as a frame in the world, of scans whose row states no other
-    position.
-    """
+    """Return the patient coordinates, as a frame in the world, of scans whose row states no others."""
     return IDENTITY_FRAME if record.lps_to_world is None else Frame.from_rows(record.lps_to_world)
 
 

@@ -5,12 +5,9 @@ import unicodedata
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
+from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 
-Floats = NDArray[np.float64]
 PoseSource = Literal["stage", "shaft", "fitted", "none"]
 
 POINT_COLUMNS = ("x_mm", "y_mm", "z_mm")
@@ -42,8 +39,11 @@ INSERTION_COLUMNS = (
     ),
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
-"""The columns of `insertions.csv` in the order in which they are written; `BASE_SHIFT_COLUMN` follows where
-any base was moved, and `SCAN_COLUMNS` where any insertion has a motion of its own."""
+"""The columns of `insertions.csv` in the order in which they are written; `SHARED_COLUMN` follows where it is
+stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS` where any insertion has its own motion.
+"""
+
+SHARED_COLUMN = "boundary_shared_sd_mm"
 
 BASE_SHIFT_COLUMN = "base_moved_mm"
 
@@ -94,6 +94,7 @@ class InsertionRow:
     pose_shift_sd: float = 0.0
     pose_angle_sd: float = 0.0
     boundary_sd: float = 0.0
+    boundary_shared_sd: float | None = None
     depth_sd: float = 0.0
     guide_distance: float | None = None
     patient: Frame | None = None

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.compression_loading import (
     SpecimenLoading,
     SpecimenRows,
@@ -23,12 +24,8 @@ from needlefit.project.files import sha256
 from needlefit.project.input_files import is_file
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
-Floats = NDArray[np.float64]
-
 STRESS_UNITS_MPA = {"pa": 1e-6, "kpa": 1e-3, "mpa": 1.0}
 SPECIMEN_COLUMNS = ("sample", "id")
-SIZE_COLUMNS = ("height_mm", "area_mm2", "diameter_mm")
-"""Columns of the specimen's size, which may be filled in its first row only."""
 
 STRETCH_COLUMNS = (("stretch",), ("displacement_mm", "height_mm"))
 FORCE_COLUMNS = (("force_n", "area_mm2"), ("force_n", "diameter_mm"))
@@ -66,9 +63,7 @@ class CompressionColumns:
 def find_columns(
     table: CsvTable, stated: StressMeasure | None, found: list[Fault]
 ) -> CompressionColumns | None:
-    """Return the columns of a compression table, or None after a fault; `stated` is the measure of a column
-    `stress_kpa`.
-    """
+    """Return the columns of a compression table; None after a fault. `stated`: measure of `stress_kpa`."""
     names, where = list(map(str, table.cells.columns)), f"{table.path}:1"
     stretch = _select_columns(
         [option for option in STRETCH_COLUMNS if set(option) <= set(names)], "the stretch", where, found
@@ -192,7 +187,7 @@ def _find_measure(
         found.append(Fault(where, f"`{column}` does not say which stress it is", expected, fix))
     elif named is not None and stated not in (None, named):
         fix = "leave --stress out, or rename the column"
-        what = f"`{column}` is the {named} stress, but --stress says {stated}"
+        what = f"`{column}` is the {named} stress, but --stress is {stated}"
         found.append(Fault(where, what, "one of the two", fix))
         return None
     return named or stated
@@ -204,7 +199,6 @@ class CompressionTest:
 
     Attributes
     ----------
-    path : Path
     digest : str
         SHA-256 of the file.
     measure : "nominal" or "true"

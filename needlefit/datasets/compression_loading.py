@@ -4,11 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.faults import Fault
-
-Floats = NDArray[np.float64]
 
 MIN_STRETCHES = 6
 """Least number of different stretches of a loading: two of them determine mu and alpha."""
@@ -132,7 +130,6 @@ class SpecimenLoading:
 
     Attributes
     ----------
-    name : str
     stretch : (N,) array
         Falling.
     stress : (N,) array
@@ -160,9 +157,7 @@ class SpecimenRows:
 
 
 def find_loading_faults(rows: SpecimenRows) -> list[Fault]:
-    """Return the reasons why the rows are neither a loading, nor a loading and an unloading, in
-    compression.
-    """
+    """Return why the rows are neither a loading, nor a loading and an unloading, in compression."""
     where, name = rows.where[0], rows.name
     if len(np.unique(rows.stretch)) < MIN_STRETCHES:
         what = f"specimen {name} has {len(np.unique(rows.stretch))} different stretches"

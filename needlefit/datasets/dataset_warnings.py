@@ -15,6 +15,7 @@ from needlefit.datasets.columns import (
     POSE_COLUMNS,
     SCAN_COLUMNS,
     SD_COLUMN,
+    SHARED_COLUMN,
 )
 from needlefit.datasets.formats.csv import CsvTable
 from needlefit.datasets.insertion import Insertion, Noise
@@ -58,7 +59,19 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
     """Return the warnings about a `dataset.toml`, without regard to its tables."""
     where = format_place(file)
     found = [*find_placeholder_keys(record, where), *needle_warnings(record.needle, where)]
+    if isinstance(record, DatasetRecord):
+        found += find_assumption_warnings(record, where)
     return [*found, *find_stated_warnings(record.noise, record.needle.length_mm, where)]
+
+
+def find_assumption_warnings(record: DatasetRecord, where: FormatPlace) -> Iterator[ResultWarning]:
+    """Yield a warning if an import assumed values of which its files and its user stated nothing."""
+    decisions = () if record.import_ is None else record.import_.decisions
+    assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
+    if assumed:
+        what = f"the import assumed {'; '.join(assumed)}"
+        fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
+        yield ResultWarning("assumed", what, where("import.decisions"), fix)
 
 
 def find_placeholder_keys(record: SourceRecord, where: FormatPlace) -> Iterator[ResultWarning]:
@@ -146,7 +159,7 @@ def find_insertion_column_warnings(
 ) -> Iterator[ResultWarning]:
     """Yield a warning for each of these columns of the table of insertions that looks mistyped."""
     source = record.insertions
-    ours = [*INSERTION_COLUMNS, BASE_SHIFT_COLUMN, *SCAN_COLUMNS]
+    ours = [*INSERTION_COLUMNS, SHARED_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS]
     if record.frame.pose == "free":
         ours = [name for name in ours if name not in POSE_COLUMNS]
     given = {*source.columns, *source.constants}
@@ -175,7 +188,15 @@ def _find_mistyped(
     """Yield a warning for each name that is not used and is like one of `ours` that is absent."""
     there = set(names)
     absent = [name for name in ours if name not in there]
-    known = {*INSERTION_COLUMNS, BASE_SHIFT_COLUMN, *SCAN_COLUMNS, *POINT_COLUMNS, SD_COLUMN, *used}
+    known = {
+        *INSERTION_COLUMNS,
+        SHARED_COLUMN,
+        BASE_SHIFT_COLUMN,
+        *SCAN_COLUMNS,
+        *POINT_COLUMNS,
+        SD_COLUMN,
+        *used,
+    }
     for name in sorted(there - known):
         closest = max(absent, key=lambda our: _compute_similarity(name, our), default="")
         if closest and _compute_similarity(name, closest) >= MIN_SIMILARITY:

@@ -9,9 +9,7 @@ from needlefit.errors import DataError, NeedlefitError
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault in a dataset: `where` (file, and line if known), `what`, what was `expected`, how to `fix`
-    it.
-    """
+    """One fault in a dataset: `where` (file, line if known), `what`, what was `expected`, how to `fix` it."""
 
     where: str
     what: str

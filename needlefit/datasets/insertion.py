@@ -1,20 +1,27 @@
 """Types of measured data: an insertion, the dataset, its stated measurement errors."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self, cast
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
+from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.dataset import MeasurementRecord
 
-Floats = NDArray[np.float64]
+Pose = Literal["known", "free", "tracker"]
+
+DEFAULT_MEASUREMENT = MeasurementRecord()
 
 
 @dataclass(frozen=True)
@@ -29,12 +36,30 @@ class Noise:
         Standard deviation of independent noise of a centreline point, per axis.
     correlated_sd, correlation_length : float
         Standard deviation per axis and length along the needle of the correlated part.
+    correlation : "exponential" or "matern32"
+        How it falls with the distance: exp(-d / length), errors that are rough; or Matérn's function of order
+        3/2, (1 + z) exp(-z) with z = sqrt(3) d / length, errors that are smooth (Rasmussen & Williams,
+        Gaussian Processes for Machine Learning, 2006, eq. 4.17).
+    heading_sd, slope_sd : float
+        Of tip tracks, rad: standard deviation of a heading, 0 where headings are not used; and of a run's
+        slope in the tracker's frame about that of its session, 0 where every run has its own.
     """
 
     registration_mean: float = 0.0
     point_sd: float = 0.0
     correlated_sd: float = 0.0
     correlation_length: float = 5.0
+    correlation: Literal["exponential", "matern32"] = "exponential"
+    heading_sd: float = 0.0
+    slope_sd: float = 0.0
+
+    def correlate(self, s: Floats) -> Floats:
+        """Return the correlation (K, K) of the correlated part at arc lengths `s` (K,), mm."""
+        apart = np.abs(s[:, None] - s) / self.correlation_length
+        if self.correlation == "matern32":
+            scaled = math.sqrt(3) * apart
+            return (1 + scaled) * np.exp(-scaled)
+        return cast(Floats, np.exp(-apart))
 
     @property
     def stated(self) -> bool:
@@ -74,6 +99,8 @@ class Insertion:
         Layer number (from 1) met in each of the n intervals between boundaries.
     boundary_sd : float
         Standard deviation of the boundaries, mm.
+    boundary_shared_sd : float or None
+        The part of it that all insertions into the specimen share, mm; None where none is stated.
     depth_sd : float
         Standard deviation of `depth`, mm; 0 where none is stated.
     guide_distance : float or None
@@ -86,6 +113,11 @@ class Insertion:
         The patient coordinates (LPS) of its scan in the world.
     base_moved : float
         How far the base was moved across, toward +y of C, after the insertion and before the measurement, mm.
+    sections : SplineSections or None
+        The cross-sections through which a smoothing spline was drawn, world, arc lengths from first contact;
+        where they are known, they are the measurement, and `centerline` is that spline.
+    bevel_factor : float
+        What the needle's bevel offset is multiplied by in this insertion; 1 as measured.
     """
 
     id: str
@@ -111,6 +143,15 @@ class Insertion:
     patient: Frame = IDENTITY_FRAME
     depth_sd: float = 0.0
     base_moved: float = 0.0
+    sections: SplineSections | None = None
+    boundary_shared_sd: float | None = None
+    bevel_factor: float = 1.0
+
+    def with_planar(self, planar: Floats) -> Self:
+        """Return the insertion as if its measured points were `planar` (N, 2), in C's xy plane, alone."""
+        flat = np.zeros(len(planar))
+        world = self.frame.to_world(np.column_stack((planar, flat)))
+        return replace(self, planar=planar, centerline=world, out_of_plane=flat, sections=None)
 
     @property
     def deflection(self) -> float:
@@ -129,7 +170,8 @@ class Dataset:
     media : tuple of str
         Names of the media described; every insertion went into one of them.
     pose : str
-        "known", or "free" where shapes are known only up to a rigid motion.
+        "known"; "free" where shapes are known only up to a rigid motion; "tracker" of tip tracks, which are
+        known up to a shift and a slope of the tracker's frame.
     drop_proximal : float
         Proximal length left out of comparisons of free shapes, mm.
     digest : str
@@ -140,22 +182,95 @@ class Dataset:
         Of the needle, mm, where it is stated.
     warnings : tuple of ResultWarning
         What is suspicious in it, though it can be fitted.
+    remarks : tuple of str
+        What was left out of it, and why.
+    centerline_format : str
+        Name of the file format of its centrelines; empty where they stand in a table.
+    measurement : MeasurementRecord
+        What the measurement does to a shape before its points are stored.
     """
 
     name: str
     title: str
     origin: Literal["measured", "synthetic"]
     needle: Needle
-    insertions: tuple[Insertion, ...]
+    insertions: tuple[Insertion, ...] = field(repr=False)
     media: tuple[str, ...]
     noise: Noise
-    pose: Literal["known", "free"]
+    pose: Pose
     drop_proximal: float
     path: Path
     digest: str
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=(), repr=False)
     outer_diameter: float | None = None
-    warnings: tuple[ResultWarning, ...] = ()
+    warnings: tuple[ResultWarning, ...] = field(default=(), repr=False)
+    remarks: tuple[str, ...] = field(default=(), repr=False)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row per insertion: what it went into, its depth and measured tip deflection (mm)."""
+        rows = [
+            {
+                "insertion": one.id,
+                "medium": one.medium,
+                "specimen": one.specimen,
+                "layers": one.layers,
+                "layers_alternative": one.layers_alternative,
+                "depth_mm": one.depth,
+                "bevel_side": one.side,
+                "deflection_mm": one.deflection,
+                "points": len(one.planar),
+                "pose_source": one.pose_source,
+            }
+            for one in self.insertions
+        ]
+        return pd.DataFrame(rows)
+
+    def _repr_html_(self) -> str:
+        head = f"<h3>{escape(self.title or self.name)}</h3>\n<p>{self.name}: {self.origin.upper()} data</p>\n"
+        notes = "".join(f"<p>{escape(note)}</p>\n" for note in self.notes)
+        return head + notes + str(self.to_frame().round(2).to_html(index=False, max_rows=20))
+
+    centerline_format: str = ""
+    measurement: MeasurementRecord = DEFAULT_MEASUREMENT
+
+
+SHARED_BOUNDARY_SD_MM = 0.1
+"""Deviation of a surface that all insertions into a specimen share, mm, where none is stated; not more than
+the whole deviation of a boundary.
+"""
+
+MIN_OWN_BOUNDARY_SD_MM = 0.02
+"""Least deviation of a boundary in one insertion alone, mm."""
+
+
+def split_boundary_sd(insertion: Insertion) -> tuple[float, float]:
+    """Return the deviations of a boundary that insertions into the specimen share, and of its own, mm.
+
+    Both are 0 where `boundary_sd` is.
+    """
+    whole, stated = insertion.boundary_sd, insertion.boundary_shared_sd
+    if whole == 0:
+        return 0.0, 0.0
+    shared = min(whole, SHARED_BOUNDARY_SD_MM if stated is None else stated)
+    return shared, math.sqrt(max(whole**2 - shared**2, MIN_OWN_BOUNDARY_SD_MM**2))
+
+
+MAX_CENTERLINE_POINTS = 200
+"""A centreline with more points is thinned to about this many."""
+
+
+def select_compared_places(pose: Pose, drop: float, insertion: Insertion) -> tuple[Floats, Floats]:
+    """Return arc lengths along the centreline (K,) and beam coordinates (K,), mm, of the points compared."""
+    along = arc_length(insertion.planar)
+    if pose == "known":
+        at = along * (insertion.depth / along[-1])
+    else:
+        to_tip = along[-1] - along
+        kept = to_tip <= find_free_reach(drop, insertion)
+        along, at = along[kept], insertion.depth - to_tip[kept]
+    step = max(1, math.ceil(len(at) / MAX_CENTERLINE_POINTS))
+    chosen = np.arange(len(at) - 1, -1, -step)[::-1]  # keeps the tip
+    return along[chosen], at[chosen]
 
 
 def find_free_reach(drop: float, insertion: Insertion) -> float:

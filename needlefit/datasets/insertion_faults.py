@@ -6,15 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.columns import Floats, InsertionRow
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.formats.points import Points
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.insertion_table import describe_column
 from needlefit.datasets.layers import select_layers
+from needlefit.datasets.points import Points
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.frames import Frame
+from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import Surface, transform_surface
 from needlefit.project.toml_lines import locate_key
 from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
@@ -169,10 +170,6 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
         )
 
 
-RAS_TO_LPS = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
-"""From RAS to LPS, and back: x and y change their signs."""
-
-
 @dataclass(frozen=True)
 class ListedInsertion:
     """An insertion, and its line in the table."""
@@ -199,9 +196,7 @@ def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
 def find_layer_faults(
     listed: Sequence[ListedInsertion], record: DatasetRecord, file: Path
 ) -> Iterator[Fault]:
-    """Return the insertions that do not meet their listed layers; one reason if all of them miss all
-    surfaces.
-    """
+    """Return the insertions that do not meet their listed layers; one reason if all miss all surfaces."""
     for name in dict.fromkeys(one.insertion.medium for one in listed):
         group = [one for one in listed if one.insertion.medium == name]
         copies = _find_copies(group[0].insertion.surfaces)

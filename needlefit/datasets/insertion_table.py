@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
     BEVEL_COLUMNS,
@@ -19,7 +20,7 @@ from needlefit.datasets.columns import (
     SCAN_COLUMNS,
     SCAN_ROTATION_COLUMNS,
     SCAN_SHIFT_COLUMNS,
-    Floats,
+    SHARED_COLUMN,
     InsertionRow,
 )
 from needlefit.datasets.faults import Fault
@@ -95,7 +96,7 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     shift_sd, angle_sd = column("pose_shift_sd_mm", 0.0), column("pose_angle_sd_deg", 0.0)
     boundary_sd, depth_sd = column("boundary_sd_mm", 0.0), column("depth_sd_mm", 0.0)
     depth, side, guide = column("depth_mm"), column("bevel_side", 1.0), column("guide_distance_mm", math.nan)
-    base_moved = column(BASE_SHIFT_COLUMN, 0.0)
+    base_moved, shared = column(BASE_SHIFT_COLUMN, 0.0), column(SHARED_COLUMN, math.nan)
     sources = text.get("pose_source", blank) if pose_known else ["none"] * len(blank)
     return [
         InsertionRow(
@@ -113,6 +114,7 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
             pose_shift_sd=float(shift_sd[n]),
             pose_angle_sd=math.radians(angle_sd[n]),
             boundary_sd=float(boundary_sd[n]),
+            boundary_shared_sd=None if np.isnan(shared[n]) else float(shared[n]),
             depth_sd=float(depth_sd[n]),
             guide_distance=None if np.isnan(guide[n]) else float(guide[n]),
             patient=_make_patient_frame(turn[n], shift[n]),
@@ -181,6 +183,7 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
         ("pose_shift_sd_mm", row.pose_shift_sd),
         ("pose_angle_sd_deg", row.pose_angle_sd),
         ("boundary_sd_mm", row.boundary_sd),
+        (SHARED_COLUMN, row.boundary_shared_sd or 0.0),
         ("depth_sd_mm", row.depth_sd),
     ):
         if value < 0:
@@ -190,6 +193,13 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
                 "a standard deviation, 0 or more",
                 "remove the sign, or leave the cell empty: 0",
             )
+    if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
+        yield Fault(
+            where,
+            f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}",
+            "the part of boundary_sd_mm that all insertions into the specimen share",
+            "correct one of them, or leave the cell empty",
+        )
     yield from _find_depth_faults(row, where, record)
     yield from _find_pose_faults(row, where, record)
 
@@ -250,7 +260,7 @@ def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> I
             "fill all three, or none",
         )
     if row.patient is not None and np.isnan(row.patient.origin).any():
-        expected = "six numbers, or six empty cells: as [frame] lps_to_world says"
+        expected = "six numbers, or six empty cells: as [frame] lps_to_world states"
         yield Fault(
             where,
             f"{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part",

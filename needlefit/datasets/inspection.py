@@ -1,8 +1,10 @@
 """Read and check all files of a dataset once; the result is the dataset, or all of its faults."""
 
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from needlefit.datasets.centerlines import LongTable, find_points, make_patient_frame, read_long_table
 from needlefit.datasets.dataset_warnings import (
@@ -13,8 +15,15 @@ from needlefit.datasets.dataset_warnings import (
     find_record_warnings,
 )
 from needlefit.datasets.faults import Fault, from_error
+from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import CsvTable, read_table
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, find_free_reach
+from needlefit.datasets.insertion import (
+    DEFAULT_MEASUREMENT,
+    Dataset,
+    Insertion,
+    Noise,
+    find_free_reach,
+)
 from needlefit.datasets.insertion_faults import (
     ListedInsertion,
     find_curve_faults,
@@ -23,6 +32,12 @@ from needlefit.datasets.insertion_faults import (
 )
 from needlefit.datasets.insertion_table import parse_rows
 from needlefit.datasets.layers import SharedSurfaces, make_medium, read_shared_surfaces, reduce_insertion
+from needlefit.datasets.sections import (
+    find_centerline_faults,
+    find_knot_faults,
+    find_sections,
+    locate_sections,
+)
 from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folders
 from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
@@ -31,7 +46,7 @@ from needlefit.project.load import load
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import locate_key
 from needlefit.project.unit_warnings import likely_modulus
-from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord
+from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord, TrackDatasetRecord
 from needlefit.schemas.scene import NeedleRecord
 
 MAX_MODULUS_GPA = 1000.0
@@ -42,9 +57,7 @@ BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leav
 
 @dataclass(frozen=True)
 class Inspection:
-    """The result of reading a dataset: `dataset` is None if there are faults; warnings are possible in either
-    case.
-    """
+    """What reading a dataset gave: `dataset` is None if there are faults; either may come with warnings."""
 
     dataset: Dataset | None
     faults: tuple[Fault, ...]
@@ -68,7 +81,9 @@ def inspect_dataset(path: Path) -> Inspection:
     listed = [one for root in roots for one in _iterate_insertions(record, root, shared, found, unused)]
     found += find_repeated_ids("insertion", (one.insertion.id for one in listed), file)
     found += [*find_layer_faults(listed, record, file), *find_reach_faults(record, listed, file)]
-    found += find_sd_faults(record, listed, file)
+    found += [*find_sd_faults(record, listed, file), *find_track_noise_faults(record, file)]
+    if not found:  # knots are for points that have no fault
+        found += find_knot_faults(record, listed, file)
     warnings = [*find_record_warnings(record, file), *unused]
     if found:
         return make_refusal(found, warnings)
@@ -77,8 +92,20 @@ def inspect_dataset(path: Path) -> Inspection:
     files = {roots[0] / surface.file for surface in shared}
     for root in roots:
         files |= _list_files(record, root, insertions)
-    dataset = _make_dataset(record, file, insertions, compute_digest(file, roots, files))
-    return Inspection(replace(dataset, warnings=tuple(warnings)), (), tuple(warnings))
+    pattern = record.centerlines.pattern
+    format_ = None if pattern is None else find_format(Path(pattern))
+    dataset = make_dataset(
+        record,
+        file,
+        insertions,
+        compute_digest(file, roots, files),
+        pose=record.frame.pose,
+        drop_proximal=record.frame.drop_proximal_mm,
+        centerline_format=format_.name if format_ else "",
+        measurement=record.measurement or DEFAULT_MEASUREMENT,
+        warnings=tuple(warnings),
+    )
+    return Inspection(dataset, (), tuple(warnings))
 
 
 def _iterate_insertions(
@@ -104,13 +131,20 @@ def _iterate_insertions(
                 unused += find_centerline_column_warnings(record, points.columns, points.path)
             headers.add(points.columns)
             faults += find_curve_faults(points, row, record, where)
+        sections, more = find_sections(row, root, record)
+        faults += more
+        if sections is not None and points is not None and not faults:
+            faults += find_centerline_faults(
+                sections, points.values, str(locate_sections(row.id, root, record))
+            )
         found += faults
         medium = make_medium(row, record, root, shared, found)
         # All faults of a row are collected before it is skipped, so that one run lists them all.
         if points is None or faults or medium is None:
             continue
         try:
-            insertion = reduce_insertion(row, points, medium, row.patient or make_patient_frame(record.frame))
+            patient = row.patient or make_patient_frame(record.frame)
+            insertion = reduce_insertion(row, points, medium, patient, sections)
         except DataError as error:
             fault = from_error(error, where)
             found.append(replace(fault, fix=fault.fix or BEVEL_FIX))
@@ -173,10 +207,20 @@ def find_sd_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], fil
             )
 
 
+def find_track_noise_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
+    """Yield the errors that shapes do not have: those of a tracker's readings."""
+    for name in ("heading_sd_deg", "slope_sd_deg"):
+        if getattr(record.noise, name) > 0:
+            yield Fault(
+                locate_key(file, f"noise.{name}"),
+                f"noise.{name} is of tip tracks, and this dataset holds shapes",
+                "pose_angle_sd_deg in the table of insertions, for the direction of an entry pose",
+                "remove the key",
+            )
+
+
 def make_refusal(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:
-    """Return the inspection of a dataset with faults, each once; warnings about places that have a fault are
-    left out.
-    """
+    """Return the inspection of a dataset with faults, each once, without warnings about their places."""
     places = {fault.where for fault in faults}
     remaining = tuple(one for one in warnings if one.where not in places)
     return Inspection(None, tuple(dict.fromkeys(faults)), remaining)
@@ -203,15 +247,19 @@ def _list_files(record: DatasetRecord, root: Path, insertions: list[Insertion]) 
     own |= {
         root / one.file_of(i.id) for i in insertions for one in record.media[i.medium].surfaces if one.own
     }
+    if record.measurement is not None and record.measurement.sections is not None:
+        own |= {locate_sections(i.id, root, record) for i in insertions}
     return tables | {path for path in own if is_file(path)}
 
 
-def _make_dataset(
-    record: DatasetRecord,
+def make_dataset(
+    record: DatasetRecord | TrackDatasetRecord,
     file: Path,
-    insertions: list[Insertion],
+    insertions: Sequence[Insertion],
     digest_: str,
+    **own: Any,  # noqa: ANN401  fields of `Dataset` that only one kind of dataset has
 ) -> Dataset:
+    """Return the dataset of these insertions or tip tracks, as its record describes it."""
     return Dataset(
         name=record.name,
         title=record.title or record.name,
@@ -220,12 +268,11 @@ def _make_dataset(
         insertions=tuple(insertions),
         media=tuple(record.media),
         noise=make_noise(record.noise),
-        pose=record.frame.pose,
-        drop_proximal=record.frame.drop_proximal_mm,
         path=file,
         digest=digest_,
         notes=collect_notes(record.notes, record.needle.note, record.noise.note),
         outer_diameter=record.needle.outer_diameter_mm,
+        **own,
     )
 
 
@@ -238,5 +285,11 @@ def collect_notes(data: str, needle: str, noise: str) -> tuple[str, ...]:
 def make_noise(record: NoiseRecord) -> Noise:
     """Return the measurement errors that a dataset states."""
     return Noise(
-        record.registration_mean_mm, record.point_sd_mm, record.correlated_sd_mm, record.correlation_length_mm
+        record.registration_mean_mm,
+        record.point_sd_mm,
+        record.correlated_sd_mm,
+        record.correlation_length_mm,
+        record.correlation,
+        math.radians(record.heading_sd_deg),
+        math.radians(record.slope_sd_deg),
     )

@@ -1,6 +1,4 @@
-"""Read the layer surfaces of a dataset, find the layers of each insertion, and reduce it to its bending
-plane.
-"""
+"""Read a dataset's layer surfaces, find the layers of each insertion, reduce it to its bending plane."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.columns import Floats, InsertionRow
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault, from_error
-from needlefit.datasets.formats.points import Points
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import find_bending_direction, fit_free_frame
 from needlefit.geometry.frames import Frame, make_entry_frame
+from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface
 from needlefit.project.input_files import is_file
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
@@ -48,9 +48,7 @@ def read_shared_surfaces(record: DatasetRecord, folder: Path, found: list[Fault]
 def make_medium(
     row: InsertionRow, record: DatasetRecord, folder: Path, shared: SharedSurfaces, found: list[Fault]
 ) -> Medium | None:
-    """Return the medium of an insertion, with the surfaces in its own `folder` in place of shared ones; None
-    after a fault.
-    """
+    """Return an insertion's medium, surfaces in its `folder` in place of shared ones; None after a fault."""
     medium = record.media[row.medium]
     surfaces = [
         _read_surface(one, folder / one.file_of(row.id), found) if one.own else shared[one]
@@ -108,9 +106,7 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
 def find_layers(
     centerline: Floats, frame: Frame, surfaces: Sequence[Surface]
 ) -> tuple[Floats, tuple[int, ...]]:
-    """Return the depths (n - 1,) along C's x at which a centreline (N, 3) crosses surfaces, and the
-    n layers.
-    """
+    """Return the depths (n - 1,) along C's x at which a centreline (N, 3) crosses surfaces, and n layers."""
     crossed = find_crossings(centerline, surfaces)
     return compute_depths(crossed.points, frame), crossed.sequence
 
@@ -129,7 +125,13 @@ def select_layers(boundaries: Floats, reach: float) -> tuple[Floats, tuple[int, 
     return depths, tuple(range(1, len(depths) + 2))
 
 
-def reduce_insertion(row: InsertionRow, points: Points, medium: Medium, patient: Frame) -> Insertion:
+def reduce_insertion(
+    row: InsertionRow,
+    points: Points,
+    medium: Medium,
+    patient: Frame,
+    sections: SplineSections | None = None,
+) -> Insertion:
     """Reduce a row without faults to an insertion in its bending plane; `patient` is the pose of its scan in
     the world.
 
@@ -167,12 +169,14 @@ def reduce_insertion(row: InsertionRow, points: Points, medium: Medium, patient:
         boundaries=boundaries,
         sequence=sequence,
         boundary_sd=row.boundary_sd,
+        boundary_shared_sd=row.boundary_shared_sd,
         depth_sd=row.depth_sd,
         guide_distance=row.guide_distance,
         sd=points.sd,
         surfaces=medium.surfaces,
         patient=patient,
         base_moved=row.base_moved,
+        sections=sections,
     )
 
 

@@ -1,18 +1,19 @@
-"""Measurement noise: the noise floor (errors that even perfect parameters would show), and implausible stated
-errors.
-"""
+"""Measurement noise: the noise floor that perfect parameters would show, and implausible stated errors."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from needlefit.datasets.insertion import Dataset, Floats, Insertion, Noise, find_free_reach
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, find_free_reach
 from needlefit.datasets.insertion_faults import ListedInsertion
-from needlefit.geometry.compare import COMPARISON_POINTS, CurveErrors, compare_curves
+from needlefit.geometry.compare import COMPARISON_POINTS, ComparedCurves, compare_curves
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, resample_curve
-from needlefit.geometry.frames import align_rigid
+from needlefit.geometry.frames import align_lateral, align_rigid
+from needlefit.metrics import compute_metrics, list_metrics
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import FormatPlace
 from needlefit.schemas.dataset import DatasetRecord, NoiseRecord
@@ -24,14 +25,8 @@ CUT_TOLERANCE_MM = 1e-3
 """A curve that begins this near to the plane of first contact, mm, was cut there."""
 
 
-@dataclass(frozen=True)
-class NoiseFloor:
-    """Mean errors over draws of the stated noise, mm; NaN where a dataset states none."""
-
-    median_err_mm: float
-    ipe_mean_mm: float
-    ipe_max_mm: float
-    te_mm: float
+NoiseFloor = Mapping[str, float]
+"""Mean error over draws of the stated noise, by metric; NaN where a dataset states no noise."""
 
 
 def estimate_noise_floor(
@@ -46,40 +41,35 @@ def estimate_noise_floor(
     often the same error stated twice. Curves are compared as in a study: at equal fractions of arc length or,
     for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
     """
+    metrics = [metric.name for metric in list_metrics() if metric.has_floor]
     noise = dataset.noise
     shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     angle = insertion.pose_angle_sd
-    if dataset.pose == "free":
+    if dataset.pose != "known":
         shift = angle = 0.0
     if not (shift or angle or noise.point_sd or noise.correlated_sd):
-        return NoiseFloor(math.nan, math.nan, math.nan, math.nan)
+        return dict.fromkeys(metrics, math.nan)
     curve = insertion.planar
     perturbed = (
         curve
         + draw_point_noise(curve, noise, rng, draws)
-        + _displace_by_pose(curve, _find_visible_shifts(curve, shift), angle, rng.normal(size=(draws, 3)))
+        + displace_by_pose(curve, _find_visible_shifts(curve, shift), angle, rng.normal(size=(draws, 3)))
     )
+    if dataset.pose == "tracker":
+        perturbed[..., 0] = curve[:, 0]  # depths are known; the best shift and slope are taken off
+        perturbed = align_lateral(perturbed, curve)
     free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
-    errors = [_compare_measured(curve, again, free) for again in perturbed]
-    return NoiseFloor(
-        median_err_mm=float(np.mean([e.median for e in errors])),
-        ipe_mean_mm=float(np.mean([e.mean for e in errors])),
-        ipe_max_mm=float(np.mean([e.maximum for e in errors])),
-        te_mm=float(np.mean([e.te for e in errors])),
-    )
+    compare = compare_curves if dataset.pose == "tracker" else partial(_compare_measured, length=free)
+    errors = [compute_metrics(compare(again, curve)) for again in perturbed]
+    return {name: float(np.mean([row[name] for row in errors])) for name in metrics}
 
 
 def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
-    """Draw noise of the points of `curve` (N, d): an independent part, and one correlated as exp(-|ds| /
-    length).
-
-    Shape (draws, N, d), mm.
-    """
+    """Draw noise (draws, N, d), mm, of the points of `curve` (N, d): an independent and a correlated part."""
     s = arc_length(curve)
     independent = noise.point_sd * rng.normal(size=(draws, *curve.shape))
     # A Cholesky root of the correlation matrix turns independent draws into correlated ones.
-    decay = np.exp(-np.abs(s[:, None] - s) / noise.correlation_length)  # (N, N)
-    root = noise.correlated_sd * np.linalg.cholesky(decay)
+    root = noise.correlated_sd * np.linalg.cholesky(noise.correlate(s))
     drawn: Floats = independent + root @ rng.normal(size=(draws, *curve.shape))
     return drawn
 
@@ -90,14 +80,14 @@ def _find_visible_shifts(curve: Floats, shift: float) -> Floats:
     return np.array([0.0 if cut else shift, shift])
 
 
-def _displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats) -> Floats:
+def displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats) -> Floats:
     """Return the displacement (draws, N, 2) of small motions about C's origin, from `normal` (draws, 3)."""
     perpendicular = np.column_stack([-curve[:, 1], curve[:, 0]])  # (N, 2)
     displaced: Floats = shifts * normal[:, None, :2] + angle * normal[:, 2, None, None] * perpendicular
     return displaced
 
 
-def _compare_measured(curve: Floats, again: Floats, length: float | None) -> CurveErrors:
+def _compare_measured(again: Floats, curve: Floats, length: float | None) -> ComparedCurves:
     """Compare at equal fractions, or along `length` from the tip after alignment."""
     if length is None:
         fractions = np.linspace(0, 1, COMPARISON_POINTS)
@@ -191,9 +181,7 @@ def _compare_registration(
 def find_spacing_warnings(
     noise: Noise, depths: Sequence[Floats], where: FormatPlace
 ) -> Iterator[ResultWarning]:
-    """Yield a warning if the correlation length is shorter than the distance of points, at `depths` (N,)
-    each.
-    """
+    """Yield a warning if the correlation length is below the distance of points, at `depths` (N,) each."""
     if noise.correlated_sd <= 0 or not depths:
         return
     spacing = min(float(np.median(np.abs(np.diff(one)))) for one in depths)

@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-from needlefit.datasets import inspection
 from needlefit.datasets import tip_track_table as tracks
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.insertion import Dataset
-from needlefit.datasets.inspection import inspect_dataset
+from needlefit.datasets.inspection import Inspection, inspect_dataset
 from needlefit.datasets.sources import find_dataset_file
 from needlefit.datasets.tip_track_table import holds_tracks
 from needlefit.errors import DataError
@@ -14,7 +13,26 @@ from needlefit.project.result_warnings import ResultWarning
 
 
 def read(path: Path) -> Dataset:
-    """Return the dataset whose folder or `dataset.toml` is `path`.
+    """Return the dataset, of shapes or tip tracks, whose folder or `dataset.toml` is `path`.
+
+    Raises
+    ------
+    DataError
+        Listing every fault that `check` finds.
+    """
+    found = inspect(path)
+    if found.dataset is None:
+        raise as_error(found.faults, find_dataset_file(path))
+    return found.dataset
+
+
+def inspect(path: Path) -> Inspection | tracks.TrackInspection:
+    """Return the dataset whose folder or `dataset.toml` is `path`, or its faults, and its warnings."""
+    return tracks.inspect_tracks(path) if holds_tracks(path) else inspect_dataset(path)
+
+
+def read_shapes(path: Path) -> Dataset:
+    """Return `read(path)` for what works on whole shapes alone.
 
     Raises
     ------
@@ -26,15 +44,12 @@ def read(path: Path) -> Dataset:
             "holds tip tracks, no shapes",
             where=str(find_dataset_file(path)),
             expected="a dataset with [centerlines]",
-            fix='fit it by a study with `observable = "tip tracks"`',
+            fix="tune, identify, calibrate and predict take it; this does not",
         )
-    found = inspect_dataset(path)
-    if found.dataset is None:
-        raise as_error(found.faults, find_dataset_file(path))
-    return found.dataset
+    return read(path)
 
 
-__all__ = ["Fault", "check", "check_all", "read"]
+__all__ = ["Fault", "check", "check_all", "inspect", "read", "read_shapes"]
 
 
 def check(path: Path) -> list[Fault]:
@@ -44,5 +59,5 @@ def check(path: Path) -> list[Fault]:
 
 def check_all(path: Path) -> tuple[list[Fault], list[ResultWarning]]:
     """Return all faults of a dataset, which prevent a fit, and all warnings, which do not."""
-    found = tracks.inspect_tracks(path) if tracks.holds_tracks(path) else inspection.inspect_dataset(path)
+    found = inspect(path)
     return list(found.faults), list(found.warnings)

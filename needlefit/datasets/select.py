@@ -2,7 +2,10 @@
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError
 from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.toml_lines import add_key_context
@@ -27,7 +30,7 @@ def select_insertions(
     """
     known = dataset.insertions
     with add_key_context(f"{key}.medium"):
-        _require_known("medium", [selection.medium] if selection.medium else (), dataset.media)
+        _require_known("medium", _list_media(selection) or (), dataset.media)
     with add_key_context(f"{key}.specimens"):
         _require_known("specimen", selection.specimens or (), {insertion.specimen for insertion in known})
     with add_key_context(f"{key}.insertions"):
@@ -59,13 +62,26 @@ def get_other_rule(layer_count_rule: LayerCountRule) -> LayerCountRule:
 def _matches(insertion: Insertion, selection: SelectionRecord, layer_count_rule: LayerCountRule) -> bool:
     low, high = selection.depth_min_mm, selection.depth_max_mm
     return (
-        (selection.medium is None or insertion.medium == selection.medium)
+        (selection.medium is None or insertion.medium in _list_media(selection))
         and (selection.layers is None or count_layers(insertion, layer_count_rule) in selection.layers)
         and (selection.specimens is None or insertion.specimen in selection.specimens)
         and (selection.insertions is None or insertion.id in selection.insertions)
         and (low is None or insertion.depth >= low)
         and (high is None or insertion.depth <= high)
+        and (
+            selection.guided is None
+            or (isinstance(insertion, TipTrack) and insertion.guided == selection.guided)
+        )
     )
+
+
+def _is_guided(insertion: Insertion) -> bool | None:
+    return insertion.guided if isinstance(insertion, TipTrack) else None
+
+
+def _list_media(selection: SelectionRecord) -> tuple[str, ...]:
+    wanted = selection.medium
+    return (wanted,) if isinstance(wanted, str) else (wanted or ())
 
 
 def _format_key(key: str, value: object) -> str:
@@ -115,3 +131,37 @@ def group_independent(insertions: Sequence[str], specimens: Sequence[str]) -> tu
     everything went into a few pieces, the insertions are all there is.
     """
     return tuple(specimens) if len(set(specimens)) >= MIN_GROUPS else tuple(insertions)
+
+
+def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
+    """Return which insertions of a dataset are one insertion, measured at several depths, by their ids.
+
+    Of each its specimen, and a number in it. They went into one of several specimens (`group_independent`, of
+    one medium) with the bevel on the same side, to different depths, and from one place where that is known.
+    A tip track is a whole insertion.
+    """
+    found: dict[str, tuple[str, int]] = {}
+    for medium in dict.fromkeys(one.medium for one in dataset.insertions):
+        into = [one for one in dataset.insertions if one.medium == medium and not isinstance(one, TipTrack)]
+        if len({one.specimen for one in into}) < MIN_GROUPS:
+            continue
+        holes: list[list[Insertion]] = []
+        for one in into:
+            own = next((hole for hole in holes if _is_one_hole(dataset, hole, one)), None)
+            if own is None:
+                holes.append([one])
+            else:
+                own.append(one)
+        for number, hole in enumerate(holes):
+            found |= {one.id: (one.specimen, number) for one in hole if len(hole) > 1}
+    return found
+
+
+def _is_one_hole(dataset: Dataset, hole: Sequence[Insertion], other: Insertion) -> bool:
+    one = hole[0]
+    return (
+        one.specimen == other.specimen
+        and one.side == other.side
+        and all(part.depth != other.depth for part in hole)
+        and (dataset.pose != "known" or np.array_equal(one.frame.rows, other.frame.rows))
+    )

@@ -1,21 +1,19 @@
-"""Create a dataset: an example to overwrite, or one converted from centrelines in a CSV, MATLAB or Slicer
-file.
-"""
+"""Create a dataset: an example to overwrite, or one converted from CSV, MATLAB or Slicer centrelines."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN, Floats, InsertionRow
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.dataset_warnings import PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats import mat, slicer
-from needlefit.datasets.formats.csv import read_curve, read_table
-from needlefit.datasets.formats.points import Points
+from needlefit.datasets.formats import FORMATS, find_format, list_suffixes
 from needlefit.datasets.insertion_faults import MIN_POINTS
+from needlefit.datasets.points import Points
 from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
@@ -26,15 +24,6 @@ from needlefit.project.input_files import is_file
 from needlefit.project.locate import join_names
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault, require_file_name
-
-SOURCE_HELP = (
-    "--from reads a CSV with the columns x_mm, y_mm, z_mm, sd_mm if known and, for more than one curve, id "
-    "(without id the whole table is one curve; other columns are ignored), the N x 3 arrays of a .mat, or "
-    "the curves and point lists of a .mrk.json or .fcsv of 3D Slicer (LPS)"
-)
-
-ReadCurves = tuple[Mapping[str, Points], Sequence[str]]
-"""Curves by the names that a file gives them, and remarks on how it was read."""
 
 MAX_SHOWN_NAME_CHARS, MAX_SHOWN_NAMES = 80, 5
 """Characters of a name, and names, that a message shows."""
@@ -62,21 +51,25 @@ class CurveSource:
 
 
 def read_source(path: Path) -> CurveSource:
-    """Read every centreline of a CSV, .mat, .mrk.json or .fcsv file.
+    """Read every centreline of a file of any of the file formats.
 
     Raises
     ------
     DataError
         If the file is missing, of another kind, or without usable curves; the message lists what is read.
     """
-    suffix = path.suffix.lower()
-    if suffix not in READERS:
-        expected = ", ".join(READERS)
-        raise DataError(f"has the ending {suffix!r}", where=str(path), expected=expected, fix=SOURCE_HELP)
+    format_ = find_format(path)
+    if format_ is None:
+        raise DataError(
+            f"has the ending {path.suffix!r}",
+            where=str(path),
+            expected=list_suffixes(),
+            fix=_describe_sources(),
+        )
     try:
-        curves, notes = READERS[suffix](path)
+        curves, notes = format_.read_curves(path)
     except DataError as error:
-        fix = "check the path" if not is_file(path) else error.fix or SOURCE_HELP
+        fix = "check the path" if not is_file(path) else error.fix or _describe_sources()
         raise DataError(error.what, where=error.where, expected=error.expected, fix=fix) from None
     found = [fault for name, points in curves.items() for fault in _find_unusable(name, points)]
     if found:
@@ -88,50 +81,13 @@ def read_source(path: Path) -> CurveSource:
     return CurveSource(path, named, tuple(notes))
 
 
-def _read_matlab(path: Path) -> ReadCurves:
-    return mat.read_curves(path), ()
-
-
-def _read_slicer(path: Path) -> ReadCurves:
-    """Return the lists of a Slicer file; points that were never placed are reported."""
-    unset = sum(len(one.unset) for one in slicer.read_lists(path))
-    notes = [f"{unset} points without a position ignored"] if unset else []
-    return slicer.read_curves(path), notes
-
-
-def _read_curve_table(path: Path) -> ReadCurves:
-    """Return the curves of a long table by its column `id`; without one, all rows are one curve."""
-    table = read_table(path)
-    found: list[Fault] = []
-    points = read_curve(table, {}, found)
-    if points is None:
-        raise as_error([_drop_mapping_fix(fault) for fault in found], table.path)
-    ignored = [f"`{name}`" for name in table.cells if name not in ("id", *POINT_COLUMNS, SD_COLUMN)]
-    notes = [f"column{'s' if len(ignored) > 1 else ''} {', '.join(ignored)} ignored"] if ignored else []
-    if "id" not in table.cells:
-        notes.append(f"no column `id`: all {len(points.values)} rows are one curve")
-        return {table.path.stem: points}, notes
-    ids = table.cells["id"]
-    rows = {str(name): np.flatnonzero((ids == name).to_numpy()) for name in ids.unique()}
-    return {name: points.part(n) for name, n in rows.items()}, notes
-
-
-READERS: Mapping[str, Callable[[Path], ReadCurves]] = {
-    ".csv": _read_curve_table,
-    ".mat": _read_matlab,
-    **dict.fromkeys(slicer.SLICER_SUFFIXES, _read_slicer),
-}
-"""The function that reads a file, by suffix."""
-
-
-def _drop_mapping_fix(fault: Fault) -> Fault:
-    """Return a fault with a fix for `--from`, where a dataset.toml and its `columns` do not exist yet."""
-    return replace(fault, fix=f"rename it; {SOURCE_HELP}") if "is missing" in fault.what else fault
+def _describe_sources() -> str:
+    return f"--from reads {', or '.join(one.description for one in FORMATS.values())}"
 
 
 def _find_unusable(name: str, points: Points) -> list[Fault]:
     if len(points.values) < MIN_POINTS:
-        fix = f"sample the needle more densely; {SOURCE_HELP}"
+        fix = f"sample the needle more densely; {_describe_sources()}"
         what = f"curve {name} has only {len(points.values)} points"
         return [Fault(points.where(), what, f"at least {MIN_POINTS}", fix)]
     bad = points.unusable()

@@ -1,15 +1,16 @@
 """Read a dataset of tip tracks: its table of readings, with all faults."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.bevel_side import BendResult, find_side_warnings, find_track_bend_side
 from needlefit.datasets.dataset_warnings import find_placeholder_cells, find_record_warnings
-from needlefit.datasets.faults import Fault, as_error, from_error
+from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.formats.csv import (
     MISSING_COLUMN_FIX,
     CsvTable,
@@ -17,20 +18,18 @@ from needlefit.datasets.formats.csv import (
     parse_numbers,
     read_table,
 )
-from needlefit.datasets.inspection import collect_notes, find_needle_faults, find_repeated_ids, make_noise
+from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.inspection import find_needle_faults, find_repeated_ids, make_dataset, make_noise
 from needlefit.datasets.noise import find_spacing_warnings
 from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folders
-from needlefit.datasets.tip_tracks import TipTrack, TrackDataset
+from needlefit.datasets.tip_tracks import TipReadings, TipTrack, make_track
 from needlefit.errors import ConfigError, DataError
-from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load, read_toml
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import locate_key
 from needlefit.project.unit_warnings import format_place, layer_warnings
 from needlefit.schemas.dataset import TrackDatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
-
-Floats = NDArray[np.float64]
 
 REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
 OPTIONAL_TRACK_COLUMNS = {"heading_deg": np.nan, "bevel_side": 1.0, "valid": 1.0}
@@ -62,9 +61,7 @@ class _RunRows:
 
 
 def parse_tracks(table: CsvTable, record: TrackDatasetRecord, found: list[Fault]) -> ParsedTracks:
-    """Return the runs of a table; note every fault. A run with a reading marked invalid is left out as a
-    whole.
-    """
+    """Return the runs of a table; note every fault. A run with a reading marked invalid is left out."""
     before, tracks, remarks = len(found), [], []
     for run in _iterate_runs(table, record, found):
         bad = np.flatnonzero(run.values["valid"] == 0)
@@ -166,25 +163,23 @@ def _find_run_faults(run: _RunRows, table: CsvTable, record: TrackDatasetRecord)
 def _make_track(run: _RunRows, record: TrackDatasetRecord) -> TipTrack:
     medium, values = record.media[run.medium], run.values
     heading = np.radians(values["heading_deg"])
-    return TipTrack(
-        id=run.id,
-        medium=run.medium,
-        specimen=medium.specimen or run.medium,
-        side=int(values["bevel_side"][0]),
+    readings = TipReadings(
         depth=values["depth_mm"] - values["depth_mm"][0],
         tip=values["tip_mm"],
         guide=values["guide_mm"] - values["guide_mm"][0],
-        boundaries=np.array(medium.boundaries_mm),
-        sequence=medium.layers,
         heading=None if np.isnan(heading).any() else heading,
     )
+    return make_track(
+        run.id, run.medium, medium.specimen or run.medium, int(values["bevel_side"][0]), readings,
+        (np.array(medium.boundaries_mm), medium.layers),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class TrackInspection:
     """The result of reading a dataset of tip tracks: `dataset` is None if there are faults."""
 
-    dataset: TrackDataset | None
+    dataset: Dataset | None
     faults: tuple[Fault, ...]
     warnings: tuple[ResultWarning, ...] = ()
 
@@ -195,20 +190,6 @@ def holds_tracks(path: Path) -> bool:
         return "tip_tracks" in read_toml(find_dataset_file(path))
     except ConfigError:
         return False  # whoever reads it says what is wrong
-
-
-def read_tracks(path: Path) -> TrackDataset:
-    """Return the tip tracks of the dataset whose folder or `dataset.toml` is `path`.
-
-    Raises
-    ------
-    DataError
-        Listing every fault.
-    """
-    found = inspect_tracks(path)
-    if found.dataset is None:
-        raise as_error(found.faults, find_dataset_file(path))
-    return found.dataset
 
 
 def inspect_tracks(path: Path) -> TrackInspection:
@@ -240,7 +221,8 @@ def inspect_tracks(path: Path) -> TrackInspection:
         return TrackInspection(None, tuple(dict.fromkeys(found)), tuple(warnings))
     warnings += _find_run_warnings(record, tracks, file, str(tables[0].path))
     sum_ = compute_digest(file, roots, [table.path for table in tables])
-    dataset = replace(_make_dataset(record, file, tracks, remarks, sum_), warnings=tuple(warnings))
+    own = {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks), "warnings": tuple(warnings)}
+    dataset = make_dataset(record, file, tracks, sum_, **own)
     return TrackInspection(dataset, (), tuple(warnings))
 
 
@@ -265,28 +247,10 @@ def _find_run_warnings(
     ]
     yield from find_side_warnings(bend_results, column, "runs")
     yield from find_spacing_warnings(
-        make_noise(record.noise), [one.depth for one in tracks], format_place(file)
+        make_noise(record.noise), [one.depths for one in tracks], format_place(file)
     )
     for name, medium in record.media.items():
-        depths = [float(one.depth[-1]) for one in tracks if one.medium == name]
+        depths = [one.depth for one in tracks if one.medium == name]
         if medium.boundaries_mm and depths:
             key = f"media.{name}.boundaries_mm"
             yield from layer_warnings(medium.boundaries_mm, max(depths), format_place(file), key)
-
-
-def _make_dataset(
-    record: TrackDatasetRecord, file: Path, tracks: list[TipTrack], remarks: list[str], digest_: str
-) -> TrackDataset:
-    return TrackDataset(
-        name=record.name,
-        title=record.title or record.name,
-        origin=record.origin,
-        needle=Needle.from_record(record.needle),
-        tracks=tuple(tracks),
-        media=tuple(record.media),
-        noise=make_noise(record.noise),
-        path=file,
-        digest=digest_,
-        notes=collect_notes(record.notes, record.needle.note, record.noise.note),
-        remarks=tuple(remarks),
-    )

@@ -1,57 +1,65 @@
-"""Measured tip tracks: one run (tip and guide at each depth), the dataset of runs, and their selection."""
+"""Measured tip tracks: insertions of which the tip was measured at some depths."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from needlefit.datasets.insertion import Noise
-from needlefit.errors import ConfigError
-from needlefit.mechanics.needle import Needle
-from needlefit.project.locate import join_names, sort_by_similarity
-from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.study import TrackSelectionRecord
-
-Floats = NDArray[np.float64]
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.geometry.frames import IDENTITY_FRAME
 
 GUIDE_STILL_MM = 0.05
 """A guide that moved by less than this, mm, counts as fixed: stages jitter."""
 
 
-@dataclass(frozen=True)
-class TipTrack:
-    """One insertion of which the tip was measured at some depths; the first reading is first contact.
+class TipReadings(NamedTuple):
+    """The readings of a run; the first is first contact.
 
     Attributes
     ----------
-    id, medium, specimen : str
-        `specimen` is the piece punctured; runs into one piece are no independent ones.
-    side : int
-        The side that the bevel faces, +1: toward greater `tip`.
     depth : (n,) array
         Inserted length at each reading, mm, from 0.
     tip : (n,) array
         Lateral place of the tip in the tracker's frame, mm: known up to a shift and a slope.
     guide : (n,) array
         Lateral place of the guide on the way to each reading, mm, from where it stood at the first.
-    boundaries, sequence : (m - 1,) array, m layer numbers
-        Depths between the layers met, mm, and which layers of the medium they are.
     heading : (n,) array or None
-        Direction of the tip as the tracker reports it, rad; kept, not fitted.
+        Direction of the tip as the tracker reports it, rad.
     """
 
-    id: str
-    medium: str
-    specimen: str
-    side: int
     depth: Floats
     tip: Floats
     guide: Floats
-    boundaries: Floats
-    sequence: tuple[int, ...]
     heading: Floats | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TipTrack(Insertion):
+    """An insertion that was observed by its tip on the way, not by its shape at the end.
+
+    `planar` (n, 2) holds the depth and the tip of each reading, mm; `depth` is that of the last one. The
+    `specimen` is the piece punctured; runs into one piece are no independent ones.
+
+    Attributes
+    ----------
+    guide : (n,) array
+    heading : (n,) array or None
+        See `TipReadings`.
+    """
+
+    guide: Floats
+    heading: Floats | None = None
+
+    @property
+    def depths(self) -> Floats:
+        """Inserted length at each reading, (n,) mm."""
+        return self.planar[:, 0]
+
+    @property
+    def tip(self) -> Floats:
+        """Lateral place of the tip at each reading in the tracker's frame, (n,) mm."""
+        return self.planar[:, 1]
 
     @property
     def guided(self) -> bool:
@@ -59,56 +67,24 @@ class TipTrack:
         return bool(np.ptp(self.guide) > GUIDE_STILL_MM)
 
 
-@dataclass(frozen=True)
-class TrackDataset:
-    """Runs with one needle; `remarks` lists the runs left out, with reasons."""
+def make_track(
+    name: str,
+    medium: str,
+    specimen: str,
+    side: int,
+    readings: TipReadings,
+    layers: tuple[Floats, tuple[int, ...]],
+) -> TipTrack:
+    """Return a run whose bevel faces `side` (+1: toward greater tip).
 
-    name: str
-    title: str
-    origin: Literal["measured", "synthetic"]
-    needle: Needle
-    tracks: tuple[TipTrack, ...]
-    media: tuple[str, ...]
-    noise: Noise
-    path: Path
-    digest: str
-    notes: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
-    warnings: tuple[ResultWarning, ...] = ()
-
-
-def select_runs(dataset: TrackDataset, wanted: TrackSelectionRecord) -> tuple[TipTrack, ...]:
-    """Return the runs that match every key of `wanted`, in the dataset's order.
-
-    Raises
-    ------
-    ConfigError
-        If a medium or run is unknown, or none is left.
+    `layers` are the boundaries (m - 1,), mm, and the m layer numbers between them.
     """
-    for kind, names, known in (
-        ("medium", wanted.media, dataset.media),
-        ("run", wanted.runs, tuple(track.id for track in dataset.tracks)),
-    ):
-        for name in names:
-            if name not in known:
-                raise ConfigError(
-                    f"{kind} {name} is not in dataset {dataset.name}, or is left out",
-                    expected=f"one of {join_names(sort_by_similarity(name, known))}",
-                    fix="correct the selection",
-                )
-    chosen = tuple(track for track in dataset.tracks if _matches(track, wanted))
-    if not chosen:
-        raise ConfigError(
-            f"no run of dataset {dataset.name} meets {wanted.model_dump(exclude_defaults=True)}",
-            expected="a selection that leaves at least one",
-            fix="widen or correct the selection",
-        )
-    return chosen
-
-
-def _matches(track: TipTrack, wanted: TrackSelectionRecord) -> bool:
-    return (
-        (not wanted.media or track.medium in wanted.media)
-        and (not wanted.runs or track.id in wanted.runs)
-        and (wanted.guided is None or track.guided == wanted.guided)
-    )
+    boundaries, sequence = layers
+    planar, flat = np.column_stack([readings.depth, readings.tip]), np.zeros(len(readings.depth))
+    return TipTrack(
+        id=name, medium=medium, specimen=specimen, layers=len(sequence), layers_alternative=len(sequence),
+        depth=float(readings.depth[-1]), side=side, frame=IDENTITY_FRAME, pose_source="none",
+        pose_shift_sd=0.0, pose_angle_sd=0.0, centerline=np.column_stack([planar, flat]), planar=planar,
+        out_of_plane=flat, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
+        guide=readings.guide, heading=readings.heading,
+    )  # fmt: skip

@@ -8,19 +8,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
     INSERTION_COLUMNS,
     POINT_COLUMNS,
     SCAN_COLUMNS,
     SD_COLUMN,
-    Floats,
+    SHARED_COLUMN,
     InsertionRow,
 )
-from needlefit.datasets.formats.toml import dumps
+from needlefit.datasets.sections import format_sections
 from needlefit.errors import DataError
+from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface, write_surface
 from needlefit.project.files import sha256
+from needlefit.project.toml_text import dumps
 from needlefit.schemas.dataset import DatasetRecord
 
 
@@ -31,6 +34,7 @@ def write_dataset(
     centerlines: Mapping[str, ArrayLike],
     surfaces: Mapping[str, Surface] | None = None,
     checksums: bool = True,
+    sections: Mapping[str, SplineSections] | None = None,
 ) -> Path:
     """Write a dataset into `folder` and return its `dataset.toml`.
 
@@ -49,6 +53,8 @@ def write_dataset(
         where the name holds `{id}`.
     checksums : bool
         False for files that are there to be edited.
+    sections : mapping of id to SplineSections
+        Of every row, world, where `record.measurement.sections` names files of them.
 
     Notes
     -----
@@ -61,10 +67,13 @@ def write_dataset(
     DataError
         If a row has no centreline, or a surface that the record names is not given.
     """
-    surfaces = surfaces or {}
+    surfaces, sections = surfaces or {}, sections or {}
     table, pattern = _get_file_names(folder, record)
     _require_files(folder, record, rows, {*centerlines, *surfaces})
     files = {table: _format_rows(rows)}
+    drawn = None if record.measurement is None else record.measurement.sections
+    if drawn is not None:
+        files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
     files |= {pattern.replace("{id}", row.id): _format_points(centerlines[row.id]) for row in rows}
     for name, text in files.items():
         _write_text(folder / name, text)
@@ -111,6 +120,9 @@ def _write_text(path: Path, text: str) -> None:
 
 def _format_rows(rows: Sequence[InsertionRow]) -> str:
     lines: list[tuple[str, ...]] = [INSERTION_COLUMNS, *map(_format_cells, rows)]
+    if any(row.boundary_shared_sd is not None for row in rows):
+        stated = ["" if (sd := row.boundary_shared_sd) is None else _format_number(sd) for row in rows]
+        lines = [(*line, more) for line, more in zip(lines, [SHARED_COLUMN, *stated], strict=True)]
     if any(row.base_moved for row in rows):
         lines = [
             (*line, more)

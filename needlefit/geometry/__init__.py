@@ -1,3 +1,1 @@
-"""Geometry without needles or files: frames, curves, surfaces, meshes, crossings, comparison of two
-curves.
-"""
+"""Geometry without needles or files: frames, curves, surfaces, meshes, crossings, comparison of curves."""

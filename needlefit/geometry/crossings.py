@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
-from needlefit.geometry.frames import Floats
 from needlefit.geometry.surfaces import Surface
 
 SAME_HIT_MM = 1e-6
@@ -89,9 +89,7 @@ def find_surface_hits(curve: Floats, surface: Surface) -> Floats:
 
 
 def count_ray_hits(start: Floats, rays: Floats, triangles: Floats) -> int:
-    """Return how many of the segments from `start` (3,) along `rays` (N, 3) hit one of the triangles (M, 3,
-    3).
-    """
+    """Return how many segments from `start` (3,) along `rays` (N, 3) hit one of the triangles (M, 3, 3)."""
     segment, _, _ = _intersect(np.broadcast_to(start, rays.shape), rays, triangles)
     return len(np.unique(segment))
 

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
-
-Floats = NDArray[np.float64]
 
 
 def arc_length(points: ArrayLike) -> Floats:
@@ -75,9 +74,6 @@ def fit_free_frame(centerline: ArrayLike) -> Frame:
     origin = points[0] - ((points[0] - centre) @ normal) * normal
     return make_entry_frame(origin, along + slope * across, side * across)
 
-
-BASELINE_COEFFICIENTS = {"straight": 0, "constant_curvature": 1, "linear_curvature": 2}
-"""Each curve's name and how many coefficients it has."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.schemas.recording import PlacementRecord
-
-Floats = NDArray[np.float64]
 
 PARALLEL_SINE = 1e-6
 """Sine of the angle under which two directions count as parallel."""
@@ -50,6 +49,12 @@ class Frame:
         """Return `points` (N, 3), given in this frame, in world coordinates."""
         world: Floats = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.origin
         return world
+
+
+def apply_affine(matrix: Floats, points: ArrayLike) -> Floats:
+    """Return `points` (N, 3) moved by an affine map (4, 4), which need not be rigid."""
+    moved: Floats = np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    return moved
 
 
 def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
@@ -113,6 +118,30 @@ def differentiate_align_rigid(moving: ArrayLike, fixed: ArrayLike, slopes: Float
     return derivatives
 
 
+def make_tracker_columns(depth: Floats) -> Floats:
+    """Return the change (N, 2) of lateral places at `depth` (N,) by a unit shift (mm) and a unit slope."""
+    return np.column_stack([np.ones(len(depth)), depth])
+
+
+def align_lateral(moving: Floats, fixed: Floats) -> Floats:
+    """Return `moving` (..., N, 2) after the shift and slope of its y that bring it closest to `fixed` (N, 2).
+
+    So are two tip tracks compared, whose tracker's frame is not known; x, the depth, is the same in both.
+    """
+    columns = np.linalg.qr(make_tracker_columns(fixed[:, 0]))[0]
+    aligned = moving.copy()
+    aligned[..., 1] += (fixed[:, 1] - moving[..., 1]) @ columns @ columns.T
+    return aligned
+
+
+def differentiate_align_lateral(fixed: Floats, slopes: Floats) -> Floats:
+    """Return the derivatives (N, 2, P) of `align_lateral(moving, fixed)`, given those of `moving`."""
+    columns = np.linalg.qr(make_tracker_columns(fixed[:, 0]))[0]
+    derivatives = slopes.copy()
+    derivatives[:, 1] -= columns @ (columns.T @ slopes[:, 1])
+    return derivatives
+
+
 PatientSystem = Literal["LPS", "RAS"]
 
 AXIS_SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
@@ -120,6 +149,9 @@ AXIS_SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
 
 IDENTITY_FRAME = Frame(np.zeros(3), np.eye(3))
 """The patient's frame where world coordinates are patient coordinates."""
+
+RAS_TO_LPS = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
+"""From RAS to LPS, and back: x and y change their signs."""
 
 
 def to_lps(points: ArrayLike, system: PatientSystem) -> Floats:

@@ -9,11 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import Surface
-
-Floats = NDArray[np.float64]
 
 TUBE_FACETS = 12
 """Number of corners of a tube's cross-section."""

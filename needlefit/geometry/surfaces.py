@@ -16,8 +16,9 @@ from scipy.sparse.csgraph import connected_components
 
 from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
-from needlefit.geometry.frames import Frame, normalize
-from needlefit.project.input_files import read_bytes
+from needlefit.geometry.frames import Frame, PatientSystem, apply_affine, normalize
+from needlefit.geometry.vtk_polydata import read_polydata
+from needlefit.project.input_files import open_regular, read_bytes
 
 SurfaceKind = Literal["sheet", "solid"]
 
@@ -34,7 +35,12 @@ STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
 """Layout of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for
 each."""
 
-READ_SUFFIXES = (".stl", ".ply", ".obj")
+READ_SUFFIXES = (".stl", ".ply", ".obj", ".vtk")
+
+HEADER_BYTES = 4096
+"""Bytes at the beginning of a mesh in which its coordinate system is looked for."""
+
+_SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
 
 COORDINATE_DECIMALS = 4
 """Coordinates are written to 1e-4 mm."""
@@ -42,9 +48,7 @@ COORDINATE_DECIMALS = 4
 
 @dataclass(frozen=True)
 class Surface:
-    """A layer boundary: crossing a "sheet" leads into layer `into`; a "solid" is layer `into` on
-    its inside.
-    """
+    """A layer boundary: crossing a "sheet" leads into layer `into`; a "solid" is layer `into` inside."""
 
     name: str
     mesh: trimesh.Trimesh
@@ -53,7 +57,7 @@ class Surface:
 
 
 def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
-    """Read an STL, PLY or OBJ file, in mm; the mesh itself is checked by `find_mesh_faults`.
+    """Read an STL, PLY, OBJ or (legacy) VTK file, in mm; the mesh itself is checked by `find_mesh_faults`.
 
     Raises
     ------
@@ -70,7 +74,7 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
     if ending == ".stl":
         _check_stl(data, path)
     try:
-        mesh = _load_mesh(BytesIO(data), ending.lstrip("."))
+        mesh = _load_mesh(BytesIO(data), ending.lstrip(".")) if ending != ".vtk" else _load_polydata(data)
     except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
         raise _mesh_error(path, _describe_damage(data, ending)) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or mesh.vertices.shape[1:] != (3,):
@@ -82,12 +86,28 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
     return Surface(path.stem, mesh, kind, into)
 
 
+def read_coordinate_system(path: Path) -> PatientSystem | None:
+    """Return the coordinate system that 3D Slicer wrote into a mesh; None if the file states none.
+
+    It stands in the header of an STL or VTK file, in a comment of a PLY or OBJ: `SPACE=LPS` or `SPACE=RAS`.
+    """
+    with open_regular(path, MAX_MESH_BYTES) as file:
+        match = _SPACE_PATTERN.search(file.read(HEADER_BYTES))
+    if match is None:
+        return None
+    return "RAS" if match[1] == b"RAS" else "LPS"
+
+
 def _load_mesh(data: BytesIO, kind: str) -> object:
     """Return what trimesh makes of the bytes of a mesh; it opens no other file (materials, textures).
 
     process=False: it would drop non-finite vertices and hide the fault.
     """
     return trimesh.load_mesh(data, file_type=kind, process=False, resolver=None, skip_materials=True)
+
+
+def _load_polydata(data: bytes) -> trimesh.Trimesh:
+    return trimesh.Trimesh(*read_polydata(data), process=False)
 
 
 def _check_ply(data: bytes, path: Path) -> None:
@@ -126,6 +146,8 @@ def _describe_damage(data: bytes, ending: str) -> str:
         return "what follows its header is not what the header claims: it is cut short or damaged"
     if ending == ".stl":
         return "its text is cut short or damaged: not every facet has a normal and three vertices"
+    if ending == ".vtk":
+        return "it is no legacy VTK file of polygons, or cut short or damaged"
     count = len(_OBJ_VERTEX.findall(data))
     named = (int(index) for face in _OBJ_FACE.findall(data) for index in _OBJ_INDEX.findall(face))
     if any(not (1 <= index <= count or -count <= index <= -1) for index in named):
@@ -137,7 +159,7 @@ def _mesh_error(path: Path, what: str) -> DataError:
     return DataError(
         what,
         where=str(path),
-        expected="an STL, PLY or OBJ file of triangles, in mm",
+        expected="an STL, PLY, OBJ or VTK file of triangles, in mm",
         fix="export the surface again, as binary STL",
     )
 
@@ -187,6 +209,13 @@ def transform_surface(surface: Surface, frame: Frame) -> Surface:
     return replace(surface, mesh=trimesh.Trimesh(vertices, surface.mesh.faces, process=False))
 
 
+def map_surface(surface: Surface, matrix: NDArray[np.float64]) -> Surface:
+    """Return a surface moved by a linear map (4, 4); one that mirrors keeps the side of its triangles."""
+    vertices = apply_affine(matrix, surface.mesh.vertices)
+    faces = surface.mesh.faces if np.linalg.det(matrix[:3, :3]) > 0 else surface.mesh.faces[:, ::-1]
+    return replace(surface, mesh=trimesh.Trimesh(vertices, faces, process=False))
+
+
 @dataclass(frozen=True)
 class NearestSurface:
     """The nearest place of some surfaces for each of N points: its distance (N,), mm, and normal (N, 3)."""
@@ -196,9 +225,7 @@ class NearestSurface:
 
 
 def find_nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> NearestSurface:
-    """Return the distance of `points` (N, 3) from the nearest of some surfaces, and the unit
-    normals there.
-    """
+    """Return the distance of `points` (N, 3) from the nearest of some surfaces, and unit normals there."""
     triangles = np.vstack([surface.mesh.triangles for surface in surfaces])
     normals = np.vstack([surface.mesh.face_normals for surface in surfaces])
     low, high = triangles.min(axis=1), triangles.max(axis=1)
@@ -252,9 +279,7 @@ def make_cylinder(
 
 
 def find_mesh_faults(mesh: trimesh.Trimesh, kind: SurfaceKind) -> list[str]:
-    """Return the reasons why `mesh` cannot be a boundary: a "solid" must be closed, a "sheet"
-    without holes.
-    """
+    """Return why `mesh` cannot be a boundary: a "solid" must be closed, a "sheet" without holes."""
     if len(mesh.faces) == 0:
         return ["holds no triangles"]
     if not np.isfinite(mesh.vertices).all():

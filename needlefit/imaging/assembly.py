@@ -11,6 +11,7 @@ import numpy as np
 from needlefit.datasets.columns import InsertionRow, make_id
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.read import check
+from needlefit.datasets.sections import SECTIONS_PATTERN
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
@@ -22,6 +23,7 @@ from needlefit.schemas.dataset import (
     DatasetRecord,
     FrameRecord,
     InsertionsRecord,
+    MeasurementRecord,
     NoiseRecord,
     SurfaceRecord,
 )
@@ -73,6 +75,7 @@ def assemble_dataset(
         [_insertion_row(one) for one in reconstructions],
         {one.scan.id: np.column_stack([one.points, one.sd]) for one in reconstructions},
         surfaces,
+        sections={one.scan.id: one.sections for one in reconstructions if one.sections is not None},
     )
 
 
@@ -104,15 +107,24 @@ def _dataset_record(
         noise=_noise_record(reconstructions, recipe),
         insertions=InsertionsRecord(file="insertions.csv"),
         centerlines=CenterlinesRecord(pattern="centerlines/{id}.csv"),
+        measurement=_measurement_record(reconstructions),
         media=media,
     )
 
 
+def _measurement_record(reconstructions: Sequence[Reconstruction]) -> MeasurementRecord | None:
+    """Return that the centrelines are splines through stored cross-sections, if all of them are."""
+    if any(one.sections is None for one in reconstructions):
+        return None
+    return MeasurementRecord(operator="spline", sections=SECTIONS_PATTERN)
+
+
 def _noise_record(reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord) -> NoiseRecord:
-    """Return what the reconstructions say of their errors, over all insertions.
+    """Return what the reconstructions say of the errors of the points of their centrelines.
 
     An axis drawn as a spline errs alike over half a knot's distance; what remains from point to point is the
-    rounding of the files, and a tenth of the former stands for it.
+    rounding of the files, and a tenth of the former stands for it. What the spline rounds is no noise: it is
+    in the stored cross-sections.
     """
     sd = float(np.sqrt(np.mean(np.concatenate([one.sd for one in reconstructions]) ** 2)))
     registered = float(np.mean([one.target_error.mean() for one in reconstructions]))
@@ -122,7 +134,8 @@ def _noise_record(reconstructions: Sequence[Reconstruction], recipe: Reconstruct
         correlated_sd_mm=round(sd, 4),
         correlation_length_mm=recipe.centerline.knot_spacing_mm / 2,
         note="Predicted by the reconstruction: the registration's from the markers' deviations, mean of "
-        "entry and tip; the centreline's from the scatter of its cross-sections.",
+        "entry and tip; the centreline's is that of a smoothing spline at its points, from the scatter of "
+        "its cross-sections, without what the spline rounds.",
     )
 
 

@@ -13,6 +13,7 @@ from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_t
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
+from needlefit.imaging.volume import list_series_files
 from needlefit.project.checkpoint_file import (
     CheckpointContent,
     read_checkpoint_file,
@@ -24,7 +25,7 @@ from needlefit.project.processes import run_in_processes
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha")
+SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")
 """Endings of volumes that are one file."""
 
 CHECKPOINT_KIND = "reconstruction"
@@ -163,10 +164,10 @@ def _digest_inputs(scan: Scan, recipe: ReconstructionRecord) -> str:
 def _list_files(scan: Scan) -> Iterator[Path]:
     """Yield every file that a reconstruction may read.
 
-    One slice stands for its series, and a header for the file of its voxels: all files of the folder count.
+    One slice stands for its series, and a header for the file of its voxels: all files of the folder count,
+    and of those below.
     """
     given = (scan.mask, scan.markers, scan.fiducials, *(one.path for one in scan.surfaces))
     yield from (path for path in given if path is not None)
     alone = scan.volume.name.lower().endswith(SINGLE_FILE_SUFFIXES)
-    folder = scan.volume if scan.volume.is_dir() else scan.volume.parent
-    yield from [scan.volume] if alone else (path for path in folder.iterdir() if path.is_file())
+    yield from [scan.volume] if alone else list_series_files(scan.volume)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
@@ -21,8 +21,6 @@ from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import Volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-Floats = NDArray[np.float64]
-
 PROFILE_BEYOND_TIP_MM = 8.0
 """Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends."""
 
@@ -35,8 +33,6 @@ class Detections:
     ----------
     needle_axis : Centerline
         LPS.
-    markers : MarkerResult or None
-    registration : Registration or None
     profile : IntensityProfile
         Along the whole needle, s from its first point.
     """

@@ -14,8 +14,8 @@ separates them from the axis; the deviation of the pose includes this.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
@@ -23,8 +23,6 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import Registration, target_covariance
 from needlefit.imaging.scan import StagePose
-
-Floats = NDArray[np.float64]
 
 MIN_SHAFT_LENGTH_MM = 10.0
 """Length of shaft outside the tissue, mm, below which no axis is drawn through it."""

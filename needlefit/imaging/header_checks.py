@@ -3,7 +3,7 @@
 import math
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +28,11 @@ MAX_EXPANSION = 200
 EXEMPT_BYTES = 2**30
 """What unpacks to more than `MAX_EXPANSION` times its file may take so much memory, and no more: scans unpack
 to 2 to 5 times their file, segmentations to 20 to 200 times, a file made to fill the memory to 1000 times."""
+
+MAX_SEGMENTS = 64
+"""Layers of a segmentation; a volume with more labels is a scan."""
+
+SEGMENTS_FIX = "name the layers from the outside inwards: FILE=segments:NAME,NAME"
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|none", re.IGNORECASE)
 _SEPARATORS = re.compile(r"[\s(),]+")
@@ -140,9 +145,7 @@ def check_sizes(size: tuple[int, ...], path: Path) -> None:
 
 
 def check_stored(header: ImageHeader, found: int, packing: str, path: Path) -> None:
-    """Refuse a file whose bytes `found` cannot hold the voxels, packed as "raw", "text", "hex", "gzip" or
-    "bzip2".
-    """
+    """Refuse a file whose bytes `found` cannot hold the voxels; `packing`: raw, text, hex, gzip or bzip2."""
     content, voxels = header.content_bytes, header.float_bytes // 4
     # a text needs one digit and one space per voxel, except after the last; hex needs two digits per byte
     least = {"raw": content, "text": 2 * voxels - 1, "hex": 2 * content, "gzip": content // MAX_DEFLATION}
@@ -162,6 +165,36 @@ def check_expansion(header: ImageHeader, path: Path) -> None:
             expected=f"at most {MAX_EXPANSION} times its size, or {EXEMPT_BYTES / 2**30:.0f} GiB in memory",
             fix=f"if you trust the file, set {MEMORY_VARIABLE} to the GiB that it may take",
         )
+
+
+def choose_segments(present: Sequence[str], names: Sequence[str], path: Path) -> list[int]:
+    """Return the places of the segments that are named, in that order; all where none is.
+
+    Raises
+    ------
+    DataError
+        If a name is not there or twice, or there are no segments or too many.
+    """
+    chosen = []
+    for name in names:
+        found = [n for n, one in enumerate(present) if one.casefold() == name.casefold()]
+        if len(found) != 1:
+            raise DataError(
+                f"holds {len(found) or 'no'} segment{'s' * (len(found) > 1)} called {name!r}",
+                where=str(path),
+                expected=f"one of {', '.join(present[:MAX_SEGMENTS])}",
+                fix="correct the name",
+            )
+        chosen += found
+    chosen = chosen if names else list(range(len(present)))
+    if not 1 <= len(chosen) <= MAX_SEGMENTS:
+        raise DataError(
+            f"holds {len(chosen)} segments",
+            where=str(path),
+            expected=f"1 to {MAX_SEGMENTS} layers",
+            fix=SEGMENTS_FIX,
+        )
+    return chosen
 
 
 def unreadable_image_error(path: Path, reason: str) -> DataError:

@@ -13,6 +13,7 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.imaging.header_checks import truncated_voxels_error, unreadable_image_error
 from needlefit.imaging.volume import (
@@ -28,8 +29,6 @@ from needlefit.imaging.volume import (
 )
 from needlefit.project.atomic_write import replace_file
 from needlefit.project.sandbox import SandboxArrays
-
-Floats = NDArray[np.float64]
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
@@ -142,7 +141,9 @@ def _check_space(reader: sitk.ImageFileReader, path: Path) -> None:
     elif reader.GetImageIO() == "NrrdImageIO" and metadata.get("NRRD_space") != "left-posterior-superior":
         space = metadata.get("NRRD_space")
         raise DataError(
-            f"its space is {space}, which says nothing of the patient" if space else "does not say its space",
+            f"its space is {space}, which does not describe the patient"
+            if space
+            else "does not say its space",
             where=str(path),
             expected="`space: left-posterior-superior` or another anatomical one in the header",
             fix="export it from a program that knows the patient's axes, such as 3D Slicer",

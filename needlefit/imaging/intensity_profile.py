@@ -1,17 +1,16 @@
 """Sample the brightness along the needle, and find where its surroundings change from air to tissue."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
+from needlefit.arrays import Floats
 from needlefit.geometry.curves import make_normal
 from needlefit.imaging.needle.axis_spline import AxisFrames, correlation_factor, disc_points, sample_planes
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU
 from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.volume import Volume
-
-Floats = NDArray[np.float64]
 
 RING_RADII_MM = (3.5, 6.0)
 """Radii between which the surroundings are read, mm: beyond bloom, within the nearest marker as a rule."""
@@ -50,7 +49,6 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
 
     Parameters
     ----------
-    volume : Volume
     points : (N, 3) array
         Along the needle, LPS, mm; what lies beyond its tip is welcome.
     s : (N,) array

@@ -28,14 +28,11 @@ from needlefit.datasets.layers import find_surface_faults
 from needlefit.errors import DataError
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.header_checks import parse_count
+from needlefit.imaging.header_checks import MAX_SEGMENTS, choose_segments, parse_count
 from needlefit.imaging.image_headers import check_image_header
 from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, to_patient
-from needlefit.imaging.volume_files import read_planes, read_volume
+from needlefit.imaging.volume_files import open_member, read_planes, read_segments, read_volume
 from needlefit.project.input_files import path_exists
-
-MAX_LABELS = 64
-"""A volume with more labels is a scan."""
 
 MAX_NAME_CHARS = 200
 
@@ -65,24 +62,34 @@ class Labels:
     segments: tuple[Segment, ...]
 
 
-def read_labels(path: Path) -> Labels:
-    """Read a segmentation: `.seg.nrrd` of 3D Slicer, or any label volume (NRRD, NIfTI, MetaImage).
+def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
+    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, DICOM-SEG, RTSTRUCT, a .zip of one.
 
-    The layers are the segments in the order in which Slicer lists them, or, where the file names none, the
-    labels in the order of their values.
+    The layers are the segments that are named, in this order; by default all in the order in which the file
+    lists them, or, where it names none, the labels in the order of their values. A label without a name is
+    named by its value.
 
     Raises
     ------
     DataError
-        If it is not a volume, its segments overlap, one is empty, or its values are no labels.
+        If it is not a volume, its segments overlap, one is empty or missing, or its values are no labels.
     """
-    stated, axes = (
-        _read_segments(path) if path.name.lower().endswith(IMAGE_SUFFIXES) and path_exists(path) else ((), 3)
-    )
-    if stated and axes > 3:
-        volume, stated = _merge_planes(read_planes(path), stated, path)
-    else:
-        volume = read_volume(path)
+    with open_member(path) as place:
+        if place.is_dir() or not place.name.lower().endswith(IMAGE_SUFFIXES):
+            volume, found = read_segments(place, names)
+            return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)), place)
+        stated, axes = _read_segments(place) if path_exists(place) else ((), 3)
+        if stated and axes > 3:
+            volume, stated = _merge_planes(read_planes(place), stated, place)
+        else:
+            volume = read_volume(place)
+        labels = _check_labels(volume, stated, place)
+        called = [one.name or str(one.value) for one in labels.segments]
+        chosen = choose_segments(called, names, place)
+        return replace(labels, segments=tuple(labels.segments[n] for n in chosen))
+
+
+def _check_labels(volume: Volume, stated: tuple[Segment, ...], path: Path) -> Labels:
     present = _list_labels(volume, path)
     if not stated:
         return Labels(volume, tuple(Segment(value, "") for value in present))
@@ -159,7 +166,7 @@ def _parse_segments(texts: Mapping[str, str], path: Path) -> tuple[Segment, ...]
         Segment(
             parse_count(texts.get(f"Segment{n}_LabelValue", f"{n + 1}"), 0, 2**16, path),
             texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
-            parse_count(texts.get(f"Segment{n}_Layer", "0"), 0, MAX_LABELS, path),
+            parse_count(texts.get(f"Segment{n}_Layer", "0"), 0, MAX_SEGMENTS, path),
         )
         for n in range(count)
     )
@@ -181,7 +188,7 @@ def _list_labels(volume: Volume, path: Path) -> list[int]:
     counts = sum(np.bincount(s.ravel().astype(np.int64), minlength=size) for s in volume.values)
     present: list[int] = np.flatnonzero(counts).tolist()
     labels = [value for value in present if value]
-    if not 1 <= len(labels) <= MAX_LABELS:
+    if not 1 <= len(labels) <= MAX_SEGMENTS:
         what = f"holds {len(labels)} labels: this is a scan" if labels else "holds no label: all voxels are 0"
         fix = "give the segmentation of the layers" if labels else "segment the layers, and save it again"
         raise DataError(what, where=str(path), expected=EXPECTED_LABELS, fix=fix)
@@ -208,16 +215,18 @@ MARGIN_CELLS = 3
 """Cells around the labels: what leaves the volume is closed there."""
 
 
-def extract_label_surfaces(path: Path) -> tuple[Surface, ...]:
+def extract_label_surfaces(path: Path, names: Sequence[str] = ()) -> tuple[Surface, ...]:
     """Return the surfaces of a segmentation, LPS, mm: one solid per layer, in order, `into` from 1.
+
+    `names` as in `read_labels`.
 
     Raises
     ------
     DataError
         If the segmentation has a fault, or a layer and those beyond it fall apart.
     """
-    labels = read_labels(path)
-    order = np.zeros(max(segment.value for segment in labels.segments) + 1, dtype=np.uint8)
+    labels = read_labels(path, names)
+    order = np.zeros(int(labels.volume.values.max()) + 1, dtype=np.uint8)
     order[[segment.value for segment in labels.segments]] = np.arange(1, len(labels.segments) + 1)
     low, layers = _crop(order[labels.volume.values.astype(np.uint16)])  # (K, J, I), 0 outside
     return tuple(

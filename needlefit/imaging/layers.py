@@ -1,37 +1,35 @@
-"""Read the surfaces of layers (meshes or a segmentation) into the world, and find where the needle crosses
-them.
-"""
+"""Read surfaces of layers (meshes or a segmentation) into the world; find where the needle crosses them."""
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.layers import compute_depths, find_surface_faults, make_file_fault
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.geometry.frames import AXIS_SIGNS, Floats, Frame, PatientSystem
-from needlefit.geometry.surfaces import MAX_MESH_BYTES, Surface, find_nearest, read_surface, transform_surface
+from needlefit.geometry.frames import RAS_TO_LPS, Frame, PatientSystem
+from needlefit.geometry.surfaces import (
+    Surface,
+    find_nearest,
+    read_coordinate_system,
+    read_surface,
+    transform_surface,
+)
 from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
 from needlefit.imaging.scan import LayerSource, Scan
-from needlefit.imaging.volume import IMAGE_SUFFIXES, VoxelGrid
+from needlefit.imaging.volume import VoxelGrid
 from needlefit.imaging.volume_files import explain_missing_packages
-from needlefit.project.input_files import open_regular
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-HEADER_BYTES = 4096
-"""Bytes at the beginning of a file in which its coordinate system is looked for."""
 
 MAX_OPENING_RATIO = 0.25
 """An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area:
 a plane has 1, half a ball 1 / 2, a cube without a face 1 / 5."""
-
-_SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
 
 
 def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | None:
@@ -54,25 +52,9 @@ def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | N
     return None if faults else _to_lps(surface, read_coordinate_system(source.path))
 
 
-def read_coordinate_system(path: Path) -> PatientSystem | None:
-    """Return the coordinate system that 3D Slicer wrote into a mesh; None if the file states none.
-
-    It stands in the header of an STL, in a comment of a PLY or OBJ, as `SPACE=LPS` or `SPACE=RAS`.
-    """
-    with open_regular(path, MAX_MESH_BYTES) as file:
-        match = _SPACE_PATTERN.search(file.read(HEADER_BYTES))
-    if match is None:
-        return None
-    return "RAS" if match[1] == b"RAS" else "LPS"
-
-
 def _to_lps(surface: Surface, system: PatientSystem | None) -> Surface:
     """Return a surface turned to LPS: from RAS that is half a turn about z."""
-    return (
-        surface
-        if system in (None, "LPS")
-        else transform_surface(surface, Frame(np.zeros(3), np.diag(AXIS_SIGNS["RAS"])))
-    )
+    return surface if system in (None, "LPS") else transform_surface(surface, RAS_TO_LPS)
 
 
 def _hole_fault(surface: Surface, path: Path) -> list[Fault]:
@@ -121,7 +103,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
         Listing every fault of every file.
     """
     found: list[Fault] = []
-    segmentations = [source for source in scan.surfaces if is_segmentation(source)]
+    segmentations = [source for source in scan.surfaces if source.is_segmentation]
     if segmentations:
         surfaces = _read_segmentation(segmentations, scan, found)
     else:
@@ -137,14 +119,9 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     return world
 
 
-def is_segmentation(source: LayerSource) -> bool:
-    """Return whether a file holds labelled voxels rather than triangles."""
-    return source.path.name.lower().endswith(IMAGE_SUFFIXES)
-
-
 def layers_in_scan(scan: Scan) -> bool:
     """Return whether the layers are given in the frame of the scan, and so move with its needle."""
-    return scan.surfaces_in == "scan" or any(map(is_segmentation, scan.surfaces))
+    return scan.surfaces_in == "scan" or any(source.is_segmentation for source in scan.surfaces)
 
 
 def _read_segmentation(sources: list[LayerSource], scan: Scan, found: list[Fault]) -> list[Surface]:
@@ -160,7 +137,7 @@ def _read_segmentation(sources: list[LayerSource], scan: Scan, found: list[Fault
                 extract_label_surfaces,  # skimage takes its time to load
             )
 
-            return list(extract_label_surfaces(sources[0].path))
+            return list(extract_label_surfaces(sources[0].path, sources[0].segments))
     except DataError as error:
         found.append(from_error(error))
         return []

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from needlefit.arrays import Ints
 from needlefit.errors import DataError
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.volume import Volume
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEVEL_RATIO = 1.35
 """Ratio of one level above tissue to the one before."""
@@ -54,9 +52,7 @@ class Blob:
 
 @dataclass(frozen=True)
 class BrightVoxels:
-    """All bright voxels: flat index `flat` (N,), ascending, `values` (N,), and the `pairs` (E, 2) that
-    touch.
-    """
+    """All bright voxels: flat index `flat` (N,), ascending, `values` (N,), and `pairs` (E, 2) that touch."""
 
     flat: Ints
     values: NDArray[np.float32]
@@ -68,7 +64,6 @@ def find_blobs(volume: Volume, diameter: float, threshold: float | None, exclude
 
     Parameters
     ----------
-    volume : Volume
     diameter : float
         Of the ball, mm.
     threshold : float or None

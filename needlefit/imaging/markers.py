@@ -1,28 +1,19 @@
-"""Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to such
-spheres.
-"""
+"""Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to spheres."""
 
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from needlefit.datasets.columns import POINT_COLUMNS
-from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats import slicer
-from needlefit.datasets.formats.csv import read_points, read_table
+from needlefit.arrays import Floats, Ints
+from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.errors import DataError
 from needlefit.imaging.marker_blobs import find_blobs
 from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.registration.mirror_check import check_axis_signs
-from needlefit.imaging.scan import SCANS_DOCUMENT
 from needlefit.imaging.sphere_fit import MAX_BLUR_MM, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MAX_RELATIVE_MISFIT = 0.15
 """What fits worse, in parts of its height, is no ball of this size."""
@@ -30,19 +21,12 @@ MAX_RELATIVE_MISFIT = 0.15
 MAX_FIDUCIAL_SD = 2.0
 """A fiducial may be off by so many of its deviations."""
 
-RENAME_FIX = "name the columns x_mm, y_mm, z_mm in the file's first line"
-"""What fixes a missing column of a file of places."""
-
-READABLE_MARKER_FILES = "a CSV with the columns x_mm, y_mm, z_mm, or a .fcsv or .mrk.json of 3D Slicer"
-
 
 def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> MarkerResult:
     """Return the balls of `recipe.markers.diameter_mm` in a scan.
 
     Parameters
     ----------
-    volume : Volume
-    recipe : ReconstructionRecord
     exclude : (N, 3) int array, optional
         Voxels i, j, k of the needle, never a marker.
 
@@ -76,28 +60,22 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
 
 
 def read_markers(path: Path) -> Floats:
-    """Read points (N, 3), mm, from a CSV (x_mm, y_mm, z_mm), .fcsv or .mrk.json; those of Slicer become LPS.
+    """Read points (N, 3), mm, from a file of points: a CSV (x_mm, y_mm, z_mm), .fcsv or .mrk.json (LPS).
 
     Raises
     ------
     DataError
         If the file is missing, of another kind, or holds no such places.
     """
-    suffix = path.suffix.lower()
-    if suffix in slicer.SLICER_SUFFIXES:
-        return slicer.read_markups(path).points
-    if suffix != ".csv":
+    format_ = find_format(path)
+    if format_ is None or format_.read_markers is None:
         raise DataError(
-            f"has the ending {suffix!r}",
+            f"has the ending {path.suffix.lower()!r}",
             where=str(path),
-            expected=READABLE_MARKER_FILES,
+            expected=f"a list of points: {list_suffixes(markers=True)}",
             fix="save it as that",
         )
-    found: list[Fault] = []
-    points = read_points(read_table(path, SCANS_DOCUMENT), POINT_COLUMNS, {}, found, RENAME_FIX)
-    if points is None:
-        raise as_error(found, path)
-    return points.values
+    return format_.read_markers(path).values
 
 
 def read_fiducials(path: Path, recipe: ReconstructionRecord) -> MarkerResult:

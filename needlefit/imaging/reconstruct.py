@@ -1,13 +1,11 @@
-"""Reconstruct one scan: the needle's centreline in the world, its entry pose, and the layers that it
-crosses.
-"""
+"""Reconstruct one scan: the needle's centreline in the world, its entry pose, the layers it crosses."""
 
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
@@ -116,7 +114,6 @@ def _refuse_distant_surface(at: float, edge: tuple[float, float] | None, scan: S
     )
 
 
-Floats = NDArray[np.float64]
 PlaneSource = Literal["stated", "bevel", "shape"]
 
 
@@ -166,6 +163,7 @@ def derive_reconstruction(
     layers = find_crossed_layers(
         points, frame, surfaces, estimate_layer_errors(scan, recipe, sd, pose, detections.registration)
     )
+    drawn = detections.needle_axis.sections
     notes = check_layer_count(scan, layers, points, detections.patient)
     found = Reconstruction(
         scan=scan,
@@ -180,6 +178,7 @@ def derive_reconstruction(
         plane=plane,
         points=points,
         sd=sd,
+        sections=None if drawn is None else drawn.seen_from(detections.patient, begin),
         depth=float(arc_length(points)[-1]),
         depth_sd=float(np.hypot(detections.needle_axis.tip_sd[0], pose.along_sd)),
         target_error=_predict_target_error(detections, points),

@@ -6,13 +6,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
+from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.registration.register import Registration
 from needlefit.imaging.scan import Scan
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -126,17 +126,14 @@ class Reconstruction:
 
     Attributes
     ----------
-    scan : Scan
     spacing : (3,) array
         Of the voxels along i, j, k, mm.
     needle_axis : Centerline
         The whole needle, LPS.
     markers : MarkerResult or None
         None where the world is the patient frame.
-    registration : Registration or None
     patient : Frame
         The scan's LPS axes and origin in the world.
-    pose : EntryPose
     shaft : EntryPose or None
         The pose by the shaft outside the tissue; None where too little of it shows.
     frame : Frame
@@ -151,11 +148,12 @@ class Reconstruction:
         Inserted arc length, mm.
     target_error : (2,) array
         Mean error that the registration leaves at the entry and at the tip, predicted, mm; 0 without one.
-    layers : Layers
-    profile : IntensityProfile
     views : tuple of View
     warnings : tuple of str
         What a person should know.
+    sections : SplineSections or None
+        What the centreline was drawn through, world, arc lengths from first contact, the shaft outside
+        included; None where no scan was traced.
     """
 
     scan: Scan
@@ -177,6 +175,7 @@ class Reconstruction:
     profile: IntensityProfile
     views: tuple[ScanView, ...]
     warnings: tuple[str, ...]
+    sections: SplineSections | None = None
 
     @property
     def local(self) -> Floats:

@@ -4,9 +4,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits, measure_enclosed_length
-from needlefit.geometry.frames import AXIS_SIGNS, Floats, Frame
+from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.geometry.surfaces import Surface, find_nearest, transform_surface
 from needlefit.imaging.entry import compare_poses
 from needlefit.imaging.intensity_profile import find_tissue_edge
@@ -57,7 +58,7 @@ def _entry_warnings(one: Reconstruction) -> list[str]:
     if one.pose.source == "shaft":
         notes.append(
             f"the entry axis is drawn through the shaft outside the tissue: +- {at_tip:.2f} mm at the tip's "
-            "depth; the stage's axis, where it is known, is surer"
+            "depth; the stage's axis is more accurate, where it is known"
         )
     if one.pose.source == "stage" and one.shaft is not None:
         apart = compare_poses(one.pose, one.shaft)
@@ -88,7 +89,7 @@ def _plane_warnings(one: Reconstruction) -> list[str]:
     if one.plane == "shape" and np.degrees(error) > MAX_PLANE_SD_DEG * abs(deflection):
         notes.append(
             f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: so straight, "
-            "it tells no bending plane, and its deflection is biased upward; state the bevel's direction"
+            "it determines no bending plane, and its deflection is biased upward; state the bevel's direction"
         )
     elif one.plane != "shape" and aside > MAX_DISAGREEMENT_SD * error and aside > abs(deflection) / 3:
         notes.append(

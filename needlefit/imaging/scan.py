@@ -3,23 +3,23 @@
 import math
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS, ID_PATTERN
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
+from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
-from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE_VOLUMES
+from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -44,20 +44,29 @@ class StagePose:
 
 @dataclass(frozen=True)
 class LayerSource:
-    """A file with a layer's surface (STL, PLY, OBJ), or with a segmentation of all layers (NRRD, NIfTI).
+    """A file with a layer's surface (STL, PLY, OBJ), or with a segmentation of all layers.
+
+    Segmentations are NRRD, NIfTI, DICOM-SEG or RTSTRUCT files, or a .zip of one.
 
     Attributes
     ----------
-    path : Path
     kind : "sheet", "solid" or None
         None: solid where the mesh is closed.
     into : int or None
         The layer it leads into; 1 is the tissue's own surface. None: by its place in the list, from 2.
+    segments : tuple of str
+        Of a segmentation: the segments that are layers 1, 2, ...; empty: all, in its own order.
     """
 
     path: Path
     kind: SurfaceKind | None = None
     into: int | None = None
+    segments: tuple[str, ...] = ()
+
+    @property
+    def is_segmentation(self) -> bool:
+        """Whether the file holds a segmentation rather than triangles: anything but a mesh."""
+        return self.path.suffix.lower() not in MESH_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,6 @@ class Scan:
         Known places of the markers in the world; None: the world is the patient frame (LPS) of the scan.
     fiducials : Path or None
         The markers as placed in the scan by hand; None: they are looked for in the volume.
-    surfaces : tuple of LayerSource
     surfaces_in : "world" or "scan"
         The frame of `surfaces`; a segmentation always lies in that of its scan.
     stage : Stage or None
@@ -129,7 +137,7 @@ SCAN_COLUMNS = (
 )
 """Every column of a table of scans; those of `insertions.csv` mean the same here."""
 
-SCANS_DOCUMENT = "docs/scans.md"
+SCANS_DOCUMENT = "docs/reconstruction.md"
 """Where the columns, and the files that they name, are explained."""
 
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
@@ -141,13 +149,12 @@ CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synt
 """Columns of words; the first is that of an empty cell."""
 
 _LAYER_PATTERN = re.compile(r"(?P<file>.+)=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2})")
+_SEGMENTS_PATTERN = re.compile(r"(?P<file>.+)=segments:(?P<names>[^=]+)")
 
 
 @dataclass(frozen=True)
 class ScanRow:
-    """The cells of one row: its location for messages, its folder, text and numbers (nan: empty) by
-    column.
-    """
+    """The cells of a row: its location for messages, its folder, text and numbers (nan: empty) by column."""
 
     where: str
     folder: Path
@@ -169,12 +176,17 @@ class ScanRow:
 
 
 def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
-    """Return the layer stated as `file` or `file=kind:into`, relative to `folder`, or its fault."""
-    match = _LAYER_PATTERN.fullmatch(text)
-    file = match["file"].strip() if match else text
+    """Return the layer stated as `file`, `file=kind:into` or `file=segments:names`, or its fault.
+
+    Paths are relative to `folder`.
+    """
+    match, chosen = _LAYER_PATTERN.fullmatch(text), _SEGMENTS_PATTERN.fullmatch(text)
+    stated = match or chosen
+    file = stated["file"].strip() if stated else text
     path, place = folder / file, where or str(folder / file)
     if not is_file(path) and "=" in file:
-        what, expected = f"the layer {text!r} is not understood", "file, file=sheet:2 or file=solid:3"
+        what = f"the layer {text!r} is not understood"
+        expected = "file, file=sheet:2, file=solid:3 or file=segments:NAME,NAME"
         return Fault(
             place, what, expected, "say the kind and the layer that it leads into, or leave both out"
         )
@@ -182,17 +194,33 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
         return Fault(
             place, f"there is no file {path}", "a surface or segmentation of layers", "check the path"
         )
-    volume = path.name.lower().endswith(IMAGE_SUFFIXES)
-    if not volume and path.suffix.lower() not in MESH_SUFFIXES:
-        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {', '.join(IMAGE_SUFFIXES)}"
+    mesh = path.suffix.lower() in MESH_SUFFIXES
+    if not mesh and not _may_be_segmentation(path):
+        endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
+        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, DICOM-SEG, RTSTRUCT"
         fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
         return Fault(place, f"{path} has the ending {path.suffix!r}", expected, fix)
+    if chosen and mesh:
+        fix = f"write {file}, {file}=sheet:2 or {file}=solid:3"
+        return Fault(place, f"{path} is a mesh, of which segments are named", "one surface", fix)
+    if chosen:
+        names = tuple(name for part in chosen["names"].split(",") if (name := part.strip()))
+        return LayerSource(path, segments=names)
     if match is None:
         return LayerSource(path)
-    if volume:
-        fix = f"write {file}: its labels say which layer is which"
+    if not mesh:
+        fix = f"write {file}, or {file}=segments:NAME,NAME: its labels say which layer is which"
         return Fault(place, f"{path} is a segmentation of all layers, listed as one {match['kind']}", "", fix)
     return LayerSource(path, "sheet" if match["kind"] == "sheet" else "solid", int(match["into"]))
+
+
+def _may_be_segmentation(path: Path) -> bool:
+    """Whether a file is an image file, an archive, or begins as DICOM; archives of PACS use no ending."""
+    if path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)):
+        return True
+    with suppress(DataError):  # one that may not be read
+        return begins_as_dicom(path)
+    return False
 
 
 def build_scan(row: ScanRow, id_: str) -> Scan:

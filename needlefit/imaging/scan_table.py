@@ -24,7 +24,7 @@ from needlefit.imaging.scan import (
     row_faults,
     unmatched_fiducials_fault,
 )
-from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE_VOLUMES
+from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES
 from needlefit.project.input_files import is_file, path_exists
 
 MISSING_VOLUME = Fault("", "there is no such file or folder", READABLE_VOLUMES, "check the path")
@@ -128,7 +128,10 @@ def make_scans(
 def scan_id(volume: Path) -> str:
     """Return the id of a volume from its file name: without the ending, and with allowed characters only."""
     name = volume.resolve().name if volume.name in ("", "..") else volume.name
-    ending = next((end for end in (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm") if name.lower().endswith(end)), "")
+    ending = next(
+        (end for end in (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm", ARCHIVE_SUFFIX) if name.lower().endswith(end)),
+        "",
+    )
     return make_id(name[: len(name) - len(ending)], "scan")
 
 

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 from scipy.special import erf, ndtr
 
+from needlefit.arrays import Floats
 from needlefit.imaging.marker_blobs import Blob
 from needlefit.imaging.volume import Volume, to_patient
-
-Floats = NDArray[np.float64]
 
 TABLE_SPACING_MM = 0.02
 """Spacing of the table of the ball's profile, mm."""

@@ -1,14 +1,13 @@
 """Render slices of the scan along and across the needle, in the axes of the constraint frame."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
+from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.reconstruction import ScanView
 from needlefit.imaging.volume import Volume, to_index
-
-Floats = NDArray[np.float64]
 
 PIXEL_MM = 0.3
 """Edge of a pixel, mm: finer than the voxels of a cone-beam scan."""
@@ -29,7 +28,6 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
 
     Parameters
     ----------
-    volume : Volume
     patient : Frame
         The scan's axes and origin in the world.
     frame : Frame

@@ -1,16 +1,18 @@
 """Define a CT volume: its voxel grid in patient coordinates (LPS, mm), its values, and checks of the grid."""
 
 import math
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
+from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.sandbox import MEMORY_VARIABLE, stated_memory_bytes
-
-Floats = NDArray[np.float64]
 
 DEFAULT_MAX_VOXELS = 2**30
 """Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size."""
@@ -136,9 +138,35 @@ def _round_rows(rows: Floats) -> list[list[float]]:
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
 
 
+ARCHIVE_SUFFIX = ".zip"
+
 READABLE_VOLUMES = (
-    "a folder with a DICOM series, one file of it, NRRD (.nrrd), NIfTI (.nii, .nii.gz) or MetaImage (.mha)"
+    "a folder with a DICOM series, one file of it, NRRD (.nrrd), NIfTI (.nii, .nii.gz) or MetaImage (.mha), "
+    "or a .zip of these"
 )
+
+_DICOM_PREAMBLE_BYTES = 132
+
+
+def is_dicomdir(path: Path) -> bool:
+    """Return whether a path is the directory of a DICOM export, which lies beside its files."""
+    return path.name.upper() == "DICOMDIR" and is_file(path)
+
+
+def list_series_files(path: Path) -> list[Path]:
+    """Return the files among which the series of a path is looked for, sorted.
+
+    Those are all in and below a folder or that of a DICOMDIR; for one file, those beside it.
+    """
+    if is_file(path) and not is_dicomdir(path):
+        return sorted(one for one in path.parent.iterdir() if is_file(one) and one.name[0] != ".")
+    return list_files(path if is_dir(path) else path.parent)
+
+
+def begins_as_dicom(path: Path) -> bool:
+    """Return whether a file begins like a DICOM file."""
+    with open_regular(path, sys.maxsize) as content:
+        return content.read(_DICOM_PREAMBLE_BYTES).endswith(b"DICM")
 
 
 @dataclass(frozen=True)

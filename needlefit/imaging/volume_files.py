@@ -1,33 +1,53 @@
-"""Read and write CT volumes: DICOM series, NRRD, NIfTI and MetaImage files."""
+"""Read and write CT volumes: DICOM series, NRRD, NIfTI and MetaImage files; read ZIP archives of them."""
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError
+from needlefit.imaging.header_checks import EXEMPT_BYTES, MAX_EXPANSION
 from needlefit.imaging.volume import (
+    ARCHIVE_SUFFIX,
     IMAGE_SUFFIXES,
     READABLE_VOLUMES,
     Volume,
+    begins_as_dicom,
+    list_series_files,
     max_voxels,
 )
-from needlefit.project.input_files import open_regular, path_exists, unreadable_error
-from needlefit.project.sandbox import limits_for, read_in_sandbox
-
-Floats = NDArray[np.float64]
+from needlefit.project.archives import MAX_ARCHIVE_BYTES, ArchiveLimits, name_archive, unpack_archive
+from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
+from needlefit.project.sandbox import (
+    MEMORY_VARIABLE,
+    SandboxArrays,
+    limits_for,
+    read_in_sandbox,
+    stated_memory_bytes,
+)
 
 CT_PACKAGES = ("SimpleITK", "pydicom")
 READ_BYTES_PER_SECOND = 8 * 2**20
 """A volume that is read more slowly, in processor time, is taken for one that never ends."""
 
 SECONDS_PER_DICOM_HEADER = 0.1
+SEGMENTATION_BYTES = 2**30
+"""Memory for the voxels of contours, which are as many as their reader chooses."""
+
+SEGMENT_SECONDS = 120
+"""Processor time of a reader of a segmentation: one file unpacks to every segment's voxels."""
+
+MAX_ARCHIVE_LEVELS = 2
+"""Levels of archives inside an archive."""
+
+MAX_LISTED = 10
 UNPACKED_BYTES_PER_SECOND = 2**20
 """The same for a DICOM header, and for compressed slices."""
 
@@ -38,9 +58,10 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
     Parameters
     ----------
     path : Path
-        A folder with a DICOM series, one file of the series, or an NRRD, NIfTI or MetaImage file.
+        A folder with a DICOM series in it or below, its DICOMDIR, one file of the series (also an enhanced
+        multi-frame one), an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
     series : str, optional
-        Number or UID of the DICOM series, where a folder holds several.
+        Number or UID of the DICOM series, where a folder holds several; a file's name, where a .zip does.
 
     Raises
     ------
@@ -63,9 +84,74 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
         )
     with explain_missing_packages():
         _require_packages()
-        if not path.is_dir() and path.name.lower().endswith(IMAGE_SUFFIXES):
-            return _read_image(path)
-        return _read_series(path, series)
+        with unpacked(path) as place:
+            if place != path:
+                place, series = _choose_member(place, series)
+            if not place.is_dir() and place.name.lower().endswith(IMAGE_SUFFIXES):
+                return _build_volume(*_read_arrays(place, layers=False), place)
+            return _read_series(place, series)
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """Yield the path, or, of a .zip, a temporary folder with its files; errors then name the archive.
+
+    Raises
+    ------
+    DataError
+        If the archive is damaged, encrypted, too large or nested too deeply, or names a file outside itself.
+    """
+    if path.is_dir() or not path.name.lower().endswith(ARCHIVE_SUFFIX):
+        yield path
+        return
+    with TemporaryDirectory(prefix="needlefit-scan-") as name:
+        folder = Path(name)
+        with open_regular(path, MAX_ARCHIVE_BYTES) as file:
+            size = file.seek(0, os.SEEK_END)
+        stated = stated_memory_bytes()
+        most = min(4 * max_voxels(), max(EXEMPT_BYTES, MAX_EXPANSION * size)) if stated is None else stated
+        allowed = limits_for(0, most, most / READ_BYTES_PER_SECOND)
+        arguments = {"path": str(path), "folder": name, "total_bytes": most}
+        with name_archive(path, folder):
+            read_in_sandbox(f"{__name__}:unpack_scan", path, allowed, arguments)
+            yield folder
+
+
+@contextmanager
+def open_member(path: Path) -> Iterator[Path]:
+    """Yield the path, or, of a .zip, the one image file in it, else a folder with its DICOM files."""
+    with unpacked(path) as place:
+        yield place if place == path else _choose_member(place, None)[0]
+
+
+def unpack_scan(_results: SandboxArrays, path: str, folder: str, total_bytes: int) -> None:
+    """Unpack the archive of a scan; in the child process."""
+    expected = "a ZIP archive of one scan, as an image archive (PACS) exports it"
+    fix = f"pack it again, or unpack it and name the folder; {MEMORY_VARIABLE} grants more than the default"
+    limits = ArchiveLimits(total_bytes, levels=MAX_ARCHIVE_LEVELS, expected=expected, fix=fix)
+    unpack_archive(Path(path), Path(folder), limits)
+
+
+def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
+    """Return what is meant in an unpacked archive: an image file, or the folder and a series in it."""
+    files = list_files(folder)
+    images = {str(one.relative_to(folder)): one for one in files if one.name.lower().endswith(IMAGE_SUFFIXES)}
+    if series is not None:
+        meant = [one for name, one in images.items() if series in (name, one.name)]
+        return (meant[0], None) if len(meant) == 1 else (folder, series)
+    if not images:
+        return folder, series
+    with_dicom = any(begins_as_dicom(one) for one in files)
+    if len(images) > 1 or with_dicom:
+        listed = ", ".join([*images][:MAX_LISTED]) + ", ..." * (len(images) > MAX_LISTED)
+        raise DataError(
+            f"holds {len(images)} image files{' beside DICOM' * with_dicom}: {listed}",
+            where=str(folder),
+            expected="one scan, or the name of the one that is meant",
+            fix="give its name in the archive, or the number of a DICOM series, with --series or under "
+            "`series` in a table of scans",
+        )
+    return next(iter(images.values())), None
 
 
 def read_planes(path: Path) -> tuple[Volume, ...]:
@@ -77,8 +163,44 @@ def read_planes(path: Path) -> tuple[Volume, ...]:
     return tuple(_build_volume(parts, {"values": values[..., n]}, path) for n in range(values.shape[-1]))
 
 
-def _read_image(path: Path) -> Volume:
-    return _build_volume(*_read_arrays(path, layers=False), path)
+def read_segments(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[str, ...]]:
+    """Read a DICOM segmentation: labels 1, 2, ..., and the name of each segment.
+
+    Parameters
+    ----------
+    path : Path
+        A DICOM-SEG or RTSTRUCT file, or a folder with one.
+    names : sequence of str
+        Segments that are read, in this order; empty: all.
+
+    Raises
+    ------
+    DataError, ConfigError
+        As `read_volume`; if a name is missing, segments overlap, or contours are open or uneven.
+    """
+    with explain_missing_packages():
+        _require_packages("highdicom")
+        size = sum(file.stat().st_size for file in ([path] if is_file(path) else list_files(path)))
+        seconds = SEGMENT_SECONDS + size / UNPACKED_BYTES_PER_SECOND
+        allowed = limits_for(SEGMENTATION_BYTES + 4 * size, 4 * max_voxels(), seconds)
+        arguments = {"path": str(path), "names": list(names)}
+        reader = "needlefit.imaging.dicom.segmentation:read_segmentation"
+        parts, arrays = read_in_sandbox(reader, path, allowed, arguments)
+    return _build_volume(parts, arrays, path), tuple(map(str, parts.get("names", ())))
+
+
+def read_mask(path: Path) -> Volume:
+    """Read a volume that is above 0 in what it marks: an image file, a DICOM segmentation, a .zip of one.
+
+    Raises
+    ------
+    DataError, ConfigError
+        As `read_volume`.
+    """
+    with open_member(path) as place:
+        if place.is_dir() or not place.name.lower().endswith(IMAGE_SUFFIXES):
+            return read_segments(place)[0]
+        return read_volume(place)
 
 
 def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
@@ -104,7 +226,8 @@ def _read_series(path: Path, series: str | None) -> Volume:
         with open_regular(path, sys.maxsize):  # a regular file
             pass
     try:
-        sizes = [entry.stat().st_size for entry in os.scandir(folder) if entry.is_file()]
+        files = list_series_files(path)
+        sizes = [file.stat().st_size for file in files]
     except OSError as fault:
         raise unreadable_error(fault, DataError, str(folder)) from None
     seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
@@ -134,9 +257,9 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
     return Volume(values, origin, spacing, direction, warnings)
 
 
-def _require_packages() -> None:
+def _require_packages(*more: str) -> None:
     """See that what reads scans is there, before a process is started for it."""
-    for name in CT_PACKAGES:
+    for name in (*CT_PACKAGES, *more):
         if find_spec(name) is None:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 

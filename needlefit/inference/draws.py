@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import qr
 
+from needlefit.arrays import Floats
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.ties import NOISE_SCALE
 
-Floats = NDArray[np.float64]
 Source = Literal["posterior", "importance"]
 
 
@@ -19,14 +19,15 @@ Source = Literal["posterior", "importance"]
 class Draws:
     """Draws of theta (B, P) from a posterior, by MCMC or by importance sampling.
 
-    `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is that of
-    the weights, NaN of a sampled posterior.
+    `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` and
+    `effective_sample_size` are those of the weights, NaN of a sampled posterior.
     """
 
     thetas: Floats
     source: Source
     faults: tuple[str, ...] = ()
     pareto_k: float = math.nan
+    effective_sample_size: float = math.nan
 
 
 def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> Draws:
@@ -45,7 +46,7 @@ def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> 
 
 
 def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -> float:
-    """Return the factor on the standard deviations of noise and pose: the stated one, or the draws' rms."""
+    """Return the factor on the deviations of the points' noise: the stated one, or the draws' rms."""
     if NOISE_SCALE not in parameters.free:
         return 1.0 if isinstance(stated, str) else stated
     scales = [parameters.values(theta)[NOISE_SCALE] for theta in draws.thetas]
@@ -53,21 +54,26 @@ def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -
 
 
 def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:
-    """Return `count` draws (B, P) of the prior: flat within the bounds, times the Gaussian that is stated."""
-    lower, upper = parameters.lower, parameters.upper
-    slopes = parameters.prior.slopes(parameters.free)  # (Q, P)
-    stated_columns = slopes.any(axis=0)
-    middle = 0.5 * (lower + upper)
-    off = parameters.prior.residuals(parameters.values(middle))
-    # the prior's residuals are off + slopes @ (theta - middle): draw standard normal residuals, and solve for
-    # theta
-    spread = np.linalg.pinv(slopes[:, stated_columns])
+    """Return `count` draws (B, P) of the prior: flat within the bounds, times what is stated."""
+    lower, upper, names = parameters.lower, parameters.upper, parameters.free
+    slopes = parameters.prior.slopes(names)  # (R, P)
+    rows = np.flatnonzero(slopes.any(axis=1))  # without ties of what is fixed
+    off = parameters.prior.residuals(parameters.values(0.5 * (lower + upper)))[rows]
+    slopes = slopes[rows]
+    # the prior's residuals are off + slopes @ (theta - middle): each is solved for one coordinate, while the
+    # others are drawn flat
+    solved = qr(slopes, mode="r", pivoting=True)[-1][: len(rows)]
+    others = np.setdiff1d(np.arange(len(names)), solved)
+    inverse = np.linalg.inv(slopes[:, solved])
     drawn = np.empty((0, len(lower)))
     while len(drawn) < count:
-        thetas = rng.uniform(lower, upper, size=(count, len(lower)))
-        thetas[:, stated_columns] = (
-            middle[stated_columns] + (rng.standard_normal((count, len(off))) - off) @ spread.T
-        )
+        away = rng.uniform(-0.5, 0.5, size=(count, len(lower))) * (upper - lower)
+        normal = rng.standard_normal((count, len(rows)))
+        away[:, solved] = (normal - off - away[:, others] @ slopes[:, others].T) @ inverse.T
+        thetas = 0.5 * (lower + upper) + away
+        for name, sd in parameters.half_normal.items():
+            spread = sd * np.abs(rng.standard_normal(count))
+            thetas[:, names.index(name)] = np.log(np.maximum(spread, np.finfo(float).tiny))
         # rejection keeps the Gaussian's shape; clipping would pile draws up at the bounds
         inside = np.all((thetas >= lower) & (thetas <= upper), axis=1)
         drawn = np.concatenate([drawn, thetas[inside]])

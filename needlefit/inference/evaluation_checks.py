@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
 from needlefit.inference.forward_model import make_batch, predict
 from needlefit.inference.parameters import Theta
@@ -47,9 +48,6 @@ def _describe_error(error: Exception) -> str:
     """Return the error's kind and the first line of its text, which says what is wrong."""
     text = str(error).partition("\n")[0]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
-
-
-Floats = NDArray[np.float64]
 
 
 def find_outside_validity(

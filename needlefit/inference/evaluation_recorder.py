@@ -1,19 +1,16 @@
-"""Evaluate an objective function, and record evaluations, failures, the best point, and the end of the
-search.
-"""
+"""Evaluate an objective function; record evaluations, failures, best point, and the end of the search."""
 
 import math
 from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import NeedlefitError
 from needlefit.inference.fit import INTERRUPTED
 from needlefit.inference.objective import ObjectiveFunction
 
-Floats = NDArray[np.float64]
 Value = TypeVar("Value")
 
 EVALUATION_ERRORS = (NeedlefitError, ArithmeticError, np.linalg.LinAlgError)
@@ -110,9 +107,7 @@ class EvaluationRecorder:
         return found if math.isfinite(value) else None
 
     def find_constant(self, theta: Floats) -> bool:
-        """Find the constant between the value and half the sum of squares; return whether theta was
-        solved.
-        """
+        """Find the constant between value and half the sum of squares; return whether theta was solved."""
         assert self.objective_function.residuals is not None
         value, point = self.value(theta), self._begin_evaluation(theta)
         found = self._evaluate(self.objective_function.residuals, point)

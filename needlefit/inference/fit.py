@@ -1,4 +1,4 @@
-"""Results of a search (starts and fit), and the callbacks that resume, report and stop it."""
+"""Run of a search (starts and fit), and the callbacks that resume, report and stop it."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -75,7 +75,6 @@ class Fit:
 
     Attributes
     ----------
-    theta : tuple of float
     values : mapping
         Every parameter at `theta` (Pa, mm).
     objective : float

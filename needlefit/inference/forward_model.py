@@ -5,18 +5,27 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.inference.parameters import Parameters, make_tissue
-from needlefit.mechanics.batch import Batch
+from needlefit.inference.simulated_points import (
+    find_end,
+    read_batch_deflections,
+    read_derivatives,
+    read_points,
+    share_simulations,
+)
+from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.linearize import MAX_TOLERANCE_MM, differentiate_positions, linearize_steps
+from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.linearize import MAX_TOLERANCE_MM, Jacobian, linearize_steps
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord
@@ -29,8 +38,6 @@ from needlefit.schemas.scene import (
     SceneRecord,
     StepRecord,
 )
-
-Floats = NDArray[np.float64]
 
 MAX_ELEMENT_MM = 1.0
 """Mesh size aimed at, mm; the mesh size used divides the constraint spacing."""
@@ -52,7 +59,6 @@ def predict(
         Every parameter of the medium, ties resolved (Pa, mm).
     medium : MediumRecord
         Law, thickness and constraint spacing.
-    needle : Needle
     insertion : Insertion
         Its depth, bevel side and guide; nothing of its measured shape but the boundaries is used.
     boundaries, sequence : (n - 1,) array and n layer numbers, optional
@@ -83,7 +89,7 @@ def make_simulation_inputs(
     return (
         needle,
         make_tissue(values, layers, depths, medium),
-        _make_steps(values, insertion),
+        _make_steps(values, insertion, medium),
         replace(make_options(medium), tolerance=MAX_TOLERANCE_MM),
     )
 
@@ -91,32 +97,91 @@ def make_simulation_inputs(
 def make_batch(
     sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
 ) -> Batch:
-    """Return a batch of one insertion with many parameter sets, for `lanes.simulate_batches`; see
-    `predict`.
-    """
+    """Return a batch of one insertion with many parameter sets, for `simulate_batches`; see `predict`."""
     first = sets[0]
     guide = np.array([values.get("guide_distance_mm", insertion.guide_distance or 0.0) for values in sets])
+    bevels = [make_bevel(values, medium, factor=insertion.bevel_factor) for values in sets]
+    strength = "cut_angle" if medium.advance == "path_angle" else "offset"
     return Batch(
         needle,
         make_tissue(first, insertion.sequence, insertion.boundaries, medium),
-        _make_steps(first, insertion),
+        _make_steps(first, insertion, medium),
         make_options(medium),
         # files and theta hold Pa, the mechanics N and mm: 1 Pa = 1e-6 MPa
         mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence] for values in sets]),
         alpha=np.array([[values[f"alpha{layer}"] for layer in insertion.sequence] for values in sets]),
-        offset=np.array([values["bevel_mm"] for values in sets]),
+        **{strength: np.array([getattr(bevel, strength) for bevel in bevels])},
         guide_x=-guide if np.ptp(guide) > 0 else None,  # the lanes prefer one place for all
     )
 
 
-def _make_steps(values: Mapping[str, float], insertion: Insertion) -> tuple[Step, ...]:
+def simulate_deflections(
+    sets: Sequence[Mapping[str, float]],
+    medium: MediumRecord,
+    needle: Needle,
+    insertions: Sequence[Insertion],
+    s: Sequence[Floats],
+    jobs: int = 1,
+) -> tuple[Floats, ...]:
+    """Return the simulated deflections (B, K) of every insertion at its `s` (K,), mm, for B sets of values.
+
+    Of a tip track they are the tips at depths `s`. NaN where a solve failed.
+    """
+    sources = share_simulations(insertions, medium.constraint_spacing_mm)
+    shapes = simulate_each(sets, medium, needle, sources, jobs)
+    trios = zip(sources, shapes, s, strict=True)
+    return tuple(read_batch_deflections(*trio) for trio in trios)
+
+
+def simulate_each(
+    sets: Sequence[Mapping[str, float]],
+    medium: MediumRecord,
+    needle: Needle,
+    insertions: Sequence[Insertion],
+    jobs: int,
+) -> list[NeedleShapes]:
+    """Return the shapes of B sets of values in each insertion; one that is listed twice is simulated once."""
+    different = {id(insertion): insertion for insertion in insertions}
+    batches = [make_batch(sets, medium, needle, insertion) for insertion in different.values()]
+    # all go into one call, so that threads stay busy
+    shapes = dict(zip(different, simulate_batches(batches, jobs), strict=True))
+    return [shapes[id(insertion)] for insertion in insertions]
+
+
+def _make_steps(values: Mapping[str, float], insertion: Insertion, medium: MediumRecord) -> tuple[Step, ...]:
     """Return the insertion, and behind it the base's move, if there was one."""
-    bevel = Bevel(values["bevel_mm"], insertion.side)
+    bevel = make_bevel(values, medium, insertion.side, insertion.bevel_factor)
+    if isinstance(insertion, TipTrack):
+        return _make_track_steps(insertion, bevel, values["guide_distance_mm"], medium.constraint_spacing_mm)
     controls = _make_controls(values.get("guide_distance_mm", insertion.guide_distance))
     inserted = Step(insertion.depth, bevel, controls)
     if not insertion.base_moved:
         return (inserted,)
     return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_moved))
+
+
+def make_bevel(
+    values: Mapping[str, float], medium: MediumRecord, side: int = 1, factor: float = 1.0
+) -> Bevel:
+    """Return the bevel that a medium's parameters describe, `factor` times as strong."""
+    strength = factor * values[medium.bevel_parameter]
+    if medium.advance == "path_angle":
+        return Bevel(side=side, cut_angle=math.radians(strength))
+    return Bevel(strength, side)
+
+
+def _make_track_steps(
+    track: TipTrack, bevel: Bevel, guide_distance: float, spacing: float
+) -> tuple[Step, ...]:
+    """Return the way to each reading under the guide's place then, the last one on to a constraint point."""
+    end = find_end(track, spacing)
+    if not track.guided:
+        return (Step(end, bevel, _make_controls(guide_distance)),)
+    ends = [*track.depths[1:-1].tolist(), end]
+    return tuple(
+        Step(depth, bevel, Controls(guides=(Guide(-guide_distance, float(y)),)))
+        for depth, y in zip(ends, track.guide[1:], strict=True)
+    )
 
 
 def _make_controls(guide_distance: float | None) -> Controls:
@@ -125,9 +190,7 @@ def _make_controls(guide_distance: float | None) -> Controls:
 
 
 def make_options(medium: MediumRecord) -> ModelOptions:
-    """Return the model options of a medium, with a mesh size of at most 1 mm that divides its constraint
-    spacing.
-    """
+    """Return a medium's model options, with a mesh size of at most 1 mm that divides its spacing."""
     spacing = medium.constraint_spacing_mm
     return ModelOptions(
         spacing,
@@ -136,6 +199,7 @@ def make_options(medium: MediumRecord) -> ModelOptions:
         switch=medium.constraint_switch,
         tangent=medium.tangent_part,
         first_cell=medium.first_cell_mm,
+        advance=medium.advance,
     )
 
 
@@ -147,7 +211,7 @@ def predict_with_derivatives(
     insertion: Insertion,
     s: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return the simulated points (K, 2) in C, mm, and their derivatives (K, 2, P) by theta.
+    """Return the simulated points (K, 2), mm, and their derivatives (K, 2, P) by theta; see `read_points`.
 
     Parameters
     ----------
@@ -166,21 +230,59 @@ def predict_with_derivatives(
     ModelError
         If the needle does not reach the depth.
     """
+    return linearize_insertion(values, parameters, medium, needle, insertion).read(s)
+
+
+@dataclass(frozen=True)
+class LinearizedInsertion:
+    """A simulated insertion and its derivatives.
+
+    Attributes
+    ----------
+    by_theta : (Q, P) array
+        Derivatives by theta of the Q parameters that `jacobian` differentiates by.
+    """
+
+    insertion: Insertion
+    shape: NeedleShape
+    jacobian: Jacobian
+    by_theta: Floats
+
+    def read(self, s: Floats) -> tuple[Floats, Floats]:
+        """Return the points (K, 2) at `s` and their derivatives (K, 2, P); see `read_points`."""
+        points = read_points(self.insertion, self.shape, s)
+        if not self.shape.converged:
+            return points, np.full((len(s), 2, self.by_theta.shape[1]), np.nan)
+        return points, read_derivatives(self.insertion, self.shape, self.jacobian, s) @ self.by_theta
+
+
+def linearize_insertion(
+    values: Mapping[str, float],
+    parameters: Parameters,
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+) -> LinearizedInsertion:
+    """Return the simulated insertion and its derivatives; see `predict_with_derivatives`."""
     by_parameter = _chain_rule(values, parameters, insertion)
     shape, jacobian = linearize_steps(
         *make_simulation_inputs(values, medium, needle, insertion), wrt=_select_kinds(parameters)
     )
-    if not shape.converged:
-        return np.full((len(s), 2), np.nan), np.full((len(s), 2, len(parameters.free)), np.nan)
     rows = [by_parameter[name] for name in jacobian.names]
     by_theta = np.array(rows).reshape(len(rows), len(parameters.free))  # also where nothing is free
-    return compute_positions(shape, s), differentiate_positions(shape, jacobian, s) @ by_theta
+    return LinearizedInsertion(insertion, shape, jacobian, by_theta)
 
 
 def _select_kinds(parameters: Parameters) -> tuple[str, ...]:
     """Return the kinds of the mechanics' parameters that theta moves."""
     moving = {name for name in parameters.names if name not in parameters.fixed}
-    starts = (("mu", "mu"), ("alpha", "alpha"), ("bevel", "offset"), ("guide", "guides"))
+    starts = (
+        ("mu", "mu"),
+        ("alpha", "alpha"),
+        ("bevel", "offset"),
+        ("cut", "cut_angle"),
+        ("guide", "guides"),
+    )
     return tuple(kind for start, kind in starts if any(name.startswith(start) for name in moving))
 
 
@@ -189,7 +291,9 @@ def _chain_rule(
 ) -> dict[str, Floats]:
     """Return the derivatives (P,) by theta of what the mechanics differentiate by, by its name there."""
     slopes, nothing = parameters.slopes(values), np.zeros(len(parameters.free))
-    found = {"offset": slopes["bevel_mm"], "guide1_y": nothing, "guide1_slope": nothing}
+    found = {"guide1_y": nothing, "guide1_slope": nothing}
+    found["offset"] = insertion.bevel_factor * slopes.get("bevel_mm", nothing)
+    found["cut_angle"] = insertion.bevel_factor * math.radians(1.0) * slopes.get("cut_angle_deg", nothing)
     # the guide stands before the entry, at x = -guide_distance, hence the sign
     found["guide1_x"] = -slopes.get("guide_distance_mm", nothing)
     # the mechanics number intervals along the path; a layer that is met twice gets both derivatives
@@ -227,12 +331,19 @@ def make_scene_record(
             )
             for top, layer in find_layers(insertion)
         ),
-        bevel=BevelRecord(offset_mm=values["bevel_mm"], side=1 if insertion.side > 0 else -1),
+        bevel=BevelRecord.model_validate(
+            {
+                medium.bevel_parameter.replace("bevel_mm", "offset_mm"): insertion.bevel_factor
+                * values[medium.bevel_parameter],
+                "side": 1 if insertion.side > 0 else -1,
+            }
+        ),
         rules=RulesRecord(
             constraint_spacing_mm=medium.constraint_spacing_mm,
             constraint_switch=medium.constraint_switch,
             tangent_part=medium.tangent_part,
             first_cell_mm=medium.first_cell_mm,
+            advance=medium.advance,
         ),
         controls=ControlsRecord(guide_distance_mm=guide),
         steps=_make_step_records(insertion) if moved else (),
@@ -240,9 +351,7 @@ def make_scene_record(
 
 
 def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
-    """Return depth (mm) and number of each layer that an insertion meets, without layers of zero
-    thickness.
-    """
+    """Return depth (mm) and number of each layer that an insertion meets, but those of zero thickness."""
     tops = [0.0, *insertion.boundaries.tolist()]
     ends = [*tops[1:], float("inf")]
     met = zip(tops, ends, insertion.sequence, strict=True)

@@ -21,9 +21,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from needlefit.arrays import Floats
 from needlefit.datasets.compression import CompressionTest
 from needlefit.errors import ConfigError
 from needlefit.inference.specimen_fit import (
@@ -33,8 +33,6 @@ from needlefit.inference.specimen_fit import (
     fit_specimen,
 )
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, ParameterRecord, PriorRecord
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.schemas.recipe import ObjectiveName
-
-Floats = NDArray[np.float64]
 
 
 class SupportsBounds(Protocol):
@@ -65,7 +61,7 @@ class SupportsPosterior(SupportsApproach, Protocol):
 
 @runtime_checkable
 class SupportsMetric(SupportsApproach, Protocol):
-    """Interface of a problem with a metric objective; `Problem` is one, a fit to tip tracks is not."""
+    """Interface of a problem with a metric objective; `Problem` is one, an empirical curve is not."""
 
     def objective(self, theta: Floats) -> float:
         """Return the metric objective, mm; not finite where it cannot be computed."""

@@ -11,15 +11,24 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
-from needlefit.inference.prior import Prior, make_prior
-from needlefit.inference.ties import NOISE_SCALE, dimension, parse_tie, resolve_ties
+from needlefit.inference.prior import Prior, SoftTie, add_ties, make_prior
+from needlefit.inference.ties import (
+    BEVEL_PARAMETERS,
+    BEVEL_SPREAD,
+    NOISE_SCALE,
+    dimension,
+    parse_tie,
+    resolve_ties,
+)
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.schemas.scene import CUT_ANGLE_LIMIT_DEG
 
-Floats = NDArray[np.float64]
 Theta = Sequence[float] | Floats
 Status = Literal["free", "fixed", "tied"]
 
@@ -29,8 +38,28 @@ def is_logarithmic(name: str) -> bool:
     return dimension(name) != "exponent"
 
 
+def to_value(name: str, coordinate: float) -> float:
+    """Return a parameter's value (Pa, mm) at its coordinate of theta."""
+    return math.exp(coordinate) if is_logarithmic(name) else coordinate
+
+
 NOISE_SCALE_BOUNDS = (0.1, 10.0)
 """Bounds of a noise scale that is estimated; its prior is flat in the logarithm."""
+
+BEVEL_SPREAD_BOUNDS = (0.01, 5.0)
+"""Bounds of the spread of ln b, in standard deviations of its half-normal prior."""
+
+HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)
+"""Parameters of the likelihood, on which no simulated needle depends."""
+
+MATERIAL_SPREAD = 1.2
+"""Factor, one standard deviation, by which moduli tied as one material differ where the tie states none.
+
+The layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness.
+"""
+
+MAX_TIE_SDS = 6.0
+"""Standard deviations of a tie beyond which a tied parameter is not searched."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +69,18 @@ class Parameters:
     Attributes
     ----------
     names : tuple of str
-        All parameters in the order of layers: mu1_pa, alpha1, ..., bevel_mm, guide_distance_mm.
+        All parameters in the order of layers: mu1_pa, alpha1, ..., bevel_mm or cut_angle_deg,
+        guide_distance_mm.
     bounds : mapping
         Low and high of each free parameter, in its own unit.
     fixed : mapping
         Value of each fixed parameter.
     ties : mapping
-        Factor and source of each tied one; a source is free.
+        Factor and source of each that is tied exactly; a source is free.
     prior : Prior
-        What the medium states of some of them; flat within the bounds otherwise.
+        What the medium states of some of them, ties with a spread among it; flat within the bounds otherwise.
+    half_normal : mapping
+        Standard deviation of the half-normal prior of a spread, by its name.
     """
 
     names: tuple[str, ...]
@@ -56,6 +88,7 @@ class Parameters:
     fixed: Mapping[str, float]
     ties: Mapping[str, tuple[float, str]]
     prior: Prior = field(default=Prior())
+    half_normal: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_record(cls, record: MediumRecord) -> Self:
@@ -66,20 +99,32 @@ class Parameters:
         ConfigError
             If a name is unknown or missing, a tie leads nowhere, or a bound, value or prior cannot be.
         """
+        if record.law not in LAWS:
+            raise LAWS.unknown_name_error(record.law, key="law")
         table = record.parameters
         names = _ordered_names(record)
-        ties = {name: parse_tie(name, p.tie) for name, p in table.items() if p.tie is not None}
+        every = {name: parse_tie(name, p.tie) for name, p in table.items() if p.tie is not None}
+        resolve_ties(every, frozenset(names))  # checks those with a spread too
+        soft = {name: spread for name in every if (spread := _find_spread(name, table[name])) > 1}
         for name in names:
             _check_positive(name, table[name])
+            _check_alpha(name, table[name], record.law)
+            _check_cut_angle(name, table[name])
         fixed = {name: value for name in names if (value := table[name].fixed) is not None}
-        ends = resolve_ties(ties, frozenset(names))
+        exact = {name: tie for name, tie in every.items() if name not in soft}
+        ends = resolve_ties(exact, frozenset(names))
+        # what is tied to a fixed parameter is fixed too
+        fixed |= {name: factor * fixed[at] for name, (factor, at) in ends.items() if at in fixed}
+        ties = _order_ties([_make_soft_tie(n, every[n], soft[n], ends) for n in names if n in soft])
+        bounds = {name: bounds for name in names if (bounds := table[name].bounds) is not None}
+        for tie in ties:
+            bounds[tie.name] = _find_tied_bounds(tie, bounds, fixed)
         return cls(
             names=names,
-            bounds={name: bounds for name in names if (bounds := table[name].bounds) is not None},
-            # what is tied to a fixed parameter is fixed too
-            fixed=fixed | {name: factor * fixed[at] for name, (factor, at) in ends.items() if at in fixed},
+            bounds=bounds,
+            fixed=fixed,
             ties={name: tie for name, tie in ends.items() if tie[1] not in fixed},
-            prior=make_prior({name: table[name] for name in names}),
+            prior=make_prior({name: table[name] for name in names}, ties),
         )
 
     @property
@@ -125,8 +170,23 @@ class Parameters:
         return held | known | tied
 
     def theta(self, values: Mapping[str, float]) -> Floats:
-        """Return theta (P,) of the free parameters among `values` (Pa, mm)."""
-        return np.array([_to_coordinate(name, values[name]) for name in self.free])
+        """Return theta (P,) of the free parameters among `values` (Pa, mm).
+
+        Hyperparameters may be missing: they are what they are before any data.
+        """
+        known = {**choose_hyperparameters(self), **values}
+        return np.array([_to_coordinate(name, known[name]) for name in self.free])
+
+    @property
+    def expected(self) -> Floats:
+        """Theta (P,) before any data: the means that are stated, else the middle of the bounds."""
+        known = dict(zip(self.free, (0.5 * (self.lower + self.upper)).tolist(), strict=True))
+        known |= {name: mean for name, (mean, _) in self.prior.marginals.items() if name in known}
+        known |= {name: math.log(sd) for name, sd in self.half_normal.items() if name in known}
+        for tie in self.prior.ties:  # a source comes before what is tied to it
+            if tie.name in known and tie.source in known and tie.name not in self.prior.marginals:
+                known[tie.name] = known[tie.source] + math.log(tie.factor)
+        return np.array([known[name] for name in self.free])
 
     def with_only(self, free: Sequence[str], values: Mapping[str, float]) -> Self:
         """Return parameters of which only `free` stay free, all others fixed at `values`.
@@ -141,7 +201,7 @@ class Parameters:
             )
         ties = {name: tie for name, tie in self.ties.items() if tie[1] in free}
         held = [name for name in self.names if name not in free and name not in ties]
-        known = {**self.fixed, **values}
+        known = {**choose_hyperparameters(self), **self.fixed, **values}
         missing = [name for name in held if name not in known]
         if missing:
             raise ConfigError(f"no value is given for {', '.join(missing)}", fix="give one, or leave it free")
@@ -155,11 +215,127 @@ class Parameters:
 
 def with_noise_scale(parameters: Parameters, largest: float = NOISE_SCALE_BOUNDS[1]) -> Parameters:
     """Return the parameters with a free noise scale, bounded by `largest`, as the last one."""
-    names, bounds = (
-        (*parameters.names, NOISE_SCALE),
-        {**parameters.bounds, NOISE_SCALE: (NOISE_SCALE_BOUNDS[0], largest)},
+    bounds = {**parameters.bounds, NOISE_SCALE: (NOISE_SCALE_BOUNDS[0], largest)}
+    return replace(parameters, names=(*parameters.names, NOISE_SCALE), bounds=bounds)
+
+
+def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
+    """Return the parameters with a free spread of ln b between insertions, half-normal with `sd`, as last."""
+    low, high = BEVEL_SPREAD_BOUNDS
+    return replace(
+        parameters,
+        names=(*parameters.names, BEVEL_SPREAD),
+        bounds={**parameters.bounds, BEVEL_SPREAD: (low * sd, high * sd)},
+        half_normal={**parameters.half_normal, BEVEL_SPREAD: sd},
     )
-    return replace(parameters, names=names, bounds=bounds)
+
+
+def with_hyperparameters(
+    parameters: Parameters, likelihood: LikelihoodRecord, largest: float = NOISE_SCALE_BOUNDS[1]
+) -> Parameters:
+    """Return the parameters with those that a likelihood estimates beside them; `largest` bounds the scale.
+
+    No needle's bevel is known to vary where the medium fixes it.
+    """
+    if likelihood.noise_scale == "estimated":
+        parameters = with_noise_scale(parameters, largest)
+    if likelihood.bevel_spread > 0 and any(name in parameters.free for name in BEVEL_PARAMETERS):
+        parameters = with_bevel_spread(parameters, likelihood.bevel_spread)
+    return parameters
+
+
+def without_bevel_spread(parameters: Parameters) -> Parameters:
+    """Return the parameters for a bevel offset that is the same in all insertions."""
+    return replace(
+        parameters,
+        names=tuple(name for name in parameters.names if name != BEVEL_SPREAD),
+        bounds={name: bounds for name, bounds in parameters.bounds.items() if name != BEVEL_SPREAD},
+        half_normal={name: sd for name, sd in parameters.half_normal.items() if name != BEVEL_SPREAD},
+    )
+
+
+def choose_hyperparameters(parameters: Parameters) -> dict[str, float]:
+    """Return the hyperparameters where nothing is known of them: no scale, the deviation of the prior."""
+    return {
+        name: parameters.half_normal.get(name, 1.0) for name in parameters.names if name in HYPERPARAMETERS
+    }
+
+
+def without_prior(parameters: Parameters) -> Parameters:
+    """Return the parameters for an objective that knows no prior: all ties exact, no hyperparameters."""
+    soft = {
+        tie.name: (tie.factor, tie.source) for tie in parameters.prior.ties if tie.name in parameters.free
+    }
+    ends = resolve_ties({**parameters.ties, **soft}, frozenset(parameters.names))
+    held = choose_hyperparameters(parameters)
+    fixed = {**parameters.fixed, **held}
+    fixed |= {name: factor * fixed[source] for name, (factor, source) in ends.items() if source in fixed}
+    return replace(
+        parameters,
+        bounds={name: parameters.bounds[name] for name in parameters.free if name not in {**soft, **held}},
+        fixed=fixed,
+        ties={name: tie for name, tie in ends.items() if tie[1] not in fixed},
+        prior=replace(parameters.prior, ties=()),
+    )
+
+
+def loosen_ties(parameters: Parameters) -> Parameters:
+    """Return the parameters as they are known without the medium's ties.
+
+    Exact ties of moduli and lengths get the spread `MATERIAL_SPREAD`; those that have a spread are left out.
+    """
+    loose = {name: tie for name, tie in parameters.ties.items() if is_logarithmic(name)}
+    added = [SoftTie(name, source, factor, MATERIAL_SPREAD) for name, (factor, source) in loose.items()]
+    bounds = dict(parameters.bounds)
+    for tie in added:
+        bounds[tie.name] = _find_tied_bounds(tie, bounds, {})
+    return replace(
+        parameters,
+        bounds=bounds,
+        ties={name: tie for name, tie in parameters.ties.items() if name not in loose},
+        prior=add_ties(parameters.prior.without_ties(), added) if added else parameters.prior.without_ties(),
+    )
+
+
+def _find_spread(name: str, parameter: ParameterRecord) -> float:
+    """Return the spread of a tie: the stated one, or, without a factor, that of two casts of one material."""
+    if parameter.spread is None:
+        one_material = dimension(name) == "modulus" and "*" not in str(parameter.tie)
+        return MATERIAL_SPREAD if one_material else 1.0
+    if dimension(name) == "exponent" and parameter.spread > 1:
+        raise ConfigError(
+            "has a tie with a spread, which is a factor",
+            key=f"parameters.{name}.spread",
+            expected="1: alpha is tied exactly, or free with a prior",
+        )
+    return parameter.spread
+
+
+def _make_soft_tie(
+    name: str, tie: tuple[float, str], spread: float, exact: Mapping[str, tuple[float, str]]
+) -> SoftTie:
+    factor, source = tie
+    more, source = exact.get(source, (1.0, source))
+    return SoftTie(name, source, factor * more, spread)
+
+
+def _order_ties(ties: Sequence[SoftTie]) -> list[SoftTie]:
+    """Return the ties so that each comes behind that of its source."""
+    waiting, found = list(ties), []
+    while waiting:
+        names = {tie.name for tie in waiting}
+        ready = [tie for tie in waiting if tie.source not in names]
+        found += ready
+        waiting = [tie for tie in waiting if tie not in ready]
+    return found
+
+
+def _find_tied_bounds(
+    tie: SoftTie, bounds: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]
+) -> tuple[float, float]:
+    low, high = bounds.get(tie.source) or (fixed[tie.source], fixed[tie.source])
+    reach = tie.spread**MAX_TIE_SDS
+    return tie.factor * low / reach, tie.factor * high * reach
 
 
 def make_tissue(
@@ -201,7 +377,7 @@ def _to_coordinate(name: str, value: float) -> float:
 def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
     """Return the medium's parameter names in the order of layers; ConfigError unless they are complete."""
     layers = [f"{kind}{i}{unit}" for i in range(1, record.layers + 1) for kind, unit in _PER_LAYER]
-    needed = [*layers, "bevel_mm"]
+    needed = [*layers, record.bevel_parameter]
     missing = [name for name in needed if name not in record.parameters]
     extra = [name for name in record.parameters if name not in [*needed, "guide_distance_mm"]]
     if missing or extra:
@@ -229,12 +405,37 @@ def _suggest_fix(missing: Sequence[str], extra: Sequence[str], layers: int) -> s
 _PER_LAYER = (("mu", "_pa"), ("alpha", ""))
 
 
+def _check_alpha(name: str, parameter: ParameterRecord, law: str) -> None:
+    if dimension(name) != "exponent":
+        return
+    low, high = LAWS[law].alpha_range
+    stated = parameter.bounds or (() if parameter.fixed is None else (parameter.fixed,))
+    if any(not low <= value <= high for value in stated):
+        raise ConfigError(
+            f"the tissue law `{law}` is not meant for {name} = {' to '.join(f'{one:g}' for one in stated)}",
+            key=f"parameters.{name}",
+            expected=f"{low:g} to {high:g}",
+            fix="change the bounds or the fixed value, or take another law",
+        )
+
+
+def _check_cut_angle(name: str, parameter: ParameterRecord) -> None:
+    stated = parameter.bounds or (() if parameter.fixed is None else (parameter.fixed,))
+    if name == "cut_angle_deg" and any(value >= CUT_ANGLE_LIMIT_DEG for value in stated):
+        raise ConfigError(
+            f"{name} may be {max(stated):g}, and no needle is simulated with {CUT_ANGLE_LIMIT_DEG:g} or more",
+            key=f"parameters.{name}",
+            expected=f"below {CUT_ANGLE_LIMIT_DEG:g} degrees",
+            fix="lower the upper bound, or the fixed value",
+        )
+
+
 def _check_positive(name: str, parameter: ParameterRecord) -> None:
     """Refuse what has no logarithm; a fixed bevel of 0, the symmetric tip, is allowed."""
     low = parameter.bounds[0] if parameter.bounds else parameter.fixed
     if low is None or not is_logarithmic(name):
         return
-    if low < 0 or (low == 0 and not (name == "bevel_mm" and parameter.bounds is None)):
+    if low < 0 or (low == 0 and not (name in BEVEL_PARAMETERS and parameter.bounds is None)):
         raise ConfigError(
             f"{name} may be {low:g}, which is not above 0",
             key=f"parameters.{name}",

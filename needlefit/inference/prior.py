@@ -1,17 +1,26 @@
-"""The stated prior: a Gaussian in theta, within the flat bounds."""
+"""The stated prior: a Gaussian in theta, within the flat bounds; a tie with a spread is a part of it."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.inference.ties import dimension
 from needlefit.schemas.medium import ParameterRecord, PriorRecord
 
-Floats = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class SoftTie:
+    """Says that ln(value / (factor * source's)) is normal about 0 with deviation ln `spread`."""
+
+    name: str
+    source: str
+    factor: float
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -22,24 +31,26 @@ class Prior:
     ----------
     names : tuple of str
         Q of them.
-    mean : (Q,) array
-        Of the logarithm; of alpha itself.
-    whitening : (Q, Q) array
-        What takes deviations from the mean to independent ones of unit variance.
+    whitening : (R, Q) array
+        What takes logarithms, and alpha itself, to independent numbers of unit variance; R < Q where only
+        combinations are stated, as by a tie.
+    centre : (R,) array
+        Their means.
+    ties : tuple of SoftTie
+        Those among it, for print.
     """
 
     names: tuple[str, ...] = ()
-    mean: tuple[float, ...] = ()
     whitening: tuple[tuple[float, ...], ...] = ()
+    centre: tuple[float, ...] = ()
+    ties: tuple[SoftTie, ...] = ()
 
     def residuals(self, values: Mapping[str, float]) -> Floats:
-        """Return the whitened deviations (Q,) of `values` (Pa, mm) from the prior mean."""
+        """Return the whitened deviations (R,) of `values` (Pa, mm) from the prior mean."""
         if not self.names:
             return np.empty(0)
-        off = [
-            to_coordinate(name, values[name]) - mean for name, mean in zip(self.names, self.mean, strict=True)
-        ]
-        white: Floats = np.array(self.whitening) @ np.array(off)
+        at = np.array([to_coordinate(name, values[name]) for name in self.names])
+        white: Floats = np.array(self.whitening) @ at - np.array(self.centre)
         return white
 
     def log_density(self, values: Mapping[str, float]) -> float:
@@ -48,7 +59,7 @@ class Prior:
         return -0.5 * float(white @ white)
 
     def slopes(self, names: Sequence[str]) -> Floats:
-        """Return the derivatives (Q, P) of `residuals` by theta of the free parameters `names`."""
+        """Return the derivatives (R, P) of `residuals` by theta of the free parameters `names`."""
         # a fixed parameter has no column: its residual is constant
         chosen = np.array([[float(name == own) for name in names] for own in self.names])  # (Q, P)
         if not self.names:
@@ -62,18 +73,34 @@ class Prior:
         precision: Floats = slopes.T @ slopes
         return precision
 
+    @cached_property
+    def marginals(self) -> Mapping[str, tuple[float, float]]:
+        """Mean and standard deviation of the coordinate of each parameter that is not only tied."""
+        white = np.array(self.whitening).reshape(len(self.whitening), len(self.names))
+        inverse = np.linalg.pinv(white)  # (Q, R)
+        # a parameter that is only tied to another one has any value: it is not in the span of the rows
+        known = np.isclose(np.diag(inverse @ white), 1.0)
+        mean, sd = inverse @ np.array(self.centre), np.linalg.norm(inverse, axis=1)
+        return {name: (float(mean[k]), float(sd[k])) for k, name in enumerate(self.names) if known[k]}
+
     def sd(self, name: str) -> float:
         """Return the standard deviation of one parameter's coordinate; infinite where nothing is stated."""
-        if name not in self.names:
-            return math.inf
-        spread = np.linalg.inv(np.array(self.whitening))
-        return float(np.linalg.norm(spread[self.names.index(name)]))
+        return self.marginals.get(name, (math.nan, math.inf))[1]
+
+    def without_ties(self) -> "Prior":
+        """Return the prior without its ties, which `add_ties` put last."""
+        kept = len(self.centre) - len(self.ties)
+        return Prior(self.names, self.whitening[:kept], self.centre[:kept]) if kept else Prior()
 
     def describe(self, name: str) -> str:
         """Describe the prior of one parameter as the end of a sentence; empty if there is none."""
-        if name not in self.names:
+        for tie in self.ties:
+            if tie.name == name:
+                source = tie.source if tie.factor == 1 else f"{tie.factor:g} * {tie.source}"
+                return f"; tied to {source} within a factor of {tie.spread:.3g}"
+        if name not in self.marginals:
             return ""
-        mean, sd = self.mean[self.names.index(name)], self.sd(name)
+        mean, sd = self.marginals[name]
         if dimension(name) == "exponent":
             known = f"{mean:.3g} +- {sd:.2g}"
         else:
@@ -81,8 +108,20 @@ class Prior:
         return f"; stated before: {known} (counts in the posterior, not in the errors minimised)"
 
 
-def make_prior(table: Mapping[str, ParameterRecord]) -> Prior:
-    """Return the prior that the parameters of a medium state.
+def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:
+    """Return the prior together with ties that have a spread."""
+    names = tuple(dict.fromkeys([*prior.names, *(name for tie in ties for name in (tie.source, tie.name))]))
+    rows = [(*row, *[0.0] * (len(names) - len(row))) for row in prior.whitening]
+    for tie in ties:
+        # ( ln value - ln source - ln factor ) / ln spread
+        weights = {tie.name: 1 / math.log(tie.spread), tie.source: -1 / math.log(tie.spread)}
+        rows.append(tuple(weights.get(name, 0.0) for name in names))
+    centre = (*prior.centre, *(math.log(tie.factor) / math.log(tie.spread) for tie in ties))
+    return Prior(names, tuple(rows), centre, tuple(ties))
+
+
+def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = ()) -> Prior:
+    """Return the prior that the parameters of a medium state, `ties` with a spread among it.
 
     Raises
     ------
@@ -93,7 +132,7 @@ def make_prior(table: Mapping[str, ParameterRecord]) -> Prior:
     for name, one in stated.items():
         _check(name, one, table[name].bounds, stated)
     if not stated:
-        return Prior()
+        return add_ties(Prior(), ties)
     names = tuple(stated)
     sds = [_sd(one) for one in stated.values()]
     correlations = np.eye(len(names))
@@ -102,13 +141,14 @@ def make_prior(table: Mapping[str, ParameterRecord]) -> Prior:
             j = names.index(_alpha_of(name))
             correlations[j, k] = correlations[k, j] = one.correlation
     peaks = np.array([to_coordinate(name, _peak(one)) for name, one in stated.items()])
-    return make_gaussian_prior(names, peaks, correlations * np.outer(sds, sds))
+    return add_ties(make_gaussian_prior(names, peaks, correlations * np.outer(sds, sds)), ties)
 
 
 def make_gaussian_prior(names: Sequence[str], mean: Floats, covariance: Floats) -> Prior:
     """Return a Gaussian prior with `mean` (Q,) and `covariance` (Q, Q) in theta's coordinates of `names`."""
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    return Prior(tuple(names), tuple(mean.tolist()), tuple(tuple(row) for row in whitening.tolist()))
+    rows = tuple(tuple(row) for row in whitening.tolist())
+    return Prior(tuple(names), rows, tuple((whitening @ mean).tolist()))
 
 
 def _check(

@@ -14,22 +14,30 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.select import find_repeats
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError
-from needlefit.geometry.compare import CurveErrors, compare_curves
-from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
-from needlefit.inference.compared_points import ComparedPoints, align_points, make_curve, select_points
+from needlefit.geometry.compare import ComparedCurves, compare_curves
+from needlefit.inference.compared_points import (
+    ComparedPoints,
+    align,
+    align_points,
+    differentiate_align,
+    make_curve,
+    select_points,
+)
 from needlefit.inference.forward_model import predict, predict_with_derivatives
-from needlefit.inference.likelihood.observation import make_observation
-from needlefit.inference.parameters import Parameters, Theta, with_noise_scale
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, make_observation
+from needlefit.inference.likelihood.operators import Discrepancy
+from needlefit.inference.parameters import Parameters, Theta, with_hyperparameters
 from needlefit.inference.posterior_density import PosteriorDensity
+from needlefit.inference.ties import BEVEL_SPREAD
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRecord
-
-Floats = NDArray[np.float64]
 
 SMOOTHING_MM = 1e-4
 """Distance below which a distance counts as squared, mm: less than any measured centreline is known to."""
@@ -61,7 +69,7 @@ def _station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
     return station_weights
 
 
-_DEFAULT_LIKELIHOOD = LikelihoodRecord()
+GUIDE_DISTANCE = "guide_distance_mm"
 
 UNIFORM_NOISE = Noise(point_sd=0.1)
 """Noise with the same deviation at all points, mm; its size hardly matters."""
@@ -77,14 +85,14 @@ class Problem:
         For its needle, its noise and how its shapes are compared.
     insertions : tuple of Insertion
         The ones fitted to.
-    medium : MediumRecord
-    parameters : Parameters
     weights : WeightsRecord
         Of the objective.
     noise : Noise or None
         Replaces what the dataset states, where it states none.
     likelihood : LikelihoodRecord
         What is made of noise and uncertain depths.
+    model_error : Discrepancy or None
+        A misfit of the model that is allowed for beside the noise.
     """
 
     dataset: Dataset
@@ -93,11 +101,19 @@ class Problem:
     parameters: Parameters
     weights: WeightsRecord
     noise: Noise | None = None
-    likelihood: LikelihoodRecord = _DEFAULT_LIKELIHOOD
+    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD
+    model_error: Discrepancy | None = None
 
     def __post_init__(self) -> None:
         if not self.insertions:
             raise ConfigError("no insertion is selected to fit to", expected="at least one")
+        tracked = any(isinstance(one, TipTrack) for one in self.insertions)
+        if tracked and GUIDE_DISTANCE not in self.parameters.names:
+            raise ConfigError(
+                "the tissue model does not state the guide's distance",
+                key="parameters",
+                expected=f"{GUIDE_DISTANCE}: from the guide to the skin, free or fixed",
+            )
 
     @property
     def lower(self) -> Floats:
@@ -130,11 +146,11 @@ class Problem:
 
     def points(self, theta: Theta) -> tuple[tuple[Floats, Floats], ...]:
         """Return the simulated and the measured points (K, 2) compared in each insertion, mm."""
-        pairs = zip(self.compared_points, self.shapes(theta), strict=True)
-        return tuple(align_points(goal, make_curve(shape)) for goal, shape in pairs)
+        trios = zip(self.insertions, self.compared_points, self.shapes(theta), strict=True)
+        return tuple(align_points(goal, make_curve(shape, one)) for one, goal, shape in trios)
 
-    def errors(self, theta: Theta) -> tuple[CurveErrors, ...]:
-        """Return the errors of each simulated needle against the measured one."""
+    def compare(self, theta: Theta) -> tuple[ComparedCurves, ...]:
+        """Return each simulated needle beside the measured one."""
         return tuple(compare_curves(*pair) for pair in self.points(theta))
 
     def objective(self, theta: Theta) -> float:
@@ -144,7 +160,8 @@ class Problem:
             shape = predict(values, self.medium, self.dataset.needle, insertion)
             if not shape.converged:
                 return float("inf")
-            total += metric_misfit(*align_points(goal, make_curve(shape)), self.weights)
+            compared = align_points(goal, make_curve(shape, insertion))
+            total += metric_misfit(*compared, self.weights)
         return total / len(self.insertions)
 
     def objective_gradient(self, theta: Theta) -> tuple[float, Floats]:
@@ -154,9 +171,8 @@ class Problem:
             points, slopes = predict_with_derivatives(
                 values, self.parameters, self.medium, self.dataset.needle, insertion, goal.s
             )
-            if goal.pose == "free":
-                slopes = differentiate_align_rigid(points, goal.measured, slopes)
-                points = align_rigid(points, goal.measured)
+            slopes = differentiate_align(goal.pose, points, goal.measured, slopes)
+            points = align(goal.pose, points, goal.measured)
             total += metric_misfit(points, goal.measured, self.weights)
             slope += metric_misfit_gradient(points, goal.measured, self.weights, slopes)
         return total / len(self.insertions), slope / len(self.insertions)
@@ -204,15 +220,16 @@ class Problem:
         """Return a cheaper or smoother problem whose minima lie close to those of this one; None if there is
         none.
 
-        For the posterior that is the one with all depths as stated, one needle instead of 2 d + 1 or more;
-        for the metric objective the plain squares of the deflections' errors.
+        For the posterior that is the one with depths and bevel as stated, one needle instead of 2 d + 1 or
+        more; for the metric objective the plain squares of the deflections' errors.
         """
         if minimized == "metric":
-            plain = self.likelihood.model_copy(update={"noise": "independent", "depths": "fixed"})
-            return replace(self, likelihood=plain, noise=UNIFORM_NOISE)
-        if not any(known.nodes.axes for known in self.density.observations):
+            squares = LikelihoodRecord(noise="independent", depths="fixed", bevel_spread=0.0)
+            return replace(self, likelihood=squares, noise=UNIFORM_NOISE)
+        if all(len(known.nodes.insertions) == 1 for known in self.density.observations):
             return None
-        return replace(self, likelihood=self.likelihood.model_copy(update={"depths": "fixed"}))
+        plain = {"depths": "fixed", "bevel_spread": 0.0}
+        return replace(self, likelihood=self.likelihood.model_copy(update=plain))
 
     def with_parameters(self, parameters: Parameters) -> "Problem":
         """Return the same problem searched over other parameters, e.g. the bevel alone."""
@@ -228,11 +245,21 @@ class Problem:
     def density(self) -> PosteriorDensity:
         """The posterior density of all values; computed once."""
         likelihood = self.likelihood
-        known = tuple(
-            make_observation(self.dataset, insertion, self.noise, likelihood) for insertion in self.insertions
-        )
+        if BEVEL_SPREAD not in self.parameters.names:
+            likelihood = likelihood.model_copy(update={"bevel_spread": 0.0})
+        known = [
+            make_observation(
+                self.dataset, insertion, self.noise, likelihood, len(self.insertions), self.model_error
+            )
+            for insertion in self.insertions
+        ]
+        repeats = find_repeats(self.dataset)
+        for k, one in enumerate(known):
+            if one.nodes.bevel and one.insertion.id in repeats:
+                nodes = one.nodes.share_bevel(repeats[one.insertion.id])
+                known[k] = replace(one, nodes=nodes)
         scale = 1.0 if likelihood.noise_scale == "estimated" else likelihood.noise_scale
-        return PosteriorDensity(self.parameters, self.medium, self.dataset.needle, known, scale)
+        return PosteriorDensity(self.parameters, self.medium, self.dataset.needle, tuple(known), scale)
 
 
 def make_problem(
@@ -240,10 +267,8 @@ def make_problem(
     insertions: Sequence[Insertion],
     medium: MediumRecord,
     weights: WeightsRecord,
-    likelihood: LikelihoodRecord = _DEFAULT_LIKELIHOOD,
+    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
 ) -> Problem:
     """Return the problem of fitting `medium` to `insertions`; what the medium frees is searched."""
-    parameters = Parameters.from_record(medium)
-    if likelihood.noise_scale == "estimated":
-        parameters = with_noise_scale(parameters)
+    parameters = with_hyperparameters(Parameters.from_record(medium), likelihood)
     return Problem(dataset, tuple(insertions), medium, parameters, weights, likelihood=likelihood)

@@ -10,15 +10,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
+from needlefit.arrays import Floats
 from needlefit.datasets.compression_loading import SpecimenLoading
 from needlefit.errors import FitError
 from needlefit.mechanics.compression import StressMeasure, compute_log_stress_derivative, compute_stress
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -100,11 +98,9 @@ class SpecimenFit:
 
     Attributes
     ----------
-    specimen : SpecimenLoading
     measure : "nominal" or "true"
     mu : float
         Shear modulus of the material, MPa.
-    alpha : float
     covariance : (2, 2) array
         Of ln mu and alpha. Alpha's variance is what the width of its profile says, and mu follows it: where
         alpha begins to turn the curve round a linear estimate has nothing to go by.
@@ -116,7 +112,6 @@ class SpecimenFit:
         Correlation of neighbouring residuals.
     effective_points : float
         Effective number of independent points.
-    profile : AlphaProfile
     other_alphas : tuple of float
         Other alphas at which the misfit has a minimum inside the 95 % region.
     """

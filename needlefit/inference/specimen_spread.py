@@ -22,15 +22,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 from scipy.stats import gaussian_kde
 
+from needlefit.arrays import Floats
 from needlefit.inference.importance.sampler import Effort, WeightedDraws, sample_by_importance
 from needlefit.inference.sampling.log_density import approximate_by_laplace
-
-Floats = NDArray[np.float64]
 
 KERNELS_PER_SPECIMEN = 100
 """Draws that stand for the posterior of a specimen."""
@@ -86,7 +84,6 @@ class Population:
 
     Attributes
     ----------
-    specimens : tuple of Specimen
     bounds : (P,), (P,) arrays
         Of m.
     spread_sd : float

@@ -7,14 +7,22 @@ from collections.abc import Mapping
 from needlefit.errors import ConfigError
 
 NOISE_SCALE = "noise_scale"
-"""Name of the estimated factor on the standard deviations of noise and pose; no medium has it."""
+"""Name of the estimated factor on the standard deviations of the noise of the points; no medium has it."""
 
-_NAME = re.compile(r"(mu|alpha)([1-9]\d*)(_pa)?|(bevel|guide_distance)_mm|noise_scale")
+BEVEL_SPREAD = "bevel_spread"
+"""Name of the standard deviation of ln b between insertions, which is estimated; no medium has it."""
+
+BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")
+"""Names of what says how strongly a needle steers; a medium has one of them."""
+
+_NAME = re.compile(
+    r"(mu|alpha)([1-9]\d*)(_pa)?|(bevel|guide_distance)_mm|cut_angle_deg|noise_scale|bevel_spread"
+)
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
 
 
 def dimension(name: str) -> str:
-    """Return what the parameter `name` measures: "modulus", "exponent", "length" or "factor".
+    """Return what the parameter `name` measures: "modulus", "exponent", "length", "angle" or "factor".
 
     Raises
     ------
@@ -25,11 +33,11 @@ def dimension(name: str) -> str:
     if match is None or (match[1] is not None and (match[1] == "mu") != (match[3] is not None)):
         raise ConfigError(
             f"there is no parameter called `{name}`",
-            expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm, guide_distance_mm",
+            expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm or cut_angle_deg, guide_distance_mm",
             fix="correct the name",
         )
-    if name == NOISE_SCALE:
-        return "factor"
+    if name in (NOISE_SCALE, BEVEL_SPREAD, "cut_angle_deg"):
+        return "angle" if name == "cut_angle_deg" else "factor"
     return {"mu": "modulus", "alpha": "exponent"}.get(match[1] or "", "length")
 
 

@@ -12,13 +12,11 @@ without new data the optimum is what it was. Layers that the old medium ties tog
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.prior import Prior, make_gaussian_prior, to_coordinate
-
-Floats = NDArray[np.float64]
 
 MIN_SPREAD = 1e-3
 """Spread that is always added, so that what the old medium fixes or ties keeps a density in the new one."""
@@ -35,12 +33,10 @@ def widen_posterior(
 
     Parameters
     ----------
-    old : Parameters
     fit : mapping
         Every parameter of the old medium at its best fit (Pa, mm).
     thetas : (B, P) array
         Draws of the old medium's posterior.
-    new : Parameters
     spread : mapping
         Standard deviation between media of each parameter's coordinate, by name; 0 where none is given.
 

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.insertion_limits import count_element_solves
@@ -19,9 +20,6 @@ from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import Validity, compute_validity
 from needlefit.schemas.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -35,8 +33,8 @@ class Batch:
         The insertion, as `simulate.simulate_steps` takes it.
     mu, alpha : (B, n) arrays
         Of the n layers of `tissue`, MPa and 1.
-    offset : (B,) array
-        Of every bevel, mm; sides stay.
+    offset, cut_angle : (B,) arrays
+        Of every bevel, mm and rad; sides stay.
     rigidity : (B,) array
         EI, N mm^2.
     base_y, base_slope : (B,) arrays
@@ -52,6 +50,7 @@ class Batch:
     mu: Floats | None = None
     alpha: Floats | None = None
     offset: Floats | None = None
+    cut_angle: Floats | None = None
     rigidity: Floats | None = None
     base_y: Floats | None = None
     base_slope: Floats | None = None
@@ -123,7 +122,9 @@ class Batch:
                 (guide,) = step.controls.before
                 shifted_guide = replace(guide, x=float(self.guide_x[i]))
                 controls = replace(controls, guides=(shifted_guide, *step.controls.within))
-            return Step(step.depth, Bevel(choose("offset", step.bevel.offset), step.bevel.side), controls)
+            angle = choose("cut_angle", step.bevel.cut_angle)
+            bevel = Bevel(choose("offset", step.bevel.offset), step.bevel.side, angle)
+            return Step(step.depth, bevel, controls)
 
         needle = replace(self.needle, flexural_rigidity=choose("rigidity", self.needle.flexural_rigidity))
         return needle, tuple(change_step(step) for step in self.steps)
@@ -202,15 +203,7 @@ class NeedleShapes:
 
 
 def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return the points (B, K, 2) in C of every needle at beam coordinates `s` (K,), mm; see
-    `compute_positions`.
-    """
+    """Return the points (B, K, 2) in C of every needle at `s` (K,), mm; see `compute_positions`."""
     return kernel.compute_batch_positions(
         shapes.x, shapes.u, shapes.slope, np.ascontiguousarray(s, dtype=np.float64)
     )
-
-
-def compute_batch_deflections(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return the deflections (B, K) of every needle at beam coordinates `s` (K,), mm, without computing x."""
-    at = np.ascontiguousarray(s, dtype=np.float64)
-    return kernel.compute_batch_deflections(shapes.x, shapes.u, shapes.slope, at)

@@ -22,9 +22,8 @@ nothing is divided by alpha: at alpha = 0 this is 3 mu h, Hencky's solid.
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from needlefit.arrays import Floats
 
 StressMeasure = Literal["nominal", "true"]
 """Force over the area before compression (engineering stress), or over the area now (Cauchy's)."""
@@ -35,7 +34,7 @@ SERIES_LIMIT = 1e-2
 """|x| below which two terms of a series are more exact than the closed form."""
 
 
-def compute_stress(mu: float, alpha: float, stretch: Floats, measure: StressMeasure) -> Floats:
+def compute_stress(mu: float, alpha: float | Floats, stretch: Floats, measure: StressMeasure) -> Floats:
     """Return the stress (N,) at `stretch` (N,), in the unit of the shear modulus `mu`."""
     h = np.log(stretch)
     true_stress = 3 * mu * h * np.exp(alpha * h / 4) * _sinhc(0.75 * alpha * h)

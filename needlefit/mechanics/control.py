@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Self
 
 from needlefit.errors import ModelError
+from needlefit.mechanics.kernel.grid import LINEAR_CUT
 from needlefit.mechanics.needle import is_finite
 from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,
@@ -14,29 +15,36 @@ from needlefit.schemas.limits import (
     MAX_NEEDLE_LENGTH_MM,
     MIN_ELEMENT_MM,
 )
-from needlefit.schemas.scene import BevelRecord, RulesRecord
+from needlefit.schemas.scene import Advance, BevelRecord, RulesRecord
 
 
 @dataclass(frozen=True)
 class Bevel:
-    """The needle's bevel: it turns the cut by `offset` (mm) per constraint spacing, toward `side` (+1: y > 0,
-    or -1).
+    """The needle's bevel, which turns the cut toward `side` (+1: y > 0).
+
+    Attributes
+    ----------
+    offset : float
+        b of the advance along the tangent, mm per constraint spacing.
+    cut_angle : float
+        theta of the advance by the path angle, rad: of the cut to the needle's tangent.
     """
 
-    offset: float
+    offset: float = 0.0
     side: int = 1
+    cut_angle: float = 0.0
 
     def __post_init__(self) -> None:
-        if not is_finite(self.offset) or self.side not in (1, -1):
+        if not is_finite(self.offset, self.cut_angle) or self.side not in (1, -1):
             raise ModelError(
-                f"bevel has offset {self.offset} mm, side {self.side}",
-                expected="an offset that is a finite number, side +1 or -1",
+                f"bevel has offset {self.offset} mm, angle {self.cut_angle} rad, side {self.side}",
+                expected="offset and angle that are finite numbers, side +1 or -1",
             )
 
     @classmethod
     def from_record(cls, record: BevelRecord) -> Self:
         """Return the bevel that a validated record describes."""
-        return cls(record.offset_mm, record.side)
+        return cls(record.offset_mm or 0.0, record.side, math.radians(record.cut_angle_deg or 0.0))
 
 
 @dataclass(frozen=True)
@@ -97,8 +105,6 @@ class Controls:
     stage_slope : float
         Slope in C of the axis along which the stage carries the base: at depth D the base stands at
         y = base_y + stage_slope D.
-    guides : tuple of Guide
-    tip : TrackedTip or None
     """
 
     base_y: float = 0.0
@@ -179,6 +185,9 @@ class ModelOptions:
         Part of its slope that the tip takes on when it advances: 1 along its tangent, 0 a mere shift in x.
     first_cell : float or None
         Depth of the first constraint point, mm; None: the last cell is whole. A `Session` has its own.
+    advance : str
+        "tangent", the paper's rule: along the tip's tangent, turned by `Bevel.offset` per constraint spacing.
+        "path_angle": at `Bevel.cut_angle` to the needle's tangent; `switch` and `tangent` are then not used.
     """
 
     spacing: float = 1.0
@@ -188,8 +197,14 @@ class ModelOptions:
     switch: float = 0.5
     tangent: float = 1.0
     first_cell: float | None = None
+    advance: Advance = "tangent"
 
     def __post_init__(self) -> None:
+        if self.advance == "path_angle" and (self.switch, self.tangent) != (0.5, 1.0):
+            raise ModelError(
+                f"switch is {self.switch}, tangent is {self.tangent}",
+                expected='0.5 and 1: these are variants of advance = "tangent"',
+            )
         if not (0 <= self.switch <= 1 and 0 <= self.tangent <= 1):
             raise ModelError(
                 f"switch is {self.switch}, tangent is {self.tangent}", expected="both from 0 to 1"
@@ -224,6 +239,31 @@ class ModelOptions:
             )
         object.__setattr__(self, "element", self.spacing / round(ratio))  # 0.333 means a third
 
+    @property
+    def path_angle(self) -> bool:
+        """Whether the needle advances by the path angle."""
+        return self.advance == "path_angle"
+
+    @property
+    def cut_switch(self) -> float:
+        """Return `switch` as the kernel reads it: LINEAR_CUT where the cut is linear between its points."""
+        return LINEAR_CUT if self.path_angle else self.switch
+
+    def bevel_strength(self, bevel: Bevel) -> tuple[float, float]:
+        """Return how strongly a bevel turns the cut: b (mm) over C_int (mm), or theta (rad) over 1.
+
+        Raises
+        ------
+        ModelError
+            If the bevel's strength is that of the other rule.
+        """
+        if (bevel.offset if self.path_angle else bevel.cut_angle) != 0:
+            raise ModelError(
+                f"bevel has offset {bevel.offset} mm, angle {bevel.cut_angle} rad",
+                expected=f"{'cut_angle' if self.path_angle else 'offset'} alone: advance is {self.advance}",
+            )
+        return (bevel.cut_angle, 1.0) if self.path_angle else (bevel.offset, self.spacing)
+
     @classmethod
     def from_record(cls, record: RulesRecord) -> Self:
         """Return the options that a validated record describes."""
@@ -233,4 +273,5 @@ class ModelOptions:
             switch=record.constraint_switch,
             tangent=record.tangent_part,
             first_cell=record.first_cell_mm,
+            advance=record.advance,
         )

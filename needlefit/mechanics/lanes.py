@@ -1,6 +1,4 @@
-"""Simulate many insertions with many parameter sets: vector instructions within an insertion, threads between
-them.
-"""
+"""Simulate many insertions with many parameter sets: vector instructions within one, threads between."""
 
 import math
 import os
@@ -12,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.mechanics import laws
+from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.batch import VARYING_FIELDS, Batch, NeedleShapes
 from needlefit.mechanics.insertion_limits import check_size
 from needlefit.mechanics.kernel.foundation import make_foundation
@@ -22,6 +20,8 @@ from needlefit.mechanics.kernel.lanes import insertion as kernel
 from needlefit.mechanics.kernel.lanes.newton import LEFT_LANES, LaneInputs
 from needlefit.mechanics.kernel.lanes.tables import LANES, LaneTables, tabulate
 from needlefit.mechanics.kernel.scalar import NON_FINITE, NewtonOptions
+from needlefit.mechanics.law_form import compile_law
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import (
@@ -33,10 +33,6 @@ from needlefit.mechanics.simulate import (
 )
 from needlefit.mechanics.validity import compute_batch_scales
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-
 
 def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tuple[NeedleShapes, ...]:
     """Simulate every parameter set of every batch on all cores, the longest insertions first.
@@ -47,7 +43,6 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
 
     Parameters
     ----------
-    batches : sequence of Batch
     threads : int, optional
         By default as many as there are cores.
 
@@ -131,6 +126,9 @@ def _find_valid(batch: Batch) -> Bools:
             accepted = np.isfinite(values)
             if name in ("mu", "rigidity"):
                 accepted &= values > 0
+            if name == "alpha":
+                low, high = LAWS[batch.tissue.law].alpha_range
+                accepted &= (values >= low) & (values <= high)
             if name == "guide_x":  # before the tissue, and where the base does not come to it
                 accepted &= (values < 0) & (values > deepest - batch.needle.length)
             good &= accepted.reshape(len(batch), -1).all(axis=1)
@@ -160,9 +158,9 @@ def _make_layers(job: _BatchJob, lane: Ints) -> tuple[Floats, Floats]:
     valid = job.valid[lane, None]
     # Lanes of invalid sets compute with harmless numbers; `_simulate_block` replaces their results.
     mu, alpha = np.where(valid, mu, 1.0), np.where(valid, alpha, 1.0)
-    coefficients, exponents = laws.power_terms(tissue.law, alpha.ravel())
+    law = compile_law(tissue.law, alpha.ravel())
     thickness, friction = (np.resize(part, mu.size) for part in (tissue.thickness, tissue.friction))
-    found = make_foundation(mu.ravel(), coefficients, exponents, thickness, friction)
+    found = make_foundation(mu.ravel(), *law, thickness, friction)
     series = np.concatenate((found.series, found.limit[:, None]), axis=1)
     # From (lane, layer, row) to (layer, row, lane): each row of LANES numbers must be contiguous.
     return series.reshape(*shape, -1).transpose(1, 2, 0).ravel(), found.curvature.reshape(shape).max(axis=1)
@@ -255,7 +253,9 @@ def _make_inputs(
         return np.full(len(lane), otherwise) if values is None else values[lane]
 
     bevels = [batch.steps[step].bevel for step in bevel_id]  # of these stops alone: there may be many steps
-    turns = [bevel.side / batch.rules.spacing * given("offset", bevel.offset) for bevel in bevels]
+    strengths = [(bevel.side, *batch.rules.bevel_strength(bevel)) for bevel in bevels]
+    name = "cut_angle" if batch.rules.path_angle else "offset"
+    turns = [side / length * given(name, strength) for side, strength, length in strengths]
     before = np.repeat(conditions.before[:, :, None], len(lane), axis=2)  # (F, 3, W)
     if batch.guide_x is not None:
         before[0, 0] = batch.guide_x[lane]

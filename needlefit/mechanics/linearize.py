@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
-from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.kernel import insertion_derivatives as kernel
 from needlefit.mechanics.kernel.beam import compute_position_derivatives
 from needlefit.mechanics.kernel.parameter_loads import DerivativeColumns, DerivativeHistory
 from needlefit.mechanics.kernel.scalar import CONVERGED, NewtonOptions
+from needlefit.mechanics.law_form import differentiate_law
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape
@@ -27,12 +27,9 @@ from needlefit.mechanics.simulate import (
 )
 from needlefit.mechanics.tissue import Tissue
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 DERIVATIVE_KINDS = (
-    "mu", "alpha", "friction", "boundaries", "rigidity", "offset", "base_y", "base_slope", "stage_slope",
-    "guides",
+    "mu", "alpha", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
+    "stage_slope", "guides",
 )  # fmt: skip
 """Kinds of parameters that `wrt` accepts, in the order of the Jacobian's columns."""
 
@@ -48,20 +45,22 @@ MAX_TOLERANCE_MM = 1e-9
 class Jacobian:
     """Derivatives of a `NeedleShape` with respect to P parameters, per MPa, mm, N mm^2, rad or 1.
 
-    Bevel offset and base are shifted alike in all steps; guides of several steps at the same x are one guide,
+    Bevel and base are shifted alike in all steps; guides of several steps at the same x are one guide,
     numbered by x. Where a node itself moves along the needle, its deflection is followed along with it.
 
     Attributes
     ----------
     names : tuple of str
-        mu1, ..., alpha1, ..., friction1, ..., boundary1, ..., rigidity, offset, base_y, base_slope,
-        stage_slope, guide1_x, guide1_y, guide1_slope, ...
+        mu1, ..., alpha1, ..., friction1, ..., boundary1, ..., rigidity, offset, cut_angle, base_y,
+        base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ...
     x : (N, P) array
         Of the nodes' beam coordinates: 1 for a guide's node and its own x, else 0.
     u, slope : (N, P) arrays
         Of the nodes' deflection and slope.
     constraints : (M + 1, P) array
         Of the y of the constraint points.
+    tip_track : (M + 1, P) array
+        Of the tip's deflection as it stood at each constraint point.
     """
 
     names: tuple[str, ...]
@@ -69,6 +68,7 @@ class Jacobian:
     u: Floats
     slope: Floats
     constraints: Floats
+    tip_track: Floats
 
 
 def linearize(
@@ -120,28 +120,28 @@ def linearize_steps(
     lattice = lattice or make_lattice(steps, rules)
     moves = make_moves(steps, needle.length)
     guide_depths = _list_guide_depths(steps)
-    names, columns, guide_columns = _make_columns(tuple(wrt), tissue.layers, guide_depths)
+    names, columns, guide_columns = _make_columns(tuple(wrt), tissue.layers, guide_depths, rules.path_angle)
     insertion = begin_insertion(needle, tissue, steps, lattice, rules)
     groups = pack_groups(moves, lattice)
     max_stops = max(len(stops.tip) for _, stops, _ in groups)
     # A forward run keeps no states; derivatives need the state at each stop of a group.
     insertion = insertion._replace(record=np.empty((max_stops, *insertion.record.shape[1:])))
     foundation = compile_tissue(tissue)
-    by_alpha = laws.term_slopes(tissue.law)
+    by_alpha = differentiate_law(tissue.law, tissue.alpha)
     history = _make_history(len(insertion.y), len(insertion.rays), columns.total)
     whole = np.empty((len(insertion.nodes), 2, columns.total))
     # Derivatives belong to the converged state: they need a smaller tolerance than shapes do.
     newton = NewtonOptions(min(rules.tolerance, MAX_TOLERANCE_MM), rules.max_iterations)
-    sides = np.array([step.bevel.side / rules.spacing for step in steps])
-    offsets = np.array([step.bevel.offset for step in steps])
+    strengths, lengths = np.array([rules.bevel_strength(step.bevel) for step in steps]).T
+    sides = np.array([step.bevel.side for step in steps]) / lengths
     status, iterations = CONVERGED, 0
     for n, (controls_id, stops, bevel_id) in enumerate(groups):
-        turn_per_offset = sides[bevel_id]
-        stops = stops._replace(turn=offsets[bevel_id] * turn_per_offset)
+        turn_per_strength = sides[bevel_id]
+        stops = stops._replace(turn=strengths[bevel_id] * turn_per_strength)
         controls = steps[controls_id].controls
         status, used = kernel.advance_derivatives(
             insertion, foundation, by_alpha, compile_controls(controls), _list_guide_columns(controls,
-            guide_depths, guide_columns), stops, turn_per_offset, newton, columns, history,
+            guide_depths, guide_columns), stops, turn_per_strength, newton, columns, history,
             whole if n + 1 == len(groups) else whole[:0],
         )  # fmt: skip
         iterations += used
@@ -152,12 +152,14 @@ def linearize_steps(
     )
     if status != CONVERGED:
         return shape, _make_nan_jacobian(names, shape)
-    whole, points = whole[: len(shape.x)], history.constraints[: len(shape.constraints)]
+    whole, reached = whole[: len(shape.x)], slice(len(shape.constraints))
     controls = steps[-1].controls
     nodes = _differentiate_nodes(
         shape.x, controls, _list_guide_columns(controls, guide_depths, guide_columns), columns.total
     )
-    return shape, Jacobian(names, nodes, whole[:, 0], whole[:, 1], points)
+    return shape, Jacobian(
+        names, nodes, whole[:, 0], whole[:, 1], history.constraints[reached], history.track[reached, 0]
+    )
 
 
 def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
@@ -182,7 +184,7 @@ def _list_guide_depths(steps: Sequence[Step]) -> tuple[float, ...]:
 
 @lru_cache(maxsize=512)  # a fit asks for the same columns over and over
 def _make_columns(
-    wrt: tuple[str, ...], layers: int, guide_depths: tuple[float, ...]
+    wrt: tuple[str, ...], layers: int, guide_depths: tuple[float, ...], path_angle: bool
 ) -> tuple[tuple[str, ...], DerivativeColumns, Ints]:
     """Return the columns' names, where each kind begins, and each guide's columns (G, 3)."""
     wrong = [kind for kind in wrt if kind not in DERIVATIVE_KINDS]
@@ -200,11 +202,9 @@ def _make_columns(
     guide_columns = np.full((len(guide_depths), 3), -1)
     if first["guides"] >= 0:
         guide_columns = first["guides"] + np.arange(3 * len(guide_depths)).reshape(-1, 3)
-    return (
-        tuple(names),
-        DerivativeColumns(len(names), *(first[kind] for kind in DERIVATIVE_KINDS[:-1])),
-        guide_columns,
-    )
+    # The bevel's strength has one column in the kernel; that of the rule which is not used stays 0.
+    kinds = [kind for kind in DERIVATIVE_KINDS[:-1] if kind != ("offset" if path_angle else "cut_angle")]
+    return tuple(names), DerivativeColumns(len(names), *(first[kind] for kind in kinds)), guide_columns
 
 
 def _list_names(kind: str, layers: int, guides: int) -> list[str]:
@@ -225,8 +225,9 @@ def _list_guide_columns(controls: Controls, guide_depths: tuple[float, ...], gui
 def _make_history(points: int, rays: int, columns: int) -> DerivativeHistory:
     """Return the derivatives before first contact."""
     return DerivativeHistory(
-        np.zeros((points, columns)), np.zeros((rays, 2, columns)), np.zeros((2, columns)), np.zeros(points)
-    )
+        np.zeros((points, columns)), np.zeros((rays, 2, columns)), np.zeros((2, columns)), np.zeros(points),
+        np.zeros((points, 2, columns)), np.zeros(columns),
+    )  # fmt: skip
 
 
 def _differentiate_nodes(x: Floats, controls: Controls, guide_columns: Ints, columns: int) -> Floats:
@@ -240,4 +241,5 @@ def _differentiate_nodes(x: Floats, controls: Controls, guide_columns: Ints, col
 
 def _make_nan_jacobian(names: tuple[str, ...], shape: NeedleShape) -> Jacobian:
     nodes = np.full((len(shape.x), len(names)), np.nan)
-    return Jacobian(names, nodes, nodes, nodes, np.full((len(shape.constraints), len(names)), np.nan))
+    points = np.full((len(shape.constraints), len(names)), np.nan)
+    return Jacobian(names, nodes, nodes, nodes, points, points)

@@ -4,16 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.kernel import load as kernel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import compile_tissue
 from needlefit.mechanics.tissue import Tissue
-
-Floats = NDArray[np.float64]
 
 _DEFAULT_OPTIONS = ModelOptions()
 
@@ -51,7 +49,6 @@ class Loads:
         Length of shaft that each of them stands for, mm: the tissue's force is `weight @ load`.
     tip_region_force : float
         Force of the tissue on the stretch that belongs to the last constraint point, N.
-    base : SupportReaction
     guides : tuple of SupportReaction
         One for each of the controls' guides, in their order; all 0 for one that does not hold yet.
     tip : SupportReaction
@@ -94,7 +91,6 @@ def compute_loads(
 
     Parameters
     ----------
-    shape : NeedleShape
     tissue, needle, rules : Tissue, Needle, ModelOptions
         Those under which it was found.
     controls : Controls
@@ -107,7 +103,7 @@ def compute_loads(
     """
     s, weight, load, last, nodal_forces = kernel.balance_forces(
         shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
-        rules.switch, needle.flexural_rigidity,
+        rules.cut_switch, needle.flexural_rigidity,
     )  # fmt: skip
     # Supports have nodes at exactly their x, so a node is found by its coordinate.
     reactions = dict(zip(shape.x.tolist(), nodal_forces.tolist(), strict=True))
@@ -134,7 +130,7 @@ def compute_lateral_load(
     """
     return kernel.compute_load(
         shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
-        rules.switch, np.ascontiguousarray(s, dtype=np.float64),
+        rules.cut_switch, np.ascontiguousarray(s, dtype=np.float64),
     )  # fmt: skip
 
 

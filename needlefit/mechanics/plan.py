@@ -49,6 +49,9 @@ class TipStop:
         Number of the bevel that cuts, or has cut, the ray.
     controls_id : int
         Number of the controls that hold the needle.
+    extrapolates : bool
+        Whether that ray follows one of equal length under the same inputs: an advance by the path angle then
+        takes on the slope that the tip will have in the middle of the cell.
     """
 
     tip: float
@@ -58,6 +61,7 @@ class TipStop:
     starts_ray: bool
     bevel_id: int
     controls_id: int
+    extrapolates: bool = False
 
 
 @dataclass(frozen=True)
@@ -149,18 +153,18 @@ def list_rays(position: Position) -> list[Ray]:
 
 
 def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Position, list[TipStop]]:
-    """Return the position after a move, and the stops of the move; the last stop is at the move's depth and
-    inputs.
-    """
+    """Return the position after a move, and its stops; the last is at the move's depth and inputs."""
     ray = position.ray
     stops: list[TipStop] = []
 
-    def halt(depth: float, *, starts_ray: bool = False) -> TipStop:
+    def halt(depth: float, *, starts_ray: bool = False, extrapolates: bool = False) -> TipStop:
         cell = lattice.cell(depth)
         permanent = lattice.is_at(cell, depth)
         tip = lattice.depth(cell) if permanent else depth
         bevel_id, number = (ray.bevel_id, ray.number) if ray else (move.bevel_id, -1)
-        stops.append(TipStop(tip, cell, permanent, number, starts_ray, bevel_id, move.controls_id))
+        stops.append(
+            TipStop(tip, cell, permanent, number, starts_ray, bevel_id, move.controls_id, extrapolates)
+        )
         return stops[-1]
 
     here = position.last or halt(0.0)
@@ -181,12 +185,16 @@ def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Positio
             halt(here.tip)
         at = here.tip
         while move.depth > at + SAME_DEPTH_MM:
+            extrapolates = False
             if begins:
                 ray = Ray(at, move.bevel_id, move.controls_id, ray.number + 1 if ray else 0, ray)
+                extrapolates = _continues(ray, lattice)
             # 2 * SAME_DEPTH_MM: a tip that stands at a constraint point, up to rounding, goes on to the next
             # one.
             at = halt(
-                min(lattice.depth(lattice.cell(at + 2 * SAME_DEPTH_MM)), move.depth), starts_ray=begins
+                min(lattice.depth(lattice.cell(at + 2 * SAME_DEPTH_MM)), move.depth),
+                starts_ray=begins,
+                extrapolates=extrapolates,
             ).tip
             begins = True
     elif move.depth < here.tip - SAME_DEPTH_MM:
@@ -199,6 +207,19 @@ def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Positio
         halt(here.tip)
     depth_changed = abs(move.depth - here.tip) > SAME_DEPTH_MM
     return Position(stops[-1] if stops else here, ray, move, inputs_changed and not depth_changed), stops
+
+
+def _continues(ray: Ray, lattice: Lattice) -> bool:
+    """Whether a ray follows a whole cell that was cut under the same inputs."""
+    before, cell = ray.before, lattice.cell(ray.start)
+    return (
+        before is not None
+        and cell > 0
+        and lattice.is_at(cell, ray.start)
+        and lattice.is_at(cell - 1, before.start)
+        and abs(ray.start - before.start - lattice.spacing) <= 2 * SAME_DEPTH_MM
+        and (before.bevel_id, before.controls_id) == (ray.bevel_id, ray.controls_id)
+    )
 
 
 def plan_stops(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[TipStop, ...]:
@@ -260,10 +281,8 @@ def find_input_path(
 
     Parameters
     ----------
-    position : Position
     last : Step
         Where the tip stands, and under which inputs.
-    lattice : Lattice
     inputs_of : callable
         The bevel that cuts a ray, and the controls under which it was begun.
     """

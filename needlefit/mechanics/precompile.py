@@ -54,9 +54,7 @@ def precompile(*parts: str) -> None:
 
 @contextmanager
 def _hold_lock(lock: Path) -> Iterator[None]:
-    """Hold a lock, which goes with this process however it ends; after `MAX_WAIT_S`, or without locks, go
-    on.
-    """
+    """Hold a lock, which ends with this process; after `MAX_WAIT_S`, or without locks, go on."""
     with ExitStack() as stack:
         if fcntl is not None:
             with suppress(OSError):

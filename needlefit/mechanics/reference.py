@@ -10,17 +10,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.mechanics import laws
+from needlefit.arrays import Bools, Floats
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.kernel.grid import GUIDE_ENGAGEMENT_MM
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, plan_stops
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import compute_scales
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 def simulate(
@@ -42,25 +40,31 @@ def simulate_steps(
     rules: ModelOptions = ModelOptions(),
     lattice: Lattice | None = None,
 ) -> NeedleShape:
-    """Bring the tip from one stop to the next (section 4); arguments as in
-    `mechanics.simulate.simulate_steps`.
-    """
+    """Bring the tip from stop to stop (section 4); arguments as in `mechanics.simulate.simulate_steps`."""
     lattice = lattice or make_lattice(steps, rules)
     C_int = rules.spacing
     c: dict[int, float] = {0: 0.0}  # y of the constraint points, by their number
-    rays: dict[int, tuple[float, float, float]] = {}  # where each ray begins: x, y and slope of the tip
+    rays: dict[int, tuple[float, float, float]] = {}  # where each ray begins: x, y and slope
     track: dict[int, tuple[float, float]] = {}
-    x_tip = u_tip = slope_tip = 0.0
+    x_tip = u_tip = slope_tip = c_tip = 0.0
     iterations = 0
     for stop in plan_stops(steps, lattice, needle.length):
         if stop.starts_ray:
-            rays[stop.ray] = x_tip, u_tip, slope_tip
+            if rules.path_angle:
+                if x_tip == 0:
+                    c[0] = c_tip
+                # phi_m = 3/2 u'_{m-1} - 1/2 u'_{m-2}, or u'_{m-1} after a change
+                before = track[stop.cell - 2][1] if stop.extrapolates else slope_tip
+                rays[stop.ray] = x_tip, c_tip, slope_tip + (slope_tip - before) / 2
+            else:
+                rays[stop.ray] = x_tip, u_tip, rules.tangent * slope_tip  # tangent: 1, but in variants
         if stop.cell > 0:
-            # c_m = u_tip + (x_m - x_tip) (u'_tip + s b / C_int): along the tangent, turned by the bevel
-            x_0, u_0, slope_0 = rays[stop.ray]
-            slope_0 *= rules.tangent  # 1, but in variants of this rule
+            # c_m = u_tip + (x_m - x_tip) (u'_tip + s b / C_int): along the tangent, turned by the bevel; or
+            # c_m = c_tip + (x_m - x_tip) (phi_m + s theta): at an angle to the path
+            x_0, y_0, slope_0 = rays[stop.ray]
             bevel = steps[stop.bevel_id].bevel
-            c[stop.cell] = u_0 + (stop.tip - x_0) * (slope_0 + bevel.side * bevel.offset / C_int)
+            turn = bevel.cut_angle if rules.path_angle else bevel.offset / C_int
+            c[stop.cell] = y_0 + (stop.tip - x_0) * (slope_0 + bevel.side * turn)
         x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
         points = np.column_stack((x_c, [c[m] for m in range(stop.cell + 1)]))
         nodes, u, prescribed = mesh(
@@ -69,6 +73,7 @@ def simulate_steps(
         u, used = equilibrium(needle, tissue, nodes, points, u, prescribed, rules)
         iterations += used
         x_tip, u_tip, slope_tip = stop.tip, float(u[-2]), float(u[-1])
+        c_tip = c[stop.cell] if stop.cell > 0 else u_tip
         track[stop.cell] = u_tip, slope_tip
     tips = np.array([track[m] for m in range(stop.cell + 1)])
     scales = compute_scales(tissue, needle.flexural_rigidity, stop.tip, C_int)
@@ -126,17 +131,17 @@ def equilibrium(
     `u` (2 N,) is a guess of deflection and slope of every node, true where they are `prescribed`.
     """
     K_b = bending_stiffness(nodes, needle.flexural_rigidity)
-    change = change_depths(constraints[:, 0], rules.switch)
+    change = change_depths(constraints[:, 0], rules)
     x_q, w_q = quadrature(nodes, change, tissue.boundaries)
     N, dN = shape_functions(nodes, x_q)  # (Q, 2 N) each
     layer = np.searchsorted(tissue.boundaries, x_q)
-    nearest = np.searchsorted(change, x_q)
+    c_q = cut(rules, x_q, change, constraints)
     t, gamma = tissue.thickness[layer], tissue.friction[layer]
     u = u.copy()
     free = ~prescribed
     before = math.inf
     for iteration in range(rules.max_iterations):
-        e = N @ u - constraints[nearest, 1]
+        e = N @ u - c_q
         slope = dN @ u
         lam = (t - np.abs(e)) / t
         k, dk = modulus(tissue, layer, lam)
@@ -158,13 +163,26 @@ def equilibrium(
     raise ArithmeticError(f"no equilibrium after {rules.max_iterations} iterations")
 
 
-def modulus(tissue: Tissue, layer: NDArray[np.int64], lam: Floats) -> tuple[Floats, Floats]:
-    """Return k(lambda) and dk/dlambda at points in the given layers (section 3); the law is a sum
-    of powers.
+def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
+    """Return the points (K, 2) at beam coordinates: integrals of cos u' and sin u' from the base (section 5).
+
+    By Simpson's rule on a thousand pieces of every interval between nodes and wanted coordinates.
     """
-    c, q = (terms[layer] for terms in laws.power_terms(tissue.law, tissue.alpha))  # (Q, P)
-    mu, lam = tissue.mu[layer], lam[:, None]
-    return mu * np.sum(c * lam**q, axis=1), mu * np.sum(c * q * lam ** (q - 1), axis=1)
+    edges = np.union1d(shape.x, s)
+    at = edges[:-1, None] + np.diff(edges)[:, None] * np.linspace(0, 1, 2001)
+    _, dN = shape_functions(shape.x, at.ravel())
+    rotation = (dN @ np.column_stack((shape.u, shape.slope)).ravel()).reshape(at.shape)
+    simpson = np.array([1, *(4, 2) * 999, 4, 1]) / 6000
+    ahead, aside = (np.diff(edges) * (part @ simpson) for part in (np.cos(rotation), np.sin(rotation)))
+    reached = np.vstack(([shape.x[0], shape.u[0]], np.column_stack((ahead, aside)))).cumsum(axis=0)
+    found: Floats = reached[np.searchsorted(edges, s)]
+    return found
+
+
+def modulus(tissue: Tissue, layer: NDArray[np.int64], lam: Floats) -> tuple[Floats, Floats]:
+    """Return k(lambda) and dk/dlambda at points in the given layers (section 3)."""
+    law, mu, alpha = LAWS[tissue.law], tissue.mu[layer], tissue.alpha[layer]
+    return mu * law.k(lam, alpha), mu * law.dk_dstretch(lam, alpha)
 
 
 def bending_stiffness(nodes: Floats, EI: float) -> Floats:
@@ -182,10 +200,20 @@ def bending_stiffness(nodes: Floats, EI: float) -> Floats:
     return K
 
 
-def change_depths(x_c: Floats, switch: float) -> Floats:
-    """Return the depths where the next constraint point takes over (section 3); `switch` 0.5: halfway."""
-    where: Floats = (1 - switch) * x_c[:-1] + switch * x_c[1:]
-    return where
+def change_depths(x_c: Floats, rules: ModelOptions) -> Floats:
+    """Return the depths where the next constraint point takes over (section 3); of a linear cut also those of
+    the points, where it bends.
+    """
+    where: Floats = (1 - rules.switch) * x_c[:-1] + rules.switch * x_c[1:]
+    return np.sort(np.concatenate((where, x_c))) if rules.path_angle else where
+
+
+def cut(rules: ModelOptions, x: Floats, change: Floats, constraints: Floats) -> Floats:
+    """Return c(x): the y of the nearest constraint point (section 3), or linear between them (section 4)."""
+    if rules.path_angle:
+        return np.interp(x, constraints[:, 0], constraints[:, 1])
+    found: Floats = constraints[np.searchsorted(change, x), 1]
+    return found
 
 
 def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Floats, Floats]:

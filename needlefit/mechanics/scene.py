@@ -8,13 +8,14 @@ from itertools import pairwise
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Frame, Placement
-from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.insertion_limits import check_reach, check_size
+from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, make_lattice
 from needlefit.mechanics.session import NeedleState, Session
@@ -22,8 +23,6 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import MAX_SHOWN_POSITIONS
 from needlefit.schemas.scene import GuideRecord, ResolvedStep, SceneEntryRecord, SceneRecord, resolve_steps
-
-Floats = NDArray[np.float64]
 
 MAX_AXIS_ANGLE_RAD = math.radians(45)
 """Greatest angle between C's x axis and a guide's or the stage's."""
@@ -44,9 +43,7 @@ class Entry:
 
     @property
     def placement(self) -> Placement:
-        """The pose of C in the plane z = 0 of the world, whose coordinates are read as patient
-        coordinates.
-        """
+        """The pose of C in the plane z = 0 of the world, whose coordinates are read as the patient's."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return Placement(Frame(np.array([self.x, self.y, 0.0]), rotation))
@@ -128,7 +125,7 @@ class Scene:
             tissue = Tissue.from_records(record.layers, record.law)
             rules = ModelOptions.from_record(record.rules)
         with _name_keys(where, "law"):
-            laws.power_terms(tissue.law, tissue.alpha)  # refused here, where the key is known
+            compile_law(tissue.law, tissue.alpha)  # refused here, where the key is known
         steps = tuple(_make_step(whole, needle, entry, where) for whole in resolve_steps(record))
         with _name_keys(where, *_list_size_keys(record)):
             check_size(tuple(step.depth for step in steps), rules)
@@ -222,7 +219,7 @@ def _name_keys(where: str, *keys: str) -> Iterator[None]:
     """Turn what the model refuses into a fault of the file, at those keys."""
     try:
         yield
-    except ModelError as error:
+    except (ModelError, ConfigError) as error:
         named = (
             f"key{'s' if len(keys) > 1 else ''} {' and '.join(f'`{key}`' for key in keys)}: " if keys else ""
         )

@@ -26,7 +26,13 @@ from needlefit.mechanics.plan import (
     plan_move,
 )
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack_stops, read_shape
+from needlefit.mechanics.simulate import (
+    compile_controls,
+    compile_tissue,
+    compute_turn,
+    pack_stops,
+    read_shape,
+)
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import MAX_ELEMENTS, MAX_STEPS
 
@@ -150,9 +156,7 @@ class Session:
         return self.go(Step(0.0 if abs(depth) < SAME_DEPTH_MM else depth, bevel or self.last.bevel, controls))
 
     def go(self, step: Step) -> NeedleShape:
-        """Move the tip to the depth of `step` under its inputs; returns and errors are those of
-        `Session.step`.
-        """
+        """Move the tip to the depth of `step` under its inputs; returns and raises as `Session.step`."""
         check_reach(self.needle.length, step.depth, step.controls)
         check_size((self.last.depth, step.depth), self.rules)
         return self._go(step)
@@ -178,20 +182,22 @@ class Session:
             lambda ray: (bevels[ray.bevel_id], controls[ray.controls_id]),
         )
 
-    def simulate_again(self, tissue: Tissue | None = None, offset: float | None = None) -> "Session":
-        """Simulate the same steps in another tissue, or with another bevel offset throughout.
+    def simulate_again(
+        self, tissue: Tissue | None = None, offset: float | None = None, cut_angle: float | None = None
+    ) -> "Session":
+        """Simulate the same steps in another tissue, or with another strength of the bevel throughout.
 
         Its `failures` say whether a step of it failed; it then stands where that step began.
 
         Parameters
         ----------
         tissue : Tissue, optional
-        offset : float, optional
-            b, mm, of every step.
+        offset, cut_angle : float, optional
+            b, mm, or theta, rad, of every step.
         """
-        steps = self.input_path()
-        if offset is not None:
-            steps = tuple(replace(step, bevel=replace(step.bevel, offset=offset)) for step in steps)
+        given: dict[str, Any] = {} if offset is None else {"offset": offset}
+        given |= {} if cut_angle is None else {"cut_angle": cut_angle}
+        steps = tuple(replace(s, bevel=replace(s.bevel, **given)) for s in self.input_path())
         bevel, controls = steps[0].bevel, steps[0].controls
         other = Session(
             self.needle, tissue or self.tissue, bevel, self.lattice.first_cell, controls, self.rules
@@ -213,7 +219,7 @@ class Session:
             # Only what this step may change is copied, for a step that fails.
             saved = [part.copy() for part in changed_arrays]
             # rays that open now are cut by this bevel; the kernel does not read the turn of the others
-            turn = step.bevel.side * step.bevel.offset / self.rules.spacing
+            turn = compute_turn(step.bevel, self.rules)
             packed = pack_stops(stops)[0]._replace(turn=np.full(len(stops), turn))
             conditions = compile_controls(step.controls)
             status, iterations, _ = kernel.advance_needle(
@@ -237,7 +243,8 @@ class Session:
     def _list_changed_arrays(self, stops: Sequence[TipStop]) -> tuple[np.ndarray, ...]:
         """Return what the stops of a step change."""
         now = self._insertion
-        cells = slice(min(stop.cell for stop in stops), max(stop.cell for stop in stops) + 1)
+        # the point before the first may be set anew too: that at the entry, by a cut that begins there
+        cells = slice(max(min(stop.cell for stop in stops) - 1, 0), max(stop.cell for stop in stops) + 1)
         rays = slice(max(min(stop.ray for stop in stops), 0), stops[-1].ray + 1)
         return now.y[cells], now.track[cells], now.rays[rays], now.tip, now.nodes, now.states, now.size
 
@@ -254,7 +261,7 @@ class Session:
     def _begin(self) -> kernel.KernelInsertion:
         return kernel.begin_insertion(
             self.needle.flexural_rigidity, self.needle.length, self.lattice.first_cell,
-            self.lattice.spacing, self.rules.element, self.rules.switch, self.rules.tangent,
+            self.lattice.spacing, self.rules.element, self.rules.cut_switch, self.rules.tangent,
             self.tissue.boundaries, self._deepest, self._guides, self._rays,
         )  # fmt: skip
 

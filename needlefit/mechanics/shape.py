@@ -5,13 +5,12 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics.kernel import beam as kernel
 from needlefit.mechanics.validity import Validity, compute_validity, make_unknown_scales
 
-Floats = NDArray[np.float64]
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
 
 
@@ -19,7 +18,8 @@ Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
 class NeedleShape:
     """The shape of a needle: the nodes of the bent beam in C, base first, tip last.
 
-    `x` is the beam coordinate (arc length, 0 at the entry), not the place in space: see `compute_positions`.
+    `x` is the beam coordinate (arc length, 0 at the entry) and u the deflection that the equations know, not
+    the place in space: see `compute_positions`.
 
     Attributes
     ----------
@@ -48,9 +48,7 @@ class NeedleShape:
 
     @cached_property
     def validity(self) -> Validity:
-        """How far the solution exceeds or keeps within the model's assumptions; NaN where there is no
-        solution.
-        """
+        """How far the solution keeps within the model's assumptions; NaN where there is no solution."""
         return compute_validity(self)
 
     @property
@@ -70,24 +68,24 @@ class NeedleShape:
 
     @property
     def tip_path(self) -> Floats:
-        """Depth and y of the tip as it stood at each constraint point, (M + 1, 2) mm."""
+        """Depth and deflection of the tip as it stood at each constraint point, (M + 1, 2) mm."""
         return np.column_stack((self.constraints[:, 0], self.tip_track[:, 0]))
 
     @property
     def deflection(self) -> float:
-        """Deflection of the tip in C, mm."""
-        return float(self.u[-1])
+        """The y of the tip in C, mm, where `compute_positions` has it."""
+        return float(kernel.compute_positions(self.x, self.u, self.slope, self.x[-1:])[0, 1])
 
 
 def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     """Return the points (K, 2) of the needle in C, mm, at given beam coordinates.
 
-    The needle keeps its length: x(s) = integral of cos(atan u') from the base, y = u (the tip therefore
-    lags a little behind its depth).
+    u' is the rotation of the needle's section: x(s) = integral of cos u', y(s) = integral of sin u', from the
+    base, which stands at its own beam coordinate and deflection. The needle keeps its length, and the tip
+    lags a little behind its depth.
 
     Parameters
     ----------
-    shape : NeedleShape
     s : (K,) array
         Beam coordinates, mm: 0 at the entry, `shape.depth` at the tip, negative before the tissue.
 
@@ -113,12 +111,15 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
 
 
 def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
-    """Return points (K, 2), given by beam coordinate and y, in the coordinates of `compute_positions`.
+    """Return points (K, 2), given by beam coordinate and deflection, in the coordinates of
+    `compute_positions`.
 
-    Each point moves along x with the point of the needle at its beam coordinate, and keeps its y. Its
-    distance from the needle is then the one that the model uses.
+    Each point moves with the point of the needle at its beam coordinate: its distance from the needle, along
+    y, is then the e of the model.
     """
-    return np.column_stack((compute_positions(shape, points[:, 0])[:, 0], points[:, 1]))
+    s = np.ascontiguousarray(points[:, 0])
+    beside = points[:, 1] - kernel.compute_deflections(shape.x, shape.u, shape.slope, s)
+    return compute_positions(shape, s) + np.column_stack((np.zeros(len(s)), beside))
 
 
 def sample_inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:

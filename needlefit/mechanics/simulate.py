@@ -6,10 +6,9 @@ from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
-from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.kernel import insertion as kernel
@@ -21,14 +20,12 @@ from needlefit.mechanics.kernel.grid import (
     list_node_depths,
 )
 from needlefit.mechanics.kernel.scalar import CONVERGED, FACTOR_COLUMNS, NewtonOptions, equilibrate
+from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Move, TipStop, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import compute_scales
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 STATUS_NAMES: tuple[Status, ...] = ("converged", "over-compressed", "not converged", "non-finite")
 _DEFAULT_CONTROLS = Controls()
@@ -73,16 +70,8 @@ def simulate_steps(
 
     Parameters
     ----------
-    needle : Needle
-    tissue : Tissue
-    steps : sequence of Step
-    rules : ModelOptions
     lattice : Lattice, optional
         Where constraint points lie; by default so that the last step ends on one.
-
-    Returns
-    -------
-    NeedleShape
 
     Raises
     ------
@@ -94,7 +83,7 @@ def simulate_steps(
     insertion = begin_insertion(needle, tissue, steps, lattice, rules)
     foundation = compile_tissue(tissue)
     newton = NewtonOptions(rules.tolerance, rules.max_iterations)
-    turns = np.array([step.bevel.side * step.bevel.offset / rules.spacing for step in steps])
+    turns = np.array([compute_turn(step.bevel, rules) for step in steps])
     status, iterations = CONVERGED, 0
     for controls_id, stops, bevel_id in pack_groups(moves, lattice):
         stops = stops._replace(turn=turns[bevel_id])
@@ -132,7 +121,7 @@ def equilibrium(
     conditions = compile_controls(controls)
     within = np.array([guide.x for guide in controls.within if guide.x <= depth - GUIDE_ENGAGEMENT_MM])
     nodes = list_node_depths(depth, depths[1], rules.spacing, rules.element, within)
-    grid = build_grid(depths, tissue.boundaries, nodes, rules.switch)
+    grid = build_grid(depths, tissue.boundaries, nodes, rules.cut_switch)
     last = len(grid.nodes) - 1
     size = 1 + len(controls.before) + len(grid.nodes)
     chain = kernel.begin_chain(conditions, needle.flexural_rigidity, size)
@@ -166,14 +155,15 @@ def begin_insertion(
     rays = lattice.cell(deepest) + len(steps) + 1
     return kernel.begin_insertion(
         needle.flexural_rigidity, needle.length, lattice.first_cell, lattice.spacing, rules.element,
-        rules.switch, rules.tangent, tissue.boundaries, deepest, guides, rays,
+        rules.cut_switch, rules.tangent, tissue.boundaries, deepest, guides, rays,
     )  # fmt: skip
 
 
 def compile_tissue(tissue: Tissue) -> Foundation:
     """Return the tissue in the form that the kernel reads."""
-    coefficients, exponents = laws.power_terms(tissue.law, tissue.alpha)
-    return make_foundation(tissue.mu, coefficients, exponents, tissue.thickness, tissue.friction)
+    return make_foundation(
+        tissue.mu, *compile_law(tissue.law, tissue.alpha), tissue.thickness, tissue.friction
+    )
 
 
 @lru_cache(maxsize=64)
@@ -198,9 +188,7 @@ def _or_nan(slope: float | None) -> float:
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def pack_groups(moves: tuple[Move, ...], lattice: Lattice) -> tuple[tuple[int, kernel.TipStops, Ints], ...]:
-    """Return the stops of all moves, grouped by equal controls: the controls' number, the stops, their
-    bevels' numbers.
-    """
+    """Return the stops of all moves, grouped by equal controls: their number, the stops, bevel numbers."""
     groups = []
     for controls_id, some in groupby(make_stops(moves, lattice), key=lambda stop: stop.controls_id):
         stops, bevel_id = pack_stops(tuple(some))
@@ -211,10 +199,18 @@ def pack_groups(moves: tuple[Move, ...], lattice: Lattice) -> tuple[tuple[int, k
 def pack_stops(stops: Sequence[TipStop]) -> tuple[kernel.TipStops, Ints]:
     """Return stops in the form that the kernel reads, without their turn, and the numbers of their bevels."""
     columns = zip(
-        *((s.tip, s.cell, s.permanent, s.ray, s.starts_ray, s.bevel_id) for s in stops), strict=True
+        *((s.tip, s.cell, s.permanent, s.ray, s.starts_ray, s.extrapolates, s.bevel_id) for s in stops),
+        strict=True,
     )
-    tip, cell, permanent, ray, starts_ray, bevel_id = (np.array(column) for column in columns)
-    return kernel.TipStops(tip, cell, permanent, ray, starts_ray, np.empty(0)), bevel_id
+    tip, cell, permanent, ray, starts_ray, extrapolates, bevel_id = (np.array(column) for column in columns)
+    stopped = kernel.TipStops(tip, cell, permanent, ray, starts_ray, extrapolates, np.empty(0))
+    return stopped, bevel_id
+
+
+def compute_turn(bevel: Bevel, rules: ModelOptions) -> float:
+    """Return the slope that a bevel adds to the cut."""
+    strength, length = rules.bevel_strength(bevel)
+    return bevel.side * strength / length
 
 
 def read_shape(

@@ -7,11 +7,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.scene import LayerRecord
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

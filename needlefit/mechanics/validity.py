@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Bools, Floats
 from needlefit.mechanics.tissue import Tissue
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
 MAX_SLOPE = 0.3
-"""Greatest slope |u'| for the assumption of small slopes: the curvature is then 14 % off."""
+"""Greatest slope |u'| for the assumption of small slopes: u' and its sine then differ by 1.5 %."""
 
 MAX_DEFLECTION_PER_LENGTH = 0.2
 """At this deflection a cantilever under an end force has a slope of 0.3, and linear theory is 4 % off."""
@@ -27,6 +24,10 @@ MAX_DEFLECTION_PER_LENGTH = 0.2
 MAX_SHORTENING_PER_LAYER = 0.5
 """The needle's points lie nearer to the entry than the model assumes. Beyond half of the thinnest layer, most
 of that layer's load is assigned to another layer."""
+
+MAX_MISS_MM = 0.1
+"""Guides hold deflections, integrals of u'; the needle's points are integrals of sin u'. They may miss guides
+and entry by so much, mm: few know the place of a guide better."""
 
 MAX_COMPRESSION = 0.5
 """|e| / t: compression tests of soft tissue, the basis of the laws, end at about half of the thickness."""
@@ -39,9 +40,7 @@ ROUNDING_FACTOR, ROUNDING_ORDER = 300.0, 2.5
 
 
 class SolvedShape(Protocol):
-    """The fields that validity is computed from: of a `NeedleShape`, or of `NeedleShapes` with leading axes
-    (...).
-    """
+    """The fields that validity needs: of a `NeedleShape`, or of `NeedleShapes` with leading axes (...)."""
 
     @property
     def x(self) -> Floats:
@@ -83,6 +82,9 @@ class Validity:
     shortening_per_layer : (...) array
         How much nearer to the base the tip lies than the needle's length, over the thinnest layer that it
         has entered (at least one constraint spacing); 0 where the tissue is one layer.
+    miss_mm : (...) array
+        Greatest |integral of u' - sin u'| from the base to the entry: how far the needle's points miss the
+        places of the guides before the tissue and of the first contact, mm.
     compression : (...) array
         Greatest |e| / t at a constraint point.
     rounding_mm : (...) array
@@ -92,6 +94,7 @@ class Validity:
     max_slope: Floats
     deflection_per_length: Floats
     shortening_per_layer: Floats
+    miss_mm: Floats
     compression: Floats
     rounding_mm: Floats
 
@@ -103,9 +106,7 @@ class Validity:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Descriptions of the quantities of a single solution that exceed their limits; empty if
-        none does.
-        """
+        """Descriptions of the quantities of a single solution that exceed their limits."""
         return tuple(
             f"{words} {float(value):.3g} (limit {limit:g})"
             for name, limit, words in LIMITS
@@ -122,6 +123,7 @@ LIMITS: tuple[tuple[str, float, str], ...] = (
     ("max_slope", MAX_SLOPE, "slope"),
     ("deflection_per_length", MAX_DEFLECTION_PER_LENGTH, "deflection over length"),
     ("shortening_per_layer", MAX_SHORTENING_PER_LAYER, "shortening over the thinnest layer"),
+    ("miss_mm", MAX_MISS_MM, "miss of guides or entry in mm"),
     ("compression", MAX_COMPRESSION, "compression of the tissue"),
     ("rounding_mm", MAX_ROUNDING_MM, "rounding error in mm"),
 )
@@ -143,7 +145,7 @@ def compute_validity(solved: SolvedShape) -> Validity:
     step = np.diff(x, axis=-1)
     thinnest, thickness, reach = scales[..., 0], scales[..., 1], scales[..., 2]
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        steepest, squared = _find_slopes(u, slope, step)
+        steepest, shortening, misses = _find_slopes(u, slope, step)
         steepest = np.maximum(steepest, np.abs(solved.tip_track[..., 1]).max(axis=-1))
         range_ = u.max(axis=-1) - u.min(axis=-1)
         finest = _find_shortest_element(x, step)
@@ -154,7 +156,8 @@ def compute_validity(solved: SolvedShape) -> Validity:
         return Validity(
             steepest,
             range_ / length,
-            squared / thinnest,
+            shortening / thinnest,
+            np.abs(np.where(x[..., :-1] < ENTRY_TOLERANCE_MM, misses.cumsum(axis=-1), 0.0)).max(axis=-1),
             _find_compression(solved) / thickness,
             ROUNDING_FACTOR * np.finfo(np.float64).eps * largest * amplification,
         )
@@ -175,8 +178,10 @@ def _find_shortest_element(x: Floats, step: Floats) -> Floats:
     return found
 
 
-def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats]:
-    """Return the greatest |u'| of the cubics between nodes, and by how much the needle shortens, mm."""
+def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the greatest |u'| of the cubics between nodes, by how much the needle shortens, mm, and the
+    integral of u' - sin u' over each element, (..., N - 1), mm.
+    """
     begin, mean = slope[..., :-1], np.diff(u, axis=-1) / step
     end = slope[..., 1:]
     # u' = begin + t bend + t^2 curl
@@ -185,20 +190,13 @@ def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats
     at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
     turning = begin + np.where((at > 0) & (at < 1), at, 0.0) * (bend + at * curl)
     steepest = np.maximum(np.abs(turning).max(axis=-1), np.abs(slope).max(axis=-1))
-    shortening = sum(weight * _shorten(begin + t * (bend + t * curl)) for t, weight in _GAUSS)
-    return steepest, (shortening * step).sum(axis=-1)
+    rotations = [(begin + t * (bend + t * curl), weight) for t, weight in _GAUSS]
+    shortening = sum(weight * 2 * np.sin(rotation / 2) ** 2 for rotation, weight in rotations)
+    misses = sum(weight * (rotation - np.sin(rotation)) for rotation, weight in rotations)
+    return steepest, (shortening * step).sum(axis=-1), misses * step
 
 
 _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
-
-
-def _shorten(slope: Floats) -> Floats:
-    """Return 1 - cos(atan slope), to the last digit for small slopes."""
-    squared = slope * slope
-    # 1 - 1 / root without the cancellation that would lose the digits of a small slope.
-    root = np.sqrt(1 + squared)
-    found: Floats = squared / (root * (1 + root))
-    return found
 
 
 def _find_compression(solved: SolvedShape) -> Floats:
@@ -232,9 +230,7 @@ def compute_scales(tissue: Tissue, rigidity: float, depth: float, spacing: float
 def compute_batch_scales(
     batch_mu: Floats, rigidity: Floats, tissue: Tissue, depth: float, spacing: float
 ) -> Floats:
-    """Return the reference lengths (B, 3) of `compute_scales` for sets that differ in mu (B, n) and rigidity
-    (B,).
-    """
+    """Return the lengths (B, 3) of `compute_scales` for sets that differ in mu (B, n) and rigidity (B,)."""
     thinnest, entered = _find_entered_layers(tissue, depth, spacing)
     found = np.empty((len(batch_mu), 3))
     found[:, 0], found[:, 1] = thinnest, tissue.thickness[:entered].min()
@@ -256,7 +252,5 @@ def foundation_length(rigidity: float, mu: float) -> float:
 
 
 def make_unknown_scales() -> Floats:
-    """Return the scales of a shape without a tissue: infinite, so that no limit that needs them is
-    exceeded.
-    """
+    """Return the scales of a shape without a tissue: infinite, so that no limit by them is exceeded."""
     return np.full(3, np.inf)

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError, DataError, UnfinishedWorkError
 from needlefit.project.atomic_write import LOCK_NAME, replace_file
 from needlefit.project.checkpoint_file import set_aside
 from needlefit.project.files import remove_contents, remove_folder
@@ -72,12 +72,12 @@ def claim_checkpoint(folder: Path, work: str, resume: bool, note: Note) -> Lock 
     ------
     ConfigError
         If another process has it, it holds anything foreign, cannot be written, or is of other work.
+    UnfinishedWorkError
+        If an interrupted run left part of this work there, and `resume` does not say to go on with it.
     """
     require_own_checkpoint(folder)
     lock = _lock(folder)
     if not is_lock_only(folder) and _work_of(folder) is None:
-        if lock is not None:
-            lock.release()
         note(f"{folder} is damaged: it is now {set_aside(folder).name}, and its run starts afresh")
         lock = _lock(folder)
     if resume and (found := _work_of(folder)) is not None:
@@ -89,6 +89,13 @@ def claim_checkpoint(folder: Path, work: str, resume: bool, note: Note) -> Lock 
                 fix="run again without --resume, which starts afresh",
             )
         return lock
+    if _work_of(folder) == work and _holds_results(folder):
+        raise UnfinishedWorkError(
+            "holds the unfinished work of an earlier run, which was interrupted or killed",
+            where=str(folder),
+            expected="--resume (in Python: resume=True), which goes on with it",
+            fix="to start afresh instead, remove this folder",
+        )
     _empty(folder)
     with replace_file(folder / STAMP) as fresh:
         fresh.write_text(checkpoint_stamp(work), encoding="ascii")
@@ -120,6 +127,10 @@ def _work_of(folder: Path) -> str | None:
     except DataError:
         return None
     return work if isinstance(work, str) else None
+
+
+def _holds_results(folder: Path) -> bool:
+    return any(one.name not in (LOCK_NAME, *STAMPS) for one in folder.iterdir())
 
 
 def _empty(folder: Path) -> None:

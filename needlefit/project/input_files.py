@@ -26,6 +26,10 @@ MAX_TEXT_BYTES = 256 * 2**20
 MAX_NESTING_LEVELS = 64
 """Depth to which tables and lists of a TOML or JSON file may be nested."""
 
+MAX_FOLDER_FILES = 200_000
+MAX_FOLDER_LEVELS = 32
+"""Files in a folder and its subfolders, and how deep these may be nested."""
+
 SAVE_AS_UTF8 = 'save it as UTF-8 (in a spreadsheet: "CSV UTF-8")'
 
 _KINDS = (
@@ -52,8 +56,6 @@ def open_regular(
 
     Parameters
     ----------
-    path : Path
-    max_bytes : int
     error : type
         What is raised: `ConfigError` for a file that configures, else `DataError`.
     where : str
@@ -225,7 +227,7 @@ def path_exists(path: Path) -> bool:
     """Return whether there is a file or folder; False also where the name is too long or cannot be one."""
     try:
         return path.exists()
-    except (OSError, ValueError):
+    except (OSError, ValueError):  # ValueError: it holds a zero byte
         return False
 
 
@@ -237,6 +239,34 @@ def is_file(path: Path) -> bool:
 def is_dir(path: Path) -> bool:
     """Return whether there is a folder; else as `path_exists`."""
     return path_exists(path) and path.is_dir()
+
+
+def list_files(folder: Path) -> list[Path]:
+    """Return the files in a folder and its subfolders, sorted, without hidden ones and linked folders.
+
+    Raises
+    ------
+    DataError
+        If a folder cannot be read, or there are too many files or levels.
+    """
+    found: list[Path] = []
+    waiting = [(folder, 0)]
+    while waiting:
+        here, level = waiting.pop()
+        try:
+            entries = [one for one in os.scandir(here) if not one.name.startswith(".")]
+            found += [Path(one.path) for one in entries if one.is_file()]
+            waiting += [(Path(one.path), level + 1) for one in entries if one.is_dir(follow_symlinks=False)]
+        except OSError as fault:
+            raise unreadable_error(fault, DataError, str(here)) from None
+        if len(found) > MAX_FOLDER_FILES or level > MAX_FOLDER_LEVELS:
+            raise DataError(
+                f"holds over {MAX_FOLDER_FILES} files, or folders nested deeper than {MAX_FOLDER_LEVELS}",
+                where=str(folder),
+                expected="the folder of one export",
+                fix="name the folder in which the files lie",
+            )
+    return sorted(found)
 
 
 def unreadable_error(

@@ -16,6 +16,7 @@ from needlefit.errors import ConfigError
 from needlefit.project import input_files
 from needlefit.project.locate import file_label
 from needlefit.project.toml_lines import locate_key
+from needlefit.schemas.base import MISSING_KEY
 from needlefit.schemas.renamed import earlier_keys
 
 Location = tuple[int | str, ...]
@@ -73,7 +74,7 @@ def schema_faults(error: ValidationError, kind: type[BaseModel]) -> list[SchemaF
     Members of a list are numbered from 1. A list is not called too short for members that are wrong
     themselves.
     """
-    found = error.errors()
+    found = [_place_missing_key(each) for each in error.errors()]
     places = [_strip_union_members(each["loc"]) for each in found]
     faults = [
         _to_fault(each["type"], place, each, kind)
@@ -81,6 +82,13 @@ def schema_faults(error: ValidationError, kind: type[BaseModel]) -> list[SchemaF
         if each["type"] != "too_short" or not any(_within(other, place) for other in places)
     ]
     return _join_faults_of_key(_without_renamed(faults))
+
+
+def _place_missing_key(error: ErrorDetails) -> ErrorDetails:
+    """Return an error; that of a key which other keys require as if the record itself required it."""
+    if error["type"] != MISSING_KEY:
+        return error
+    return {**error, "type": "missing", "loc": (*error["loc"], *error["ctx"]["location"])}
 
 
 def _without_renamed(faults: list[SchemaFault]) -> list[SchemaFault]:

@@ -1,6 +1,4 @@
-"""Find the file of a name: in the working folder's project first, then in the copy that ships with
-needlefit.
-"""
+"""Find the file of a name: in the working folder's project, then in the copy that ships with needlefit."""
 
 import difflib
 import shlex

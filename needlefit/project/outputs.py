@@ -7,6 +7,7 @@ from itertools import combinations
 from pathlib import Path
 
 from needlefit.errors import ConfigError
+from needlefit.project.input_files import path_exists
 
 SCRATCH_NAME_BYTES = 24
 """What the name of a scratch folder, a checkpoint or a damaged one adds to that of a result."""
@@ -29,7 +30,7 @@ def require_writable(place: Path) -> None:
     if place == place.parent:
         raise not_writable_error(place, "it is the root of the file system")
     folder = place.parent
-    while not _is_there(folder) and folder != folder.parent:
+    while not path_exists(folder) and folder != folder.parent:
         folder = folder.parent
     effective = os.access in os.supports_effective_ids
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
@@ -63,7 +64,7 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
                 fix=f"name a file with {option}",
             )
         _require_no_input(option, path, sources)
-        if _is_there(path) and not stat.S_ISREG(path.stat().st_mode):
+        if path_exists(path) and not stat.S_ISREG(path.stat().st_mode):
             continue  # a pipe or a terminal
         require_writable(path)
     for (one, path), (other, same) in combinations(outputs.items(), 2):
@@ -117,19 +118,12 @@ def _require_no_input(option: str, path: Path, inputs: Iterable[Path]) -> None:
 
 
 def _is_same(path: Path, source: Path) -> bool:
-    return _is_there(path) and _is_there(source) and path.samefile(source)
+    return path_exists(path) and path_exists(source) and path.samefile(source)
 
 
 def _is_within(path: Path, folder: Path) -> bool:
     """Whether an existing file lies in a folder."""
-    return _is_there(path) and Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
-
-
-def _is_there(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # a name that is too long, or holds a zero byte
-        return False
+    return path_exists(path) and Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
 
 
 def _require_names(place: Path, folder: Path) -> None:

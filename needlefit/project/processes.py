@@ -78,7 +78,7 @@ def _result(future: "Future[Result]") -> Result:
     except BrokenProcessPool:
         raise ConfigError(
             "one of the processes was ended from outside, or could not begin",
-            expected="memory for as many at once as --jobs says",
+            expected="memory for as many at once as --jobs states",
             fix="use fewer with --jobs",
         ) from None
 

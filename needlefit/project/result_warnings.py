@@ -11,6 +11,9 @@ from typing import Any
 WARNINGS_KEY = "warnings"
 """Of `run.json` and of `--json`."""
 
+TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"
+"""Has a section for every kind of warning."""
+
 
 @dataclass(frozen=True)
 class ResultWarning:
@@ -32,6 +35,11 @@ class ResultWarning:
     what: str
     where: str = ""
     fix: str = ""
+
+    @property
+    def help_page(self) -> str:
+        """The section of the documentation that explains it."""
+        return f"{TROUBLESHOOTING_PAGE}#{self.kind.replace('_', '-')}"
 
     def __str__(self) -> str:
         head = f"{self.where}: {self.what}" if self.where else self.what

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from needlefit.errors import DataError
 from needlefit.project.input_files import is_file, read_json
-from needlefit.schemas.result_files import RunTable, StagesTable, TimingTable
+from needlefit.schemas.result_files import RunTable, TimingTable
 
 RUN_FILE, TIMING_FILE = "run.json", "timing.json"
 
@@ -16,7 +16,7 @@ MAX_RUN_BYTES = 32 * 2**20
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """Return what the run in a folder was computed with: of one run, of several by name, or of stages.
+    """Return what the run in a folder was computed with: of one run, or of several by name.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def read_run(folder: Path) -> dict[str, Any]:
         for name, part in table.items():
             require_schema(part, RunTable, f"{path}, key {name}")
     else:
-        require_schema(table, StagesTable if "design" in table else RunTable, str(path))
+        require_schema(table, RunTable, str(path))
     return table
 
 
@@ -53,7 +53,7 @@ def read_timing(folder: Path) -> dict[str, Any]:
 
 def holds_several_runs(table: dict[str, Any]) -> bool:
     """Return whether a `run.json` is that of several runs, by name: of a single one some values are words."""
-    return bool(table) and "design" not in table and all(isinstance(part, dict) for part in table.values())
+    return bool(table) and all(isinstance(part, dict) for part in table.values())
 
 
 def require_schema(table: object, form: type[BaseModel], where: str) -> None:

@@ -27,6 +27,11 @@ def limit_to_one_thread() -> None:
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
 
 
+def count_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def one_thread(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     """Return `function`, with which a run begins, such that its linear algebra is in one thread."""
 

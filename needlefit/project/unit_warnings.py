@@ -5,7 +5,7 @@ same file, so that a small needle is no suspicious one.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -126,7 +126,7 @@ def _likely_diameter(diameter: float, length: float) -> tuple[str, str]:
     }
     if not likely:
         return "", "check it, in mm"
-    unit = min(likely, key=lambda one: _off_gauge(likely[one] * diameter))
+    unit = min(likely, key=lambda one: _log_distance(likely[one] * diameter, GAUGES_MM.values()))
     fix = f"write {likely[unit] * diameter:g}"
     # where its ratio to the length is a needle's, the length is in the same unit
     same = DIAMETER_TO_LENGTH[0] <= diameter / length <= DIAMETER_TO_LENGTH[1]
@@ -136,9 +136,9 @@ def _likely_diameter(diameter: float, length: float) -> tuple[str, str]:
     return f": this looks like {unit}", fix
 
 
-def _off_gauge(diameter: float) -> float:
-    """Return how far a diameter is from the nearest gauge, as a logarithm of their ratio."""
-    return min(abs(math.log(diameter / gauge)) for gauge in GAUGES_MM.values())
+def _log_distance(value: float, usual: Iterable[float]) -> float:
+    """Return how far a value is from the nearest usual one, as a logarithm of their ratio."""
+    return min(abs(math.log(value / one)) for one in usual)
 
 
 def _length_warning(length: float, diameter: float, what: str, where: FormatPlace, key: str) -> ResultWarning:
@@ -185,13 +185,9 @@ def likely_modulus(modulus: float) -> tuple[str, float]:
             if least <= modulus * factor <= most
         }
         if likely:
-            unit = min(likely, key=lambda one: _off_typical(likely[one]))
+            unit = min(likely, key=lambda one: _log_distance(likely[one], TYPICAL_GPA))
             return unit, likely[unit]
     return "", math.nan
-
-
-def _off_typical(modulus: float) -> float:
-    return min(abs(math.log(modulus / typical)) for typical in TYPICAL_GPA)
 
 
 def _rigidity_warnings(
@@ -220,7 +216,7 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
     tops = [layer.top_mm for layer in scene.layers[1:]]
     if tops:
         yield from boundary_warnings(tops[0], _deepest(scene), where, "layers.2.top_mm")
-    offsets = [("bevel", scene.bevel.offset_mm)]
+    offsets = [("bevel", scene.bevel.offset_mm or 0.0)]
     offsets += [(f"steps.{n}", step.offset_mm or 0.0) for n, step in enumerate(scene.steps, start=1)]
     spacing = scene.rules.constraint_spacing_mm
     for key, offset in offsets:
@@ -248,7 +244,7 @@ def _deepest(scene: SceneRecord) -> float:
     return max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
 
 
-def medium_warnings(medium: MediumRecord, file: Path) -> Iterator[ResultWarning]:
+def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWarning]:
     """Yield a warning for each modulus of a medium that is fixed, or bounded, far from any tissue's."""
     where = format_place(file)
     for name, parameter in medium.parameters.items():

@@ -1,4 +1,4 @@
-"""Results of earlier versions, which have no stamp: known by their `run.json`, and their files by name.
+"""Run of earlier versions, which have no stamp: known by their `run.json`, and their files by name.
 
 These are the names that earlier versions wrote, and those that `needlefit migrate` gave them: never rename
 them.

@@ -24,12 +24,15 @@ class ViewTarget:
         The scene's file, the run's folder, or the `dataset.toml`.
     insertion : str or None
         The insertion that was named with a run or a dataset.
+    specimen : "new" or "same"
+        Whether the parameters of a specimen that a run did not tune on differ in its band.
     """
 
     kind: TargetKind
     name: str
     path: Path
     insertion: str | None = None
+    specimen: Literal["new", "same"] = "new"
 
 
 def find_view_target(name: str) -> ViewTarget:

@@ -10,16 +10,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
+from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import jinja2
 import typst
 from markupsafe import Markup, escape
 
-from needlefit.project.result_warnings import read_warnings
+from needlefit.project.json_values import to_json_values
 from needlefit.reporting.table_layout import TableLayout
 
 Block = dict[str, Any]
@@ -33,16 +34,19 @@ class Document:
     ----------
     title, subtitle : str
     synthetic : bool
-        Whether every page is headed SYNTHETIC DATA.
+        Whether the foot of every page says so.
     blocks : tuple
-        Made by `heading`, `subheading`, `text`, `note`, `bullets`, `warning`, `gap_box`, `table` and
-        `figure`.
+        Made by `heading`, `subheading`, `verdict`, `text`, `note`, `bullets`, `warning`, `gap_box`, `table`
+        and `figure`.
+    explorer : mapping or None
+        What the HTML page draws interactively, as JSON values (`templates/explorer.js`).
     """
 
     title: str
     subtitle: str
     synthetic: bool
     blocks: tuple[Block, ...]
+    explorer: Mapping[str, Any] | None = None
 
 
 def heading(words: str) -> Block:
@@ -53,6 +57,11 @@ def heading(words: str) -> Block:
 def subheading(words: str) -> Block:
     """Return the heading of a part of a section."""
     return {"kind": "subheading", "text": words}
+
+
+def verdict(words: str, status: Literal["pass", "warn", "fail"]) -> Block:
+    """Return the answer of a run or of one of its groups, with its badge."""
+    return {"kind": "verdict", "text": _prose_block(words), "status": status}
 
 
 def text(words: str) -> Block:
@@ -75,11 +84,6 @@ def warning(words: str) -> Block:
     return {"kind": "warning", "text": _prose_block(words)}
 
 
-def run_warning_blocks(run: Mapping[str, Any], name: str) -> list[Block]:
-    """Return a block for each warning that the run called `name` keeps."""
-    return [warning(f"WARNING: {name}: {one}.") for one in read_warnings(run)]
-
-
 def gap_box(words: str) -> Block:
     """Return an empty box with a description of what is missing."""
     return {"kind": "empty", "text": _prose_block(words)}
@@ -90,14 +94,27 @@ def _prose_block(words: str) -> str:
     return words.replace("`", "")
 
 
-def table(display: TableLayout, synthetic: bool) -> Block:
+def table(display: TableLayout) -> Block:
     """Return a table."""
-    return {"kind": "table", "synthetic": synthetic, **asdict(display)}
+    return {"kind": "table", **asdict(display)}
 
 
-def figure(path: Path, caption: str, synthetic: bool) -> Block:
-    """Return a figure: the PDF at `path`, in its own size."""
-    return {"kind": "figure", "path": path, "caption": caption, "synthetic": synthetic}
+def figure(path: Path, caption: str) -> Block:
+    """Return a figure: the PDF at `path`, in its own size; two that are half as wide as a page stand side by
+    side.
+    """
+    return {"kind": "figure", "path": path, "caption": caption, "half": _is_half(path)}
+
+
+MAX_HALF_WIDTH_PT = 254.0
+"""Points: figures up to one column of a paper, 3.5 in, are half as wide as a page."""
+
+_MEDIA_BOX = re.compile(rb"/MediaBox\s*\[\s*0\s+0\s+([0-9.]+)")
+
+
+def _is_half(path: Path) -> bool:
+    width = _MEDIA_BOX.search(path.read_bytes())
+    return width is not None and float(width[1]) <= MAX_HALF_WIDTH_PT
 
 
 def compile_pdf(document: Document) -> bytes:
@@ -153,6 +170,28 @@ def find_version() -> str:
         return ""
 
 
+_LABEL_TEMPLATE = """#set document(date: none)
+#set page(width: auto, height: auto, margin: 0pt)
+#set text(font: "Libertinus Serif", size: 8pt, fill: rgb("#B23A00"))
+#stack(spacing: 2pt, pad(top: 2pt, left: 3pt)[Synthetic data], image("figure.pdf"))
+"""
+
+
+def label_figure(path: Path) -> bytes:
+    """Return a figure with "Synthetic data" above it, as PDF."""
+    return _compile_figure(path.read_bytes(), _LABEL_TEMPLATE, "pdf")
+
+
+def _compile_figure(pdf: bytes, template: str, form: Literal["pdf", "svg"]) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
+        sheet = Path(name) / "sheet.typ"
+        sheet.write_text(template, encoding="utf-8")
+        (Path(name) / "figure.pdf").write_bytes(pdf)
+        found = typst.compile(str(sheet), root=name, format=form, ignore_system_fonts=True)
+    assert isinstance(found, bytes)
+    return found
+
+
 SVG_SCALE = 1.7
 """Pixels of the page per point of a figure: the text of a figure is sized for paper, that of the page is
 larger."""
@@ -168,22 +207,42 @@ _FIGURE_TEMPLATE = '#set page(width: auto, height: auto, margin: 0pt)\n#image("f
 
 def compile_html(document: Document) -> bytes:
     """Return a report as one HTML page; equal documents give equal bytes."""
+    return _render_html("report.html", document).encode("utf-8")
+
+
+OPEN_TABLES = 3
+"""Of the part of a page for a notebook; the tables after these unfold."""
+
+
+def format_html_part(document: Document) -> str:
+    """Return a report as a part of an HTML page, without links and without the style of our pages."""
+    return _render_html("part.html", document)
+
+
+def _render_html(template: str, document: Document) -> str:
     blocks = list(_number_blocks(document))
-    template = (files("needlefit.reporting") / "templates" / "report.html").read_text(encoding="utf-8")
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=jinja2.PackageLoader("needlefit.reporting"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters["powers"] = _raise_exponents
-    page = environment.from_string(template).render(
+    return environment.get_template(template).render(
         title=document.title,
         subtitle=document.subtitle,
         synthetic=document.synthetic,
         version=find_version(),
         blocks=blocks,
         sections=[block for block in blocks if block["kind"] == "heading"],
-        mark=_mark_up,
+        explorer_place=next(
+            k for k, block in enumerate([*blocks, {"kind": "heading"}]) if block["kind"] == "heading"
+        ),
+        explorer=None if document.explorer is None else _inline_json(document.explorer),
+        scripts=_read_scripts(document.explorer is not None),
+        open_tables=OPEN_TABLES,
     )
-    return page.encode("utf-8")
 
 
 def _number_blocks(document: Document) -> Iterator[Block]:
@@ -204,12 +263,7 @@ def _number_blocks(document: Document) -> Iterator[Block]:
 
 def _encode_figure(pdf: bytes) -> Block:
     """Return a figure as the address of an SVG that holds it, and how wide it is shown, px."""
-    with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
-        sheet = Path(name) / "sheet.typ"
-        sheet.write_text(_FIGURE_TEMPLATE, encoding="utf-8")
-        (Path(name) / "figure.pdf").write_bytes(pdf)
-        svg = typst.compile(str(sheet), root=name, format="svg", ignore_system_fonts=True)
-    assert isinstance(svg, bytes)
+    svg = _compile_figure(pdf, _FIGURE_TEMPLATE, "svg")
     inside, width = _INNER_SVG_PATTERN.search(svg), _SVG_WIDTH_PATTERN.search(svg)
     assert inside is not None and width is not None, "typst sets a PDF as an SVG within its own"
     return {"picture": _shrink_svg(inside[1]), "width": round(SVG_SCALE * float(width[1]))}
@@ -233,5 +287,20 @@ def _raise_exponents(words: str) -> Markup:
     return Markup(raised)  # noqa: S704 - escaped first; the pattern adds only the tags
 
 
-def _mark_up(block: Block) -> Markup:
-    return Markup('<span class="mark">Synthetic data. </span>') if block["synthetic"] else Markup()
+def _inline_json(values: Mapping[str, Any]) -> Markup:
+    """Return JSON that can stand within a script element."""
+    words = json.dumps(to_json_values(values), ensure_ascii=True, separators=(",", ":"), allow_nan=False)
+    return Markup(words.replace("<", "\\u003c"))  # noqa: S704 - nothing in it can end the element
+
+
+def _read_scripts(plots: bool) -> list[Markup]:
+    """Return the scripts of a page: sortable tables, and where it has plots Bokeh's and what uses it."""
+    own = files("needlefit.reporting") / "templates"
+    found = [own / "tables.js"]
+    if plots:
+        # The script alone is needed: importing Bokeh would take a second.
+        bokeh = find_spec("bokeh")
+        assert bokeh is not None and bokeh.submodule_search_locations, "Bokeh is a dependency"
+        folder = Path(bokeh.submodule_search_locations[0]) / "server" / "static" / "js"
+        found += [folder / "bokeh.min.js", folder / "bokeh-api.min.js", own / "explorer.js"]
+    return [Markup(one.read_text(encoding="utf-8").replace("</script", "<\\/script")) for one in found]  # noqa: S704

@@ -1,16 +1,14 @@
 """Write tables as LaTeX (booktabs, no wider than the page), and the numbers of a run as LaTeX macros."""
 
 import re
-from collections.abc import Iterator, Sequence
+import unicodedata
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined
 
-from needlefit.reporting.number_format import MISSING, format_mm, format_number, format_percent, typeset
-from needlefit.reporting.parameter_table import NOT_DETERMINED, tabulate_parameters
+from needlefit.reporting.number_format import MISSING
 from needlefit.reporting.table_layout import TableColumn, TableLayout
-from needlefit.reporting.tables import Row, divide_by_floor, tabulate_validation, to_records
-from needlefit.validation.results import Results
 
 _ESCAPES = {
     "\\": r"\textbackslash{}",
@@ -26,6 +24,12 @@ _ESCAPES = {
     "†": r"$\dagger$",
     "‡": r"$\ddagger$",
     "÷": r"$\div$",
+    "·": r"$\cdot$",
+    "θ": r"$\theta$",
+    "°": r"\textdegree{}",
+    "≥": r"$\geq$",
+    "≈": r"$\approx$",
+    "½": r"$\frac12$",
     "–": "--",
     "…": r"\ldots{}",
     "’": "'",
@@ -51,18 +55,36 @@ def format_latex(table: TableLayout, synthetic: bool) -> str:
         _environment()
         .from_string(template)
         .render(
+            environment="table" if _count_letters(table) <= MAX_COLUMN_LETTERS else "table*",
             caption=escape_latex(("SYNTHETIC DATA. " if synthetic else "") + table.caption),
             label=table.name.replace("_", "-"),
             aligns="".join(_align(column) for column in table.columns),
             heads=[escape_latex(column.label) for column in table.columns],
             units=[f"({escape_latex(unit)})" if unit else "" for unit in units] if any(units) else [],
             rows=[
-                {"rule": i in table.breaks, "cells": [escape_latex(cell) for cell in row]}
+                {"rule": i in table.breaks, "cells": [format_cell(cell) for cell in row]}
                 for i, row in enumerate(table.rows)
             ],
             notes=[escape_latex(note) for note in table.notes],
         )
     )
+
+
+MAX_COLUMN_LETTERS = 58
+"""Characters of a row, gaps included, that fit one column of a two-column paper; wider tables span both."""
+
+_GAP_LETTERS, _WIDE_COLUMN_LETTERS = 2, 35
+
+
+def _count_letters(table: TableLayout) -> int:
+    """Return about how many characters wide a table is."""
+    cells = [
+        (_WIDE_COLUMN_LETTERS,)
+        if column.wide
+        else [len(column.label), len(column.unit) + 2, *(len(row[i]) for row in table.rows)]
+        for i, column in enumerate(table.columns)
+    ]
+    return sum(max(lengths) + _GAP_LETTERS for lengths in cells)
 
 
 def _align(column: TableColumn) -> str:
@@ -76,7 +98,29 @@ def escape_latex(text: str) -> str:
     escaped = "".join(_ESCAPES.get(sign, sign) for sign in text)
     escaped = re.sub(r"\\textasciicircum\{\}(-?\d+(?:\.\d+)?)", r"$^{\1}$", escaped)
     escaped = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: f"$^{{{m[0].translate(_RAISED)}}}$", escaped)
-    return re.sub("[₀₁₂₃₄₅₆₇₈₉]+", lambda m: f"$_{{{m[0].translate(_LOWERED)}}}$", escaped)
+    escaped = re.sub("[₀₁₂₃₄₅₆₇₈₉]+", lambda m: f"$_{{{m[0].translate(_LOWERED)}}}$", escaped)
+    return escaped.replace("$$", "")  # one formula of two neighbours
+
+
+_NUMBER = r"[−-]?\d+(?:\.\d+)?(?: × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?"
+_NUMBER_PATTERN = re.compile(rf"({_NUMBER})(?: ± (\d+(?:\.\d+)?))?")
+_RANGE_PATTERN = re.compile(rf"({_NUMBER}) to ({_NUMBER})")
+
+
+def _to_digits(number: str) -> str:
+    """Return a printed number as siunitx reads it: 2.13e5."""
+    mantissa, times, power = number.replace("−", "-").partition(" × 10")
+    return f"{mantissa}e{power.translate(_RAISED)}" if times else mantissa
+
+
+def format_cell(cell: str) -> str:
+    r"""Return a printed cell as LaTeX: numbers, ± and ranges by siunitx, all else as `escape_latex`."""
+    if found := _NUMBER_PATTERN.fullmatch(cell):
+        spread = rf" \pm {found[2]}" if found[2] else ""
+        return rf"\num{{{_to_digits(found[1])}{spread}}}"
+    if found := _RANGE_PATTERN.fullmatch(cell):
+        return rf"\numrange{{{_to_digits(found[1])}}}{{{_to_digits(found[2])}}}"
+    return escape_latex(cell)
 
 
 def _environment() -> Environment:
@@ -96,32 +140,16 @@ def _environment() -> Environment:
     )
 
 
-_MACRO_HEAD = r"""% Numbers of a run of needlefit: \nf{KEY}. A key that is not here is set in bold after ??.
+MACRO_HEAD = r"""% Numbers of a run of needlefit. Needs siunitx; \input this file in the preamble.
+% \nf{KEY} prints a number, \nfraw{KEY} is its digits: \qty{\nfraw{KEY}}{\milli\metre}.
+% An unknown KEY is set bold after ??.
 \providecommand{\nf}[1]{\ifcsname nf@#1\endcsname\csname nf@#1\endcsname\else\textbf{??\detokenize{#1}}\fi}
+\providecommand{\nfraw}[1]{\csname nfraw@#1\endcsname}
+\providecommand{\nfnum}[2]{\expandafter\def\csname nf@#1\endcsname{\num[separate-uncertainty]{#2}}%
+  \expandafter\def\csname nfraw@#1\endcsname{#2}}
+\providecommand{\nfrange}[3]{\expandafter\def\csname nf@#1\endcsname{\numrange{#2}{#3}}}
+\providecommand{\nftext}[2]{\expandafter\def\csname nf@#1\endcsname{#2}}
 """
-_ERROR_KEYS = {
-    "median": "median_err_mm",
-    "ipe": "ipe_mean_mm",
-    "ipe-sd": "ipe_std_mm",
-    "ipe-max": "ipe_max_mm",
-    "te": "te_mm",
-}
-_REFERENCE_PREFIXES = ("floor", "paper")
-
-
-def format_macros(results: Sequence[Results]) -> str:
-    """Return a LaTeX file of macros: errors in mm, EDP in per cent, fitted parameters in Pa and mm, by
-    readable keys.
-
-    A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
-    beside it or `-over-floor` after it for the multiple of its noise floor, or `<run>-<parameter>`.
-    """
-    lines = [
-        _format_macro(key, words)
-        for one in results
-        for key, words in (*_error_macros(one), *_parameter_macros(one))
-    ]
-    return _MACRO_HEAD + "".join(lines)
 
 
 def format_table_macros(name: str, tables: Sequence[TableLayout]) -> str:
@@ -130,9 +158,26 @@ def format_table_macros(name: str, tables: Sequence[TableLayout]) -> str:
     A key is `<run>-<table>-<words of the row>-<head of the column>`, in small letters and hyphens; a row that
     names only what is new in it has the other words of the row above.
     """
-    lines = [_format_macro(_slug(name, *keys), words) for table in tables for keys, words in _cells(table)]
-    # A dict keeps the order and drops repeated lines.
-    return _MACRO_HEAD + "".join(dict.fromkeys(lines))
+    return format_macros(list_cells(name, tables))
+
+
+def list_cells(name: str, tables: Sequence[TableLayout]) -> Iterator[tuple[str, str]]:
+    """Yield the key and the text of every number of some tables."""
+    yield from ((_slug(name, *keys), words) for table in tables for keys, words in _cells(table))
+
+
+def format_macros(numbers: Iterable[tuple[str, str]]) -> str:
+    """Return a LaTeX file with these numbers, each under its key."""
+    return MACRO_HEAD + "".join(_define(key, words) for key, words in dict(numbers).items())
+
+
+def _define(key: str, words: str) -> str:
+    """Return the line that defines a macro."""
+    name, _, arguments = format_cell(words).partition("{")
+    command = {r"\num": "nfnum", r"\numrange": "nfrange"}.get(name)
+    return (
+        f"\\{command}{{{key}}}{{{arguments}\n" if command else f"\\nftext{{{key}}}{{{format_cell(words)}}}\n"
+    )
 
 
 def _cells(table: TableLayout) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -147,37 +192,11 @@ def _cells(table: TableLayout) -> Iterator[tuple[tuple[str, ...], str]]:
 
 
 def _slug(*words: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
+    spelled = "".join(map(_spell, unicodedata.normalize("NFKD", " ".join(words))))
+    return re.sub(r"[^a-z0-9]+", "-", spelled.lower()).strip("-")
 
 
-def _format_macro(key: str, words: str) -> str:
-    return f"\\expandafter\\def\\csname nf@{key}\\endcsname{{{escape_latex(words)}}}\n"
-
-
-def _error_macros(results: Results) -> Iterator[tuple[str, str]]:
-    for row in to_records(tabulate_validation(results)):
-        begin = f"{results.name}-{row['validate_medium']}-{row['validate_layers']}"
-        digits = 3 if row["comparison"] == "aligned" else 2
-        yield f"{begin}-n", str(row["insertions"])
-        for name, column in _ERROR_KEYS.items():
-            yield f"{begin}-{name}", format_mm(row[column], digits)
-            for prefix in _REFERENCE_PREFIXES:
-                if row.get(f"{prefix}_{column}") is not None:
-                    yield f"{begin}-{prefix}-{name}", format_mm(row[f"{prefix}_{column}"], digits)
-            if (times := divide_by_floor(row, column)) is not None:
-                yield f"{begin}-{name}-over-floor", format_mm(times, 1)
-        yield f"{begin}-edp", format_percent(row["edp_percent"])
-
-
-def _parameter_macros(results: Results) -> Iterator[tuple[str, str]]:
-    table = to_records(tabulate_parameters(results))
-    several = len({row["fold"] for row in table}) > 1
-    for row in table:
-        name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
-        where = f"-{row['fold']}" if several else ""
-        yield f"{results.name}{where}-{name}", _format_parameter(row)
-
-
-def _format_parameter(row: Row) -> str:
-    value = row["fitted"]
-    return NOT_DETERMINED if value == NOT_DETERMINED else typeset(format_number(float(value)))
+def _spell(sign: str) -> str:
+    """Return the name of a Greek letter; any other sign as it is."""
+    name = unicodedata.name(sign, "")
+    return name.rpartition(" ")[2] if name.startswith("GREEK SMALL LETTER") else sign

@@ -2,9 +2,14 @@
 
 import math
 import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from needlefit.metrics import METRICS, Metric
 
 MISSING = "–"
-_PARAMETER_PATTERN = re.compile(r"\b(?:mu\d+(?:_pa)?|alpha\d+|bevel_mm|guide_distance_mm)\b")
+_PARAMETER_PATTERN = re.compile(
+    r"\b(?:mu\d+(?:_pa)?|alpha\d+|bevel_mm|cut_angle_deg|guide_distance_mm|bevel_spread)\b"
+)
 _POWER_PATTERN = re.compile(r"\b\d(?:\.\d+)?e-?\d+\b")
 _MINUS_PATTERN = re.compile(r"(?<![\w^.-])-(?=\d)")  # of a number of its own, not of an exponent or a range
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -31,6 +36,27 @@ def format_percent(value: float | None) -> str:
     assert value is not None
     digits = 2 if abs(value) < 9.995 else 1 if abs(value) < 99.95 else 0
     return f"{value:.{digits}f}"
+
+
+def format_metric(metric: Metric, value: float | None, digits: int = 2) -> str:
+    """Return an error as text, lengths with this number of digits."""
+    return format_percent(value) if metric.unit == "%" else format_mm(value, digits)
+
+
+def join_metrics(values: Mapping[str, float | None], digits: int = 2) -> str:
+    """Return errors by metric as text, "0.12 and 0.34 mm"."""
+    texts = [format_metric(METRICS[name], value, digits) for name, value in values.items()]
+    units = [METRICS[name].unit for name in values]
+    each = [
+        text if unit in units[k + 1 : k + 2] else f"{text} {unit}"
+        for k, (text, unit) in enumerate(zip(texts, units, strict=True))
+    ]
+    return join_words(each)
+
+
+def join_words(words: Sequence[str]) -> str:
+    """Return words as text: "a", "a and b", "a, b and c"."""
+    return " and ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)
 
 
 def format_number(value: float | None) -> str:
@@ -64,9 +90,58 @@ def format_symbol(parameter: str) -> str:
             return sign + index.translate(_LOWERED) + unit
     return {
         "bevel_mm": "b (mm)",
+        "cut_angle_deg": "θ (°)",
         "guide_distance_mm": "guide to entry (mm)",
         "noise_scale": "noise scale",
+        "bevel_spread": "SD of ln b",
     }.get(parameter, parameter)
+
+
+_STRESS_UNITS = ((1e6, "MPa"), (1e3, "kPa"))
+
+
+def format_quantity(parameter: str, value: float | None) -> str:
+    """Return a parameter's value with its unit: 196 kPa, 48.3 MPa, 0.0999 mm; empty if it is missing."""
+    return format_quantity_range(parameter, value, value)
+
+
+def format_quantity_range(parameter: str, low: float | None, high: float | None) -> str:
+    """Return "124 to 289 kPa", or one value with its unit where both ends are printed alike."""
+    if not (_is_known(low) and _is_known(high)):
+        return ""
+    assert low is not None and high is not None
+    scale, unit = _choose_unit(parameter, high)
+    texts = [format_plain(value / scale) for value in (low, high)]
+    return f"{' to '.join(dict.fromkeys(texts))} {unit}".strip()
+
+
+def choose_printed_unit(parameter: str, values: Iterable[float | None]) -> tuple[str, float]:
+    """Return the symbol of a parameter with the unit that fits the first known value, and that unit in Pa.
+
+    Of a parameter that is no stress the second is 1.
+    """
+    known = next((float(one) for one in values if one is not None and math.isfinite(one)), None)
+    if known is None or not parameter.endswith("_pa"):
+        return format_symbol(parameter), 1.0
+    scale, unit = _choose_unit(parameter, known)
+    return format_symbol(parameter).replace("(Pa)", f"({unit})"), scale
+
+
+def _choose_unit(parameter: str, value: float) -> tuple[float, str]:
+    """Return the unit in which people read a parameter of this size, and that unit in the unit of files."""
+    if not parameter.endswith("_pa"):
+        return 1.0, {"mm": "mm", "deg": "°"}.get(parameter.rpartition("_")[2], "")
+    return next(((scale, unit) for scale, unit in _STRESS_UNITS if value >= scale), _STRESS_UNITS[-1])
+
+
+def format_plain(value: float) -> str:
+    """Return three significant digits without an exponent where that is readable."""
+    text = format_number(value)
+    return (
+        (f"{float(text):.0f}" if abs(value) < 1e6 else typeset(text))
+        if "e" in text and abs(value) > 1
+        else typeset(text)
+    )
 
 
 def insert_symbols(words: str) -> str:

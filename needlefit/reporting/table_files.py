@@ -1,6 +1,7 @@
 """Write the tables of a run; equal tables give equal bytes."""
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,12 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.json_values import to_json_values
+from needlefit.reporting.tidy import to_tidy
 
 
 def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
-    """Write a table as CSV; `digits` None writes all digits."""
-    frame.to_csv(path, index=False, float_format=digits, lineterminator="\n", encoding="utf-8")
+    """Write a table as CSV, tidy; `digits` None writes all digits."""
+    to_tidy(frame).to_csv(path, index=False, float_format=digits, lineterminator="\n", encoding="utf-8")
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -24,3 +26,19 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 def all_files(folder: Path) -> list[Path]:
     """Return all files in a folder and its subfolders."""
     return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+Row = dict[str, Any]
+
+
+def to_records(frame: pd.DataFrame) -> list[Row]:
+    """Return the rows as JSON values; missing values are None."""
+    return [{str(k): _to_plain_value(v) for k, v in row.items()} for row in frame.to_dict("records")]
+
+
+def _to_plain_value(value: object) -> object:
+    """Return a value that JSON can store: NaN and infinity become None, numpy scalars become Python's."""
+    value = value.item() if hasattr(value, "item") else value
+    if value is pd.NA or value is pd.NaT or (isinstance(value, float) and not math.isfinite(value)):
+        return None
+    return value

@@ -1,6 +1,6 @@
 """A table ready for print: cells as text, column headings, positions of rules."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Align = Literal["left", "right"]
@@ -46,24 +46,9 @@ class TableLayout:
     notes: tuple[str, ...] = ()
 
 
-def text_column(label: str, wide: bool = False) -> TableColumn:
-    """Return a left-aligned column of text."""
-    return TableColumn(label, align="left", wide=wide)
-
-
 def drop_empty_columns(table: TableLayout) -> TableLayout:
     """Return the table without columns that are empty in all rows."""
-    return _select_columns(
-        table, [i for i in range(len(table.columns)) if any(row[i] not in ("", "–") for row in table.rows)]
-    )
-
-
-def drop_column(table: TableLayout, label: str) -> TableLayout:
-    """Return the table without the column that has this label."""
-    return _select_columns(table, [i for i, column in enumerate(table.columns) if column.label != label])
-
-
-def _select_columns(table: TableLayout, kept: list[int]) -> TableLayout:
+    kept = [i for i in range(len(table.columns)) if any(row[i] not in ("", "–") for row in table.rows)]
     columns = tuple(table.columns[i] for i in kept)
     rows = tuple(tuple(row[i] for i in kept) for row in table.rows)
-    return TableLayout(table.name, table.caption, columns, rows, table.breaks, table.strong, table.notes)
+    return replace(table, columns=columns, rows=rows)

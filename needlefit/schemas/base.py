@@ -4,6 +4,7 @@ import math
 from typing import Annotated, ClassVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError
 
 from needlefit.schemas.names import file_name_fault, name_fault
 
@@ -26,6 +27,7 @@ class FileRecord(Record):
     SCHEMA: ClassVar[int] = 1
 
     schema_: int = Field(alias="schema", ge=1)
+    """Version of the layout of this file."""
 
     @field_validator("schema_")
     @classmethod
@@ -37,20 +39,30 @@ class FileRecord(Record):
         return schema
 
 
+MISSING_KEY = "missing_key"
+"""Type of the error of a key that is required by the value of another one."""
+
+
+def missing_key(*location: str) -> PydanticCustomError:
+    """Return the error of a key, below the table that is checked, that other keys require."""
+    return PydanticCustomError(MISSING_KEY, "key is missing", {"location": location})
+
+
 def _check_name(name: str) -> str:
-    fault = name_fault(name)
-    if fault:
-        raise ValueError(f"{name!r} is refused: {fault}")
-    return name
+    return _require_no_fault(name, name_fault(name))
 
 
 def _check_file_name(name: str) -> str:
-    fault = file_name_fault(name)
+    return _require_no_fault(name, file_name_fault(name))
+
+
+def _require_no_fault(name: str, fault: str) -> str:
     if fault:
         raise ValueError(f"{name!r} is refused: {fault}")
     return name
 
 
+# Functions of the module, not of a call: the documentation links the validators by name.
 Name = Annotated[str, AfterValidator(_check_name)]
 """A name that reaches tables."""
 

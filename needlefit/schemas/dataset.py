@@ -1,7 +1,7 @@
 """Datasets: the files and columns of measured needle shapes or of tip tracks."""
 
 from itertools import pairwise
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,19 +13,18 @@ Scalar = str | float | int
 
 
 class FrameRecord(Record):
-    """What the coordinates mean.
-
-    `pose = "known"`: world coordinates and an entry pose per insertion.
-    `pose = "free"`: shapes known only up to a rigid motion; they are compared after alignment, by arc
-    length from the tip, without the proximal `drop_proximal_mm`.
-    `lps_to_world` is the rigid motion from the patient coordinates (LPS) of the scans to the world, rotation
-    and shift (mm) side by side; without it the two are one.
-    """
+    """Coordinate frame of the measured points."""
 
     name: Name = "world"
+    """Name of the coordinate frame."""
     pose: Literal["known", "free"] = "known"
+    """"known": world coordinates, with an entry pose for each insertion. "free": shapes up to a rigid
+    motion, aligned before they are compared."""
     drop_proximal_mm: float = Field(default=0.0, ge=0)
+    """Length at the base that is not compared (`pose = "free"`)."""
     lps_to_world: RigidRows | None = None
+    """Rigid motion from patient coordinates (LPS) to the world: rotation and shift (mm) side by side, three
+    rows of four."""
 
 
 MIN_SD_MM = 1e-6
@@ -33,13 +32,25 @@ MIN_SD_MM = 1e-6
 
 
 class NoiseRecord(Record):
-    """What the data's makers state of their errors (all mm, 0: not known); they set the noise floor."""
+    """Measurement errors as the data's authors state them; they determine the noise floor."""
 
     registration_mean_mm: float = Field(default=0.0, ge=0, le=1e3)
+    """Mean registration error; 0: not known."""
     point_sd_mm: float = Field(default=0.0, ge=0, le=1e3)
+    """Standard deviation of the independent error of a point; 0: not known."""
     correlated_sd_mm: float = Field(default=0.0, ge=0, le=1e3)
+    """Standard deviation of the error that neighbouring points share; 0: not known."""
     correlation_length_mm: float = Field(default=5.0, gt=0, le=1e6)
+    """Length along the needle over which that error decays."""
+    correlation: Literal["exponential", "matern32"] = "exponential"
+    """How it decays."""
+    heading_sd_deg: float = Field(default=0.0, ge=0, le=45)
+    """Tip tracks: standard deviation of a heading; 0: headings are not used."""
+    slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
+    """Tip tracks: spread of the slope of the tracker's frame between runs into one specimen; 0: each run
+    has an unknown slope of its own."""
     note: str = ""
+    """Where the numbers come from."""
 
     @model_validator(mode="after")
     def _large_enough(self) -> Self:
@@ -50,26 +61,118 @@ class NoiseRecord(Record):
         return self
 
 
-class InsertionsRecord(Record):
-    """The table of insertions.
+Operator = Literal["none", "spline", "gaussian", "unknown"]
 
-    Without `file`, insertions are the groups of the centreline table, named by `id_template` over the
-    group columns. `columns` maps our names to columns, `constants` gives a value to every row.
+
+class MeasurementRecord(Record):
+    """Smoothing of the shapes before their points were stored (docs/inference.md). Each operator needs its
+    own keys.
     """
 
+    operator: Operator = "none"
+    """What was done to the shape before its points were stored: nothing, a smoothing spline, a Gaussian
+    mean, or an unknown smooth bias."""
+    sections: str | None = None
+    """spline: files of the cross-sections that it was drawn through, with `{id}`."""
+    knot_spacing_mm: float | None = Field(default=None, ge=1, le=200)
+    """spline, without `sections`: distance between its knots."""
+    width_mm: float | None = Field(default=None, gt=0, le=100)
+    """gaussian: standard deviation of the weights along the needle."""
+    bias_sd_mm: float | None = Field(default=None, gt=0, le=10)
+    """unknown: standard deviation of the bias, which all insertions share."""
+    bias_length_mm: float | None = Field(default=None, ge=1, le=200)
+    """unknown: length over which the bias changes."""
+    note: str = ""
+    """Free text."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        keys = ("sections", "knot_spacing_mm", "width_mm", "bias_sd_mm", "bias_length_mm")
+        if tuple(key for key in keys if getattr(self, key) is not None) not in _OPERATOR_KEYS[self.operator]:
+            wanted = " or ".join(map(" and ".join, _OPERATOR_KEYS[self.operator]))
+            raise ValueError(f"operator {self.operator} needs {wanted or 'nothing'}, and no other key")
+        if self.sections is not None and "{id}" not in self.sections:
+            raise ValueError("sections must hold {id}, e.g. sections/{id}.toml")
+        return self
+
+
+_OPERATOR_KEYS: dict[Operator, tuple[tuple[str, ...], ...]] = {
+    "none": ((),),
+    "spline": (("sections",), ("knot_spacing_mm",)),
+    "gaussian": (("width_mm",),),
+    "unknown": (("bias_sd_mm", "bias_length_mm"),),
+}
+
+MIN_SECTIONS, MAX_SECTIONS = 8, 5000
+"""Cross-sections of one needle."""
+
+Values = Annotated[tuple[float, ...], Field(min_length=MIN_SECTIONS, max_length=MAX_SECTIONS)]
+
+
+class SectionsRecord(FileRecord):
+    """`sections/<id>.toml`: cross-sections of one needle from base to tip, and the spline through them."""
+
+    q_mm: Values
+    """Parameter of the spline at each cross-section."""
+    s_mm: Values
+    """Arc length from first contact; negative outside the tissue."""
+    points_mm: Annotated[
+        tuple[tuple[float, float, float], ...], Field(min_length=MIN_SECTIONS, max_length=MAX_SECTIONS)
+    ]
+    """Points where the axis crosses the cross-sections, in the world."""
+    weights: Values
+    """Final weight of each cross-section in the spline."""
+    knots_mm: Annotated[tuple[float, ...], Field(min_length=8, max_length=MAX_SECTIONS)]
+    """Knots of the clamped cubic spline, in q."""
+    sigma_mm: float = Field(ge=MIN_SD_MM, le=10)
+    """Standard deviation of a cross-section of weight 1 in one direction across the needle."""
+    shared_sd_mm: float = Field(default=0.0, ge=0, le=10)
+    """Standard deviation of an error that neighbouring cross-sections share."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len({len(self.q_mm), len(self.s_mm), len(self.points_mm), len(self.weights)}) > 1:
+            raise ValueError("q_mm, s_mm, points_mm and weights must be of one length")
+        for name in ("q_mm", "s_mm"):
+            if any(b <= a for a, b in pairwise(getattr(self, name))):
+                raise ValueError(f"{name} must increase, from the base to the tip")
+        knots = self.knots_mm
+        if any(b < a for a, b in pairwise(knots)) or knots[0] != knots[3] or knots[-1] != knots[-4]:
+            raise ValueError("knots_mm must not decrease, and begin and end with one value four times")
+        if not knots[0] <= self.q_mm[0] < self.q_mm[-1] <= knots[-1]:
+            raise ValueError("q_mm must lie between the first and the last of knots_mm")
+        if min(self.weights) < 0:
+            raise ValueError("weights must not be negative")
+        if sum(weight > 0 for weight in self.weights) < len(knots) - 4:
+            raise ValueError("fewer sections of positive weight than the spline has coefficients")
+        return self
+
+
+class InsertionsRecord(Record):
+    """The table of insertions."""
+
     file: str | None = None
+    """Table with one row for each insertion; without it, insertions are the groups of the centreline
+    table."""
     id_template: str | None = None
+    """Name of an insertion, made of the group columns: "{medium}-{run}"."""
     columns: dict[str, str] = {}
+    """Names of needlefit's columns in your table, where they differ."""
     constants: dict[str, Scalar] = {}
+    """Values that hold for every row, by column."""
 
 
 class CenterlinesRecord(Record):
-    """The centrelines: one file each (`pattern` with `{id}`), or one long table (`file`, `group_by`)."""
+    """The centrelines: one file each (`pattern`), or one long table (`file`, `group_by`)."""
 
     pattern: str | None = None
+    """One file for each insertion, with `{id}` in its name."""
     file: str | None = None
+    """One long table of all insertions."""
     group_by: tuple[str, ...] = ()
+    """Columns of the long table that distinguish insertions."""
     columns: dict[str, str] = {}
+    """Names of needlefit's columns in your table, where they differ."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -79,20 +182,20 @@ class CenterlinesRecord(Record):
             raise ValueError("pattern must hold {id}, e.g. centerlines/{id}.csv")
         if (self.file is not None) != bool(self.group_by):
             raise ValueError(
-                "file and group_by belong together: group_by names the columns that tell insertions apart"
+                "file and group_by belong together: group_by names the columns that distinguish insertions"
             )
         return self
 
 
 class SurfaceRecord(Record):
-    """A boundary: crossing a `sheet` leads into layer `into`; a `solid` is layer `into` wherever it is.
-
-    With `{id}` in `file` every insertion has a file of its own, as where layers were segmented in each scan.
-    """
+    """A boundary between layers, as a surface."""
 
     file: str
+    """Surface (STL, PLY, OBJ or VTK); with `{id}`, one for each insertion."""
     kind: Literal["sheet", "solid"]
+    """Crossing a "sheet" leads into layer `into`; the inside of a "solid" is layer `into`."""
     into: int = Field(ge=1, le=MAX_LAYERS)
+    """Number of the layer."""
 
     @property
     def own(self) -> bool:
@@ -105,11 +208,14 @@ class SurfaceRecord(Record):
 
 
 class DatasetMediumRecord(Record):
-    """The layers of a medium: as surfaces, or as depths along the needle, the same for every insertion."""
+    """Layers of a medium: as surfaces, or as depths along the needle."""
 
     surfaces: tuple[SurfaceRecord, ...] = ()
+    """Boundaries between the layers, as surfaces."""
     boundaries_mm: tuple[float, ...] | None = Field(default=None, max_length=MAX_LAYERS - 1)
+    """Depths of the boundaries along the needle, the same for every insertion."""
     note: str = ""
+    """Free text."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -121,30 +227,74 @@ class DatasetMediumRecord(Record):
         return self
 
 
+class ImportDecisionRecord(Record):
+    """One decision of an import."""
+
+    what: str
+    """What was decided: the name of the option of `needlefit import` that states it, or a column."""
+    value: str
+    """What was taken."""
+    source: Literal["file", "option", "answer", "guess", "assumption", "confirmed"]
+    """Where it comes from: the files, an option, an answer of the user, a guess from the numbers, or an
+    assumption without evidence, of which `check` warns. Write "confirmed" once you have checked it."""
+    reason: str = ""
+    """Evidence for it."""
+
+
+class ImportRecord(Record):
+    """What `needlefit import` made a dataset from."""
+
+    files: dict[str, str] = {}
+    """SHA-256 of the imported files, by name."""
+    decisions: tuple[ImportDecisionRecord, ...] = ()
+    """Every decision, in its order."""
+
+
 class SourceRecord(FileRecord):
-    """What was measured, by whom, under what terms, and where it lies: the head of every `dataset.toml`."""
+    """Origin of a dataset: the head of every `dataset.toml`."""
 
     name: Name
+    """Name of the dataset."""
     title: str = ""
+    """Heading in reports."""
     origin: Literal["measured", "synthetic"]
+    """Whether the needles were measured or simulated; reports state it."""
     license: str
+    """Terms of use."""
     source: str
+    """Who measured, where it is published."""
     how_to_get: str = ""
+    """How to obtain files that are not shipped."""
     units: Literal["mm"] = "mm"
+    """Unit of all lengths."""
     root: str | None = None
+    """Folder of the files, where it is not that of `dataset.toml`; `$NAME` stands for an environment
+    variable."""
     notes: str = ""
+    """Free text."""
 
 
 class DatasetRecord(SourceRecord):
-    """`data/<name>/dataset.toml` of needles whose shapes were measured."""
+    """`data/<name>/dataset.toml` of measured needle shapes."""
 
     frame: FrameRecord = FrameRecord()
+    """Coordinates."""
     needle: NeedleRecord
+    """The needle that was inserted."""
     noise: NoiseRecord = NoiseRecord()
+    """Measurement errors."""
     insertions: InsertionsRecord
+    """Table of insertions."""
     centerlines: CenterlinesRecord
+    """Measured shapes."""
+    measurement: MeasurementRecord | None = None
+    """Smoothing that the measurement did."""
     media: dict[Name, DatasetMediumRecord] = {}
+    """Layers of each medium, by the name in column `medium`."""
+    import_: ImportRecord | None = Field(default=None, alias="import")
+    """Decisions of `needlefit import`."""
     checksums: dict[str, str] = {}
+    """SHA-256 of files, by path; `needlefit check` compares them."""
 
     @model_validator(mode="after")
     def _has_insertions(self) -> Self:
@@ -158,27 +308,27 @@ class DatasetRecord(SourceRecord):
 
 
 class TipTracksRecord(Record):
-    """`[tip_tracks]`: one long table, a row per reading.
-
-    `columns` maps our names to columns, `constants` gives a value to every row.
-    """
+    """The table of tracked tips, one row for each reading."""
 
     file: str
+    """Table with one row for each reading."""
     columns: dict[str, str] = {}
+    """Names of needlefit's columns in your table, where they differ."""
     constants: dict[str, Scalar] = {}
+    """Values that hold for every row, by column."""
 
 
 class TrackMediumRecord(Record):
-    """`[media.<name>]`: the layers met, and at which depths the boundaries between them lie.
-
-    `layers` are numbers of the medium's configuration, from the entry on: `[2]` is its second layer alone.
-    `specimen` names the piece that was punctured, if several media are parts of one.
-    """
+    """Layers that a tracked needle meets, and the depths of their boundaries."""
 
     layers: tuple[int, ...] = (1,)
+    """Layers of the tissue model that are met, from the entry on: `[2]` is its second layer alone."""
     boundaries_mm: tuple[float, ...] = ()
+    """Depths of the boundaries between them."""
     specimen: Name = ""
+    """Specimen that was punctured, where several media are parts of one."""
     note: str = ""
+    """Free text."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -195,10 +345,15 @@ class TrackMediumRecord(Record):
 
 
 class TrackDatasetRecord(SourceRecord):
-    """`data/<name>/dataset.toml` of needles whose tips were tracked."""
+    """`data/<name>/dataset.toml` of tracked tips."""
 
     needle: NeedleRecord
+    """The needle that was inserted."""
     noise: NoiseRecord = NoiseRecord()
+    """Measurement errors."""
     tip_tracks: TipTracksRecord
+    """Table of readings."""
     media: dict[Name, TrackMediumRecord] = Field(min_length=1)
+    """Layers of each medium, by the name in column `medium`."""
     checksums: dict[str, str] = {}
+    """SHA-256 of files, by path; `needlefit check` compares them."""

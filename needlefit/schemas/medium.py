@@ -1,25 +1,28 @@
 """A medium: its layers, which of their parameters are free, their bounds and their priors."""
 
+import math
 from typing import Self
 
 from pydantic import Field, model_validator
 
 from needlefit.schemas.base import FileRecord, Record
 from needlefit.schemas.limits import MAX_CONSTRAINT_SPACING_MM, MAX_LAYERS, MIN_ELEMENT_MM
+from needlefit.schemas.scene import Advance, check_advance
 
 
 class PriorRecord(Record):
-    """Normal: `mean` and `sd` (alpha). Lognormal: `median`, and `factor`, its standard deviation (others).
-
-    `factor = 2` reads: within a factor of 2 with the probability of one standard deviation. `correlation` is
-    that of ln mu with the alpha of the same layer, whose prior must be given too.
-    """
+    """A prior: normal (`mean`, `sd`), for alpha, or lognormal (`median`, `factor`), for all others."""
 
     mean: float | None = None
+    """Mean of a normal prior (alpha)."""
     sd: float | None = Field(default=None, gt=0)
+    """Standard deviation of a normal prior."""
     median: float | None = Field(default=None, gt=0)
+    """Median of a lognormal prior (all others), in the parameter's unit."""
     factor: float | None = Field(default=None, gt=1)
+    """Spread of a lognormal prior: 2 means within a factor of 2 at one standard deviation."""
     correlation: float = Field(default=0.0, gt=-1, lt=1)
+    """Correlation of ln mu with the alpha of the same layer, which then needs a prior too."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -33,28 +36,35 @@ class PriorRecord(Record):
 
 
 class MaterialRecord(FileRecord):
-    """`reports/material-<name>/prior.toml`: what a compression test says of a layer, for `priors` of a fit.
-
-    `mu_pa` is of the model's foundation modulus, not of the material's shear modulus.
-    """
+    """`reports/material-<name>/prior.toml`: priors of a layer from a compression test."""
 
     title: str = ""
+    """What was tested."""
     note: str = ""
+    """Free text."""
     sha256: str = ""
+    """Checksum of the measured table."""
     alpha: PriorRecord | None = None
+    """Prior of alpha."""
     mu_pa: PriorRecord | None = None
+    """Prior of the model's foundation modulus (not of the material's shear modulus)."""
 
 
 class ParameterRecord(Record):
-    """One parameter: free within `bounds`, `fixed`, or tied to another one (`"mu1_pa"`, `"10 * mu1_pa"`).
-
-    A free one may have a `prior`; without, it is flat within the bounds (of the logarithm, but for alpha).
-    """
+    """One parameter: exactly one of `bounds` (free), `fixed` and `tie`."""
 
     bounds: tuple[float, float] | None = None
+    """Bounds of a free parameter, `[low, high]`, in the unit of its name."""
     fixed: float | None = None
+    """Value of a parameter that is not estimated."""
     tie: str | None = None
+    """Ties the parameter to another one: its name, or a multiple of it."""
+    spread: float | None = Field(default=None, ge=1, le=100)
+    """Factor, at one standard deviation, by which a tied modulus or length may differ; 1 is an exact
+    tie. Without it 1.2 for a modulus that is tied to another one without a factor, else 1."""
     prior: PriorRecord | None = None
+    """Prior of a free parameter; without one it is flat within the bounds (of the logarithm, except for
+    alpha)."""
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
@@ -65,24 +75,66 @@ class ParameterRecord(Record):
             raise ValueError(f"bounds must be [low, high] with low < high, got {list(self.bounds)}")
         if self.prior is not None and self.bounds is None:
             raise ValueError(f"a prior is for a free parameter, this one is {given[0]}: give bounds instead")
+        if self.spread is not None and self.tie is None:
+            raise ValueError("a spread is of a tie: give tie too, or leave the spread out")
         return self
 
 
 class MediumRecord(FileRecord):
-    """`configs/media/<name>.toml`: the model of one medium, as a table of parameters by name.
-
-    Names: `mu1_pa`, `alpha1`, ... one pair per layer, `bevel_mm`, and optionally `guide_distance_mm`.
-    `constraint_switch`, `tangent_part` and `first_cell_mm` are options of the model (`ModelOptions`)
-    that are decided; other values are for studies of how much they matter.
-    """
+    """`configs/media/<name>.toml`: a tissue model, its layers and parameters."""
 
     title: str = ""
+    """What the medium is."""
     note: str = ""
+    """Free text for readers of the file."""
     layers: int = Field(ge=1, le=MAX_LAYERS)
+    """Number of layers."""
     law: str = "ogden"
+    """Tissue law: ogden, neo_hookean, linear, or one of a plugin."""
     thickness_mm: float = Field(default=40.0, gt=0)
+    """Thickness h of the tissue that supports the needle on each side."""
     constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)
+    """Distance C_int between two constraint points along the needle."""
     constraint_switch: float = Field(default=0.5, ge=0, le=1)
+    """Part of a cell behind a boundary from which on its constraint point belongs to the next layer."""
     tangent_part: float = Field(default=1.0, ge=0, le=1)
+    """Weight of the needle's tangent in the direction of advance; 0 keeps the direction of the cut."""
     first_cell_mm: float | None = Field(default=None, gt=0)
+    """Depth of the first constraint point; without it, a whole cell."""
+    advance: Advance = "tangent"
+    """Rule of advance: along the tangent with offset b, or at a constant angle to it."""
     parameters: dict[str, ParameterRecord]
+    """Parameters by name: `mu1_pa`, `alpha1`, ... a pair for each layer; `bevel_mm` (with `advance =
+    "path_angle"`: `cut_angle_deg`); optionally `guide_distance_mm`."""
+
+    @model_validator(mode="after")
+    def _one_rule(self) -> Self:
+        check_advance(self.advance, self.constraint_switch, self.tangent_part)
+        return self
+
+    @property
+    def bevel_parameter(self) -> str:
+        """Name of the parameter that says how strongly the bevel turns the cut."""
+        return "cut_angle_deg" if self.advance == "path_angle" else "bevel_mm"
+
+
+MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG = 0.01, 44.0
+"""Widest bounds of an angle that takes the place of b."""
+
+
+def use_path_angle(medium: MediumRecord) -> MediumRecord:
+    """Return a medium that advances by the path angle; its bounds are the turns b / C_int of the bounds of b.
+
+    There is no conversion of b to the angle: these are but bounds of the same order. A prior of b is dropped.
+    """
+    if medium.advance == "path_angle":
+        return medium
+    b = medium.parameters["bevel_mm"]
+    angles = [math.degrees(turn / medium.constraint_spacing_mm) for turn in b.bounds or (0.0, math.inf)]
+    angle = ParameterRecord(bounds=(max(angles[0], MIN_CUT_ANGLE_DEG), min(angles[1], MAX_CUT_ANGLE_DEG)))
+    parameters = {
+        "cut_angle_deg" if name == "bevel_mm" else name: angle if name == "bevel_mm" else parameter
+        for name, parameter in medium.parameters.items()
+    }
+    changes = {"advance": "path_angle", "constraint_switch": 0.5, "tangent_part": 1.0}
+    return medium.model_copy(update={**changes, "parameters": parameters})

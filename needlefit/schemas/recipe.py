@@ -18,12 +18,18 @@ ObjectiveName = Literal["posterior", "metric"]
 
 
 class WeightsRecord(Record):
-    """The metric objective: a weighted mean over insertions of IPE, TE (both mm) and EDP (mm per 100 %)."""
+    """The error-minimising objective: a weighted mean over insertions of IPE, TE (mm) and EDP (mm per 100
+    %).
+    """
 
     ipe: float = Field(default=1.0, ge=0)
+    """Weight of the in-plane error (IPE)."""
     te: float = Field(default=1.0, ge=0)
+    """Weight of the tip error (TE)."""
     edp: float = Field(default=0.1, ge=0)
+    """Weight of the error-to-deflection percentage (EDP), per 100 %."""
     edp_floor_mm: float = Field(default=0.2, gt=0)
+    """Smallest deflection by which a tip error is divided."""
 
     @model_validator(mode="after")
     def _something(self) -> Self:
@@ -33,32 +39,36 @@ class WeightsRecord(Record):
 
 
 class LikelihoodRecord(Record):
-    """What the likelihood makes of the stated errors; docs/inference.md says how.
-
-    `noise`: errors of neighbouring points and of the pose are shared by points ("correlated"), or every point
-    errs by itself, as much in all ("independent").
-    `depths`: errors of layer and insertion depths are ignored ("fixed"), act linearly, or as they do.
-    `noise_scale` multiplies the deviations of noise and pose: a number, or "estimated" beside the parameters.
-    """
+    """How the likelihood treats the stated errors (docs/inference.md)."""
 
     noise: Literal["correlated", "independent"] = "correlated"
+    """"correlated": neighbouring points share errors, and all points share those of the pose.
+    "independent": every point errs by itself."""
     depths: Literal["fixed", "linear", "quadrature"] = "linear"
+    """Errors of layer depths and insertion depth: ignored, linearised, or integrated by quadrature."""
+    measurement: Literal["stored", "points"] = "stored"
+    """"stored": the smoothing that the dataset states is applied to the simulation too. "points": stored
+    points are compared as they are."""
     noise_scale: Annotated[float, Field(gt=0)] | Literal["estimated"] = 1.0
+    """Factor on the standard deviations of the points, or "estimated" with the parameters."""
+    bevel_spread: float = Field(default=0.1, ge=0, le=1)
+    """Standard deviation of the half-normal prior of the spread of ln b between insertions; 0 gives all
+    insertions the same b."""
 
 
 class SampleRecord(Record):
-    """How to sample: several independent ensembles of walkers, moved until they agree.
-
-    `steps` is the most that each ensemble takes; after every `check_interval` steps the run is kept, and the
-    rule of convergence is asked. `moves` are independent, stretch, de, snooker, or several: "de+snooker",
-    "0.9*de + 0.1*snooker".
-    """
+    """How to sample: independent ensembles of walkers, moved until they agree."""
 
     ensembles: int = Field(default=4, ge=1, le=MAX_ENSEMBLES)
+    """Number of independent ensembles of walkers."""
     walkers: int = Field(default=16, ge=8, le=MAX_WALKERS)
+    """Walkers of one ensemble."""
     moves: str = "0.6*independent + 0.3*de + 0.1*stretch"
+    """Proposals and their shares: independent, stretch, de, snooker."""
     steps: int = Field(default=20000, ge=2)
+    """Largest number of steps of each ensemble; it stops earlier once it has converged."""
     check_interval: int = Field(default=50, ge=2)
+    """Steps between two checks of convergence; the run is stored at each."""
 
     @model_validator(mode="after")
     def _fits_in_memory(self) -> Self:
@@ -70,28 +80,48 @@ class SampleRecord(Record):
         return self
 
 
-class RecipeRecord(FileRecord):
-    """`configs/recipes/<name>.toml`.
-
-    `minimize` says what the fit is: the negative log posterior, or the metric objective of `weights`.
-    `metric` adds a second fit, of the metric objective by `metric_algorithm`, reported beside the first.
-    With `approach` starts first go down a posterior that is easier, by least squares, and those that meet
-    there go on as one. `evaluations` limits each start; one with derivatives counts as one, as does one
-    without.
+class BetweenSpecimensRecord(Record):
+    """Prior knowledge of how much parameters differ between specimens: half-normal priors of each
+    spread.
     """
+
+    modulus_factor: float = Field(default=2.0, ge=1)
+    """Factor by which moduli of two specimens differ, at one standard deviation."""
+    bevel_factor: float = Field(default=1.8, ge=1)
+    """The same of the bevel offset b."""
+
+
+class RecipeRecord(FileRecord):
+    """`configs/recipes/<name>.toml`: how to search, what to minimise, how to sample."""
 
     SCHEMA: ClassVar[int] = 2
 
     title: str = ""
+    """What the recipe is for."""
     minimize: ObjectiveName = "posterior"
+    """Objective: the negative log posterior, or the weighted errors of `[weights]`."""
     algorithm: str = "leastsquares"
+    """Optimiser of the fit; `+` runs one after the other."""
     metric: bool = False
+    """Whether a second fit minimises the weighted errors; it is reported beside the first."""
     metric_algorithm: str = "bobyqa+neldermead"
+    """Optimiser of the second fit."""
     starts: int = Field(default=16, ge=1, le=MAX_STARTS)
+    """Random starting points of the search."""
     approach: bool = True
+    """Whether starts first minimise an easier posterior by least squares; those that meet continue as
+    one."""
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
+    """Seed of all random numbers."""
     evaluations: int = Field(default=600, ge=1, le=MAX_EVALUATIONS)
+    """Largest number of evaluations of one start, with or without derivatives."""
     tolerance: float = Field(default=1e-4, gt=0)
+    """Relative tolerance of convergence."""
     weights: WeightsRecord = WeightsRecord()
+    """Weights of the errors."""
     likelihood: LikelihoodRecord = LikelihoodRecord()
+    """Options of the likelihood."""
     sample: SampleRecord = SampleRecord()
+    """Options of the sampler."""
+    specimens: BetweenSpecimensRecord = BetweenSpecimensRecord()
+    """Prior of the spread between specimens."""

@@ -9,27 +9,41 @@ from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM
 
 
 class ScannedNeedleRecord(Record):
-    """The needle that was scanned; diameter and bevel are also what the tip's edge model takes."""
+    """The needle that was scanned."""
 
     name: Name = ""
+    """Name of the needle."""
     length_mm: float = Field(default=150.0, gt=0)
+    """Length from the base to the tip."""
     diameter_mm: float = Field(default=1.27, gt=0, le=MAX_NEEDLE_DIAMETER_MM)
+    """Outer diameter."""
     inner_diameter_mm: float = Field(default=0.0, ge=0)
+    """Inner diameter; 0 for a solid needle."""
     youngs_modulus_gpa: float = Field(default=80.0, gt=0)
+    """Young's modulus."""
     note: str = ""
+    """Free text."""
     bevel_deg: float = Field(default=30.0, ge=10, le=90)
+    """Angle of the bevel's face to the axis."""
     bevel_sd_deg: float = Field(default=3.0, gt=0)
+    """Standard deviation of that angle."""
 
 
 class SegmentationRecord(Record):
-    """Which voxels are needle; thresholds left out are taken from the volume."""
+    """Which voxels are needle."""
 
     threshold_low_hu: float | None = None
+    """Lower threshold of hysteresis; without it, taken from the volume."""
     threshold_high_hu: float | None = None
+    """Upper threshold of hysteresis; without it, taken from the volume."""
     min_length_mm: float = Field(default=20.0, gt=0)
+    """Shortest object that may be a needle."""
     min_elongation: float = Field(default=6.0, gt=1)
+    """Smallest ratio of length to width of a needle."""
     max_widening: float = Field(default=2.5, ge=1)
+    """Largest width of a needle, as a multiple of its diameter."""
     join_gap_mm: float = Field(default=15.0, ge=0)
+    """Largest gap across which two pieces are joined."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -43,9 +57,13 @@ class CenterlineRecord(Record):
     """How the axis is drawn, and which end is the tip."""
 
     station_spacing_mm: float = Field(default=0.5, ge=0.05, le=5)
+    """Distance between cross-sections."""
     patch_width_mm: float = Field(default=2.4, ge=0.5, le=20)
-    knot_spacing_mm: float = Field(default=15.0, ge=2, le=200)
+    """Width of the patch in which a cross-section's centre is found."""
+    knot_spacing_mm: float = Field(default=7.5, ge=2, le=200)
+    """Distance between the knots of the smoothing spline."""
     entry_direction: tuple[float, float, float] | None = None
+    """Direction from base to tip (LPS), where it cannot be derived from the scan."""
 
     @model_validator(mode="after")
     def _directed(self) -> Self:
@@ -55,42 +73,52 @@ class CenterlineRecord(Record):
 
 
 class MarkersRecord(Record):
-    """The radiopaque markers: balls of one diameter, and how well their places are known."""
+    """Radiopaque markers: spheres of one diameter."""
 
     diameter_mm: float = Field(default=3.0, gt=0)
+    """Diameter of the marker spheres."""
     threshold_hu: float | None = None
+    """Threshold; without it, taken from the volume."""
     reference_sd_mm: float = Field(default=0.1, gt=0)
+    """Standard deviation of the markers' stated positions."""
     fiducial_sd_mm: float = Field(default=0.3, gt=0)
+    """Standard deviation of the markers' positions in the scan."""
 
 
 class ReconstructionEntryRecord(Record):
-    """Entry pose and bending plane.
-
-    `entry_shift_sd_mm`, `entry_tilt_sd_deg`: how far the tissue may move and turn the needle at the entry
-    (standard deviations), where the pose comes from the shaft outside. `plane` is used where no bevel
-    direction is stated.
-    """
+    """Entry pose and bending plane."""
 
     entry_shift_sd_mm: float = Field(default=0.3, gt=0)
+    """Standard deviation of the shift of the needle at the entry against its straight shaft outside."""
     entry_tilt_sd_deg: float = Field(default=2.0, gt=0)
+    """Standard deviation of its tilt there."""
     plane: Literal["bevel", "shape"] = "shape"
+    """Bending plane where no bevel direction is stated: from the bevel or from the shape."""
 
 
 class LayersRecord(Record):
-    """The layers' surfaces: how far one may lie from the boundary that it stands for."""
+    """Surfaces of the layers."""
 
     surface_sd_mm: float = Field(default=0.1, ge=0)
+    """Standard deviation of a surface's distance from the true boundary."""
 
 
 class ReconstructionRecord(FileRecord):
-    """`configs/reconstruction/<name>.toml`."""
+    """`configs/reconstruction/<name>.toml`: how needles are found in scans."""
 
     SCHEMA: ClassVar[int] = 2
 
     title: str = ""
+    """What the recipe is for."""
     needle: ScannedNeedleRecord = ScannedNeedleRecord()
+    """The needle that was scanned; diameter and bevel also enter the model of the tip's edge."""
     segmentation: SegmentationRecord = SegmentationRecord()
+    """Which voxels are needle."""
     centerline: CenterlineRecord = CenterlineRecord()
+    """How the axis is drawn, and which end is the tip."""
     markers: MarkersRecord = MarkersRecord()
+    """Radiopaque markers."""
     entry: ReconstructionEntryRecord = ReconstructionEntryRecord()
+    """Entry pose and bending plane."""
     layers: LayersRecord = LayersRecord()
+    """Surfaces of the layers."""

@@ -32,7 +32,6 @@ _CELLS: dict[str, frozenset[type]] = {
 """Types of JSON that a column may hold; pandas would take any for them. A missing text is NaN or None."""
 
 Cell = str | int | float | bool | None
-Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class _StoredTable(BaseModel):
@@ -88,6 +87,7 @@ class _ValidityTable(_StoredTable):
 class RunTable(_StoredTable):
     """The `run.json` of one run: what it was computed with."""
 
+    kind: str = ""
     name: str = ""
     versions: dict[str, str] = {}
     dataset: _DatasetTable | None = None
@@ -114,13 +114,6 @@ class TimingTable(_StoredTable):
     jobs: int = 1
 
 
-class StagesTable(_StoredTable):
-    """The `run.json` of an identification: a run for each of its stages."""
-
-    design: RunTable
-    fit: RunTable | None = None
-
-
 class FrameTable(_StoredTable):
     """A frame: the type and the cells of each column."""
 
@@ -140,101 +133,16 @@ class FrameTable(_StoredTable):
         return self
 
 
-class _BandTable(_StoredTable):
-    low: list[Point]
-    middle: list[Point]
-    high: list[Point]
-    source: Literal["posterior", "linear"]
-    converged: bool
-
-    @model_validator(mode="after")
-    def _alike(self) -> Self:
-        if not len(self.low) == len(self.middle) == len(self.high) > 1:
-            raise ValueError("low, middle and high are of different lengths, or have no two points")
-        return self
-
-
-class _NeedleTable(_StoredTable):
-    insertion: FileName
-    fold: str
-    role: Literal["tune", "validate"]
-    measured: list[Point] = Field(min_length=2)
-    toward: Point
-    diameter: float
-    fitted: list[Point] | None
-    band: _BandTable | None
-
-
-class _CommonTable(_StoredTable):
-    """What results of every kind have in common."""
-
-    name: FileName
-    origin: Literal["measured", "synthetic"]
-    dataset_title: str
-    interrupted: bool
-    run: RunTable
-    frames: dict[FileName, FrameTable]
-
-
-class ResultsTable(_CommonTable):
-    """Stored results of a study or fit."""
-
-    kind: Literal["study", "fit"]
-    record: dict[str, Any]
-    title: str
-    question: str
-    needles: list[_NeedleTable]
-    posteriors: list[str]
-
-
-class AnalysisTable(_CommonTable):
-    """Stored results of a study of another kind."""
+class StoredRunTable(_StoredTable):
+    """Stored results of a study of any kind."""
 
     kind: str
+    name: FileName
     record: dict[str, Any]
+    origin: Literal["measured", "synthetic", "none"]
+    dataset_title: str
+    interrupted: bool
     faults: list[str]
-
-
-class TracksTable(_CommonTable):
-    """Stored results of a study of tip tracks."""
-
-    kind: Literal["tracks"]
-    record: dict[str, Any]
-    notes: list[str]
-    remarks: list[str]
-    posteriors: list[FileName]
-
-
-class CalibrationTable(_CommonTable):
-    """Stored results of a calibration."""
-
-    kind: Literal["calibration"]
-    title: str
-    control: str | None
-    sampled: bool
-    insertions: list[str]
-    depths: list[float]
-
-
-class _StageTable(_StoredTable):
-    rows: FrameTable
-    profiles: FrameTable
     run: RunTable
-
-
-class IdentificationTable(_StoredTable):
-    """Stored results of an identification, by stage."""
-
-    kind: Literal["identification"]
-    origin: Literal["measured", "synthetic"]
-    stages: dict[Literal["design", "fit"], _StageTable] = Field(min_length=1)
-    directions: FrameTable
-
-
-class PredictionTable(_StoredTable):
-    """A stored prediction."""
-
-    kind: Literal["forecast"]
-    title: str
-    table: FrameTable
-    run: RunTable
+    frames: dict[FileName, FrameTable]
+    posteriors: list[str]

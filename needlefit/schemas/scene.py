@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from needlefit.schemas.base import FileRecord, Name, Record
+from needlefit.schemas.base import FileRecord, Name, Record, missing_key
 from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,
     MAX_GUIDES,
@@ -23,48 +23,69 @@ GUIDE_NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_-]*$"
 """What a guide may be called: a bare TOML key that is no number."""
 
 
-class GuideRecord(Record):
-    """A guide or template: its place in the world, the direction of its axis, and whether that holds.
+CUT_ANGLE_LIMIT_DEG = 45.0
+"""Angles of the cut to the needle's tangent are below it."""
 
-    Without `angle_deg` its axis is the insertion axis. `in_tissue` says that it stands behind the entry;
-    `engaged = false` that it is there but open, until a step closes it.
-    """
+
+class GuideRecord(Record):
+    """A guide or template."""
 
     name: str = Field(pattern=GUIDE_NAME_PATTERN)
+    """Name by which steps refer to the guide."""
     x_mm: float
+    """Position in the world, along x."""
     y_mm: float
+    """Position in the world, along y."""
     angle_deg: float | None = None
+    """Direction of the guide's axis in the world; without it, that of the insertion."""
     turns_freely: bool = False
+    """Whether the guide fixes only the position and leaves the slope free."""
     in_tissue: bool = False
+    """Whether the guide stands behind the entry."""
     engaged: bool = True
+    """Whether the guide is closed; an open one does nothing until a step closes it."""
 
 
 class GuideMoveRecord(Record):
-    """What a step changes of a guide."""
+    """What a step changes of a guide; other keys keep their values."""
 
     x_mm: float | None = None
+    """New position along x."""
     y_mm: float | None = None
+    """New position along y."""
     angle_deg: float | None = None
+    """New direction of the axis."""
     turns_freely: bool | None = None
+    """Whether the slope is free from now on."""
     in_tissue: bool | None = None
+    """Whether the guide stands behind the entry from now on."""
     engaged: bool | None = None
+    """Whether the guide is closed from now on."""
 
 
 class StepRecord(Record):
-    """Where the tip goes next, and what changes before it does; what is not said stays as it was.
-
-    A tracked tip is replaced as a whole: `tip_y_mm` without `tip_slope_deg` leaves its slope free.
-    """
+    """Where the tip goes next, and what changes before; what is not given stays as it was."""
 
     depth_mm: float = Field(ge=0, le=MAX_NEEDLE_LENGTH_MM)
+    """Depth of the tip at the end of the step."""
     offset_mm: float | None = Field(default=None, ge=0)
+    """Bevel offset b from this step on."""
+    cut_angle_deg: float | None = Field(default=None, ge=0, lt=CUT_ANGLE_LIMIT_DEG)
+    """Cut angle from this step on."""
     side: Literal[1, -1] | None = None
+    """Side of the bevel from this step on: 1 or -1."""
     base_y_mm: float | None = None
+    """Position of the base across."""
     base_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """Slope of the base."""
     tip_y_mm: float | None = None
+    """Tracked position of the tip across."""
     tip_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """Tracked slope of the tip; without it the slope is free."""
     tip_free: bool = False
+    """Whether a tracked tip is released."""
     guides: dict[str, GuideMoveRecord] = {}
+    """Changes of guides, by name: `guides.template.y_mm = 2.0`."""
 
     @model_validator(mode="after")
     def _one_tip(self) -> Self:
@@ -84,12 +105,19 @@ class NeedleRecord(Record):
     """A needle: its length and either its tube (diameters, modulus) or its flexural rigidity."""
 
     name: Name = "needle"
+    """Name of the needle in tables."""
     length_mm: float = Field(gt=0, le=MAX_NEEDLE_LENGTH_MM)
+    """Length from the base to the tip."""
     outer_diameter_mm: float | None = Field(default=None, gt=0, le=MAX_NEEDLE_DIAMETER_MM)
+    """Outer diameter."""
     inner_diameter_mm: float = Field(default=0.0, ge=0)
+    """Inner diameter; 0 for a solid needle."""
     youngs_modulus_gpa: float | None = Field(default=None, gt=0)
+    """Young's modulus."""
     flexural_rigidity_nmm2: float | None = Field(default=None, gt=0)
+    """Flexural rigidity EI, in place of diameters and modulus."""
     note: str = ""
+    """Free text."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -104,35 +132,57 @@ class NeedleRecord(Record):
 
 
 class LayerRecord(Record):
-    """One tissue layer; `top_mm` is the depth of its upper boundary along C's x axis (first layer: 0)."""
+    """One tissue layer."""
 
     name: Name = ""
+    """Name of the layer in tables and figures."""
     top_mm: float = Field(ge=0)
+    """Depth of the layer's upper boundary; 0 for the first."""
     mu_pa: float = Field(gt=0)
+    """Foundation modulus mu."""
     alpha: float
+    """Exponent of the Ogden law."""
     thickness_mm: float = Field(default=40.0, gt=0)
+    """Thickness h of the tissue that supports the needle on each side."""
     friction: float = Field(default=0.0, ge=0)
+    """Coefficient of friction between needle and tissue."""
+
+
+Advance = Literal["tangent", "path_angle"]
+"""Rules by which the needle advances."""
 
 
 class BevelRecord(Record):
-    """The cut's offset per constraint spacing, and the side that the bevel faces (+1: left, y > 0)."""
+    """The bevel: its offset, or with the path-angle rule its cut angle, and its side."""
 
-    offset_mm: float = Field(ge=0)
+    offset_mm: float | None = Field(default=None, ge=0)
+    """Bevel offset b: how far the cut is shifted per constraint spacing."""
+    cut_angle_deg: float | None = Field(default=None, ge=0, lt=CUT_ANGLE_LIMIT_DEG)
+    """Angle of the cut to the needle's tangent, with `rules.advance = "path_angle"`."""
     side: Literal[1, -1] = 1
+    """Side that the bevel faces: 1 toward y > 0, -1 toward y < 0."""
 
 
 class RulesRecord(Record):
-    """What is part of the model, and what is numerical (`element_mm`).
-
-    `constraint_switch`, `tangent_part` and `first_cell_mm` are decided, as in a medium; other values let a
-    scene carry a needle that was fitted under them.
-    """
+    """Rules of the model, and the element length. The defaults of the rules are those of every result."""
 
     constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)
+    """Distance C_int between two constraint points along the needle."""
     element_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
+    """Length of a beam element; without it, the spacing or the largest part of it up to 1 mm."""
     constraint_switch: float = Field(default=0.5, ge=0, le=1)
+    """Part of a cell behind a boundary from which on its constraint point belongs to the next layer."""
     tangent_part: float = Field(default=1.0, ge=0, le=1)
+    """Weight of the needle's tangent in the direction of advance; 0 keeps the direction of the cut."""
     first_cell_mm: float | None = Field(default=None, gt=0)
+    """Depth of the first constraint point; without it, a whole cell."""
+    advance: Advance = "tangent"
+    """Rule of advance: along the tangent with offset b, or at a constant angle to it."""
+
+    @model_validator(mode="after")
+    def _one_rule(self) -> Self:
+        check_advance(self.advance, self.constraint_switch, self.tangent_part)
+        return self
 
     @model_validator(mode="after")
     def _within_a_cell(self) -> Self:
@@ -150,19 +200,30 @@ class RulesRecord(Record):
         return self.element_mm or spacing / max(1, math.ceil(spacing - 1e-9))
 
 
-class ControlsRecord(Record):
-    """How the needle is held at first: the base, a clamping guide before the tissue, a tracked tip.
+def check_advance(advance: Advance, switch: float, tangent: float) -> None:
+    """Raise ValueError where variants of the advance along the tangent stand beside another rule."""
+    if advance == "path_angle" and (switch, tangent) != (0.5, 1.0):
+        raise ValueError(
+            'constraint_switch and tangent_part are variants of advance = "tangent": leave them out beside '
+            '"path_angle"'
+        )
 
-    All of it in C, but for `stage_angle_deg`: the direction in the world in which the stage carries the
-    base (default: the entry's).
-    """
+
+class ControlsRecord(Record):
+    """Initial boundary conditions: base, a guide before the tissue, a tracked tip."""
 
     base_y_mm: float = 0.0
+    """Position of the base across, in the constraint frame C."""
     base_slope_deg: float = Field(default=0.0, gt=-45, lt=45)
+    """Slope of the base, in C."""
     stage_angle_deg: float | None = None
+    """Direction in the world in which the stage moves the base; without it, that of the entry."""
     guide_distance_mm: float | None = Field(default=None, gt=0)
+    """Distance before the tissue of a guide that fixes position and slope."""
     tip_y_mm: float | None = None
+    """Tracked position of the tip across, in C."""
     tip_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """Tracked slope of the tip, in C; without it the slope is free."""
 
     @model_validator(mode="after")
     def _placed(self) -> Self:
@@ -171,34 +232,45 @@ class ControlsRecord(Record):
 
 
 class SceneEntryRecord(Record):
-    """The tip's pose in the world at first contact."""
+    """Pose of the tip in the world at first contact."""
 
     x_mm: float = 0.0
+    """Position of the tip at first contact, along x of the world."""
     y_mm: float = 0.0
+    """Position of the tip at first contact, along y of the world."""
     angle_deg: float = 0.0
+    """Direction of the needle at first contact."""
 
 
 class SceneRecord(FileRecord):
-    """`configs/scenes/<name>.toml`: one insertion to `depth_mm`, or `steps`.
-
-    What a step does not say carries over from the step before, the first one's from `bevel`, `controls`
-    and `guides`.
-    """
+    """`configs/scenes/<name>.toml`: one insertion to `depth_mm`, or in `steps`."""
 
     SCHEMA: ClassVar[int] = 2
 
     title: str = ""
+    """What the scene shows."""
     note: str = ""
+    """Free text for readers of the file."""
     depth_mm: float | None = Field(default=None, gt=0, le=MAX_NEEDLE_LENGTH_MM)
+    """Insertion depth, where there are no `[[steps]]`."""
     law: str = "ogden"
+    """Tissue law: ogden, neo_hookean, linear, or one of a plugin."""
     needle: NeedleRecord
+    """The needle."""
     layers: tuple[LayerRecord, ...] = Field(min_length=1, max_length=MAX_LAYERS)
+    """Layers from the entry on."""
     bevel: BevelRecord
+    """The bevel at first."""
     rules: RulesRecord = RulesRecord()
+    """Rules of the model and element length."""
     controls: ControlsRecord = ControlsRecord()
+    """Base, guide and tip at first."""
     entry: SceneEntryRecord = SceneEntryRecord()
+    """Pose of the tip at first contact."""
     guides: tuple[GuideRecord, ...] = Field(default=(), max_length=MAX_GUIDES)
+    """Guides and templates."""
     steps: tuple[StepRecord, ...] = Field(default=(), max_length=MAX_STEPS)
+    """Steps of the insertion; a step keeps what it does not give."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -218,6 +290,21 @@ class SceneRecord(FileRecord):
             )
         if not self.steps and self.depth_mm is None:
             raise ValueError("key `depth_mm` is missing: give it, or [[steps]] with a depth_mm each")
+        return self
+
+    @model_validator(mode="after")
+    def _one_bevel(self) -> Self:
+        wanted, other = "offset_mm", "cut_angle_deg"
+        if self.rules.advance == "path_angle":
+            wanted, other = other, wanted
+        if getattr(self.bevel, wanted) is None:
+            raise missing_key("bevel", wanted)
+        keyed = [("bevel", self.bevel), *((f"steps.{n}", step) for n, step in enumerate(self.steps, start=1))]
+        for key, record in keyed:
+            if getattr(record, other) is not None:
+                raise ValueError(
+                    f'key `{key}.{other}`: rules.advance is "{self.rules.advance}", give {wanted} instead'
+                )
         return self
 
     @model_validator(mode="after")
@@ -241,9 +328,6 @@ class ResolvedStep:
 
     Attributes
     ----------
-    depth_mm : float
-    bevel : BevelRecord
-    controls : ControlsRecord
     guides : tuple of (str, GuideRecord)
         Each with the key of the file that put it where it is.
     key : str
@@ -267,7 +351,7 @@ def resolve_steps(scene: SceneRecord) -> tuple[ResolvedStep, ...]:
     whole = []
     bevel, controls = scene.bevel, scene.controls
     for n, step in enumerate(scene.steps, start=1):
-        bevel = bevel.model_copy(update=_given_values(step, "offset_mm", "side"))
+        bevel = bevel.model_copy(update=_given_values(step, "offset_mm", "cut_angle_deg", "side"))
         controls = controls.model_copy(
             update=_given_values(step, "base_y_mm", "base_slope_deg") | _given_tip(step)
         )

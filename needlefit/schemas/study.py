@@ -4,58 +4,73 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from needlefit.schemas.base import FileName, FileRecord, Record
+from needlefit.schemas.base import FileRecord, Record
 
 LayerCountRule = Literal["listed", "alternative"]
 
 
 class SelectionRecord(Record):
-    """Which insertions of the dataset: every given key must match; no key at all takes every insertion."""
+    """Insertions of the dataset that match every given key; without keys, all insertions."""
 
-    medium: str | None = None
+    medium: str | tuple[str, ...] | None = None
+    """Insertions into this medium, or into one of these, as the dataset names them."""
     layers: tuple[int, ...] | None = None
+    """Insertions through these numbers of layers: `[2, 3]` takes those through two or three."""
     specimens: tuple[str, ...] | None = None
+    """Insertions into these specimens."""
     insertions: tuple[str, ...] | None = None
+    """These insertions, by id."""
     depth_min_mm: float | None = None
+    """Insertions at least this deep."""
     depth_max_mm: float | None = None
+    """Insertions at most this deep."""
+    guided: bool | None = None
+    """Tip tracks whose guide moved (`true`) or stayed at rest (`false`)."""
 
 
 class FitRecord(FileRecord):
-    """`configs/fits/<name>.toml`.
-
-    `layer_count_rule` decides an insertion that ends at a boundary: as its row lists it, or the other way.
-    `priors` gives layers, by number, what a compression test says of them: a file that `needlefit material`
-    wrote, as in `{ 1 = "reports/material-gel/prior.toml" }`.
-    `paper_parameters` names a row of the paper's parameter table to stand beside the fit (never a start).
-    """
+    """`configs/fits/<name>.toml`: insertions that are fitted, with a tissue model and a recipe."""
 
     SCHEMA: ClassVar[int] = 2
 
     title: str = ""
+    """Heading of the report."""
     note: str = ""
+    """Free text for readers of the file; it changes no result."""
     dataset: str
+    """Name of a dataset in `data/`, or the path of its folder."""
     medium: str
+    """Name of a tissue model in `configs/media/`, or the path of its file."""
     recipe: str = "default"
+    """Name of a recipe in `configs/recipes/`, or the path of its file."""
     layer_count_rule: LayerCountRule = "listed"
+    """Number of layers of an insertion that ends at a boundary: as its row lists it, or the other count."""
     paper_parameters: str | None = None
+    """Row of the paper's parameter table that is reported beside the fit. The search never starts there."""
     priors: dict[str, str] = {}
+    """Measured priors by number of layer: files that `needlefit material` wrote."""
     tune: SelectionRecord = Field(default=SelectionRecord())
+    """Insertions that are fitted."""
 
 
 class StudyRecord(FitRecord):
-    """`studies/<name>.toml`: a fit, and what is validated with it.
-
-    Either `validate` lists selections to score, or `leave_out` names what is left out in turn
-    (each insertion or specimen of `tune` is scored by a fit to the others).
-    `same_specimen = true` says that held-out insertions go into specimens of the tuning on purpose: without,
-    that is a warning. `paper_study` is the row of the paper's validation table to stand beside the result.
-    """
+    """`studies/<name>.toml`: a fit and its validation, by `[[validate]]` selections or `leave_out`."""
 
     question: str = ""
+    """What the study answers; printed at the head of its report."""
     paper_study: int | None = Field(default=None, ge=1, le=5)
+    """Row of the paper's validation table that is printed beside the result."""
     validate_: tuple[SelectionRecord, ...] = Field(default=(), alias="validate")
+    """Held-out insertions: one `[[validate]]` table for each group that is scored by itself."""
     leave_out: Literal["insertion", "specimen"] | None = None
+    """Cross-validation in place of `[[validate]]`: every insertion or specimen of `tune` is predicted by a
+    fit to the others."""
     same_specimen: bool = False
+    """Whether held-out insertions go on purpose into specimens that are fitted. Without it, that is a
+    warning."""
+    specimens: Literal["others", "training only"] = "others"
+    """Parameters of a specimen that is not fitted: with the spread between the dataset's specimens
+    ("others"), or as fitted ("training only", as in the paper)."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -66,48 +81,3 @@ class StudyRecord(FitRecord):
     def tuning(self) -> FitRecord:
         """Return the fit that this study begins with."""
         return FitRecord.model_validate(self.model_dump(by_alias=True, include=set(FitRecord.model_fields)))
-
-
-class TrackSelectionRecord(Record):
-    """Which runs of the dataset: every given key must match; `guided` says whether the guide moved."""
-
-    media: tuple[str, ...] = ()
-    runs: tuple[str, ...] = ()
-    guided: bool | None = None
-
-
-class TrackFitRecord(Record):
-    """One fit, of the runs that `tune` selects, and the runs that are predicted from it."""
-
-    name: FileName
-    medium: str
-    tune: TrackSelectionRecord
-    validate_: TrackSelectionRecord = Field(alias="validate")
-
-
-class TrackStudyRecord(FileRecord):
-    """`studies/<name>.toml` with `observable = "tip tracks"`.
-
-    `registration_depth_mm` is the depth up to which a predicted run's own readings determine how it lies in
-    the tracker's frame; the deeper ones are scored. `same_specimen = true` says that predicted runs go into
-    specimens that are fitted to, on purpose.
-    """
-
-    SCHEMA: ClassVar[int] = 2
-
-    observable: Literal["tip tracks"]
-    title: str = ""
-    question: str = ""
-    note: str = ""
-    dataset: str
-    recipe: str = "default"
-    registration_depth_mm: float = Field(gt=0)
-    same_specimen: bool = False
-    fits: tuple[TrackFitRecord, ...] = Field(min_length=1)
-
-    @model_validator(mode="after")
-    def _named_apart(self) -> Self:
-        names = [fit.name for fit in self.fits]
-        if len(set(names)) < len(names):
-            raise ValueError(f"every one of [[fits]] needs a name of its own, got {', '.join(names)}")
-        return self

@@ -1,3 +1,1 @@
-"""Generate the synthetic dataset: 47 insertions with known truth, by another model than the one that is
-fitted.
-"""
+"""Generate the synthetic dataset: 47 insertions with known truth, by another model than the fitted one."""

@@ -17,8 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.detections import Detections
@@ -110,8 +110,6 @@ def _build_insertion(
     scanned.scan.volume.unlink()
     return ReconstructedInsertion(scanned.insertion, scanned.exposure, reconstruction)
 
-
-Floats = NDArray[np.float64]
 
 AXIS_SD_MM, TIP_SD_MM, BALL_SD_MM = 0.013, (0.04, 0.05), 0.007
 """Deviations, mm, in any one direction: of the axis across the needle; of the tip along and across it; of a

@@ -3,13 +3,11 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.synthetic.phantoms import Phantom
-
-Floats = NDArray[np.float64]
 
 WATER_PER_MM = 0.02
 """Attenuation of water at the energies of a cone-beam scanner, 1/mm."""
@@ -84,8 +82,6 @@ class Scene3D:
         One a layer, from the entry inwards.
     box : Frame
         The phantom's world in the patient: origin at the middle of the entry face, x into the box.
-    markers : SceneMarkers or None
-    table : ScannerTable or None
     """
 
     needles: tuple[Needle3D, ...]
@@ -102,7 +98,6 @@ class Scanner:
 
     Attributes
     ----------
-    grid : VoxelGrid
     psf_mm : float
         Standard deviation of the point spread.
     noise_hu, noise_mm : float

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.project.random_streams import random_stream
@@ -27,8 +27,6 @@ from needlefit.synthetic.insertion import SyntheticInsertion, needle_points
 from needlefit.synthetic.phantoms import BOX_MM
 from needlefit.synthetic.render import render_scan
 from needlefit.synthetic.truth import NOMINAL_NEEDLE, TRUE_MEDIA
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,6 @@ class Exposure:
     ----------
     scene : Scene3D
         `scene.box` is the world in the patient.
-    scanner : Scanner
     stated : (M, 3) array
         Where the markers are said to be, world, mm.
     """

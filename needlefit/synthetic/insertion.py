@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.frames import Frame, make_entry_frame
@@ -23,8 +23,6 @@ from needlefit.synthetic.truth import (
     draw_needle,
     draw_specimen,
 )
-
-Floats = NDArray[np.float64]
 
 MAX_POINT_SPACING_MM = 0.5
 """Distance between the points of a centreline, mm (at most)."""

@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial import cKDTree
 
+from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import normalize
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.synthetic.ct_scene import Needle3D, SceneMarkers
-
-Floats = NDArray[np.float64]
 
 SUBVOXELS_PER_EDGE = 5
 """Points per voxel edge."""

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS
-from needlefit.datasets.formats.toml import dumps
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scan import LayerSource, Scan, StagePose
 from needlefit.imaging.volume_files import write_volume
 from needlefit.project.processes import run_in_order
 from needlefit.project.progress import Progress
 from needlefit.project.threads import one_thread
+from needlefit.project.toml_text import dumps
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
 from needlefit.synthetic.design import PlannedInsertion
 from needlefit.synthetic.exposure import Exposure, ScanSetup, acquire, choose_setup, expose
@@ -154,9 +154,7 @@ def render_insertion(
 
 
 def make_recipe(setups: Sequence[ScanSetup]) -> ReconstructionRecord:
-    """Return the recipe that states how accurately the marker positions are known, if that is not the
-    default.
-    """
+    """Return the recipe that states how well the markers' places are known, if not the default."""
     plain = ReconstructionRecord(schema_=ReconstructionRecord.SCHEMA)
     known_sd = max(setup.known_sd for setup in setups)
     if known_sd == plain.markers.reference_sd_mm:

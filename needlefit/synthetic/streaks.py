@@ -15,11 +15,11 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
+from needlefit.arrays import Floats
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.synthetic.ct_scene import WATER_PER_MM
 from needlefit.synthetic.metal import MetalVoxels
 
-Floats = NDArray[np.float64]
 Voxels = NDArray[np.float32]
 
 HARDENING_COEFFICIENT = 0.06
@@ -57,7 +57,9 @@ def render_streaks(
     held = np.unique(np.concatenate([metal.voxels[:, 2] for metal in metals]))
     if not len(held):
         return error
-    gains, back = _draw_gains(views, rng), _back_projector(grid, fan)
+    gains = _draw_gains(views, rng)
+    x, y = ((np.arange(n) * d - c) for n, d, c in zip(grid.size, grid.spacing, fan.center, strict=False))
+    back = make_back_projector(x, y, fan)
     for first in range(0, len(held), BATCH_SLICES):
         slices = held[first : first + BATCH_SLICES]
         wrong = _projection_error(_project(metals, slices, grid, fan), gains, rng)
@@ -124,14 +126,16 @@ def _ramp_filter(sinograms: Voxels, fan: ParallelBeam) -> Voxels:
     return filtered
 
 
-def _back_projector(grid: VoxelGrid, fan: ParallelBeam) -> csr_array:
-    """Return the matrix (J * I, V * bins) that sums over the views what the nearest ray holds."""
-    x, y = ((np.arange(n) * d - c) for n, d, c in zip(grid.size, grid.spacing, fan.center, strict=False))
+def make_back_projector(x: Floats, y: Floats, beam: ParallelBeam, middle: float = 0.0) -> csr_array:
+    """Return the matrix (J * I, V * bins) that sums over the views what the nearest ray holds.
+
+    `x` (I,) and `y` (J,) are places from the rotation's axis, `middle` that of the middle of the rays, mm.
+    """
     pixels = len(x) * len(y)
-    columns = np.empty((pixels, len(fan.angles)), dtype=np.int32)
-    for view, angle in enumerate(fan.angles):
-        at = np.cos(angle) * x[None, :] + np.sin(angle) * y[:, None]
-        columns[:, view] = np.rint(at / fan.width + (fan.bins - 1) / 2).ravel() + view * fan.bins
-    data = np.full(columns.size, np.pi / len(fan.angles), dtype=np.float32)
-    starts = np.arange(0, columns.size + 1, len(fan.angles))
-    return csr_array((data, columns.ravel(), starts), shape=(pixels, len(fan.angles) * fan.bins))
+    columns = np.empty((pixels, len(beam.angles)), dtype=np.int32)
+    for view, angle in enumerate(beam.angles):
+        at = np.cos(angle) * x[None, :] + np.sin(angle) * y[:, None] - middle
+        columns[:, view] = np.rint(at / beam.width + (beam.bins - 1) / 2).ravel() + view * beam.bins
+    data = np.full(columns.size, np.pi / len(beam.angles), dtype=np.float32)
+    starts = np.arange(0, columns.size + 1, len(beam.angles))
+    return csr_array((data, columns.ravel(), starts), shape=(pixels, len(beam.angles) * beam.bins))

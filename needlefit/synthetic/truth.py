@@ -1,20 +1,17 @@
-"""Draw the true parameters of the synthetic dataset: needle, specimens, deviations of insertions from their
-plan.
-"""
+"""Draw the synthetic dataset's true parameters: needle, specimens, deviations of insertions from plan."""
 
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from needlefit.arrays import Floats
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.random_streams import random_stream
 from needlefit.synthetic.design import PlannedInsertion
 from needlefit.synthetic.phantoms import PHANTOMS, Phantom, displace, make_surfaces
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

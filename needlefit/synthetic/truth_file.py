@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from needlefit.datasets.formats.toml import dumps
+from needlefit.arrays import Floats
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.mechanics.needle import Needle
+from needlefit.project.toml_text import dumps
 from needlefit.synthetic import truth
 from needlefit.synthetic.ct_scene import Scanner, Scene3D
 from needlefit.synthetic.design import PlannedInsertion
@@ -19,8 +20,6 @@ from needlefit.synthetic.exposure import WHOLE_BOX_SETUP, Exposure
 from needlefit.synthetic.insertion import SUBLAYER_THICKNESS_MM, TRUTH_OPTIONS, SyntheticInsertion
 from needlefit.synthetic.metal import densify
 from needlefit.synthetic.truth import LOG_MU_SD, NOMINAL_NEEDLE, TRUE_MEDIA, MediumTruth, TrueSpecimen
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit.mechanics import laws
+from needlefit.arrays import Floats
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
@@ -59,9 +59,7 @@ Draw = Callable[[np.random.Generator, float, float], RandomCase]
 
 
 def draw_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 1e-3) -> RandomCase:
-    """Draw an insertion into 1 to 4 layers of any law: mu from `softest` (MPa) to 100 MPa, |alpha| up to
-    10.
-    """
+    """Draw an insertion into 1 to 4 layers of any law: mu `softest` to 100 MPa, |alpha| up to 10."""
     count = int(rng.integers(1, 5))
     depth = float(rng.uniform(0.25, 1.0) * deepest)
     tissue = Tissue(
@@ -70,8 +68,9 @@ def draw_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 
         # the added multiples keep boundaries at least 0.05 mm apart
         boundaries=np.sort(rng.uniform(1, depth - 0.2, count - 1)) + 0.05 * np.arange(count - 1),
         thickness=rng.uniform(5, 80, count),
-        law=str(rng.choice(laws.list_laws())),
+        law=str(rng.choice(LAWS.names())),
     )
+    tissue = replace(tissue, alpha=LAWS[tissue.law].into_range(tissue.alpha))
     base = Controls(float(rng.uniform(-1, 1)), float(rng.uniform(-0.01, 0.01)))
     return RandomCase(PAPER_NEEDLE, tissue, (Step(depth, _draw_bevel(rng), base),))
 
@@ -133,9 +132,6 @@ def require_converged(shape: NeedleShape) -> NeedleShape:
     if not shape.converged:
         raise ArithmeticError(f"the solver failed: {shape.status}")
     return shape
-
-
-Floats = NDArray[np.float64]
 
 
 def sample_between(edges: Floats, points: int = 8) -> Floats:

@@ -1,6 +1,4 @@
-"""Define a check: quantities with acceptance bounds, set before anything is measured, and how to measure
-them.
-"""
+"""Define a check: quantities with acceptance bounds, set before anything is measured, and their measures."""
 
 import math
 from collections.abc import Callable
@@ -36,6 +34,14 @@ class Group(Enum):
         "Sensitivities",
         "Against complex steps of the reference’s equations, h = 1 mm; errors over a column’s largest entry.",
     )
+    GEOMETRY = (
+        "From the beam to the plane",
+        "Points as integrals of cos u' and sin u' from the base, and where what holds the needle has it.",
+    )
+    PATH_ANGLE = (
+        "Advance by the path angle",
+        "It has a limit as C_int shrinks: the observed order, what C_int = 1 mm leaves, continuity.",
+    )
     SYMMETRIES = ("Symmetries and identities", "What must not matter.")
     STATED = (
         "Constraint spacing",
@@ -48,9 +54,7 @@ class Group(Enum):
 
 @dataclass(frozen=True)
 class AcceptanceBound:
-    """Bounds of a measured value: `low` <= value <= `high`; with None, None the value is reported, not
-    judged.
-    """
+    """Bounds of a measured value: `low` <= value <= `high`; None, None: it is reported, not judged."""
 
     low: float | None = None
     high: float | None = None
@@ -142,7 +146,6 @@ class Check:
 
     Attributes
     ----------
-    group : Group
     title : str
         What is solved.
     quantities : tuple of Quantity

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import NodeGrid, build_grid
@@ -12,8 +12,6 @@ from needlefit.mechanics.kernel.scalar import CLAMPED, FACTOR_COLUMNS, Chain, Ne
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import STATUS_NAMES, compile_tissue, equilibrium
 from needlefit.mechanics.tissue import Tissue
-
-Floats = NDArray[np.float64]
 
 SINGLE_NEWTON_STEP = NewtonOptions(np.inf, 1)
 
@@ -45,7 +43,7 @@ def make_clamped_needle(
     depths, y = np.ascontiguousarray(constraints.T)
     held = Chain(needle.flexural_rigidity, x[:1].copy(), np.zeros(len(x), np.int64), np.zeros((len(x), 2)))
     held.kind[0] = CLAMPED
-    grid = build_grid(depths, tissue.boundaries, x[1:].copy(), rules.switch)
+    grid = build_grid(depths, tissue.boundaries, x[1:].copy(), rules.cut_switch)
     return ClampedNeedle(x, held, grid, compile_tissue(tissue), y)
 
 

@@ -10,16 +10,13 @@ of a solution.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Bools, Floats
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.plan import TipStop, make_lattice, plan_stops
 from needlefit.verification.cases import RandomCase
 from needlefit.verification.law import STEP, Numbers, ReferenceLaw
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _LAYERED = ("mu", "alpha", "friction")
 _SINGLE = ("rigidity", "offset", "base_y", "base_slope", "stage_slope")
@@ -82,16 +79,14 @@ def derivatives(case: RandomCase, wanted: list[Parameter], rules: ModelOptions) 
         nodes, guess, held = reference.mesh(stop, controls, lattice, case.needle.length, rules.element)
         guess = np.where(held, guess, along_the_cut(nodes, points))
         u, _ = reference.equilibrium(case.needle, case.tissue, nodes, points, guess, held, rules)
-        here = Equilibrium(nodes, points, u, held, reference.change_depths(points[:, 0], rules.switch))
+        here = Equilibrium(nodes, points, u, held, reference.change_depths(points[:, 0], rules))
         du = state_derivatives(case, here, wanted, moved, imposed_rates(case, wanted, here, stop, controls))
         x_tip, tip, dtip = stop.tip, u[-2:], du[-2:]
     return du, moved
 
 
 def along_the_cut(nodes: Floats, points: Floats) -> Floats:
-    """Return a first guess (2 N,) of deflections and slopes: along the cut, where tissue is hardly
-    compressed.
-    """
+    """Return a first guess (2 N,) of deflections and slopes: along the cut, tissue hardly compressed."""
     u = np.interp(nodes, *points.T)
     return np.column_stack((u, np.gradient(u, nodes))).ravel()
 
@@ -118,9 +113,7 @@ def imposed_rates(
 def state_derivatives(
     case: RandomCase, here: Equilibrium, wanted: list[Parameter], moved: Floats, rates: Floats
 ) -> Floats:
-    """Return du/dp (2 N, P), given the derivatives of constraint points (M + 1, P) and of prescribed
-    values.
-    """
+    """Return du/dp (2 N, P), given the derivatives of constraint points (M + 1, P) and held values."""
     loads = np.column_stack([residual_derivative(case, here, p, moved[:, i]) for i, p in enumerate(wanted)])
     law, EI = ReferenceLaw.of(case.tissue), case.needle.flexural_rigidity
     stepped = (here.u + 1j * STEP * row for row in np.eye(len(here.u)))

@@ -1,6 +1,4 @@
-"""Run the verification: find every check in the folder `checks`, measure it, and compare it with its
-bounds.
-"""
+"""Run the verification: measure every check in the folder `checks`, and compare it with its bounds."""
 
 import importlib
 import pkgutil
@@ -26,8 +24,6 @@ class Verification:
     ----------
     seed : int
         Of the random cases.
-    rows : tuple of CheckRow
-    curves : tuple of ConvergenceCurve
     traces : tuple of str
         Where measuring a check ended in an error: its traceback.
     """

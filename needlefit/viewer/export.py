@@ -24,7 +24,6 @@ class RecordingOutcome:
 
     Attributes
     ----------
-    recording : Recording
     steering : SteeredNeedle
         Its needle, as it stands at the end.
     tip_offset_mm : float
@@ -117,7 +116,7 @@ def write_table(outcome: RecordingOutcome, path: Path) -> None:
 
 def write_curve(outcome: RecordingOutcome, path: Path) -> None:
     """Write the needle for 3D Slicer, .mrk.json or .ply."""
-    from needlefit.reporting.slicer import write_scene
+    from needlefit.studies.slicer import write_scene
 
     placement = outcome.placement or outcome.scene.entry.placement
     diameter = outcome.recording.head.scene.needle.outer_diameter_mm

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from needlefit import __version__
-from needlefit.datasets.formats.toml import dumps
 from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.load import check
+from needlefit.project.toml_text import dumps
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.renamed import RENAMED_INPUTS
 from needlefit.viewer.interaction.inputs import Change
@@ -42,7 +42,6 @@ class RecordedStep:
         From 1.
     time : float
         Since the recording began, s.
-    changes : tuple of Change
     deflection : float
         Of the tip after it, mm.
     line : int
@@ -268,7 +267,7 @@ class ReplayedStep:
     @property
     def tip_offset_mm(self) -> float:
         """Distance of the tip from its recorded position, mm; 0: the same bits."""
-        return abs(float(self.state.shape.u[-1]) - self.recorded.deflection) if self.recorded else 0.0
+        return abs(self.state.shape.deflection - self.recorded.deflection) if self.recorded else 0.0
 
 
 def begin_replay(recording: Recording) -> SteeredNeedle:
@@ -289,7 +288,6 @@ def replay(recording: Recording, steering: SteeredNeedle | None = None) -> Itera
 
     Parameters
     ----------
-    recording : Recording
     steering : SteeredNeedle, optional
         The needle for the replay, at first contact; by default a new one.
 
@@ -316,9 +314,7 @@ def replay(recording: Recording, steering: SteeredNeedle | None = None) -> Itera
 
 
 def find_last_returns(steps: Sequence[RecordedStep]) -> dict[int, int]:
-    """Return the steps to which the needle returns, each with the number of the last step that
-    returns to it.
-    """
+    """Return the steps to which the needle returns, each with the number of the last that does."""
     return {int(c.value): step.number for step in steps for c in step.changes if c.name == "return_to"}
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.recording import PlacementRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.validation.needles_in_scan import DEFAULT_DIAMETER_MM
+from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM
 from needlefit.viewer.overlay.band import ParameterDraws
 from needlefit.viewer.overlay.measured import MeasuredOverlay
 from needlefit.viewer.overlay.slice import InsertionScan
@@ -19,7 +19,6 @@ class ViewedScene:
     ----------
     name : str
         Opens it again.
-    title : str
     note : str
         Where the parameters come from, and what cannot be shown and why; sentences.
     record : SceneRecord
@@ -30,7 +29,6 @@ class ViewedScene:
         The position of a measured needle; None for a scene, which contains its own.
     synthetic : bool
         Whether it is about synthetic data.
-    measured : MeasuredOverlay or None
     spread : ParameterDraws or None
         Draws of the parameters, for the band of a fit.
     scanned : InsertionScan or None

@@ -97,7 +97,7 @@ _RECONSTRUCT = ("reconstruct", str(SCANS), "--out", "mydata", "--jobs", "1", "-q
 _TWIN = ("twin", "build", "--out", "mytwin", "--jobs", "1", "-q")
 
 COMMANDS: Mapping[str, Command] = {
-    "tune --sample": Command(_TUNE, "reports/tiny_fit", ((*_TUNE, "--seed", "2"),)),
+    "tune --sample": Command(_TUNE, "reports/tiny_fit", ((*_TUNE, "--seed", "3"),)),
     "validate": Command(_VALIDATE, "reports/tiny", ((*_VALIDATE, "--seed", "2"),)),
     "analysis": Command(_ANALYSE, "reports/tiny_left_out", ((*_ANALYSE, "--seed", "2"),)),
     "report": Command(

@@ -15,7 +15,7 @@ from typing import Any
 from fuzzing import seeds
 from fuzzing.seeds import Seed, project_files
 
-QUICK, NATIVE, SLOWEST = 150, 30, 12
+QUICK, NATIVE, SLOWEST = 75, 15, 6
 """Mutants of a default test: of a reader in Python, of one with a child process, of one with several."""
 
 
@@ -82,8 +82,8 @@ def _scene(path: Path) -> object:
 
 
 def _study(path: Path) -> object:
-    study = _late("validation.studies.load_study")(path)
-    _late("validation.studies.find_missing_data")(path)
+    study = _late("studies.study_files.load_study")(path)
+    _late("studies.study_files.find_missing_data")(path)
     return study
 
 
@@ -99,8 +99,17 @@ def _dataset(path: Path) -> object:
     found = _late("datasets.read.check")(path)
     if found:
         raise _late("datasets.faults.as_error")(found, path)
-    tracks = _late("datasets.tip_track_table.holds_tracks")(path)
-    return _late("datasets.tip_track_table.read_tracks" if tracks else "datasets.read.read")(path)
+    return _late("datasets.read.read")(path)
+
+
+def _import(path: Path) -> object:
+    """Import a file as a dataset, and read that."""
+    conversion = import_module("needlefit.datasets.importing.conversion")
+    decisions = _late("datasets.importing.decisions.Decisions")()
+    content, plan = conversion.plan_import([path], decisions)
+    with _late("project.atomic_write.create_folder")(path.parent / "made") as fresh:
+        conversion.write_plan(fresh, content, plan, decisions)
+    return _late("datasets.read.read")(path.parent / "made")
 
 
 def _mesh(path: Path) -> object:
@@ -116,24 +125,24 @@ def _mesh(path: Path) -> object:
 
 
 def _results(folder: Path) -> object:
-    return _late("reporting.rebuild.restore_run")(folder)
+    return _late("studies.rebuild.restore_runs")(folder)
 
 
 def _content(path: Path) -> object:
     folder = path.parent / "run"
     folder.mkdir(exist_ok=True)
-    (folder / "results.json.gz").write_bytes(_late("validation.packing.with_digest")(path.read_bytes()))
+    (folder / "results.json.gz").write_bytes(_late("studies.packing.with_digest")(path.read_bytes()))
     return _results(folder)
 
 
 def _checkpoint(folder: Path) -> object:
-    kept = _late("validation.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
+    kept = _late("studies.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
     return kept.finished("fit"), kept.rows("rows"), list(kept.snapshots("fold").blocks())
 
 
 def _rows(path: Path) -> object:
     """Keep rows with right digests, and take them as starts."""
-    kept = _late("validation.checkpoint.open_checkpoint")(path.with_name("run.partial"), False, seeds.WORK)
+    kept = _late("studies.checkpoint.open_checkpoint")(path.with_name("run.partial"), False, seeds.WORK)
     values = _late("project.input_files.read_json")(path)
     for row in values if isinstance(values, list) else [values]:
         kept.keep_row("fit", row)
@@ -156,8 +165,8 @@ def _run(folder: Path) -> object:
 
 
 def _difference(folder: Path) -> object:
-    found = _late("validation.run_differences.compare_runs")(folder / "a", folder / "b")
-    differences = import_module("needlefit.reporting.differences")
+    found = _late("studies.run_differences.compare_runs")(folder / "a", folder / "b")
+    differences = import_module("needlefit.studies.differences")
     if found:
         differences.lay_out_differences(found)
     return differences.summarize_differences(found), differences.differences_to_json(found)
@@ -241,31 +250,39 @@ READERS: dict[str, Reader] = {
         partial(project_files, "configs/reconstruction/*.toml", "reconstruction.toml"),
     ),
     "prior": Reader(partial(_load, "medium.MaterialRecord"), seeds.priors),
-    "dataset": Reader(_dataset, seeds.datasets, 80),
+    "dataset": Reader(_dataset, seeds.datasets, 40),
     "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
-    "scans": Reader(partial(_call, "imaging.scan_table.read_scans"), seeds.scans, 80),
+    "scans": Reader(partial(_call, "imaging.scan_table.read_scans"), seeds.scans, 40),
     "markups": Reader(partial(_call, "datasets.template.read_source"), seeds.markups),
     "source": Reader(partial(_call, "datasets.template.read_source"), seeds.sources),
-    "mat": Reader(partial(_call, "datasets.template.read_source"), seeds.matlab, NATIVE),
+    "table": Reader(_import, seeds.import_tables, 30),
+    "workbook": Reader(_import, seeds.workbooks, SLOWEST),
+    "slicer_scene": Reader(_import, seeds.slicer_scenes, 40),
+    "bundle": Reader(_import, seeds.bundles, 40),
+    "mat": Reader(partial(_call, "datasets.template.read_source"), seeds.matlab, SLOWEST),
     "volume": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.volumes, NATIVE, packed=True),
     "labels": Reader(partial(_call, "imaging.label_surfaces.read_labels"), seeds.labels, NATIVE, packed=True),
     "dicom": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.dicom, SLOWEST),
-    "mesh": Reader(_mesh, seeds.meshes, 100),
+    "archive": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.archives, SLOWEST),
+    "segmentation": Reader(
+        partial(_call, "imaging.label_surfaces.read_labels"), seeds.segmentations, SLOWEST
+    ),
+    "mesh": Reader(_mesh, seeds.meshes, 50),
     "recording": Reader(partial(_call, "viewer.recording.read_recording"), seeds.recordings),
-    "results": Reader(_results, seeds.results, 40, packed=True),
+    "results": Reader(_results, seeds.results, 20, packed=True),
     "content": Reader(_content, seeds.contents),
-    "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, NATIVE),
-    "checkpoint": Reader(_checkpoint, seeds.checkpoints, 80),
+    "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, SLOWEST),
+    "checkpoint": Reader(_checkpoint, seeds.checkpoints, 40),
     "rows": Reader(_rows, seeds.rows),
     "kept": Reader(_kept, seeds.kept, SLOWEST),
     "run": Reader(_run, seeds.run_files),
-    "diff": Reader(_difference, seeds.runs, 40),
+    "diff": Reader(_difference, seeds.runs, 20),
     "manifest": Reader(_manifest, seeds.manifests),
-    "set": Reader(_assignments, seeds.assignments, 80),
-    "message": Reader(_message, seeds.page_messages, 300),
-    "command": Reader(_command, seeds.commands, 60),
-    "name": Reader(_names, seeds.names, 80),
+    "set": Reader(_assignments, seeds.assignments, 40),
+    "message": Reader(_message, seeds.page_messages, 150),
+    "command": Reader(_command, seeds.commands, 30),
+    "name": Reader(_names, seeds.names, 40),
 }
 """Every reader of what comes from outside, by its name."""
 

@@ -214,6 +214,55 @@ def matlab() -> list[Seed]:
     ]
 
 
+def import_tables() -> list[Seed]:
+    """Tables for the import: curves side by side, with semicolons and decimal commas; one long table."""
+    from import_cases import needle, write_european_csv
+
+    curves = [needle(n, 9 - n) for n in range(2)]
+    rows = [
+        f"{name}\tgel\t-1\t" + "\t".join(map(str, p))
+        for name, one in zip("ab", curves, strict=True)
+        for p in one
+    ]
+    long = "\n".join(["needle\tmedium\tbevel side\tx [mm]\ty [mm]\tz [mm]", *rows])
+    return [
+        written(lambda folder: write_european_csv(folder / "t.csv", curves), "t.csv"),
+        one_file("t.txt", long.encode("utf-16")),
+        one_file("t.dat", "\n\n".join("\n".join(" ".join(map(str, p)) for p in one) for one in curves)),
+    ]
+
+
+def workbooks() -> list[Seed]:
+    """A workbook of two curves."""
+    from import_cases import needle, write_workbook
+
+    curves = [needle(n, 9 - n) for n in range(2)]
+    return [written(lambda folder: write_workbook(folder / "t.xlsx", curves), "t.xlsx")]
+
+
+def slicer_scenes() -> list[Seed]:
+    """Scenes with curves, a model, and a transform beside or inside."""
+    from import_cases import needle, write_scene
+
+    curves = [needle(n, 9) for n in range(2)]
+    return [
+        written(lambda folder, how=how: write_scene(folder, curves, how), "scene.mrml")
+        for how in ("inline", "tfm")
+    ]
+
+
+def bundles() -> list[Seed]:
+    """Bundles, stored and packed."""
+    from import_cases import needle, write_bundle, write_scene
+
+    def write(folder: Path, packed: bool) -> None:
+        with tempfile.TemporaryDirectory() as scene:
+            write_scene(Path(scene), [needle(n, 9) for n in range(2)], "inline")
+            write_bundle(folder / "t.mrb", Path(scene), packed=packed)
+
+    return [written(lambda folder, packed=packed: write(folder, packed), "t.mrb") for packed in (False, True)]
+
+
 def volumes() -> list[Seed]:
     """NRRD, NIfTI and MetaImage, packed and not, with the voxels inside or beside, and the crashing ones."""
     import test_imaging_volume as cases
@@ -274,6 +323,7 @@ def dicom() -> list[Seed]:
     """A series of slices, plain and compressed, one of which is damaged, and the slices that took 4 GB."""
     import numpy as np
     from dicom_series import COUNT, a_slice, packed_as, save
+    from test_imaging_exports import enhanced
 
     def plain(k: int):
         return a_slice(k, np.full((8, 6), k, dtype=np.int16))
@@ -289,15 +339,50 @@ def dicom() -> list[Seed]:
         written(lambda folder: save(folder / "series", map(plain, range(COUNT))), "series", slices),
         written(written_as("JPEGLS"), "series", slices[:1]),
         written(written_as("JPEG2000"), "series", slices[:1]),
+        written(lambda folder: save(folder / "series", [enhanced()]), "series", slices[:1]),
     ]
     for path in sorted(CORPUS.glob("*.dcm")):
         found.append(Seed({"series/000.dcm": path.read_bytes()}, "series", ("series/000.dcm",)))
     return found
 
 
+def archives() -> list[Seed]:
+    """Archives of a series, stored and packed, and of an archive and a DICOMDIR."""
+    import zipfile
+
+    import numpy as np
+    from dicom_series import a_slice, save
+    from test_imaging_exports import directory, pack
+
+    def write(folder: Path, method: int, inner: bool) -> None:
+        with tempfile.TemporaryDirectory() as name:
+            content = Path(name)
+            save(content / "s", [a_slice(k, np.full((4, 4), k, dtype=np.int16)) for k in range(3)])
+            directory(content, ["s/000", "s/001"], a_slice(0).SeriesInstanceUID)
+            files = [("in.zip", pack(content / "in.zip", content).read_bytes())] if inner else content
+            pack(folder / "scan.zip", files, method)
+
+    return [
+        written(lambda folder, method=method, inner=inner: write(folder, method, inner), "scan.zip")
+        for method, inner in ((zipfile.ZIP_STORED, False), (zipfile.ZIP_DEFLATED, False), (0, True))
+    ]
+
+
+def segmentations() -> list[Seed]:
+    """DICOM segmentations of voxels and of contours."""
+    from test_imaging_segmentations import boxes, cylinder, write_contours, write_seg
+
+    regions = {"Body": cylinder(6.0), "Core": cylinder(2.0, 6.0, 12.0)}
+    return [
+        written(lambda folder: write_seg(folder / "s.dcm", boxes()[:2]), "s.dcm"),
+        written(lambda folder: write_contours(folder / "rt.dcm", regions), "rt.dcm"),
+    ]
+
+
 def meshes() -> list[Seed]:
     """A sheet and a solid as STL (text and binary), PLY and OBJ."""
     import trimesh
+    from import_cases import vtk_binary_sheet, vtk_sheet
     from layer_cases import save_mesh
 
     from needlefit.geometry.surfaces import Surface, write_surface
@@ -311,6 +396,8 @@ def meshes() -> list[Seed]:
             for name in ("m.stl", "m.ply", "m.obj")
         ],
         written(lambda folder: (folder / "m.ply").write_bytes(_text_ply(mesh)), "m.ply"),
+        one_file("m.vtk", vtk_sheet(20.0)),
+        one_file("m.vtk", vtk_binary_sheet(20.0)),
     ]
 
 
@@ -334,28 +421,26 @@ def results() -> list[Seed]:
     """What runs store: a study, a fit with its posterior, an analysis."""
     from reporting_results import stereo, study
 
-    from needlefit.validation.stored import store_results
+    from needlefit.studies.run import store_run
 
     return [
-        written(lambda folder, of=of: store_results(of, folder), ".", ("results.json.gz",))
+        written(lambda folder, of=of: store_run(of, folder), ".", ("results.json.gz",))
         for of in (study(1), stereo())
     ]
 
 
 def contents() -> list[Seed]:
     """What stored results hold, before their digest: somebody can make a right one of anything."""
-    from dataclasses import replace
-
     from reporting_results import study
 
-    from needlefit.validation.results import COLUMNS
-    from needlefit.validation.stored import store_results
+    from needlefit.studies.kinds.cross_validation.results import COLUMNS
+    from needlefit.studies.run import store_run
 
     whole = study(1)
-    small = replace(whole, **{name: getattr(whole, name).head(20) for name in COLUMNS})
+    small = whole.with_frames(**{name: whole.frames[name].head(20) for name in COLUMNS})
 
     def write(folder: Path) -> None:
-        content = gzip.decompress(store_results(small, folder).read_bytes()).split(b"\n")[1]
+        content = gzip.decompress(store_run(small, folder).read_bytes()).split(b"\n")[1]
         (folder / "content.json").write_bytes(content)
 
     return [written(write, "content.json", ("content.json",))]
@@ -380,7 +465,7 @@ def checkpoints() -> list[Seed]:
 
     from needlefit.inference.fit import Start
     from needlefit.inference.sampling.snapshots import Block
-    from needlefit.validation.checkpoint import open_checkpoint
+    from needlefit.studies.checkpoint import open_checkpoint
 
     def write(folder: Path) -> None:
         kept = open_checkpoint(folder / "run.partial", False, WORK)

@@ -1,3 +1,89 @@
-"""File formats, one module each: they read cells with line numbers, or points; insertions are
-unknown here.
-"""
+"""File formats of points: each is one file here, or of a plugin. Insertions are unknown here."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.points import Points
+from needlefit.errors import ConfigError, DataError
+from needlefit.registry import Registry
+
+ReadCurves = tuple[Mapping[str, Points], Sequence[str]]
+"""Curves by the names that a file gives them, and remarks on how it was read."""
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """A file format of points; all functions raise DataError of a file that is missing or damaged.
+
+    Attributes
+    ----------
+    name : str
+        Its own.
+    suffixes : tuple of str
+        Endings of its files, in lower case.
+    description : str
+        What of such a file is read, for messages.
+    read_curves : callable
+        Path -> every curve of the file, mm, and remarks. Reading must be safe: the file may be anything.
+    read_centerline : callable or None
+        Path, the dataset's names of columns, and a list for faults -> the one curve of a file, or None after
+        a fault; None: the only one of `read_curves`.
+    read_markers : callable or None
+        Path -> places of markers, (N, 3); None: the format holds none.
+    in_scan : bool
+        Whether its coordinates are those of the scan, LPS, and not of the world.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    description: str
+    read_curves: Callable[[Path], ReadCurves]
+    read_centerline: Callable[[Path, Mapping[str, str], list[Fault]], Points | None] | None = None
+    read_markers: Callable[[Path], Points] | None = None
+    in_scan: bool = False
+
+    def read_one(self, path: Path, columns: Mapping[str, str], found: list[Fault]) -> Points | None:
+        """Return the one curve of a file; None after a fault, which is added to `found`."""
+        if self.read_centerline is not None:
+            return self.read_centerline(path, columns, found)
+        curves, _ = self.read_curves(path)
+        if len(curves) > 1:
+            raise DataError(
+                f"holds {len(curves)} curves: {', '.join(curves)}",
+                where=str(path),
+                expected="one curve",
+                fix="save one insertion a file",
+            )
+        return next(iter(curves.values()))
+
+
+FORMATS = Registry(FileFormat, __name__, "file format")
+
+
+def find_format(path: Path) -> FileFormat | None:
+    """Return the format of a file by its ending, the longest that is known; None if there is none.
+
+    Raises
+    ------
+    ConfigError
+        If two formats have this ending.
+    """
+    name = path.name.lower()
+    known = [(len(end), one) for one in FORMATS.values() for end in one.suffixes if name.endswith(end)]
+    longest = max((length for length, _ in known), default=0)
+    found = [one for length, one in known if length == longest]
+    if len(found) > 1:
+        raise ConfigError(
+            f"`{path.name}` may be of two file formats: {' and '.join(one.name for one in found)}",
+            fix="leave out the plugin of one of them",
+        )
+    return found[0] if found else None
+
+
+def list_suffixes(markers: bool = False) -> str:
+    """Return the endings of all formats, or of those that hold markers, for a message."""
+    return ", ".join(
+        end for one in FORMATS.values() for end in one.suffixes if one.read_markers or not markers
+    )

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN
-from needlefit.datasets.faults import Fault
-from needlefit.datasets.formats.points import MAX_COORDINATE, Points
+from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.formats import FileFormat, ReadCurves
+from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_text
-
-Floats = NDArray[np.float64]
 
 MAX_TABLE_BYTES = 64 * 2**20
 MAX_COLUMNS, MAX_CELLS = 1000, 4_000_000
@@ -32,6 +32,9 @@ MAX_LISTED_CELLS = 5
 
 MISSING_COLUMN_FIX = "add the column, or name the one that holds it under `columns` in dataset.toml"
 """What fixes a missing column of a dataset."""
+
+RENAME_FIX = "name the columns x_mm, y_mm, z_mm in the file's first line"
+"""What fixes a missing column of a file that no dataset.toml describes."""
 
 OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
@@ -157,10 +160,12 @@ def read_points(
     return Points(table.path, values, table.lines) if len(found) == before else None
 
 
-def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:
+def read_curve(
+    table: CsvTable, names: Mapping[str, str], found: list[Fault], fix: str = MISSING_COLUMN_FIX
+) -> Points | None:
     """Return the points of a centreline, with their deviations if it has any; None after a fault."""
     before = len(found)
-    points = read_points(table, POINT_COLUMNS, names, found)
+    points = read_points(table, POINT_COLUMNS, names, found, fix)
     if SD_COLUMN in names:
         note_missing_columns(table, [names[SD_COLUMN]], found)
     sd = _parse_deviations(table, names.get(SD_COLUMN, SD_COLUMN), found)
@@ -189,9 +194,7 @@ def _parse_deviations(table: CsvTable, column: str, found: list[Fault]) -> Float
 def note_missing_columns(
     table: CsvTable, wanted: Sequence[str], found: list[Fault], fix: str = MISSING_COLUMN_FIX
 ) -> bool:
-    """Note a fault, with its `fix`, for each column of `wanted` that the table lacks; return whether there
-    was one.
-    """
+    """Note a fault, with its `fix`, for each column of `wanted` that is missing; return whether any was."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
         found.append(
@@ -263,3 +266,39 @@ def _check_header(header: list[str], where: str) -> None:
             expected="a name for every column",
             fix="rename or remove one of them",
         )
+
+
+def _read_curves(path: Path) -> ReadCurves:
+    """Return the curves of a long table by its column `id`; without one, all rows are one curve."""
+    table = read_table(path)
+    found: list[Fault] = []
+    points = read_curve(table, {}, found, RENAME_FIX)
+    if points is None:
+        raise as_error(found, path)
+    ignored = [f"`{name}`" for name in table.cells if name not in ("id", *POINT_COLUMNS, SD_COLUMN)]
+    notes = [f"column{'s' if len(ignored) > 1 else ''} {', '.join(ignored)} ignored"] if ignored else []
+    if "id" not in table.cells:
+        notes.append(f"no column `id`: all {len(points.values)} rows are one curve")
+        return {path.stem: points}, notes
+    ids = table.cells["id"]
+    rows = {str(name): np.flatnonzero((ids == name).to_numpy()) for name in ids.unique()}
+    return {name: points.part(n) for name, n in rows.items()}, notes
+
+
+def _read_markers(path: Path) -> Points:
+    found: list[Fault] = []
+    points = read_points(read_table(path, "docs/reconstruction.md"), POINT_COLUMNS, {}, found, RENAME_FIX)
+    if points is None:
+        raise as_error(found, path)
+    return points
+
+
+CSV = FileFormat(
+    "csv",
+    (".csv",),
+    "a CSV with the columns x_mm, y_mm, z_mm, sd_mm if known and, for more than one curve, id (without id "
+    "the whole table is one curve; other columns are ignored)",
+    _read_curves,
+    lambda path, columns, found: read_curve(read_table(path), columns, found),
+    _read_markers,
+)

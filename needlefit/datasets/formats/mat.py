@@ -1,4 +1,4 @@
-"""Read MATLAB files: every N x 3 array in them, also in structs and cells.
+"""Read MATLAB files: every N x 3 array in them, also in structs and cells, and structs of x, y and z.
 
 scipy and h5py read them, in a child process: scipy crashes on some damaged files.
 """
@@ -11,7 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.formats.points import Points
+from needlefit.arrays import Floats
+from needlefit.datasets.formats import FileFormat
+from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 from needlefit.project.sandbox import (
@@ -21,8 +23,6 @@ from needlefit.project.sandbox import (
     read_in_sandbox,
     stated_memory_bytes,
 )
-
-Floats = NDArray[np.float64]
 
 SIGNATURE, SIGNATURE_OFFSETS = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
 """Signature of HDF5, which MATLAB uses from version 7.3 on, and its possible positions behind MATLAB's own
@@ -46,15 +46,15 @@ MAX_EXPANSION = 8
 """Memory that the content of a file may take, as a multiple of the file's size."""
 
 READ_BYTES_PER_SECOND = 2**20
-EXPECTED_ARRAYS = "N x 3 arrays of numbers, mm, entry first"
+EXPECTED_ARRAYS = "N x 3 arrays of numbers, or structs with x, y and z, mm, entry first"
 EXPECTED_FILE = "a MATLAB .mat file"
 SAVE_FIX = "save it again, e.g. save(file, 'x', '-v7')"
 
 
 def read_curves(path: Path) -> dict[str, Points]:
-    """Return every array of shape (N, 3), N > 3, by name: `a`, `a_1` in a cell, `a_b` in a struct.
+    """Return every array of shape (N, 3) or (3, N), N > 3, by name: `a`, `a_1` in a cell, `a_b` in a struct.
 
-    Reads versions 4 to 7 (scipy) and 7.3 (h5py).
+    A struct with vectors x, y and z of one length is a curve, too. Reads versions 4 to 7 (scipy), 7.3 (h5py).
 
     Raises
     ------
@@ -121,33 +121,38 @@ def _read_error(path: Path, reason: str) -> DataError:
     return DataError(f"cannot be read: {reason}", where=str(path), expected=EXPECTED_FILE, fix=SAVE_FIX)
 
 
-def read_points(path: Path) -> Points:
-    """Return the one N x 3 array of a file; DataError if there are several."""
-    curves = read_curves(path)
-    if len(curves) > 1:
-        raise DataError(
-            f"holds {len(curves)} curves: {', '.join(curves)}",
-            where=str(path),
-            expected="one N x 3 array",
-            fix="save one insertion a file",
-        )
-    return next(iter(curves.values()))
-
-
 def _iterate_arrays(name: str, value: Any) -> Iterator[tuple[str, Floats]]:  # noqa: ANN401 - whatever MATLAB saved
     if isinstance(value, dict):
+        columns, value = _take_columns(value)
+        if columns is not None:
+            yield name, columns
         for key, part in value.items():
             yield from _iterate_arrays(f"{name}_{key}", part)
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
         for number, part in enumerate(value if isinstance(value, list) else value.ravel(), 1):
             yield from _iterate_arrays(f"{name}_{number}", part)
     elif isinstance(value, np.ndarray) and _is_curve(value):
-        yield name, np.ascontiguousarray(value, dtype=np.float64)
+        rows = value if value.shape[1] == 3 else value.T
+        yield name, np.ascontiguousarray(rows, dtype=np.float64)
+
+
+def _take_columns(fields: dict[str, Any]) -> tuple[Floats | None, dict[str, Any]]:
+    """Return the points (N, 3) in the fields x, y and z of a struct or None, and its other fields."""
+    named = {key.lower(): key for key in fields if key.lower() in ("x", "y", "z")}
+    vectors = [np.asarray(fields[named[axis]]) for axis in "xyz" if axis in named]
+    sizes = {one.size for one in vectors if _is_real(one) and one.size == max(one.shape, default=0) > 3}
+    if len(vectors) != 3 or len(sizes) != 1 or not all(map(_is_real, vectors)):
+        return None, fields
+    others = {key: value for key, value in fields.items() if key not in named.values()}
+    return np.column_stack([one.ravel() for one in vectors]).astype(np.float64), others
+
+
+def _is_real(value: NDArray[Any]) -> bool:
+    return bool(np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value))
 
 
 def _is_curve(value: NDArray[Any]) -> bool:
-    real = np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value)
-    return bool(real and value.ndim == 2 and value.shape[1] == 3 and value.shape[0] > 3)
+    return _is_real(value) and value.ndim == 2 and 3 in value.shape and max(value.shape) > 3
 
 
 def _read_classic(data: bytes) -> dict[str, Any]:
@@ -167,13 +172,11 @@ def _read_hdf(data: bytes) -> dict[str, Any]:
 
     with h5py.File(BytesIO(data), "r") as file:
         return {
-            key: _read_hdf_value(file, _get_local_member(file, key))
-            for key in file
-            if not key.startswith("#")
+            key: _read_hdf_value(file, get_local_member(file, key)) for key in file if not key.startswith("#")
         }
 
 
-def _get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
+def get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
     """Return a member of a group; ValueError if it lies in another file, which links may name."""
     import h5py
 
@@ -186,9 +189,14 @@ def _get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has n
 def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no stubs
     """Return a struct as a dict, a cell array as a list, a matrix as MATLAB shows it (the file turns it)."""
     if hasattr(item, "keys"):
-        return {key: _read_hdf_value(file, _get_local_member(item, key)) for key in item}
+        return {key: _read_hdf_value(file, get_local_member(item, key)) for key in item}
     if item.external or item.is_virtual:  # reached by a reference
         raise ValueError("not in this file")
     if item.dtype == object:
         return [_read_hdf_value(file, file[reference]) for reference in np.ravel(item[()])]
     return np.asarray(item[()]).T
+
+
+MAT = FileFormat(
+    "mat", (".mat",), "the N x 3 arrays of a .mat, by their names", lambda path: (read_curves(path), ())
+)

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.datasets.formats.markups import (
+from needlefit.datasets.markups import (
     EXPECTED_SYSTEM,
     Markups,
+    make_markups_format,
     parse_position,
     parse_system,
     require_points,
@@ -217,3 +218,8 @@ def _make_display(style: CurveStyle) -> dict[str, object]:
 
 def _to_json(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+MRK_JSON = make_markups_format(
+    "mrk_json", (".json",), "the curves and point lists of a .mrk.json of 3D Slicer (LPS)", read_mrk_json
+)

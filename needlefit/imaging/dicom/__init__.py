@@ -1,3 +1,4 @@
-"""Read DICOM series: `header` (one file), `stack` (slices to a grid, with checks), `series` (find, read,
-write).
+"""Read DICOM series: `header` (a file), `stack` (slices to a checked grid), `series` (find, read, write).
+
+Segmentations: `segmentation` (SEG), `contours` (RTSTRUCT), `segmentation_writer`.
 """

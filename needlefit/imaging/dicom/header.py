@@ -1,22 +1,20 @@
-"""Read the header of one DICOM file; voxels are not read."""
+"""Read the header of one DICOM file, of an enhanced one that of each frame; voxels are not read."""
 
 import os
 import sys
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import pydicom
-from numpy.typing import NDArray
 from pydicom.errors import InvalidDicomError
 from pydicom.uid import UID, ImplicitVRLittleEndian
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.project.input_files import open_regular
-
-Floats = NDArray[np.float64]
 
 READ_TAGS = (
     *("SOPClassUID", "SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "FrameOfReferenceUID"),
@@ -24,8 +22,19 @@ READ_TAGS = (
     *("ImageType", "Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "BitsAllocated"),
     *("PixelRepresentation", "ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"),
     *("RescaleSlope", "RescaleIntercept", "ModalityLUTSequence", "PixelPaddingValue"),
-    *("PixelPaddingRangeLimit",),
+    *("PixelPaddingRangeLimit", "RescaleType"),
+    *("SharedFunctionalGroupsSequence", "PerFrameFunctionalGroupsSequence"),
 )
+_FRAME_ENTRIES = {
+    "PlanePositionSequence": ("ImagePositionPatient",),
+    "PlaneOrientationSequence": ("ImageOrientationPatient",),
+    "PixelMeasuresSequence": ("PixelSpacing",),
+    "PixelValueTransformationSequence": ("RescaleSlope", "RescaleIntercept", "RescaleType"),
+    "CTImageFrameTypeSequence": ("FrameType",),
+}
+"""Where an enhanced file keeps, for one frame or for all, what a plain one keeps at its top."""
+
+MAX_FRAMES = 2**16
 _SUFFIXES = (".dcm", ".ima", ".dicom")
 _PREAMBLE_BYTES = 132
 MAX_OVERREAD_BYTES = 256
@@ -86,6 +95,10 @@ class DicomSlice:
         Least and greatest stored value that means "not measured".
     table : bool
         Whether values are rescaled by a table.
+    unit : str
+        RescaleType; empty where the file does not say: HU.
+    frame : int or None
+        Index of the image among those of an enhanced multi-frame file; None in a file of one image.
     """
 
     file: Path
@@ -108,10 +121,26 @@ class DicomSlice:
     rescale: Floats | None
     padding: Floats | None
     table: bool
+    unit: str = ""
+    frame: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the file, and of the frame in it."""
+        return self.file.name + self._place
+
+    @property
+    def where(self) -> str:
+        """Path of the file, and the frame in it."""
+        return str(self.file) + self._place
+
+    @property
+    def _place(self) -> str:
+        return "" if self.frame is None else f", frame {self.frame + 1}"
 
 
-def read_header(file: Path) -> DicomSlice | None:
-    """Return the header of one image; None if the file is not a DICOM image but, say, a report or a text.
+def read_headers(file: Path) -> tuple[DicomSlice, ...]:
+    """Return the header of each image in a file; none if it is no DICOM image but, say, a report or a text.
 
     Raises
     ------
@@ -130,7 +159,7 @@ def read_header(file: Path) -> DicomSlice | None:
         except InvalidDicomError as error:
             if file.suffix.lower() in _SUFFIXES:
                 raise damaged_file_error(file) from error
-            return None
+            return ()
         except DataError:  # no file that may be read
             raise
         except Exception as error:  # whatever the bytes provoke
@@ -139,10 +168,44 @@ def read_header(file: Path) -> DicomSlice | None:
         if storage and "Image Storage" not in UID(storage).name:
             if UID(storage).name == storage and "SOPClassUID" not in data:  # a UID cut short, nothing behind
                 raise damaged_file_error(file)
-            return None
+            return ()
         if not all(name in data for name in ("SeriesInstanceUID", "Rows", "Columns")):
             raise damaged_file_error(file)
-        return _parse_slice(file, data)
+        whole = _parse_slice(file, data)
+        if whole.frames > 1 and "PerFrameFunctionalGroupsSequence" in data:
+            return _parse_frames(file, data, whole)
+        return (whole,)
+
+
+def _parse_frames(file: Path, data: pydicom.Dataset, whole: DicomSlice) -> tuple[DicomSlice, ...]:
+    """Return the header of each frame of an enhanced file; `whole` is what all have in common."""
+    try:
+        own = list(data.PerFrameFunctionalGroupsSequence)
+        shared = (data.get("SharedFunctionalGroupsSequence") or [pydicom.Dataset()])[0]
+        if len(own) != whole.frames or len(own) > MAX_FRAMES:
+            raise damaged_file_error(file)
+        return tuple(
+            replace(_parse_slice(file, _merge_groups(data, shared, one)), frame=n, frames=1)
+            for n, one in enumerate(own)
+        )
+    except DataError:
+        raise
+    except Exception as error:  # as in `read_headers`
+        raise damaged_file_error(file) from error
+
+
+def _merge_groups(data: pydicom.Dataset, *groups: pydicom.Dataset) -> pydicom.Dataset:
+    """Return the entries of one frame as those of a file of one image; later groups count more."""
+    merged = pydicom.Dataset()
+    merged.file_meta = data.file_meta
+    merged.update({element.tag: element for element in data if element.VR != "SQ"})
+    for group in groups:
+        for name, entries in _FRAME_ENTRIES.items():
+            for item in list(group.get(name) or ())[:1]:
+                merged.update({item[key].tag: item[key] for key in entries if key in item})
+    if "FrameType" in merged:
+        merged.ImageType = merged.FrameType
+    return merged
 
 
 def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
@@ -169,6 +232,7 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         rescale=_parse_numbers(file, data, ("RescaleSlope", "RescaleIntercept"), (2,)),
         padding=_parse_padding(file, data),
         table="ModalityLUTSequence" in data,
+        unit=_to_text(data.get("RescaleType")).upper(),
     )
 
 
@@ -238,10 +302,28 @@ def _unclear_entry_error(file: Path, name: str, value: object) -> DataError:
     )
 
 
-def is_dicom(file: Path) -> bool:
-    """Return whether a file begins like a DICOM file."""
-    with open_regular(file, sys.maxsize) as content:
-        return content.read(_PREAMBLE_BYTES).endswith(b"DICM")
+def list_directory_files(file: Path, series: str) -> list[Path]:
+    """Return the files that a DICOMDIR lists for a series; none where it cannot be read: it only confirms.
+
+    Its records stand in the order of patients, studies, series and images, as programs write them.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with open_regular(file, sys.maxsize) as content:
+                records = list(pydicom.dcmread(_BoundedFile(content)).DirectoryRecordSequence)
+            found, current = list[Path](), ""
+            for record in records:
+                if record.get("DirectoryRecordType") == "SERIES":
+                    current = str(record.get("SeriesInstanceUID"))
+                elif current == series and "ReferencedFileID" in record:
+                    parts = record.ReferencedFileID
+                    found.append(file.parent.joinpath(*([parts] if isinstance(parts, str) else parts)))
+            return found
+    except MemoryError:
+        raise
+    except Exception:  # whatever the bytes provoke
+        return []
 
 
 def damaged_file_error(file: Path) -> DataError:

@@ -3,7 +3,8 @@
 import hashlib
 import re
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,27 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
+from pydicom.pixels.utils import iter_pixels
 from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
 from pydicom.valuerep import DSfloat
 
 from needlefit.errors import DataError
-from needlefit.imaging.dicom.header import LOCALIZER, DicomSlice, damaged_file_error, is_dicom, read_header
-from needlefit.imaging.dicom.stack import describe_tilt, stack_slices
-from needlefit.imaging.volume import Volume, grid_to_json, to_patient
+from needlefit.imaging.dicom.header import (
+    LOCALIZER,
+    DicomSlice,
+    damaged_file_error,
+    list_directory_files,
+    read_headers,
+)
+from needlefit.imaging.dicom.stack import XRAY_MODALITIES, describe_tilt, describe_units, stack_slices
+from needlefit.imaging.volume import (
+    Volume,
+    begins_as_dicom,
+    grid_to_json,
+    is_dicomdir,
+    list_series_files,
+    to_patient,
+)
 from needlefit.project.atomic_write import create_folder, require_new
 from needlefit.project.input_files import is_file
 from needlefit.project.sandbox import SandboxArrays, allow_memory
@@ -31,7 +46,7 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
     Parameters
     ----------
     path : Path
-        A folder, or one file of a series in it.
+        A folder with its subfolders, its DICOMDIR, or one file of a series.
     series : str, optional
         Number or UID of the series, where a folder holds several.
 
@@ -40,17 +55,21 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
     DataError
         If there is no DICOM image there, no series of the name, or several to choose from.
     """
+    if is_dicomdir(path):
+        path = path.parent
     if is_file(path):
         return _find_series_of_file(path)
-    groups = _group_slices(path)
+    groups = _group_slices(list_series_files(path))
     if not groups:
         raise _no_series_error(path)
     if series is not None:
         return _select_series(path, groups, series)
     stacks = {uid: slices for uid, slices in groups.items() if _may_be_volume(slices)} or groups
+    if len(stacks) > 1:  # what is no CT is refused only where it is all there is
+        stacks = {uid: one for uid, one in stacks.items() if one[0].modality in XRAY_MODALITIES} or stacks
     if len(stacks) > 1:
         raise DataError(
-            f"holds {len(stacks)} series: {_list_series(stacks)}",
+            f"holds {len(stacks)} series: {_list_series(stacks, path)}",
             where=str(path),
             expected="one series, or the name of the one that is meant",
             fix="give the number or the UID of the one that is meant with --series, or under `series` in a "
@@ -60,43 +79,47 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
 
 
 def _find_series_of_file(path: Path) -> list[DicomSlice]:
-    header = read_header(path)
-    if header is None:
+    headers = read_headers(path)
+    if not headers:
         raise DataError(
             "is not a volume that can be read",
             where=str(path),
-            expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha",
-            fix="export the scan in one of these formats",
+            expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha, which states the "
+            "spacing of its voxels and where they stand; values in HU",
+            fix="export the scan in one of these formats; a stack of pictures (a micro-CT's TIFF) states "
+            "neither spacing nor HU: import it into 3D Slicer with its spacing, turn its values to HU (air "
+            "-1000, water 0), and save it as NRRD",
         )
-    return _group_slices(path.parent)[header.series]
+    return _group_slices(list_series_files(path))[headers[0].series]
 
 
-def _group_slices(folder: Path) -> dict[str, list[DicomSlice]]:
-    """Return the slices of every series in `folder`, by UID; the same order on every machine.
+def _group_slices(files: Sequence[Path]) -> dict[str, list[DicomSlice]]:
+    """Return the slices of every series, by UID; the same order on every machine.
 
     Raises
     ------
     DataError
-        If a slice is damaged: so is a file named as the others are, by a number, that is no DICOM file.
+        If a slice is damaged: so is a file named as the others beside it are, by a number, that is no DICOM
+        file.
     """
     groups: dict[str, list[DicomSlice]] = {}
     others: list[Path] = []
-    for file in sorted(file for file in folder.iterdir() if is_file(file) and file.name[0] != "."):
-        header = read_header(file)
-        if header is None:
-            others.append(file)
+    for file in files:
+        headers = read_headers(file)
+        if headers:
+            groups.setdefault(headers[0].series, []).extend(headers)
         else:
-            groups.setdefault(header.series, []).append(header)
+            others.append(file)
     slice_names = {_name_pattern(item.file) for slices in groups.values() for item in slices}
     for file in others:
-        if _name_pattern(file) in slice_names and not is_dicom(file):
+        if _name_pattern(file) in slice_names and not begins_as_dicom(file):
             raise damaged_file_error(file)
     return groups
 
 
-def _name_pattern(file: Path) -> str:
-    """Return a file's name with every number replaced by the same sign."""
-    return re.sub(r"\d+", "#", file.name)
+def _name_pattern(file: Path) -> tuple[Path, str]:
+    """Return a file's folder, and its name with every number replaced by the same sign."""
+    return file.parent, re.sub(r"\d+", "#", file.name)
 
 
 def _may_be_volume(slices: list[DicomSlice]) -> bool:
@@ -114,7 +137,7 @@ def _select_series(path: Path, groups: dict[str, list[DicomSlice]], series: str)
     if len(found) != 1:
         called = f"{len(found) or 'no'} series {'are' if found else 'is'} called {series}"
         raise DataError(
-            f"{called}; it holds {_list_series(groups)}",
+            f"{called}; it holds {_list_series(groups, path)}",
             where=str(path),
             expected="the number or the UID of one of them",
             fix="give the UID" if found else "give one of the numbers listed",
@@ -122,13 +145,20 @@ def _select_series(path: Path, groups: dict[str, list[DicomSlice]], series: str)
     return next(iter(found.values()))
 
 
-def _list_series(groups: dict[str, list[DicomSlice]]) -> str:
+def _list_series(groups: dict[str, list[DicomSlice]], path: Path) -> str:
     lines = [
-        f"number {slices[0].number or '(none)'} {slices[0].description!r}, {len(slices)} files, UID {uid}"
-        for uid, slices in groups.items()
+        f"number {one[0].number or '(none)'} {one[0].description!r}, {one[0].modality or 'no modality'}, "
+        f"{len(one)} images{_describe_folder(one, path)}, UID {uid}"
+        for uid, one in groups.items()
     ]
     more = [f"and {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
     return "; ".join(lines[:_MAX_LISTED] + more)
+
+
+def _describe_folder(slices: list[DicomSlice], path: Path) -> str:
+    """Return in which subfolder a series lies; nothing where it lies in the folder itself."""
+    folder = slices[0].file.parent
+    return "" if folder == path else f" in {folder.relative_to(path)}/"
 
 
 def _no_series_error(path: Path) -> DataError:
@@ -137,7 +167,7 @@ def _no_series_error(path: Path) -> DataError:
     return DataError(
         f"holds no DICOM image; there is {shown}" if inside else "is an empty folder",
         where=str(path),
-        expected="the files of a DICOM series, directly in the folder",
+        expected="the files of a DICOM series, in the folder or below it",
         fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself",
     )
 
@@ -160,15 +190,36 @@ def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[s
         If the series is not one sound stack, or a voxel cannot be read.
     """
     slices, grid = stack_slices(find_series(Path(path), series))
+    notes = (*describe_tilt(slices), *describe_units(slices), *describe_missing_files(Path(path), slices))
     _allow_slice_memory(slices)
     columns, rows, count = grid.size
     values = results.new("values", (count, rows, columns), "float32")
     reader = sitk.ImageFileReader()
     reader.SetImageIO("GDCMImageIO")
+    frames = _read_frames([item for item in slices if item.frame is not None])
     for item, plane in zip(slices, values, strict=True):
-        plane[...] = _read_voxels(reader, item)
+        stored = _read_voxels(reader, item) if item.frame is None else next(frames)
+        plane[...] = _blank_padding(stored, item)
     _fill_padding(values, slices)
-    return {**grid_to_json(grid), "warnings": describe_tilt(slices)}
+    return {**grid_to_json(grid), "warnings": notes}
+
+
+def describe_missing_files(path: Path, slices: Sequence[DicomSlice]) -> tuple[str, ...]:
+    """Return a warning about images of a series that a DICOMDIR lists and that are not there."""
+    if is_file(path) and not is_dicomdir(path):
+        return ()
+    files = list_series_files(path)
+    here = {str(file).lower() for file in files}
+    listed: list[Path] = []
+    for file in filter(is_dicomdir, files):
+        listed += list_directory_files(file, slices[0].series)
+    missing = [one for one in listed if not {str(one).lower(), f"{one}.dcm".lower()} & here]
+    if not missing:
+        return ()
+    return (
+        f"DICOMDIR lists {len(missing)} images of this series that are not there, such as {missing[0]}: the "
+        "scan may be cut short",
+    )
 
 
 def _allow_slice_memory(slices: Sequence[DicomSlice]) -> None:
@@ -177,20 +228,43 @@ def _allow_slice_memory(slices: Sequence[DicomSlice]) -> None:
 
 
 def _read_voxels(reader: sitk.ImageFileReader, item: DicomSlice) -> NDArray[np.float64]:
-    """Return the rescaled values (rows, columns) of a slice; padding is NaN."""
+    """Return the rescaled values (rows, columns) of a slice."""
     reader.SetFileName(str(item.file))
     try:
         image = reader.Execute()
     except RuntimeError as error:
-        packed = f"; it is compressed as {item.syntax.name}" if item.syntax.is_compressed else ""
-        raise DataError(
-            f"its voxels cannot be read{packed}",
-            where=str(item.file),
-            expected="a whole DICOM file",
-            fix="it is cut short or damaged: copy it again, or export the series again"
-            + (", uncompressed" if packed else ""),
-        ) from error
-    voxels = np.array(sitk.GetArrayViewFromImage(image), dtype=np.float64).reshape(item.rows, item.columns)
+        raise _unreadable_voxels_error(item) from error
+    return np.array(sitk.GetArrayViewFromImage(image), dtype=np.float64).reshape(item.rows, item.columns)
+
+
+def _read_frames(frames: Sequence[DicomSlice]) -> Iterator[NDArray[np.float64]]:
+    """Yield the rescaled values (rows, columns) of frames of enhanced files, in their order."""
+    for file, group in groupby(frames, key=lambda item: item.file):
+        items = list(group)
+        try:
+            stored = iter_pixels(file, indices=[item.frame for item in items if item.frame is not None])
+            for item, plane in zip(items, stored, strict=True):
+                assert item.rescale is not None  # the stack was checked
+                yield plane.reshape(item.rows, item.columns) * item.rescale[0] + item.rescale[1]
+        except (DataError, MemoryError):
+            raise
+        except Exception as error:  # whatever the bytes provoke in one of several decoders
+            raise _unreadable_voxels_error(items[0]) from error
+
+
+def _unreadable_voxels_error(item: DicomSlice) -> DataError:
+    packed = f"; it is compressed as {item.syntax.name}" if item.syntax.is_compressed else ""
+    return DataError(
+        f"its voxels cannot be read{packed}",
+        where=str(item.file),
+        expected="a whole DICOM file",
+        fix="it is cut short or damaged: copy it again, or export the series again"
+        + (", uncompressed" if packed else ""),
+    )
+
+
+def _blank_padding(voxels: NDArray[np.float64], item: DicomSlice) -> NDArray[np.float64]:
+    """Return the values of a slice; padding is NaN."""
     if item.padding is not None:
         assert item.rescale is not None  # the stack was checked
         slope, intercept = item.rescale
@@ -209,7 +283,7 @@ def _fill_padding(values: NDArray[np.float32], slices: Sequence[DicomSlice]) -> 
         raise DataError(
             "holds nothing but padding",
             where=str(slices[0].file.parent),
-            expected="measured values; padding is what PixelPaddingValue says",
+            expected="measured values; padding is what PixelPaddingValue states",
             fix="check PixelPaddingValue, or export the series again",
         )
     for plane in values:
@@ -287,14 +361,14 @@ def _slice_dataset(
     """Return the file of slice `k`, whose first voxel stands at `corner`, LPS, mm."""
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = CTImageStorage
-    meta.MediaStorageSOPInstanceUID = _uid(digest, f"slice {k}")
+    meta.MediaStorageSOPInstanceUID = make_uid(digest, f"slice {k}")
     meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    meta.ImplementationClassUID = _uid("", "implementation")
+    meta.ImplementationClassUID = make_uid("", "implementation")
     meta.ImplementationVersionName = "NEEDLEFIT"
     data = FileDataset(str(file), series, file_meta=meta, preamble=b"\0" * 128)
     data.SOPInstanceUID = meta.MediaStorageSOPInstanceUID
-    data.StudyInstanceUID, data.SeriesInstanceUID = _uid(digest, "study"), _uid(digest, "series")
-    data.FrameOfReferenceUID = _uid(digest, "frame of reference")
+    data.StudyInstanceUID, data.SeriesInstanceUID = make_uid(digest, "study"), make_uid(digest, "series")
+    data.FrameOfReferenceUID = make_uid(digest, "frame of reference")
     data.InstanceNumber = k + 1
     data.ImagePositionPatient = [_decimal(x) for x in corner]
     data.PixelData = plane.astype("<i2").tobytes()
@@ -308,6 +382,6 @@ def _decimal(value: float) -> DSfloat:
     return DSfloat(float(value) + 0.0, auto_format=True)
 
 
-def _uid(digest: str, part: str) -> UID:
-    """Return the UID of a part of the series with this content."""
+def make_uid(digest: str, part: str) -> UID:
+    """Return the UID of a part of what has this content."""
     return UID(f"2.25.{uuid.uuid5(_UID_NAMESPACE, f'{digest} {part}').int}")

@@ -7,19 +7,18 @@ of the gantry is only remarked on where the slices stand straight above each oth
 straightened keeps the entry, and the standard says that nothing is to be computed from it.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from pydicom.uid import UID
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.imaging.dicom.header import LOCALIZER, DicomSlice
 from needlefit.imaging.header_checks import ImageHeader, check_expansion
 from needlefit.imaging.volume import AXES_COSINE_TOLERANCE, VoxelGrid, check_grid, orthogonalize
-
-Floats = NDArray[np.float64]
 
 MAX_OFFSET_MM = 0.05
 """A slice may stand this far from its place on an even stack, mm: positions rounded to 0.1 mm do."""
@@ -32,6 +31,24 @@ MAX_STEP_RATIO = 1.5
 
 XRAY_MODALITIES = frozenset({"", "CT", "XA", "RF", "DX", "PX", "IO", "OT"})
 """Modalities whose values are attenuations; converters leave the entry out, or write OT (other)."""
+
+OTHER_MODALITIES = {
+    "MR": "magnetic resonance, in which a needle is a void without a sharp edge",
+    "US": "ultrasound",
+    "PT": "positron emission tomography",
+    "NM": "nuclear medicine",
+    "MG": "mammography",
+    "OCT": "optical coherence tomography",
+    "OPT": "optical coherence tomography",
+}
+
+HU_UNITS = ("", "HU", "HU_MOD", "US")
+"""What RescaleType says of values in HU; US is "unspecified", as cone-beam scanners write."""
+
+HU_FIX = (
+    "export it in HU; a micro-CT scanner needs scans of air (-1000) and water (0) for that. Or compute HU "
+    "yourself, linearly from both, and save the volume as NRRD"
+)
 
 MIN_TILT_DEG = 0.05
 """A stated angle of the gantry below this, degrees, is none."""
@@ -90,13 +107,23 @@ def describe_tilt(slices: Sequence[DicomSlice]) -> tuple[str, ...]:
     )
 
 
+def describe_units(slices: Sequence[DicomSlice]) -> tuple[str, ...]:
+    """Return a warning about values of which the headers do not say that they are HU."""
+    if not any(item.unit == "US" for item in slices):
+        return ()
+    return (
+        "the scan's headers call the unit of its values unspecified (RescaleType US): thresholds and the "
+        "edge of the tissue are right only if air is -1000 and water 0",
+    )
+
+
 def _measure_axes(item: DicomSlice) -> Floats:
     """Return the row and column directions (2, 3) of a slice, made perpendicular to the last digit."""
     assert item.axes is not None
     if not (np.abs(item.axes @ item.axes.T - np.eye(2)) <= AXES_COSINE_TOLERANCE).all():
         raise DataError(
             f"ImageOrientationPatient is {item.axes.round(4).tolist()}",
-            where=str(item.file),
+            where=item.where,
             expected="two perpendicular unit vectors",
             fix=_EXPORT_FIX,
         )
@@ -110,21 +137,23 @@ def _check_kinds(slices: Sequence[DicomSlice]) -> None:
         return
     (item, (what, expected, fix)), others = faults[0], len(faults) - 1
     more = f" ({others} more of {len(slices)} files have a fault of this sort)" if others else ""
-    raise DataError(what + more, where=str(item.file), expected=expected, fix=fix)
+    raise DataError(what + more, where=item.where, expected=expected, fix=fix)
 
 
 def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
     """Return what forbids one file in any stack: what, expected, fix."""
     if item.frames > 1:
-        fix = "convert it to NRRD, e.g. with 3D Slicer, or export it as single-frame (classic) CT"
-        return f"holds {item.frames} frames in one file", "one slice a file", fix
+        fix = "convert it to NRRD, e.g. with 3D Slicer, or export it as single-frame (classic) or enhanced CT"
+        return f"holds {item.frames} frames without their positions", "one slice a file, or enhanced CT", fix
     if LOCALIZER in item.kind:
         fix = "move localizers (scouts, topograms) to a folder of their own"
         return "is a localizer among the slices of a volume", "slices of the volume only", fix
     places = ("ImagePositionPatient", item.position), ("ImageOrientationPatient", item.axes)
     if item.modality not in XRAY_MODALITIES:
+        meaning = OTHER_MODALITIES.get(item.modality, "")
         fix = "give the CT; if this is one and its header is wrong, save it as NRRD, e.g. with 3D Slicer"
-        return f"is no CT: its Modality is {item.modality}", "attenuation of X-rays, in HU", fix
+        what = f"is no CT: its Modality is {item.modality}" + f", {meaning}" * bool(meaning)
+        return what, "attenuation of X-rays, in HU: its thresholds separate needle, tissue and air", fix
     missing = [name for name, value in (*places, ("PixelSpacing", item.pixel)) if value is None]
     if missing:
         return f"has no {', '.join(missing)}", "where the slice stands in the patient", _EXPORT_FIX
@@ -132,10 +161,9 @@ def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
         what = "rescales its values by a table" if item.table else f"holds {item.samples} colours a voxel"
         return what, "one attenuation a voxel, with a slope and an intercept", _EXPORT_FIX
     if item.rescale is None:
-        fix = (
-            "export it with its rescaling; or turn its values to HU (air -1000) yourself, and save it as NRRD"
-        )
-        return "has no RescaleSlope, RescaleIntercept: its values are no HU", "how values become HU", fix
+        return "has no RescaleSlope, RescaleIntercept: its values are no HU", "how values become HU", HU_FIX
+    if item.unit not in HU_UNITS:
+        return f"RescaleType is {item.unit}: its values are no HU", "a series in HU", HU_FIX
     if item.rescale[0] == 0.0:
         return "RescaleSlope is 0", "a slope that keeps the values apart", _EXPORT_FIX
     if item.syntax not in DECODED_SYNTAXES:
@@ -152,8 +180,8 @@ def _check_alike(slices: Sequence[DicomSlice]) -> None:
         difference = _find_difference(first, item)
         if difference:
             raise DataError(
-                f"its {difference[0]} is {difference[2]}, that of {first.file.name} is {difference[1]}",
-                where=str(item.file),
+                f"its {difference[0]} is {difference[2]}, that of {first.name} is {difference[1]}",
+                where=item.where,
                 expected="the same in every slice of a series",
                 fix="move the slices of another scan to a folder of their own, or export the series again",
             )
@@ -200,7 +228,7 @@ def _measure_slice_spacing(ordered: Sequence[DicomSlice], positions: Floats, nor
         worst = int(astray.argmax())
         raise DataError(
             f"stands {astray[worst]:.3g} mm from its place in an even stack of {spacing:.4g} mm steps",
-            where=str(ordered[worst].file),
+            where=ordered[worst].where,
             expected=f"even steps, to {MAX_OFFSET_MM} mm",
             fix="resample the series to even steps, e.g. in 3D Slicer, and save it as NRRD",
         )
@@ -213,15 +241,15 @@ def _check_steps(ordered: Sequence[DicomSlice], steps: Floats) -> None:
     for (before, after), step in zip(pairwise(ordered), steps, strict=True):
         if step < MIN_STEP_MM:
             raise DataError(
-                f"stands at the same place as {before.file.name}",
-                where=str(after.file),
+                f"stands at the same place as {before.name}",
+                where=after.where,
                 expected="every slice once",
                 fix="remove the copies; if the series holds several phases or times, export one of them",
             )
         if usual >= MIN_STEP_MM and step > MAX_STEP_RATIO * usual:
             raise DataError(
-                f"{round(step / usual) - 1 or 1} slice(s) missing between {before.file.name} "
-                f"and {after.file.name}: a step of {step:.4g} mm where others are {usual:.4g} mm",
+                f"{round(step / usual) - 1 or 1} slice(s) missing between {before.name} "
+                f"and {after.name}: a step of {step:.4g} mm where others are {usual:.4g} mm",
                 where=str(before.file.parent),
                 expected="a stack without gaps",
                 fix="copy the missing files; a series with two spacings must be resampled to one",
@@ -252,7 +280,7 @@ def _shifted_slices_error(ordered: Sequence[DicomSlice], across: Floats) -> Data
     more = f", as {count - 1} more of {len(ordered)} slices do to some extent" if count > 1 else ""
     return DataError(
         f"stands {beside[worst]:.3g} mm beside most of the other slices{more}",
-        where=str(ordered[worst].file),
+        where=ordered[worst].where,
         expected=EXPECTED_STACK,
         fix=_EXPORT_FIX,
     )
@@ -260,17 +288,19 @@ def _shifted_slices_error(ordered: Sequence[DicomSlice], across: Floats) -> Data
 
 def _check_lengths(slices: Sequence[DicomSlice]) -> None:
     """See that every unpacked file is long enough for the voxels that it claims."""
+    frames = Counter(item.file for item in slices)
     for item in slices:
-        needed, size = item.rows * item.columns * item.bits // 8, item.file.stat().st_size
+        needed = frames[item.file] * item.rows * item.columns * item.bits // 8
+        size = item.file.stat().st_size
         plain = not item.syntax.is_compressed and not item.syntax.is_deflated
         if plain and size < needed:
             raise DataError(
                 f"claims {item.columns} x {item.rows} voxels, {needed} bytes, and has {size} bytes",
-                where=str(item.file),
+                where=item.where,
                 expected="all its voxels",
                 fix="the file is cut short or damaged: copy it again, or export the series again",
             )
-    first, packed = slices[0], sum(item.file.stat().st_size for item in slices)
+    first, packed = slices[0], sum(file.stat().st_size for file in frames)
     voxel_bytes = max(item.bits for item in slices) // 8
     promised = ImageHeader((first.columns, first.rows, len(slices)), voxel_bytes, packed)
     check_expansion(promised, first.file.parent)

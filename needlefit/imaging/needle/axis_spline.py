@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PchipInterpolator
 from scipy.ndimage import map_coordinates
 
+from needlefit.arrays import Floats
 from needlefit.geometry.curves import make_normal
+from needlefit.geometry.smoothing_spline import design_matrix, free_end_basis, make_knots
 from needlefit.imaging.volume import Volume, to_index
-
-Floats = NDArray[np.float64]
 
 AXIS_HUBER_SD = 1.5
 """Residuals beyond so many deviations count less."""
@@ -38,6 +38,8 @@ class AxisSpline:
         Of one coordinate's coefficients.
     s, points, weights : (S,), (S, 3), (S,) arrays
         The cross-sections it was drawn through.
+    final_weights : (S,) array
+        `weights`, less where a cross-section lies off: what the spline was drawn with.
     shared_sd : float
         Deviation that all cross-sections of a stretch share, so that their scatter does not show it, mm.
     """
@@ -49,6 +51,7 @@ class AxisSpline:
     s: Floats
     points: Floats
     weights: Floats
+    final_weights: Floats
     shared_sd: float = 0.0
 
 
@@ -62,14 +65,18 @@ class AxisFrames:
     v: Floats
 
 
-def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float) -> AxisSpline:
+def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float, tip: float | None = None) -> AxisSpline:
     """Fit a spline with a knot every `knot` mm to `points` (S, 3) at `s` (S,).
 
     Points far off, by Huber's rule, count less. The covariance holds the correlation of neighbouring
     residuals: by the sum of their autocorrelation a cross-section counts for less than one observation.
+    With a `tip` (mm, from the last point on) the spline reaches to it and has no curvature there, as a free
+    end has none: the last cross-sections lie some millimetres before it, and a cubic that goes on from them
+    with its curvature there would bend too far.
     """
-    knots = _knots(s[0], s[-1], knot)
-    matrix = BSpline.design_matrix(s, knots, 3).toarray()
+    knots = make_knots(s[0], s[-1] if tip is None else tip, knot)
+    basis = np.eye(len(knots) - 4) if tip is None else free_end_basis(knots)  # (C, F)
+    matrix = design_matrix(s, knots) @ basis
     robust = np.ones(len(s))
     for _ in range(REWEIGHTING_ROUNDS):
         w = weights * robust
@@ -82,8 +89,9 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float) -> AxisSpl
     freedom = max(1.0, len(s) - matrix.shape[1])
     variance = float(np.sum(w[:, None] * residuals**2) / (2 * freedom))  # two directions are free
     variance *= correlation_factor(residuals, matrix.shape[1])
-    covariance = np.asarray(np.linalg.inv(normal) * variance, dtype=np.float64)
-    return AxisSpline(BSpline(knots, coefficients, 3), float(s[-1]), variance, covariance, s, points, weights)
+    covariance = np.asarray(basis @ np.linalg.inv(normal) @ basis.T * variance, dtype=np.float64)
+    spline = BSpline(knots, basis @ coefficients, 3)
+    return AxisSpline(spline, float(s[-1]), variance, covariance, s, points, weights, w)
 
 
 def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: float) -> AxisSpline:
@@ -115,7 +123,7 @@ def correlation_factor(residuals: Floats, parameters: int) -> float:
 
 def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
     """Return the standard deviation in one direction across (N,) at `s` (N,), mm."""
-    matrix = BSpline.design_matrix(s, axis.spline.t, 3, extrapolate=True).toarray()
+    matrix = design_matrix(s, axis.spline.t)
     sd: Floats = np.sqrt(np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2)
     return sd
 
@@ -138,15 +146,15 @@ def reverse_axis(axis: AxisSpline) -> AxisSpline:
     s = axis.length - axis.s[::-1]
     covariance = axis.covariance[::-1, ::-1]
     return AxisSpline(
-        turned, axis.length, axis.variance, covariance, s, axis.points[::-1], axis.weights[::-1]
+        turned,
+        axis.length,
+        axis.variance,
+        covariance,
+        s,
+        axis.points[::-1],
+        axis.weights[::-1],
+        axis.final_weights[::-1],
     )
-
-
-def _knots(start: float, end: float, spacing: float) -> Floats:
-    pieces = max(1, round((end - start) / spacing))
-    inner = np.linspace(start, end, pieces + 1)
-    # ends repeated four times in all: a cubic spline that ends at its end knots
-    return np.concatenate([[start] * 3, inner, [end] * 3])
 
 
 PLANE_SPACING_MM = 0.3
@@ -225,9 +233,7 @@ def in_volume(values: Floats) -> NDArray[np.bool_]:
 
 
 def find_centroids(values: Floats, plane: Floats, reach: float) -> CrossSections:
-    """Return rough cross-sections: centroids of what is brighter than the rim, within `reach` of the
-    middle.
-    """
+    """Return rough cross-sections: centroids of what outshines the rim, within `reach` of the middle."""
     radius = np.hypot(*plane.T)
     rim = np.nanmedian(values[:, radius > 0.8 * radius.max()], axis=1)
     over = np.where((radius <= reach) & np.isfinite(values), values - rim[:, None], 0.0)

@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
+from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.needle.axis_spline import (
     AxisFrames,
     AxisSpline,
@@ -28,8 +30,6 @@ from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, princip
 from needlefit.imaging.needle.tip import TipFit, bevel_length, fit_tip
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-Floats = NDArray[np.float64]
 
 BIN_LENGTH_MM = 2.0
 """Length of the pieces whose centroids are the first axis, mm."""
@@ -76,6 +76,8 @@ class Centerline:
         Where along the needle cross-sections were taken, mm from its first point.
     residuals : (S, 3) array
         By how much the needle shows beside the axis there, LPS, mm; across the needle.
+    sections : SplineSections or None
+        Cross-sections and spline, LPS, arc lengths from the first point; None where no scan was traced.
     """
 
     points: Floats
@@ -85,6 +87,7 @@ class Centerline:
     bevel: Floats
     sections_s: Floats
     residuals: Floats
+    sections: SplineSections | None = None
 
 
 def trace_needle(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
@@ -97,9 +100,9 @@ def trace_needle(volume: Volume, component: Component, recipe: ReconstructionRec
     """
     axis = orient_axis(volume, fit_rough_axis(volume, component, recipe), recipe)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
-    axis = refine_axis(volume, axis, recipe, axis.length - heel)
+    axis = refine_axis(volume, axis, recipe, heel)
     end = fit_tip(volume, axis, recipe.needle, axis.length + heel)
-    axis = refine_axis(volume, axis, recipe, end.at - heel)
+    axis = refine_axis(volume, axis, recipe, heel, end.at)
     end = fit_tip(volume, axis, recipe.needle, end.at)
     return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
 
@@ -119,11 +122,16 @@ def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionR
     return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * recipe.centerline.knot_spacing_mm)
 
 
-def refine_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, stop: float) -> AxisSpline:
-    """Fit the spline through cross-sections from the start of the rough axis to `stop` (mm along it)."""
+def refine_axis(
+    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, heel: float, tip: float | None = None
+) -> AxisSpline:
+    """Fit the spline through cross-sections from the start of the rough axis to `heel` mm before its `tip`.
+
+    The tip is where the axis ends, unless it is given, mm along it.
+    """
     rules = recipe.centerline
     plane = disc_points(rules.patch_width_mm)
-    stop = max(stop, 8 * rules.station_spacing_mm)
+    stop = max((axis.length if tip is None else tip) - heel, 8 * rules.station_spacing_mm)
     for round_ in range(AXIS_FIT_ROUNDS):
         s = np.arange(0.0, stop, rules.station_spacing_mm)
         values = sample_planes(volume, axis_frames(axis, s), plane)
@@ -134,7 +142,7 @@ def refine_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, 
         rough = found = find_centroids(values, plane, recipe.needle.diameter_mm)
         if round_ > 0:
             found = fit_sections(values, plane, fit_sections(values, plane, rough))
-        axis = _fit_axis_through(where, found, recipe)
+        axis = _fit_axis_through(where, found, recipe, heel)
         stop = axis.length + 1e-6
     good = _find_usable_sections(found, recipe)
     return replace(
@@ -181,8 +189,10 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
     return axis if forward else reverse_axis(axis)
 
 
-def _fit_axis_through(where: AxisFrames, found: CrossSections, recipe: ReconstructionRecord) -> AxisSpline:
-    """Return the spline through the sections that show the needle."""
+def _fit_axis_through(
+    where: AxisFrames, found: CrossSections, recipe: ReconstructionRecord, heel: float
+) -> AxisSpline:
+    """Return the spline through the sections that show the needle, to the tip `heel` mm beyond the last."""
     good = _find_usable_sections(found, recipe)
     if good.sum() < MIN_SECTIONS:
         raise _too_few_sections_error(int(good.sum()))
@@ -191,7 +201,7 @@ def _fit_axis_through(where: AxisFrames, found: CrossSections, recipe: Reconstru
     s = arc_length(points)
     noise = found.noise[good] / found.amplitude[good]
     weights = 1 / (1 + (noise / np.median(noise)) ** 2)
-    return fit_axis(s, points, weights / weights.mean(), recipe.centerline.knot_spacing_mm)
+    return fit_axis(s, points, weights / weights.mean(), recipe.centerline.knot_spacing_mm, s[-1] + heel)
 
 
 def _find_usable_sections(found: CrossSections, recipe: ReconstructionRecord) -> NDArray[np.bool_]:
@@ -213,7 +223,16 @@ def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionReco
     beside = axis.points[:-1] - axis.spline(sections)
     tangents = axis_frames(axis, sections).tangents
     beside -= np.einsum("sd,sd->s", beside, tangents)[:, None] * tangents
-    return Centerline(points, sd, points[-1], tip_sd, end.bevel, sections, beside)
+    drawn = SplineSections(
+        q=axis.s,
+        s=np.interp(axis.s, s, arc_length(points)),
+        points=axis.points,
+        weights=axis.final_weights,
+        knots=axis.spline.t,
+        sigma=float(np.sqrt(axis.variance)),
+        shared_sd=float(np.hypot(axis.shared_sd, SYSTEMATIC_SD_MM)),
+    )
+    return Centerline(points, sd, points[-1], tip_sd, end.bevel, sections, beside, drawn)
 
 
 def _too_few_sections_error(count: int) -> DataError:

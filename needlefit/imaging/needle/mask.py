@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from needlefit.arrays import Ints
 from needlefit.errors import DataError
-from needlefit.imaging.needle.segmentation import MIN_COMPONENT_VOXELS, Component, Ints, measure_component
+from needlefit.imaging.needle.segmentation import MIN_COMPONENT_VOXELS, Component, measure_component
 from needlefit.imaging.volume import Volume, to_index, to_patient
-from needlefit.imaging.volume_files import read_volume
+from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 Mask = NDArray[np.bool_]
@@ -27,7 +28,7 @@ MASK_FIX = "segment the needle in this scan, and save the segmentation as NRRD o
 
 
 def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord) -> Component:
-    """Read the needle's voxels from a mask: a volume that is above 0 in the needle.
+    """Read the needle's voxels from a mask: a volume that is above 0 in the needle, or a DICOM segmentation.
 
     It may stand on other voxels than the scan's, in any order; each voxel of the scan then asks the nearest
     of the mask.
@@ -37,7 +38,7 @@ def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord
     DataError
         If the mask marks nothing, lies elsewhere than the scan's needle, or cannot be a needle.
     """
-    mask = read_volume(path)
+    mask = read_mask(path)
     _require_marked(int(np.count_nonzero(mask.values > 0)), path)
     marked = _resample_mask(volume, mask, path)
     _require_marked(int(np.count_nonzero(marked)), path)

@@ -4,15 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import find_objects, label
 
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 THRESHOLD_FRACTIONS = (0.4, 0.25, 0.15)
 """Low thresholds to try, as parts of the way from tissue to metal; the high one lies a quarter higher."""
@@ -145,9 +142,7 @@ def fit_parabola(along: Floats, across: Floats) -> Floats:
 
 
 def principal_axes(points: Floats) -> tuple[Floats, Floats]:
-    """Return the centre (3,) of `points` (N, 3) and their principal axes as rows (3, 3), the longest
-    first.
-    """
+    """Return the centre (3,) of `points` (N, 3) and their principal axes, rows (3, 3), longest first."""
     center = points.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((points - center).T))
     return center, axes.T[::-1]

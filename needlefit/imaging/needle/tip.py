@@ -10,11 +10,11 @@ from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
+from needlefit.arrays import Floats
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
 
-Floats = NDArray[np.float64]
 Residuals = Callable[[Floats], Floats]
 
 ROD_STEP_MM = 0.25
@@ -104,9 +104,7 @@ class TipFit:
 
 @dataclass(frozen=True)
 class AxisVoxels:
-    """Voxels near the axis: position along, `s` (N,), and across, `u`, `v` (N,), mm; their `values` (N,),
-    HU.
-    """
+    """Voxels near the axis: position along, `s` (N,), across, `u`, `v` (N,), mm; their `values` (N,), HU."""
 
     s: Floats
     u: Floats
@@ -208,9 +206,7 @@ def _covariance(best: OptimizeResult, near: AxisVoxels) -> Floats:
 
 
 def _assign_blocks(near: AxisVoxels) -> NDArray[np.int64]:
-    """Return each voxel's block (N,): a quadrant round the axis, its inner or outer half, `BLOCK_LENGTH_MM`
-    mm long.
-    """
+    """Return the block (N,) of each voxel: quadrant round the axis, inner or outer half, length along it."""
     piece = np.floor((near.s - near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
     quadrant = 2 * (near.u > 0) + (near.v > 0)
     block: NDArray[np.int64] = 8 * piece + 2 * quadrant + (np.hypot(near.u, near.v) > RADIAL_REACH_MM / 2)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Floats
 
 MIN_MARKERS = 3
 """Markers that fix a rigid motion."""
@@ -57,9 +57,7 @@ class MarkerSets:
 
     @property
     def typical_sd(self) -> float:
-        """The typical deviation of a pair per direction, mm: root mean over directions, median over
-        markers.
-        """
+        """The typical deviation of a pair per direction, mm: rms over directions, median over markers."""
         found = np.median(np.trace(self.found_covariance, axis1=1, axis2=2)) / 3
         known = np.median(np.trace(self.known_covariance, axis1=1, axis2=2)) / 3
         return float(np.sqrt(found + known))

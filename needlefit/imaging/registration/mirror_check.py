@@ -19,8 +19,9 @@ from scipy.linalg import pinvh
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Floats, Frame
+from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets, mirror, scale_noise, stretch
 from needlefit.imaging.registration.pairing import (
     MAX_WRONG_PAIRING_PROBABILITY,
@@ -186,9 +187,7 @@ NOISE_FACTORS = (2.0, 4.0, 8.0, 16.0)
 
 
 def misfit_error(sets: MarkerSets, reached: int) -> DataError | None:
-    """Return the error that explains a misfit of more than the `reached` pairs; None if nothing explains
-    it.
-    """
+    """Return the error that explains a misfit of more than the `reached` pairs; None if none does."""
     reflected = try_find_largest_pairings(mirror(sets))
     if reflected and len(reflected[0].pairs) > reached:
         return DataError(
@@ -276,7 +275,7 @@ def sign_change_error(frame: Frame, rough: Frame, found: Floats) -> DataError | 
         f"RAS seems to have been read as LPS: the rough pose is {as_is:.1f} mm off, with the signs of x and "
         f"y changed {flipped:.1f} mm",
         where="markers found in the scan",
-        expected="scan coordinates in LPS, or a file that says RAS",
+        expected="scan coordinates in LPS, or a file that states RAS",
         fix="state the coordinate system of the file (RAS or LPS), or correct the rough pose",
     )
 

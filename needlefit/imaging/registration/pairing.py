@@ -28,8 +28,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2 as chi_squared
 from scipy.stats import norm
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Floats, Frame
+from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets, make_marker_sets
 from needlefit.imaging.registration.rigid import (
     Alignment,

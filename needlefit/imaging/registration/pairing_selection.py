@@ -43,9 +43,7 @@ def select_pairing(sets: MarkerSets, rough: Frame | None) -> Pairing:
 
 
 def check_given_pairs(sets: MarkerSets, pairs: Pairs) -> Pairing:
-    """Return the given pairing if it fits and no other contradicts it; else DataError, with the better
-    one.
-    """
+    """Return the given pairing if it fits and no other contradicts it; else DataError with the better."""
     _check_pairs(sets, pairs)
     own = MarkerPairingCandidate(pairs, align_pairs(sets, pairs))
     used = np.unique(pairs[:, 0])

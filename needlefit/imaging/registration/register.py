@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi2 as chi_squared
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Floats, Frame
+from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration import rigid
 from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets, make_marker_sets, mirror
 from needlefit.imaging.registration.mirror_check import (
@@ -299,14 +300,14 @@ def _refuse_collinear(points: Floats, sd: float) -> None:
     if beside > MIN_SPREAD_RATIO * along:
         raise DataError(
             f"{len(points)} markers spread {along:.3g} mm along and {beside:.3g} mm beside a line (root mean "
-            f"square); known to {sd:.3g} mm, they tell {sure} of the turn about it",
+            f"square); known to {sd:.3g} mm, they determine {sure} of the turn about it",
             where="deviations of the markers",
             expected="a deviation that is small against the layout",
             fix="correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, per direction), or spread the "
             "markers further",
         )
     raise DataError(
-        f"{len(points)} markers lie on a line: of the turn about it they tell {sure}",
+        f"{len(points)} markers lie on a line: of the turn about it they determine {sure}",
         where="markers",
         expected="three or more markers, one of them well beside the line through the others",
         fix="use markers off that line; the further apart they are, the smaller the error at the needle",

@@ -33,14 +33,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import elliprg
 
-from needlefit.geometry.frames import Floats, Frame
+from needlefit.arrays import Floats
+from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets
 
 
 def motion_jacobian(arms: ArrayLike) -> Floats:
-    """Return J (N, 3, 6): the motion of points at `arms` (N, 3) from the centre by turn (rad) and shift
-    (mm).
-    """
+    """Return J (N, 3, 6): motion of points at `arms` (N, 3) from the centre by turn (rad) and shift (mm)."""
     a = np.asarray(arms, dtype=np.float64)
     moved = np.zeros((len(a), 3, 6))
     moved[:, 0, 1], moved[:, 0, 2] = a[:, 2], -a[:, 1]

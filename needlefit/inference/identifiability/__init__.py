@@ -1,3 +1,1 @@
-"""Determine which parameters the data identify: Fisher information, profile likelihoods, and their
-agreement.
-"""
+"""Determine which parameters the data identify: Fisher information, profile likelihoods, their agreement."""

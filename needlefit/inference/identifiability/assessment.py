@@ -7,19 +7,16 @@ disagree, the sentence says which.
 import math
 from dataclasses import dataclass
 
-from needlefit.inference.identifiability.identify import MAX_ALPHA_SD, MAX_LOG_SD, MAX_SD_RATIO
-from needlefit.inference.identifiability.information import describe_precision
+from needlefit.inference.identifiability.information import UNINFORMED_SD_RATIO, describe_precision
 from needlefit.inference.identifiability.parameter_profiles import ParameterProfile
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.identifiability.precision import is_determined_by_data
+from needlefit.inference.parameters import is_logarithmic, to_value
 
 NORMAL_95_HALF_WIDTH_SD = 1.96
 """Half width of a Gaussian 95 % interval, in standard deviations."""
 
 AGREEMENT_FACTOR = 1.5
 """Half widths of intervals, and contractions, that differ by less than this factor agree."""
-
-UNINFORMED_SD_RATIO = 0.9
-"""Contraction from which on the data add nothing to bounds and prior."""
 
 AGREEMENT = "information, profile and contraction agree"
 
@@ -30,7 +27,6 @@ class Assessment:
 
     Attributes
     ----------
-    name : str
     flat : bool
         Whether the data determine nothing: every value between the bounds is within the interval.
     determined : bool
@@ -62,7 +58,6 @@ def assess_parameter(
 
     Parameters
     ----------
-    parameter : ParameterProfile
     sds : tuple of two floats
         Standard deviation of its coordinate in the posterior, and in the prior.
     equal : tuple of two floats, optional
@@ -71,7 +66,7 @@ def assess_parameter(
         How many times larger than from the noise the deviation is because needles differ.
     """
     profile, name = parameter.profile, parameter.name
-    low, high = (_value(name, end) for end in (profile.low, profile.high))
+    low, high = (to_value(name, end) for end in (profile.low, profile.high))
     faults = [
         *_compare_classes(parameter, sds),
         *_compare_widths(parameter),
@@ -89,16 +84,11 @@ def assess_parameter(
     )
 
 
-def is_determined_by_data(name: str, sd: float, prior_sd: float) -> bool:
-    """Return whether a posterior standard deviation is small enough by the data, not only by the prior."""
-    return sd < (MAX_LOG_SD if is_logarithmic(name) else MAX_ALPHA_SD) and sd < MAX_SD_RATIO * prior_sd
-
-
 def add_sampled_disagreement(agreement: str, expected: float, sampled: float) -> str:
     """Return the sentence on agreement, extended where the posterior draws contradict the information."""
     if 1 / AGREEMENT_FACTOR < sampled / expected < AGREEMENT_FACTOR:
         return agreement
-    description = f"the draws contract to {sampled:.2g} of the prior, the information says {expected:.2g}"
+    description = f"the draws contract to {sampled:.2g} of the prior, by the information {expected:.2g}"
     return description if agreement == AGREEMENT else f"{agreement}; {description}"
 
 
@@ -119,7 +109,7 @@ def _describe_profile(parameter: ParameterProfile, low: float, high: float) -> s
 
 
 def _describe_flat(parameter: ParameterProfile) -> str:
-    low, high = (_value(parameter.name, end) for end in parameter.bounds)
+    low, high = (to_value(parameter.name, end) for end in parameter.bounds)
     tip_range_mm = parameter.tip_range_mm
     tip = "" if tip_range_mm is None else f" and no tip moves by more than {_print_small(tip_range_mm)} mm"
     return (
@@ -179,14 +169,14 @@ def _compare_widths(parameter: ParameterProfile) -> list[str]:
         ):
             ratio = max(reach / half, half / max(reach, 1e-9))
             description.append(f"{ratio:.2g} times {'wider' if reach > half else 'narrower'} {side}")
-    return [f"the profile is {' and '.join(description)} than the information says"] if description else []
+    return [f"the profile is {' and '.join(description)} than by the information"] if description else []
 
 
 def _compare_starts(parameter: ParameterProfile, equal: tuple[float, float] | None) -> list[str]:
     profile = parameter.profile
     if equal is None or (equal[0] >= profile.low - 1e-6 and equal[1] <= profile.high + 1e-6):
         return []
-    low, high = (_value(parameter.name, end) for end in equal)
+    low, high = (to_value(parameter.name, end) for end in equal)
     return [f"equally good starts end outside its interval, {_print(low)} to {_print(high)}"]
 
 
@@ -198,7 +188,3 @@ def _print(value: float) -> str:
     """Return three digits: 2.13e5, not 2.13e+05."""
     mantissa, e, exponent = f"{value:.3g}".partition("e")
     return f"{mantissa}{e}{int(exponent)}" if e else mantissa
-
-
-def _value(name: str, coordinate: float) -> float:
-    return math.exp(coordinate) if is_logarithmic(name) else coordinate

@@ -30,17 +30,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from needlefit.inference.identifiability.identify import (
+from needlefit.arrays import Floats
+from needlefit.inference.identifiability.information import Direction, cramer_rao, principal_directions
+from needlefit.inference.identifiability.precision import (
     linearize,
     prior_and_noise_information,
     prior_information,
 )
-from needlefit.inference.identifiability.information import Direction, cramer_rao, principal_directions
-from needlefit.inference.likelihood.depths import Nodes
-from needlefit.inference.likelihood.marginal import log_marginals
+from needlefit.inference.likelihood.marginal import load_effects, log_marginals, weigh_linear
+from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.problem import Problem
-
-Floats = NDArray[np.float64]
 
 MIN_RELATIVE_VARIANCE = 1e-12
 """Part of a variance below which none falls, so that it stays positive in spite of rounding."""
@@ -80,28 +79,33 @@ class PredictedData:
     ----------
     log_weights : (B,) array
         The weights sum to 1.
-    scales : (B,) array
-        What each draw multiplies the deviations of noise and pose by.
+    scales, spreads : (B,) arrays
+        What each draw multiplies the deviations of the noise by, and its spread of ln b.
     white : (B, m, R) array
         Whitened deflections at the m nodes of the insertion, from any origin.
-    nodes : Nodes
+    group : NodeGroup
+        Of this insertion alone.
     """
 
     log_weights: Floats
     scales: Floats
+    spreads: Floats
     white: Floats
-    nodes: Nodes
+    group: NodeGroup
 
     def log_likelihoods(self, outer_draws: NDArray[np.intp], rng: np.random.Generator) -> Floats:
-        """Return the log likelihood (O, B) of every draw, given data predicted by draws `outer_draws`
-        (O,).
-        """
-        found = []
+        """Return the log likelihood (O, B) of every draw, of data predicted by draws `outer_draws` (O,)."""
+        found, (nodes,) = [], self.group.nodes
         for draw in outer_draws:
-            turned = np.tensordot(self.nodes.linear, self.white[draw], axes=1)  # (1 + d, R)
-            depths = rng.standard_normal(self.nodes.axes) @ turned[1:]
-            data = turned[0] + depths + self.scales[draw] * rng.standard_normal(turned.shape[1])
-            found.append(log_marginals(self.white - data, self.nodes, self.scales))
+            spread = self.spreads[draw : draw + 1]
+            first, *slopes = weigh_linear(nodes, spread)[0] @ self.white[draw]  # (R,), d times (R,)
+            loads = load_effects(nodes, spread)[0]
+            moved = np.array([*slopes, *(loads[:, None] * (nodes.effects @ self.white[draw]))])
+            data = first + rng.standard_normal(len(moved)) @ moved.reshape(-1, len(first))
+            data = data + self.scales[draw] * rng.standard_normal(len(first))
+            off = self.white.copy()
+            off[:, : len(nodes.insertions)] -= data  # the constant curves of a pose have no origin
+            found.append(log_marginals([off], self.group, self.scales, self.spreads))
         return np.array(found)
 
 
@@ -140,9 +144,7 @@ def _variances(weights: Floats, quantities: Floats) -> Floats:
 
 
 def linearized_gain(covariance: Floats, slopes: Floats) -> float:
-    """Return the gain of a linear Gaussian model, 0.5 log det(I + Sigma J^T J): Sigma (P, P), whitened J (R,
-    P).
-    """
+    """Return 0.5 log det(I + Sigma J^T J), the gain of a linear model: Sigma (P, P), whitened J (R, P)."""
     root = np.linalg.cholesky(covariance + MIN_RELATIVE_VARIANCE * np.diag(np.diag(covariance)))
     # det(I + Sigma J^T J) = det(I + L^T J^T J L) with Sigma = L L^T: symmetric, so slogdet is stable
     whole = np.eye(len(covariance)) + root.T @ slopes.T @ slopes @ root
@@ -175,8 +177,6 @@ class ExpectedPrecision:
         At the place asked for, best known first.
     direction_sds : (D, P) array
         Of the principal directions at each place, best known first.
-    direction_prior_sds : (P,) array
-        Of the prior along `principal_directions`.
     """
 
     names: tuple[str, ...]
@@ -184,15 +184,12 @@ class ExpectedPrecision:
     prior_sds: Floats
     directions: tuple[Direction, ...]
     direction_sds: Floats
-    direction_prior_sds: Floats
 
 
 def expect_precision(
     design: DesignFunction, values: Mapping[str, float], rng: np.random.Generator
 ) -> ExpectedPrecision | None:
-    """Return the precision expected of a design at `values` and near them; None if it cannot be simulated
-    there.
-    """
+    """Return the precision expected of a design at and near `values`; None if it cannot be simulated."""
     problem = design(values)
     if problem is None:
         return None
@@ -202,16 +199,13 @@ def expect_precision(
     others = [(design(at), at) for at in _draw_points(problem, centre, first, rng)]
     every = [first, *(fisher_information(p, p.parameters.theta(at)) for p, at in others if p is not None)]
     every = [one for one in every if np.all(np.isfinite(one))]
-    found = principal_directions(first, problem.names)
-    axes = np.array([d.weights for d in found]).reshape(-1, len(centre))
     spread = np.linalg.inv(before) if len(before) else before
     return ExpectedPrecision(
         names=problem.names,
         sds=np.array([cramer_rao(one) for one in every]),
         prior_sds=np.sqrt(np.diag(spread)),
-        directions=found,
+        directions=principal_directions(first, problem.names, before),
         direction_sds=np.array([1 / np.sqrt(np.linalg.eigvalsh(one)[::-1]) for one in every]),
-        direction_prior_sds=np.sqrt(np.einsum("dp,pq,dq->d", axes, spread, axes)),
     )
 
 
@@ -225,9 +219,7 @@ def fisher_information(problem: Problem, theta: Floats) -> Floats:
 def _draw_points(
     problem: Problem, centre: Floats, first: Floats, rng: np.random.Generator
 ) -> list[dict[str, float]]:
-    """Return `OTHER_POINTS` places within the bounds, along the directions by what is expected to be known
-    there.
-    """
+    """Return `OTHER_POINTS` places within the bounds, spread by what is expected to be known there."""
     precision, axes = np.linalg.eigh(first)
     # a direction that the design leaves open would send the points to the bounds
     sds = np.minimum(1 / np.sqrt(precision), MAX_POINT_SD)

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from needlefit.arrays import Floats
 from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
 from needlefit.inference.objective import SupportsBounds
 from needlefit.schemas.recipe import ObjectiveName
-
-Floats = NDArray[np.float64]
 
 MIN_GAIN = 1e-3
 """A minimum is reached where a further step would lessen the sum of squares by less than this."""
@@ -56,7 +55,6 @@ class LocalMinimum:
         Its derivatives.
     information : (P, P) array
         J^T J.
-    evaluations : int
     converged : bool
         Whether this is a minimum, as far as steps from it tell.
     """

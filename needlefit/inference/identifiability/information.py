@@ -1,23 +1,25 @@
-"""Compute Fisher information: difference Jacobians, Cramer-Rao deviations, and principal directions in
-words.
-"""
+"""Compute Fisher information: difference Jacobians, Cramer-Rao deviations, directions in words."""
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.inference.parameters import is_logarithmic
-
-Floats = NDArray[np.float64]
 
 LOG_STEP, ALPHA_STEP = 1e-3, 5e-2
 """Steps of the differences: in a logarithm, and in alpha, on which shapes hardly depend."""
 
 NEARLY_FREE_SD = 0.5
 """Standard deviation of a combination's logarithm (of alpha's sum) above which it is called nearly free."""
+
+UNINFORMED_SD_RATIO = 0.9
+"""Posterior SD / prior SD from which on the data add nothing to what ties, priors and bounds say."""
+
+KNOWN_BY_PRIOR = ", by the stated ties, priors or bounds alone"
+"""What is added to the words of such a direction."""
 
 MIN_RELATIVE_WEIGHT = 0.05
 """Weights below this part of the largest are left out of the words."""
@@ -35,11 +37,24 @@ class Direction:
         Its components, in the order of the free parameters.
     words : str
         The same in words, for a person.
+    prior_sd : float
+        Standard deviation of the prior along it; infinite where none is given.
     """
 
     sd: float
     weights: tuple[float, ...]
     words: str
+    prior_sd: float = math.inf
+
+    @property
+    def sd_ratio(self) -> float:
+        """Posterior SD / prior SD."""
+        return self.sd / self.prior_sd
+
+    @property
+    def is_informed(self) -> bool:
+        """Whether the data, not ties, priors or bounds alone, say something about it."""
+        return not self.sd_ratio >= UNINFORMED_SD_RATIO  # NaN: neither is finite
 
 
 def difference_jacobian(residuals: Callable[[Floats], Floats], theta: Floats, steps: Floats) -> Floats:
@@ -76,23 +91,30 @@ def cramer_rao(information: Floats) -> Floats:
     return sd
 
 
-def principal_directions(information: Floats, names: Sequence[str]) -> tuple[Direction, ...]:
-    """Return the principal directions of the information (P, P), best known first, in words."""
+def principal_directions(
+    information: Floats, names: Sequence[str], prior: Floats | None = None
+) -> tuple[Direction, ...]:
+    """Return the principal directions of the information (P, P), best known first, in words.
+
+    With the information (P, P) of the prior, which is a part of it, those that it alone knows are marked.
+    """
     precision, vectors = np.linalg.eigh(information)
+    before = None if prior is None else np.linalg.inv(prior)
     found = []
     for value, vector in zip(precision[::-1], vectors.T[::-1], strict=True):
         sd = 1 / math.sqrt(value) if value > 0 else math.inf
         # the sign of an eigenvector is arbitrary: the largest component is made positive, so that words do
         # not change
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-        found.append(Direction(sd, tuple(vector.tolist()), _describe_direction(sd, vector, names)))
+        prior_sd = math.inf if before is None else math.sqrt(vector @ before @ vector)
+        words = _describe_direction(sd, vector, names)
+        one = Direction(sd, tuple(vector.tolist()), words, prior_sd)
+        found.append(one if one.is_informed else replace(one, words=f"{words}{KNOWN_BY_PRIOR}"))
     return tuple(found)
 
 
 def describe_combination(weights: Floats, names: Sequence[str]) -> str:
-    """Return a combination in words, scaled to a largest weight of 1: `mu1 * b^1.9`; a sum if alpha is in
-    it.
-    """
+    """Return a combination in words, its largest weight 1: `mu1 * b^1.9`; a sum if alpha is in it."""
     scaled = weights / np.max(np.abs(weights))
     parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= MIN_RELATIVE_WEIGHT]
     if all(is_logarithmic(name) for name, _ in parts):
@@ -102,14 +124,13 @@ def describe_combination(weights: Floats, names: Sequence[str]) -> str:
 
 
 def short_name(name: str) -> str:
-    """Return a parameter's name without its unit; the bevel offset is b."""
-    return {"bevel_mm": "b", "guide_distance_mm": "guide_distance"}.get(name, name.removesuffix("_pa"))
+    """Return a parameter's name without its unit; the bevel offset is b, the angle of its cut theta."""
+    named = {"bevel_mm": "b", "cut_angle_deg": "theta", "guide_distance_mm": "guide_distance"}
+    return named.get(name, name.removesuffix("_pa"))
 
 
 def describe_precision(sd: float, logarithm: bool) -> str:
-    """Return in words how well a quantity is known, given the standard deviation of its value or
-    logarithm.
-    """
+    """Return in words how well a quantity is known, given the deviation of its value or logarithm."""
     if not logarithm:
         return f"to {sd:.2g}"
     return f"to {100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"within a factor of {_print_factor(sd)} only"

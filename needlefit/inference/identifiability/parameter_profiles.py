@@ -5,14 +5,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.inference.fit import Fit
 from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
-from needlefit.inference.identifiability.identify import add_estimated_noise, linearize, tip_range
+from needlefit.inference.identifiability.identify import tip_range
+from needlefit.inference.identifiability.precision import add_estimated_noise, linearize
 from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile
-from needlefit.inference.parameters import Parameters
+from needlefit.inference.parameters import Parameters, without_prior
 from needlefit.inference.problem import Problem
+from needlefit.mechanics.laws import LAWS
 
 FREED_ALPHA_BOUNDS = (-3.0, 5.0)
 """Bounds of a fixed alpha once it is freed: tissues and gels lie well within."""
@@ -21,16 +23,18 @@ FREED_ALPHA_BOUNDS = (-3.0, 5.0)
 def find_fixed_alphas(problem: Problem) -> dict[str, tuple[str, ...]]:
     """Return the fixed alphas that some insertion meets, each with the other alphas of its material.
 
-    Layers are of one material if their mu are the same parameter and their alphas are fixed at one value.
+    Layers are of one material if their mu are tied, exactly or with a spread, and their alphas are fixed at
+    one value.
     """
-    if problem.medium.law != "ogden":
-        return {}  # other laws have none
+    if not LAWS[problem.medium.law].uses_alpha:
+        return {}
     met = sorted({layer for insertion in problem.insertions for layer in insertion.sequence})
+    tied = without_prior(problem.parameters).ties
     groups: dict[tuple[tuple[float, str], float], list[str]] = {}
     for layer in range(1, problem.medium.layers + 1):
         alpha, mu, parameters = f"alpha{layer}", f"mu{layer}_pa", problem.parameters
         if alpha in parameters.fixed:
-            groups.setdefault((parameters.ties.get(mu, (1.0, mu)), parameters.fixed[alpha]), []).append(alpha)
+            groups.setdefault((tied.get(mu, (1.0, mu)), parameters.fixed[alpha]), []).append(alpha)
     return {
         first: tuple(same)
         for first, *same in groups.values()
@@ -39,16 +43,15 @@ def find_fixed_alphas(problem: Problem) -> dict[str, tuple[str, ...]]:
 
 
 def free_alpha(problem: Problem, name: str) -> Problem:
-    """Return the problem with one alpha of `find_fixed_alphas` free, and the others of its material tied to
-    it.
-    """
-    return problem.with_parameters(
-        _free_parameter(problem.parameters, name, find_fixed_alphas(problem)[name])
-    )
+    """Return the problem with one alpha of `find_fixed_alphas` free, the others of its material tied."""
+    same, law = find_fixed_alphas(problem)[name], problem.medium.law
+    return problem.with_parameters(_free_parameter(problem.parameters, name, same, law))
 
 
-def _free_parameter(parameters: Parameters, name: str, same: tuple[str, ...]) -> Parameters:
+def _free_parameter(parameters: Parameters, name: str, same: tuple[str, ...], law: str) -> Parameters:
     at, (low, high) = parameters.fixed[name], FREED_ALPHA_BOUNDS
+    least, most = LAWS[law].alpha_range
+    low, high = max(low, least), min(high, most)
     # the value that the fit used must lie within the bounds, whatever it was
     bounds: Mapping[str, tuple[float, float]] = {name: (min(low, at), max(high, at))}
     return replace(
@@ -58,8 +61,6 @@ def _free_parameter(parameters: Parameters, name: str, same: tuple[str, ...]) ->
         ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
     )
 
-
-Floats = NDArray[np.float64]
 
 MAX_OTHER_STARTS = 2
 """Most ends of other starts from which profiles are tried again, beside the middle of the bounds."""
@@ -74,7 +75,6 @@ class ParameterProfile:
 
     Attributes
     ----------
-    profile : LikelihoodProfile
     bounds : tuple of two floats
         In the parameter's coordinate of theta.
     fixed_at : float or None
@@ -175,9 +175,7 @@ def _profile_fixed(problem: Problem, name: str, optimum: LocalMinimum, scale: fl
 
 
 def _select_separate(problem: Problem, thetas: Sequence[Sequence[float]]) -> list[Floats]:
-    """Return the first of these, then at most `MAX_OTHER_STARTS` that lie apart from it and from each
-    other.
-    """
+    """Return the first, then at most `MAX_OTHER_STARTS` that lie apart from it and from each other."""
     width = problem.upper - problem.lower
     kept: list[Floats] = []
     for theta in map(np.array, thetas):

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.stats import chi2
 
+from needlefit.arrays import Floats
 from needlefit.inference.identifiability.gauss_newton import LocalMinimum, SumOfSquares
 from needlefit.inference.identifiability.profile_path import ProfilePath, select_best, trace_profile
 
-Floats = NDArray[np.float64]
 End = Literal["closed", "bound", "lost"]
 
 DEVIANCE_95 = float(chi2.ppf(0.95, 1))
@@ -41,7 +40,6 @@ class LikelihoodProfile:
 
     Attributes
     ----------
-    name : str
     at, deviance, slope : (G,) arrays
         Where it was computed, in order; the deviance there and its derivative.
     thetas : (G, P) array
@@ -108,8 +106,6 @@ def compute_profile(
 
     Parameters
     ----------
-    target : SumOfSquares
-    k : int
     optimum : LocalMinimum
         Of all parameters; should the profile find a better one, that takes its place.
     elsewhere : sequence of (P,) arrays

@@ -4,17 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from needlefit.arrays import Floats
 from needlefit.inference.identifiability.gauss_newton import (
     MIN_GAIN,
     LocalMinimum,
     SumOfSquares,
     minimize_squares,
 )
-
-Floats = NDArray[np.float64]
 
 STOP_DEVIANCE = 1.5 * float(chi2.ppf(0.95, 1))
 """Deviance at which a side ends: far enough above the threshold to see where it is passed."""
@@ -51,7 +49,6 @@ class ProfilePath:
         The optimum, and the best for each value of the held parameter that was tried.
     at_bound : list of two bools
         Whether the lower and the upper side end at the bound.
-    evaluations, retries : int
     """
 
     points: list[LocalMinimum] = field(default_factory=list)

@@ -16,18 +16,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.inference.draws import Draws
 from needlefit.inference.fit import Fit
 from needlefit.inference.identifiability.gauss_newton import minimize_squares
-from needlefit.inference.identifiability.identify import add_estimated_noise
+from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.importance.pareto import MAX_PARETO_K
 from needlefit.inference.importance.sampler import Effort, WeightedDraws, resample, sample_by_importance
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
-
-Floats = NDArray[np.float64]
 
 MAX_LOG_DENSITY_GAP = 10.0
 """A start that ended with a log density this much below the best one's found no mode."""
@@ -41,9 +39,7 @@ LARGER_EFFORT = Effort(draws=1000, components=30)
 
 
 def find_modes(fit: Fit, width: Floats) -> Floats:
-    """Return the distinct modes (M, P) that a fit found, the best first; `width` (P,) is that of the
-    bounds.
-    """
+    """Return the distinct modes (M, P) that a fit found, the best first; `width` (P,) of the bounds."""
     starts = sorted(fit.starts, key=lambda start: (start.objective, start.index))
     plausible = [start for start in starts if start.objective <= fit.objective + MAX_LOG_DENSITY_GAP]
     return select_distinct((np.array(start.theta) for start in plausible), width)
@@ -61,7 +57,7 @@ def select_distinct(ends: Iterable[Floats], width: Floats) -> Floats:
 def escalate_effort(sample: Callable[[Effort], WeightedDraws]) -> WeightedDraws:
     """Sample with the small effort, and again with the large one if the weights cannot be trusted."""
     found = sample(EFFORT)
-    return found if found.k <= MAX_PARETO_K else sample(LARGER_EFFORT)
+    return found if found.certified else sample(LARGER_EFFORT)
 
 
 def sample_about_modes(
@@ -99,16 +95,8 @@ def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -
         f"are worth {found.effective_sample_size:.0f} independent ones ({found.min_ess:.0f} at least)"
     )
     thetas = found.thetas[resample(found, count, rng)]
-    return Draws(thetas, "importance", () if found.certified else (warning,), found.k)
-
-
-def draw_by_importance(
-    problem: Problem, fit: Fit, count: int, rng: np.random.Generator, jobs: int = 1
-) -> Draws:
-    """Return `count` unweighted draws of the posterior about a fit; arguments as of `sample_about_fit`."""
-    if not len(fit.theta):
-        return Draws(np.empty((count, 0)), "importance")
-    return resample_draws(sample_about_fit(problem, fit, rng, jobs), count, rng)
+    faults = () if found.certified else (warning,)
+    return Draws(thetas, "importance", faults, found.k, found.effective_sample_size)
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ the profile likelihood, drawn to 1/2 by as much as ten further weights would.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-Floats = NDArray[np.float64]
+from needlefit.arrays import Floats
 
 MAX_PARETO_K = 0.7
 """Largest k of weights whose means come to rest at any practical number of draws."""

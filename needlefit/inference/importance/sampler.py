@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import gammaln, logsumexp
 
+from needlefit.arrays import Floats
 from needlefit.inference.importance.pareto import MAX_PARETO_K, smooth_weights
 from needlefit.inference.sampling.log_density import LaplaceApproximation
-
-Floats = NDArray[np.float64]
 
 DEGREES_OF_FREEDOM = 5.0
 """Degrees of freedom: heavy enough for posteriors within bounds, at a small loss on Gaussian ones."""
@@ -172,17 +171,24 @@ class WeightedDraws:
         return self.k <= MAX_PARETO_K and self.effective_sample_size >= self.min_ess
 
 
+MIN_ESS_PER_DISTINCT_DRAW = 3.0
+"""Independent draws that the weights must be worth for each of those taken without replacement."""
+
+
 def resample(found: WeightedDraws, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """Return indices (`count`,) of draws that represent the posterior without weights.
 
-    None stands twice, as long as there are enough: so they are nearer to independent ones (O. Skare,
-    E. Bolviken, L. Holden, Scand. J. Stat. 30 (2003) 719).
+    Of few, none stands twice: so they are nearer to independent ones (O. Skare, E. Bolviken, L. Holden,
+    Scand. J. Stat. 30 (2003) 719). Of many that would flatten the weights, up to the proposal itself where
+    all are taken: each then stands as often as its weight says, to within one (systematic resampling).
     """
     known = np.flatnonzero(np.isfinite(found.log_weights))
-    if len(known) < count:
-        return rng.choice(len(found.thetas), size=count, p=np.exp(found.log_weights))
-    keys = found.log_weights[known] + rng.gumbel(size=len(known))  # the largest: drawn in turn by weight
-    return known[np.argsort(-keys, kind="stable")[:count]]
+    if len(known) >= count and found.effective_sample_size >= MIN_ESS_PER_DISTINCT_DRAW * count:
+        keys = found.log_weights[known] + rng.gumbel(size=len(known))  # the largest: drawn in turn by weight
+        return known[np.argsort(-keys, kind="stable")[:count]]
+    ends = np.cumsum(np.exp(found.log_weights[known]))
+    places = (np.arange(count) + rng.uniform()) / count * ends[-1]
+    return rng.permutation(known[np.searchsorted(ends[:-1], places, side="right")])
 
 
 def compute_ess(log_weights: Floats) -> float:
@@ -205,7 +211,7 @@ def sample_by_importance(
         early = len(rounds) <= EARLY_ROUNDS
         if (found.certified and not early) or len(rounds) == effort.rounds:
             return found
-        proposal = _fit_proposal(found, early, rng, effort.components)
+        proposal = _fit_proposal(found, len(rounds), rng, effort.components)
 
 
 @dataclass(frozen=True)
@@ -258,6 +264,12 @@ EM_STEPS = 6
 MIN_ESS_PER_COMPONENT = 12.0
 """Independent draws per component that a flatter density is chosen by."""
 
+FLAT_ROUNDS = 5
+"""In so many rounds the mixture follows a flat density only."""
+
+COMPONENTS_PER_STEEP_ONE = 6
+"""The half of a mixture that follows a steeper density has as many times fewer components."""
+
 EARLY_ROUNDS, EARLY_POWER = 2, 0.5
 """In the first rounds the mixture follows this power of the density, and no weights are good enough yet."""
 
@@ -269,6 +281,26 @@ MIN_COVARIANCE_FRACTION = 1e-4
 
 
 def _fit_proposal(
+    found: WeightedDraws, round_count: int, rng: np.random.Generator, components: int
+) -> StudentMixture:
+    """Return a mixture fitted to the draws: half of it to a flat power of the density, half to a steep one.
+
+    The flat half finds what the draws have missed so far, and is alone at first. The steep one, of fewer
+    components, is near the density as soon as a dozen independent draws are; where there are many parameters
+    the flat half alone would stay too wide for ever.
+    """
+    flat = _fit_mixture(found, round_count <= EARLY_ROUNDS, rng, components)
+    if round_count < FLAT_ROUNDS:
+        return flat
+    steep = _fit_mixture(found, False, rng, max(1, components // COMPONENTS_PER_STEEP_ONE))
+    return StudentMixture(
+        0.5 * np.concatenate([flat.weights, steep.weights]),
+        np.concatenate([flat.centres, steep.centres]),
+        np.concatenate([flat.factors, steep.factors]),
+    )
+
+
+def _fit_mixture(
     found: WeightedDraws, early: bool, rng: np.random.Generator, components: int
 ) -> StudentMixture:
     """Return a mixture fitted to the draws as they stand for the density, or a power of it."""

@@ -2,9 +2,16 @@
 independent.
 
 Residuals are differences of deflection between the simulated and the measured curve at the same beam
-coordinates. The points are the measured ones (thinned, never interpolated), so that no error is counted
-twice. A known pose enters their covariance with its prior; a free one is projected off, as the limit of
-a prior that is flat. Equations: docs/inference.md.
+coordinates, of cross-sections after both were smoothed as the measurement was (`operators`). Points are the
+measured ones (thinned, never interpolated), so that no error is counted twice. A known pose enters their
+covariance with its prior; a free one is projected off, as the limit of a prior that is flat. A tip track is
+the same: its points are the tips at some depths, and a shift and a slope of the tracker's frame are projected
+off. Equations: docs/inference.md.
+
+Where the dataset states how much runs of a session differ in slope, the slope is the session's, and
+integrated over with its prior. Headings, where their deviation is stated, are compared with the direction of
+the path over the last `HEADING_STEP_MM` before a reading; they may all be off by a constant, the sensor's in
+the needle and the cut's.
 
 Errors of the pose in the plane:
 
@@ -13,35 +20,58 @@ shift along the entry axis moves the curve past itself: a point then differs by 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import cholesky, qr, solve_triangular
+from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, find_free_reach
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import (
+    DEFAULT_MEASUREMENT,
+    Dataset,
+    Insertion,
+    Noise,
+    Pose,
+    select_compared_places,
+)
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
-from needlefit.inference.compared_points import Pose, rotate_to_entry_axes
-from needlefit.inference.likelihood.depths import Nodes, make_nodes
+from needlefit.geometry.frames import align_rigid, differentiate_align_rigid, make_tracker_columns
+from needlefit.inference.compared_points import rotate_to_entry_axes
+from needlefit.inference.likelihood.nodes import FRAME, ErrorAxis, Nodes, make_nodes
+from needlefit.inference.likelihood.operators import (
+    Discrepancy,
+    SectionData,
+    bias_covariance,
+    points_operator,
+    select_sections,
+)
 from needlefit.project.toml_lines import locate_key
 from needlefit.schemas.recipe import LikelihoodRecord
 
-Floats = NDArray[np.float64]
+HEADING_STEP_MM = 0.25
+"""Length over which the direction of a simulated path is taken, mm: shorter than constraints are apart."""
+
+SESSION_SD_RAD = 0.2
+"""Prior deviation of a session's slope and of its headings' offset, rad: registrations err by less."""
 
 SLOPE_DEGREE = 3
 """Degree of the polynomial whose slope is taken for the needle's: that of the noisy points would be rough."""
 
 
-def pose_modes(measured: Floats) -> Floats:
-    """Return the change (K, 3) of deflections by a unit shift across, turn, and shift along; points are (K,
-    2).
+def pose_modes(measured: Floats, slope: Floats | None = None) -> Floats:
+    """Return the change (K, 3) of deflections by a unit shift across, turn, and shift along.
 
-    Per mm, per rad, per mm.
+    Per mm, per rad, per mm. The turn is about the entry, x = 0, wherever the points (K, 2) begin: what is
+    uncertain is the pose of the constraint frame there. The needle's `slope` (K,) is by default that of a
+    cubic through the points.
     """
-    x = measured[:, 0] - measured[0, 0]
+    x = measured[:, 0]
+    if slope is not None:
+        return np.column_stack([np.ones(len(x)), x, -slope])
     degree = min(SLOPE_DEGREE, len(x) - 1)
     # Polynomial.fit scales x to [-1, 1] itself: np.polyfit on mm would be badly conditioned
     slope = np.polynomial.Polynomial.fit(x, measured[:, 1], degree).deriv()(x)
@@ -69,16 +99,13 @@ def points_covariance(s: Floats, noise: Noise, sd: Floats | None = None) -> Floa
         Deviation of each point's shared part, mm; by default the same for all, as `noise` states.
     """
     deviation = np.full(len(s), noise.correlated_sd) if sd is None else sd
-    apart = np.abs(s[:, None] - s)  # (K, K)
-    shared = np.outer(deviation, deviation) * np.exp(-apart / noise.correlation_length)
+    shared = np.outer(deviation, deviation) * noise.correlate(s)
     total: Floats = noise.point_sd**2 * np.eye(len(s)) + shared
     return total
 
 
-MAX_CENTERLINE_POINTS = 200
-"""A centreline with more points is thinned to about this many."""
-
-DEFAULT_LIKELIHOOD = LikelihoodRecord()
+PLAIN_LIKELIHOOD = LikelihoodRecord(bevel_spread=0.0)
+"""All insertions have the same b."""
 
 
 @dataclass(frozen=True)
@@ -88,65 +115,237 @@ class Observation:
     Attributes
     ----------
     measured : (K, 2) array
-        Measured places, mm.
+        Measured places, mm; of a tip track depth and tip.
+    point_covariance : (C, C) array
+        Of the errors of what is compared at noise scale 1, mm^2: of the K measured y, or of C spline
+        coefficients.
+    pose_spread : (C, c) array
+        What a deviation of a known pose adds to them, mm; c = 0 where it is free.
+    free : (C, f) array
+        What a free pose does to them, per unit; f = 0 where it is known.
     whitening : (R, K) array
-        What makes residuals of deflections independent and of unit variance; R = K less what a free pose
-        takes.
+        From differences of the K deflections to independent residuals of unit variance; R = C less what a
+        free pose takes.
     log_norm : float
         Logarithm of the Gaussian's normalising factor.
-    pose : "known" or "free"
+    pose : "known", "free" or "tracker"
         A free shape is aligned before its residuals are formed.
     nodes : Nodes
         The layer and insertion depths it is simulated with, and where its points then lie on the beam.
+    pose_curves : (c, R) array
+        What a deviation of the pose does to the residuals, where `whitening` does not know it.
+    offset : (R,) array or float
+        Added to the residuals: what smoothing would do to points that are stored smoothed.
     """
 
     measured: Floats
+    point_covariance: Floats
+    pose_spread: Floats
+    free: Floats
     whitening: Floats
     log_norm: float
     pose: Pose
     nodes: Nodes
+    pose_curves: Floats
+    offset: Floats | float = 0.0
 
     @property
     def rows(self) -> int:
         """R: the number of independent residuals."""
         return len(self.whitening)
 
+    @property
+    def insertion(self) -> Insertion:
+        """The insertion as measured."""
+        return self.nodes.insertions[0]
+
+    def covariance(self, scale: float = 1.0) -> Floats:
+        """Return the covariance (K, K) of the errors of the measured y, mm^2, with a scale of the noise."""
+        total: Floats = scale**2 * self.point_covariance + self.pose_spread @ self.pose_spread.T
+        return total
+
+    @cached_property
+    def estimator(self) -> Floats:
+        """Matrix (f, K) that gives the best coefficients of `free` for measured minus simulated y (K,)."""
+        weighted = np.linalg.solve(self.covariance(), self.free)  # (K, f)
+        return np.asarray(np.linalg.solve(self.free.T @ weighted, weighted.T), dtype=np.float64)
+
 
 def make_observation(
     dataset: Dataset,
     insertion: Insertion,
     noise: Noise | None = None,
-    likelihood: LikelihoodRecord = DEFAULT_LIKELIHOOD,
+    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
+    insertions: int = 1,
+    model_error: Discrepancy | None = None,
 ) -> Observation:
-    """Return the observation of one insertion; `noise` replaces the noise that the dataset states.
+    """Return the observation of one insertion.
+
+    Parameters
+    ----------
+    noise : Noise, optional
+        Replaces the noise that the dataset states; the stored points are then taken as the needle's own.
+    insertions : int
+        How many are fitted together: they share the bias of an unknown measurement.
+    model_error : Discrepancy, optional
+        Added to the errors of the measurement.
 
     Raises
     ------
     DataError
         If no noise is stated: without any, a likelihood has no width.
     """
+    smoothed = noise is None and likelihood.measurement == "stored" and likelihood.noise == "correlated"
+    if isinstance(insertion, TipTrack):
+        stated = dataset.noise if noise is None else noise
+        if likelihood.measurement == "points":
+            stated = replace(stated, heading_sd=0.0, slope_sd=0.0)
+        return _observe_track(dataset, insertion, stated, likelihood, model_error)
+    known = select_sections(insertion, dataset.needle) if smoothed and dataset.pose == "known" else None
+    if known is not None:
+        return _observe_sections(dataset, insertion, known, likelihood, model_error)
+    measurement = dataset.measurement if smoothed else DEFAULT_MEASUREMENT
     noise = dataset.noise if noise is None else noise
     s, measured, sd = _select_points(dataset, insertion)
-    cov, directions = points_covariance(s, noise, sd), pose_modes(measured)
+    cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn
+    bias = bias_covariance(measurement, s, insertions)
+    cov = cov if bias is None else cov + bias
+    cov = cov if model_error is None else cov + model_error.covariance(s)
+    operator = points_operator(measurement, s)
+    if operator is not None and measurement.operator == "spline":
+        cov, free = operator @ cov @ operator.T, operator @ free
+    pose = np.empty((len(cov), 0))
     if dataset.pose == "known":
-        spread = directions * pose_sds(insertion, noise)
-        cov, free = cov + spread @ spread.T, directions[:, :0]
-    else:
-        free = directions[:, :2]  # arc lengths are counted from the tip: nothing shifts along them
+        pose, free = _apply(operator, pose_modes(measured) * pose_sds(insertion, noise)), free[:, :0]
+    # else across and turn alone: arc lengths are counted from the tip, so that nothing shifts along them
+    try:
+        whitening, log_norm, curves = _whiten_known(cov, pose, free, likelihood)
+    except np.linalg.LinAlgError:
+        raise _without_errors(dataset, insertion) from None
+    varies = likelihood.bevel_spread > 0
+    nodes = make_nodes(insertion, s, likelihood.depths, bevel=varies, constants=len(curves))
+    offset: Floats | float = 0.0
+    if measurement.operator == "gaussian":  # what is stored was smoothed already, the simulation was not
+        offset = whitening @ (_apply(operator, measured[:, 1]) - measured[:, 1])
+    whitening = whitening if operator is None else whitening @ operator
+    return Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves, offset)
+
+
+def _observe_track(
+    dataset: Dataset,
+    track: TipTrack,
+    noise: Noise,
+    likelihood: LikelihoodRecord,
+    model_error: Discrepancy | None,
+) -> Observation:
+    """Return the observation of a tip track: of its readings, and of their headings if their error is stated.
+
+    What is compared are the tips and then the headings of all readings but the first, which is in no tissue.
+    """
+    cov = points_covariance(track.depths, noise, track.sd)
+    frame, measured, operator = make_tracker_columns(track.depths), track.planar, None
+    if noise.heading_sd > 0 and track.heading is not None:
+        measured, operator = add_headings(track, track.heading)
+        cov = block_diag(cov, noise.heading_sd**2 * np.eye(len(operator) - len(cov)))
+        turned = np.tile([0.0, 1.0, 1.0], (len(operator) - len(frame), 1))
+        frame = np.concatenate([np.column_stack([frame, np.zeros(len(frame))]), turned])
+    at = measured[:, 0]
+    if model_error is not None:  # along the depth; what it does to a heading is its slope there
+        added = model_error.covariance(at)
+        cov = cov + (added if operator is None else operator @ added @ operator.T)
     if likelihood.noise == "independent":
         cov = np.diag(np.diag(cov))
+    axes = list_session_axes(track.specimen, noise.slope_sd, frame.shape[1] - 1)
+    free = frame[:, : frame.shape[1] - len(axes)]
+    session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in axes]
     try:
         whitening, log_norm = whiten(cov, free)
     except np.linalg.LinAlgError:
-        raise DataError(
-            f"the noise stated by `{dataset.name}` leaves the points of `{insertion.id}` without errors",
-            where=locate_key(dataset.path, "noise.point_sd_mm"),
-            expected="noise.point_sd_mm above 0",
-            fix="write how well a point is known, per axis; `needlefit check` names such datasets",
-        ) from None
-    return Observation(
-        measured, whitening, log_norm, dataset.pose, make_nodes(insertion, s, likelihood.depths)
+        raise _without_errors(dataset, track) from None
+    curves, varies = (whitening @ session).T, likelihood.bevel_spread > 0
+    nodes = make_nodes(track, at, "fixed", bevel=varies, constants=len(curves), shared=axes)
+    whitening = whitening if operator is None else whitening @ operator
+    return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
+
+
+def add_headings(track: TipTrack, heading: Floats) -> tuple[Floats, Floats]:
+    """Return places (2n - 1, 2) and what takes their deflections to n tips and n - 1 headings.
+
+    Behind the readings stand places `HEADING_STEP_MM` before them, where the headings say the tip was.
+    """
+    n, step = len(heading), HEADING_STEP_MM
+    before = np.column_stack([track.depths - step, track.tip - step * np.tan(heading)])[1:]
+    rows = [[np.eye(n), np.zeros((n, n - 1))], [np.eye(n)[1:] / step, -np.eye(n - 1) / step]]
+    return np.concatenate([track.planar, before]), np.block(rows)
+
+
+def list_session_axes(specimen: str, slope_sd: float, parts: int) -> tuple[ErrorAxis, ...]:
+    """Return the axes of what a session's runs share: slope, and the offset of headings if `parts` is 2.
+
+    There are none where nothing is known of how much runs differ.
+    """
+    if not slope_sd:
+        return ()
+    whole = math.hypot(slope_sd, SESSION_SD_RAD)
+    slope = ErrorAxis(slope_sd / whole, SESSION_SD_RAD / whole, (specimen, FRAME, 0))
+    return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 1)))[:parts]
+
+
+def _without_errors(dataset: Dataset, insertion: Insertion) -> DataError:
+    return DataError(
+        f"the noise stated by `{dataset.name}` leaves the points of `{insertion.id}` without errors",
+        where=locate_key(dataset.path, "noise.point_sd_mm"),
+        expected="noise.point_sd_mm above 0",
+        fix="write how well a point is known, per axis; `needlefit check` names such datasets",
     )
+
+
+def _apply(operator: Floats | None, values: Floats) -> Floats:
+    return values if operator is None else np.asarray(operator @ values)
+
+
+def _observe_sections(
+    dataset: Dataset,
+    insertion: Insertion,
+    known: SectionData,
+    likelihood: LikelihoodRecord,
+    model_error: Discrepancy | None,
+) -> Observation:
+    """Return the observation of an insertion by the spline through its cross-sections, of a known pose."""
+    pose = known.operator @ (pose_modes(known.planar, known.slope) * pose_sds(insertion, dataset.noise))
+    free = np.empty((len(pose), 0))
+    cov = known.covariance
+    if model_error is not None:
+        cov = cov + known.operator @ model_error.covariance(known.s) @ known.operator.T
+    whitening, log_norm, curves = _whiten_known(cov, pose, free, likelihood)
+    varies = likelihood.bevel_spread > 0
+    nodes = make_nodes(insertion, known.s, likelihood.depths, bevel=varies, constants=len(curves))
+    return Observation(
+        known.planar,
+        cov,
+        pose,
+        free,
+        whitening @ known.operator,
+        log_norm,
+        dataset.pose,
+        nodes,
+        curves,
+    )
+
+
+def _whiten_known(
+    covariance: Floats, pose: Floats, free: Floats, likelihood: LikelihoodRecord
+) -> tuple[Floats, float, Floats]:
+    """Return whitening (R, C), log norm, and the pose's curves (c, R) where it is integrated over apart.
+
+    A scale of the noise is none of the pose.
+    """
+    apart = likelihood.noise_scale != 1.0
+    whole = covariance if apart else covariance + pose @ pose.T
+    if likelihood.noise == "independent":
+        whole = np.diag(np.diag(whole))
+    whitening, log_norm = whiten(whole, free)
+    return whitening, log_norm, (whitening @ pose).T[: pose.shape[1] if apart else 0]
 
 
 def whiten(cov: Floats, free: Floats) -> tuple[Floats, float]:
@@ -177,7 +376,7 @@ def whiten_residuals(observation: Observation, simulated: Floats) -> Floats:
 
 def whiten_deflections(observation: Observation, deflections: Floats) -> Floats:
     """Return the whitened residuals (..., R) of deflections (..., K), without alignment."""
-    white: Floats = (deflections - observation.measured[:, 1]) @ observation.whitening.T
+    white: Floats = (deflections - observation.measured[:, 1]) @ observation.whitening.T + observation.offset
     return white
 
 
@@ -191,16 +390,7 @@ def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floa
 
 def _select_points(dataset: Dataset, insertion: Insertion) -> tuple[Floats, Floats, Floats | None]:
     """Return beam coordinates (K,), places (K, 2) and deviations (K,) of the measured points used."""
-    whole = arc_length(insertion.planar)
-    along = whole
-    if dataset.pose == "known":
-        at = along * (insertion.depth / along[-1])
-    else:
-        to_tip = along[-1] - along
-        kept = to_tip <= find_free_reach(dataset.drop_proximal, insertion)
-        along, at = along[kept], insertion.depth - to_tip[kept]
-    step = max(1, math.ceil(len(at) / MAX_CENTERLINE_POINTS))
-    chosen = np.arange(len(at) - 1, -1, -step)[::-1]  # keeps the tip
-    places = interpolate_at_arc(insertion.planar, along[chosen])
-    sd = None if insertion.sd is None else np.interp(along[chosen], whole, insertion.sd)
-    return at[chosen], places if dataset.pose == "known" else rotate_to_entry_axes(places), sd
+    along, at = select_compared_places(dataset.pose, dataset.drop_proximal, insertion)
+    places = interpolate_at_arc(insertion.planar, along)
+    sd = None if insertion.sd is None else np.interp(along, arc_length(insertion.planar), insertion.sd)
+    return at, places if dataset.pose == "known" else rotate_to_entry_axes(places), sd

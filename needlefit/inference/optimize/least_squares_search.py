@@ -6,12 +6,10 @@ SciPy's trust region method within the bounds. As with nlopt, the best point is 
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from needlefit.arrays import Floats
 from needlefit.inference.evaluation_recorder import EvaluationRecorder, SearchEnded
-
-Floats = NDArray[np.float64]
 
 MIN_TOLERANCE = 1e-15
 """Relative change of the sum of squares, and of theta, under which it ends, unless more is negligible."""

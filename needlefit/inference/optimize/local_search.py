@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.inference.evaluation_recorder import EvaluationRecorder, SearchEnded
 from needlefit.inference.fit import INTERRUPTED, Start, StartPoint
@@ -24,8 +25,6 @@ from needlefit.inference.objective import ObjectiveFunction
 from needlefit.inference.optimize import least_squares_search, nlopt_search
 from needlefit.project.progress import never_stop
 from needlefit.schemas.recipe import RecipeRecord
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from needlefit.arrays import Floats
 from needlefit.errors import FitError
 from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
 from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
@@ -45,9 +45,7 @@ def group_approaches(ends: Sequence[Start]) -> dict[int, int]:
 
 
 def continue_start(end: Start, continued: Start) -> Start:
-    """Return the complete search of a start: its approach `end`, and the continuation of its group's
-    leader.
-    """
+    """Return the whole search of a start: its approach `end`, then that of its group's leader."""
     alone = continued.index == end.index
     return replace(
         continued,
@@ -72,9 +70,6 @@ def _coincide(end: Start, other: Start) -> bool:
         return False
     apart = np.abs(np.subtract(end.theta, other.theta))
     return abs(end.objective - other.objective) < SAME_OBJECTIVE and bool(np.all(apart < SAME_THETA))
-
-
-Floats = NDArray[np.float64]
 
 
 @one_thread

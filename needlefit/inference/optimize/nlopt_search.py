@@ -11,11 +11,9 @@ from contextlib import suppress
 
 import nlopt
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.inference.evaluation_recorder import EvaluationRecorder, SearchEnded
-
-Floats = NDArray[np.float64]
 
 FIRST_STEP = 0.25
 """Initial step of a local search without gradients, as a part of each parameter's range."""

@@ -12,11 +12,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import norm, rankdata
 
-Floats = NDArray[np.float64]
+from needlefit.arrays import Floats
 
 MAX_R_HAT, MIN_LENGTH_TAU, MIN_ESS = 1.01, 50, 400
 """The rule: R-hat below, at least this many autocorrelation times long, and more independent draws than this

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.inference.sampling.proposal_density import ProposalDensity
 
-Floats = NDArray[np.float64]
 RandomState = np.random.RandomState
 Proposal = Callable[[Floats, Sequence[Floats], RandomState], tuple[Floats, Floats]]
 """What walkers (N, P) propose by looking at parts of the others, and the logarithm (N,) of its correction."""

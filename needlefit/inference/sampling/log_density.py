@@ -17,10 +17,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS, MAX_FAILED_POINTS
 from needlefit.inference.objective import SupportsValues
-
-Floats = NDArray[np.float64]
 
 
 class LogDensity(SupportsValues, Protocol):
@@ -44,7 +43,6 @@ class Evaluator:
 
     Attributes
     ----------
-    problem : LogDensity
     jobs : int
         Threads.
     ensembles : int
@@ -136,9 +134,7 @@ class LaplaceApproximation:
 def approximate_by_laplace(
     log_density: LogDensityFunction, centre: Floats, lower: Floats, upper: Floats
 ) -> LaplaceApproximation:
-    """Return the Laplace approximation at `centre` (P,), no wider than a uniform density within the bounds
-    (P,).
-    """
+    """Return the Laplace approximation at `centre` (P,), no wider than uniform within the bounds (P,)."""
     width = upper - lower
     inner = np.clip((centre - lower) / width, BOUND_MARGIN, 1 - BOUND_MARGIN)  # in the unit cube
 

@@ -2,23 +2,24 @@
 
 import hashlib
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from needlefit.errors import DataError
+from needlefit.arrays import Floats
+from needlefit.errors import ConfigError, DataError
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior_file import read_numbers
 from needlefit.project.input_files import parse_json
 
 if TYPE_CHECKING:
+    import arviz
     import xarray
 
-Floats = NDArray[np.float64]
 
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
 NETCDF_ENGINE: Literal["h5netcdf"] = "h5netcdf"
@@ -48,7 +49,6 @@ class Posterior:
         Steps thrown away before.
     failures : int
         Evaluations that were not a number, or raised, and were given density 0.
-    interrupted : bool
     failed : tuple of tuples of theta
         By ensemble the first of these, theta and not values, to be simulated again.
     """
@@ -92,6 +92,34 @@ class Posterior:
         flat = self.draws.reshape(-1, len(self.names))
         table = np.percentile(flat, at, axis=0)  # (Q, P)
         return {name: tuple(column.tolist()) for name, column in zip(self.names, table.T, strict=True)}
+
+    def to_xarray(self) -> "xarray.DataTree":
+        """Return the groups of the netCDF file that `save` writes: draws in Pa and mm, by chain and draw."""
+        import xarray
+
+        return xarray.DataTree.from_dict(_make_datasets(self))
+
+    def to_inference_data(self) -> "arviz.InferenceData":
+        """Return the same groups for ArviZ.
+
+        Raises
+        ------
+        ConfigError
+            If ArviZ is not installed, or its version is 1 or later, which takes `to_xarray()` as it is.
+        """
+        try:
+            with warnings.catch_warnings():
+                # ArviZ announces its next version once a day
+                warnings.simplefilter("ignore", FutureWarning)
+                from arviz import InferenceData
+        except ImportError:
+            raise ConfigError(
+                "there is no arviz.InferenceData here",
+                expected="ArviZ, a version before 1",
+                fix="pip install 'needlefit[arviz]', or use to_xarray(), which ArviZ 1 takes",
+            ) from None
+        groups: dict[str, Any] = dict(_make_datasets(self))
+        return InferenceData(**groups)
 
 
 def save(posterior: Posterior, path: Path) -> None:

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky
 
-Floats = NDArray[np.float64]
+from needlefit.arrays import Floats
+
 RandomState = np.random.RandomState
 
 DEGREES_OF_FREEDOM = 5.0

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.evaluation_recorder import MAX_FAILED_POINTS
 from needlefit.inference.fit import Callbacks
@@ -40,8 +41,6 @@ from needlefit.inference.sampling.walkers import (
 )
 from needlefit.schemas.limits import MAX_STORED_NUMBERS
 from needlefit.schemas.recipe import SampleRecord
-
-Floats = NDArray[np.float64]
 
 BURN_IN_TAU = 10.0
 """Autocorrelation times that are thrown away."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.inference.sampling.ensembles import WalkerState
 from needlefit.project.checkpoint_file import (
@@ -19,7 +20,6 @@ from needlefit.project.checkpoint_file import (
 )
 from needlefit.project.progress import Note, no_note
 
-Floats = NDArray[np.float64]
 Failed = tuple[tuple[tuple[float, ...], ...], ...]
 
 
@@ -102,7 +102,9 @@ class Snapshots:
             if not self._file(after).is_file():
                 break
             self._file(after).unlink()
-        self.note(f"{self._file(number)} was damaged: it is now {aside.name}; the sampler goes on from there")
+        self.note(
+            f"{self._file(number)} was damaged: it is now {aside.name}; the sampler continues from there"
+        )
 
 
 _KIND = "snapshot"

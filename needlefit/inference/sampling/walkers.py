@@ -10,15 +10,13 @@ ensemble knows follows from the steps that are kept, so that a run that goes on 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import FitError
 from needlefit.inference.sampling.ensembles import INDEPENDENT, WalkerState, parse_moves
 from needlefit.inference.sampling.log_density import Evaluator, LaplaceApproximation
 from needlefit.inference.sampling.proposal_density import ProposalDensity, fit_proposal, make_initial_proposal
 from needlefit.schemas.recipe import SampleRecord
-
-Floats = NDArray[np.float64]
 
 ENSEMBLE_SCATTER_SD, WALKER_SCATTER_SD = 2.0, 1.0
 """Standard deviations of the Laplace approximation by which ensembles are scattered about their point, and
@@ -118,9 +116,7 @@ def last_adaptation_step(settings: SampleRecord, done: int) -> int:
 
 
 def block_length(settings: SampleRecord, done: int) -> int:
-    """Return the number of steps until the next snapshot; an adaptation or the end of the budget ends a
-    block.
-    """
+    """Return the number of steps to the next snapshot; an adaptation or the budget ends a block."""
     remaining = settings.steps - done
     return min(
         settings.check_interval,

@@ -5,10 +5,9 @@ At all stops but the last only the tip's derivatives are needed: two adjoint sol
 parameters.
 """
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.foundation import (
     SERIES_TERMS,
     AlphaDerivative,
@@ -45,9 +44,6 @@ from needlefit.mechanics.kernel.scalar import (
     POINT_TANGENT,
     Chain,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
@@ -108,7 +104,8 @@ def sum_adjoint_loads(
     Scalars and plain loops, as in `scalar.sweep_forward`, for the same reason.
     """
     first, layer, nearest, shapes = grid.first, grid.layer, grid.constraint, grid.shapes
-    friction = foundation.friction
+    other, share, friction = grid.other, grid.share, foundation.friction
+    linear = len(grid.rate) > 0 and grid.rate[0] != 0.0
     for m in range(cell + 1):
         by_constraint[m, 0] = by_constraint[m, 1] = 0.0
     for m in range(len(friction)):
@@ -120,7 +117,7 @@ def sum_adjoint_loads(
         v0, v1, v2, v3 = rows[i, 2], rows[i, 3], rows[i + 1, 2], rows[i + 1, 3]
         for pair in range(first[e], first[e + 1], 2):  # both points of a piece lie in one layer and cell
             behind, here = nearest[pair], layer[pair]
-            pull_u = pull_v = force_u = force_v = bend_u = bend_v = rub_u = rub_v = 0.0
+            pull_u = pull_v = force_u = force_v = bend_u = bend_v = rub_u = rub_v = far_u = far_v = 0.0
             for q in range(pair, pair + 2):
                 n0, n1, n2, n3 = shapes[q, 0], shapes[q, 1], shapes[q, 2], shapes[q, 3]
                 pull, force = points[q, POINT_TANGENT], points[q, POINT_FORCE]
@@ -128,6 +125,9 @@ def sum_adjoint_loads(
                 at_v = n0 * v0 + n1 * v1 + n2 * v2 + n3 * v3
                 pull_u += at_u * pull
                 pull_v += at_v * pull
+                if linear:
+                    far_u += at_u * pull * share[q]
+                    far_v += at_v * pull * share[q]
                 force_u += at_u * force
                 force_v += at_v * force
                 g = 1.0
@@ -141,8 +141,11 @@ def sum_adjoint_loads(
                 bend = points[q, POINT_ALPHA] * g
                 bend_u += at_u * bend
                 bend_v += at_v * bend
-            by_constraint[behind, 0] += pull_u
-            by_constraint[behind, 1] += pull_v
+            by_constraint[behind, 0] += pull_u - far_u
+            by_constraint[behind, 1] += pull_v - far_v
+            if linear:
+                by_constraint[other[pair], 0] += far_u
+                by_constraint[other[pair], 1] += far_v
             by_layer[here, 0, LAYER_FORCE] += force_u
             by_layer[here, 1, LAYER_FORCE] += force_v
             by_layer[here, 0, LAYER_ALPHA] += bend_u
@@ -227,6 +230,7 @@ def _fill_loads(
 ) -> None:  # fmt: skip
     """Put minus the residual's derivatives at a fixed shape into `whole`."""
     first, layer, nearest, shapes = grid.first, grid.layer, grid.constraint, grid.shapes
+    other, share = grid.other, grid.share
     mu, friction, rigidity, before = foundation.mu, foundation.friction, chain.rigidity, len(chain.front)
     at_mu, at_alpha, at_friction, at_rigidity = columns.mu, columns.alpha, columns.friction, columns.rigidity
     total, has_friction = columns.total, foundation.has_friction or columns.friction >= 0
@@ -236,10 +240,11 @@ def _fill_loads(
             behind, here = nearest[pair], layer[pair]
             for j in range(4):
                 at, component = a + j // 2, j % 2
-                pull = force = bend = rub = 0.0
+                pull = far = force = bend = rub = 0.0
                 for q in range(pair, pair + 2):
                     n, g = shapes[q, j], 1.0
                     pull += n * points[q, POINT_TANGENT]
+                    far += n * points[q, POINT_TANGENT] * share[q]
                     force += n * points[q, POINT_FORCE]
                     if has_friction:
                         slope = shapes[q, 4] * state[a, 0] + shapes[q, 5] * state[a, 1]
@@ -249,7 +254,10 @@ def _fill_loads(
                         rub -= n * points[q, POINT_FORCE] * square / g
                     bend += n * points[q, POINT_ALPHA] * g
                 for p in range(total):
-                    whole[at, component, p] += pull * constraints[behind, p]
+                    whole[at, component, p] += (pull - far) * constraints[behind, p]
+                if far != 0.0:
+                    for p in range(total):
+                        whole[at, component, p] += far * constraints[other[pair], p]
                 if at_mu >= 0:
                     whole[at, component, at_mu + here] -= force / mu[here]
                 if at_rigidity >= 0:  # in equilibrium the beam's own load is minus the tissue's

@@ -1,13 +1,13 @@
 """Cubic beam elements: Hermite functions, the needle's points in the plane, and derivatives of both.
 
-The needle does not stretch: x(s) = integral of cos(atan u').
+The needle does not stretch: u' is the rotation of its section, so its points are the integrals of cos u' and
+sin u' from the base (docs/model.md, section 5).
 """
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from needlefit.arrays import Floats
 
 # Columns of a Hermite row: the functions of deflection and slope at the element's first node (0, 1) and at
 # its second node (2, 3), then the slopes of these four functions in the same order (from SLOPES on).
@@ -31,9 +31,7 @@ def fill_hermite(row: Floats, x: float, length: float) -> None:
 
 @njit(cache=True, nogil=True)
 def fill_hermite_derivatives(row: Floats, x: float, length: float, drift: float, grows: float) -> None:
-    """Fill `row` with the change of a Hermite row when x changes by `drift` and the length by `grows`, per
-    unit.
-    """
+    """Fill `row` with the change of a Hermite row when x changes by `drift`, the length by `grows`."""
     s = x / length
     row[0] = drift * -6.0 * s * (1.0 - s) / length + grows * 6.0 * s * s * (1.0 - s) / length
     row[1] = drift * (1.0 - s) * (1.0 - 3.0 * s) + grows * 2.0 * s * s * (1.0 - s)
@@ -45,56 +43,57 @@ def fill_hermite_derivatives(row: Floats, x: float, length: float, drift: float,
     row[7] = (drift * (6.0 * s - 2.0) + grows * s * (2.0 - 6.0 * s)) / length
 
 
-# cos(atan u') of a cubic is no polynomial: more points than the two of the stiffness.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
-_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
+# cos u' and sin u' of a cubic are no polynomials: three Gauss points on the short elements in the tissue, and
+# five on the free spans before it.
+MAX_SHORT_ELEMENT_MM = 2.0
+_NODES, _WEIGHTS = np.zeros((2, 5)), np.zeros((2, 5))
+for _row, _count in enumerate((3, 5)):
+    _points, _shares = np.polynomial.legendre.leggauss(_count)
+    _NODES[_row, :_count], _WEIGHTS[_row, :_count] = 0.5 * (_points + 1.0), 0.5 * _shares
+MAX_SERIES_ROTATION = 0.5  # rad: up to here the series below are exact to rounding
 
 
 @njit(cache=True, nogil=True)
 def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     """Return the needle's points (K, 2) in C at beam coordinates `s` (K,), from nodes x, u, slope (N,)."""
-    reached = np.empty(len(x))  # the x coordinate in space of each node
-    reached[0] = x[0]
-    ends = np.empty(4)
-    for e in range(len(x) - 1):
-        fill_element_ends(ends, u, slope, e)
-        reached[e + 1] = reached[e] + _integrate_x(ends, x[e + 1] - x[e], x[e + 1] - x[e])
     points = np.empty((len(s), 2))
-    row = np.empty(HERMITE_COLUMNS)
-    for i in range(len(s)):
-        e = find_element(x, s[i])
-        fill_element_ends(ends, u, slope, e)
-        length = x[e + 1] - x[e]
-        points[i, 0] = reached[e] + _integrate_x(ends, length, s[i] - x[e])
-        fill_hermite(row, s[i] - x[e], length)
-        points[i, 1] = row[0] * ends[0] + row[1] * ends[1] + row[2] * ends[2] + row[3] * ends[3]
+    _fill_positions(points, np.empty((len(x), 2)), x, u, slope, s)
     return points
 
 
 @njit(cache=True, nogil=True)
 def compute_batch_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     """Return the points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates."""
-    points = np.empty((len(x), len(s), 2))
+    points, reached = np.empty((len(x), len(s), 2)), np.empty((x.shape[1], 2))
     for b in range(len(x)):
-        one = compute_positions(x[b], u[b], slope[b], s)
-        for i in range(len(s)):
-            points[b, i, 0], points[b, i, 1] = one[i, 0], one[i, 1]
+        _fill_positions(points[b], reached, x[b], u[b], slope[b], s)
     return points
 
 
 @njit(cache=True, nogil=True)
-def compute_batch_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
-    """Return the deflections (B, K) of B needles at beam coordinates: `compute_batch_positions` without x,
-    which takes most of the time.
-    """
-    found = np.empty((len(x), len(s)))
-    ends, row = np.empty(4), np.empty(HERMITE_COLUMNS)
-    for b in range(len(x)):
-        for i in range(len(s)):
-            e = find_element(x[b], s[i])
-            fill_element_ends(ends, u[b], slope[b], e)
-            fill_hermite(row, s[i] - x[b, e], x[b, e + 1] - x[b, e])
-            found[b, i] = row[0] * ends[0] + row[1] * ends[1] + row[2] * ends[2] + row[3] * ends[3]
+def _fill_positions(
+    points: Floats, reached: Floats, x: Floats, u: Floats, slope: Floats, s: Floats
+) -> None:  # fmt: skip
+    """Fill the `points` (K, 2) at beam coordinates, and `reached` (N, 2), those of the nodes."""
+    reached[0, 0], reached[0, 1] = x[0], u[0]
+    for e in range(len(x) - 1):
+        ahead, aside = _integrate_direction(u, slope, e, x[e + 1] - x[e], x[e + 1] - x[e])
+        reached[e + 1, 0], reached[e + 1, 1] = reached[e, 0] + ahead, reached[e, 1] + aside
+    for i in range(len(s)):
+        e = find_element(x, s[i])
+        ahead, aside = _integrate_direction(u, slope, e, x[e + 1] - x[e], s[i] - x[e])
+        points[i, 0], points[i, 1] = reached[e, 0] + ahead, reached[e, 1] + aside
+
+
+@njit(cache=True, nogil=True)
+def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
+    """Return the deflections u (K,) of the beam, mm, at beam coordinates: not the y of its points."""
+    found, ends, row = np.empty(len(s)), np.empty(4), np.empty(HERMITE_COLUMNS)
+    for i in range(len(s)):
+        e = find_element(x, s[i])
+        fill_element_ends(ends, u, slope, e)
+        fill_hermite(row, s[i] - x[e], x[e + 1] - x[e])
+        found[i] = row[0] * ends[0] + row[1] * ends[1] + row[2] * ends[2] + row[3] * ends[3]
     return found
 
 
@@ -110,16 +109,32 @@ def fill_element_ends(ends: Floats, u: Floats, slope: Floats, e: int) -> None:
     ends[0], ends[1], ends[2], ends[3] = u[e], slope[e], u[e + 1], slope[e + 1]
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _compute_direction(rotation: float) -> tuple[float, float]:
+    """Return cosine and sine of a rotation; of a small one by their series, at a quarter of the time."""
+    if abs(rotation) > MAX_SERIES_ROTATION:
+        return np.cos(rotation), np.sin(rotation)
+    q = rotation * rotation
+    a = 1 - q * (1 / 30) * (1 - q * (1 / 56) * (1 - q * (1 / 90) * (1 - q * (1 / 132))))
+    b = 1 - q * (1 / 20) * (1 - q * (1 / 42) * (1 - q * (1 / 72) * (1 - q * (1 / 110))))
+    return 1 - q * 0.5 * (1 - q * (1 / 12) * a), rotation * (1 - q * (1 / 6) * b)
+
+
 @njit(cache=True, nogil=True)
-def _integrate_x(ends: Floats, length: float, upto: float) -> float:
-    """Return the integral of cos(atan u') over the first `upto` mm of an element."""
-    row = np.empty(HERMITE_COLUMNS)
-    total = 0.0
-    for i in range(len(_NODES)):
-        fill_hermite(row, _NODES[i] * upto, length)
-        slope = row[4] * ends[0] + row[5] * ends[1] + row[6] * ends[2] + row[7] * ends[3]
-        total += _WEIGHTS[i] * upto / np.sqrt(1.0 + slope * slope)
-    return total
+def _integrate_direction(
+    u: Floats, slope: Floats, e: int, length: float, upto: float
+) -> tuple[float, float]:  # fmt: skip
+    """Return the integrals of cos u' and sin u' over the first `upto` mm of element `e`."""
+    ahead = aside = 0.0
+    rise, part = (u[e + 1] - u[e]) / length, upto / length
+    bend, curl = 6 * rise - 4 * slope[e] - 2 * slope[e + 1], 3 * (slope[e] + slope[e + 1]) - 6 * rise
+    rule, count = (0, 3) if length <= MAX_SHORT_ELEMENT_MM else (1, 5)
+    for i in range(count):
+        t = _NODES[rule, i] * part
+        cosine, sine = _compute_direction(slope[e] + t * (bend + t * curl))
+        ahead += _WEIGHTS[rule, i] * cosine
+        aside += _WEIGHTS[rule, i] * sine
+    return ahead * upto, aside * upto
 
 
 @njit(cache=True, nogil=True)
@@ -131,50 +146,48 @@ def compute_position_derivatives(
     `x_by`, `u_by` and `slope_by` (N, P) are those of the nodes x, u, slope (N,).
     """
     columns = u_by.shape[1]
-    reached = np.zeros((len(x), columns))  # of the x coordinate in space of each node
+    reached = np.zeros((len(x), 2, columns))  # of the points of the nodes
+    reached[0, 1] = u_by[0]
     for e in range(len(x) - 1):
         reached[e + 1] = reached[e]
-        _add_x_derivatives(reached[e + 1], e, x[e + 1] - x[e], x, u, slope, x_by, u_by, slope_by)
-    moves = np.zeros((len(s), 2, columns))
-    n, n_by = np.empty(HERMITE_COLUMNS), np.empty(HERMITE_COLUMNS)
+        _add_derivatives(reached[e + 1], e, x[e + 1] - x[e], x, u, slope, x_by, u_by, slope_by)
+    moves = np.empty((len(s), 2, columns))
     for i in range(len(s)):
-        e = min(max(np.searchsorted(x, s[i]) - 1, 0), len(x) - 2)
-        moves[i, 0] = reached[e]
-        _add_x_derivatives(moves[i, 0], e, s[i] - x[e], x, u, slope, x_by, u_by, slope_by)
-        fill_hermite(n, s[i] - x[e], x[e + 1] - x[e])
-        for p in range(columns):
-            moves[i, 1, p] = (
-                n[0] * u_by[e, p] + n[1] * slope_by[e, p] + n[2] * u_by[e + 1, p] + n[3] * slope_by[e + 1, p]
-            )
-            if x_by[e, p] != 0.0 or x_by[e + 1, p] != 0.0:
-                fill_hermite_derivatives(
-                    n_by, s[i] - x[e], x[e + 1] - x[e], -x_by[e, p], x_by[e + 1, p] - x_by[e, p]
-                )
-                moves[i, 1, p] += (
-                    n_by[0] * u[e] + n_by[1] * slope[e] + n_by[2] * u[e + 1] + n_by[3] * slope[e + 1]
-                )
+        e = find_element(x, s[i])
+        moves[i] = reached[e]
+        _add_derivatives(moves[i], e, s[i] - x[e], x, u, slope, x_by, u_by, slope_by)
     return moves
 
 
 @njit(cache=True, nogil=True)
-def _add_x_derivatives(
+def _add_derivatives(
     into: Floats, e: int, upto: float, x: Floats, u: Floats, slope: Floats, x_by: Floats, u_by: Floats,
     slope_by: Floats,
 ) -> None:  # fmt: skip
-    """Add the derivative of the integral of cos(atan u') over the first `upto` mm of an element."""
-    n, n_by = np.empty(HERMITE_COLUMNS), np.empty(HERMITE_COLUMNS)
-    length = x[e + 1] - x[e]
-    for i in range(len(_NODES)):
-        fill_hermite(n, _NODES[i] * upto, length)
-        at = n[4] * u[e] + n[5] * slope[e] + n[6] * u[e + 1] + n[7] * slope[e + 1]
-        f = -_WEIGHTS[i] * upto * at / (1.0 + at * at) ** 1.5
-        for p in range(len(into)):
-            change = (
-                n[4] * u_by[e, p] + n[5] * slope_by[e, p] + n[6] * u_by[e + 1, p] + n[7] * slope_by[e + 1, p]
-            )
+    """Add to `into` (2, P) the derivatives of the integrals of cos u' and sin u' over the first `upto` mm of
+    an element.
+
+    Where nodes move along the needle, what the ends of an element gain its neighbours lose.
+    """
+    n, n_by, by_ends = np.empty(HERMITE_COLUMNS), np.empty(HERMITE_COLUMNS), np.zeros((2, 4))
+    length, columns = x[e + 1] - x[e], u_by.shape[1]
+    rule, count = (0, 3) if length <= MAX_SHORT_ELEMENT_MM else (1, 5)
+    for i in range(count):
+        fill_hermite(n, _NODES[rule, i] * upto, length)
+        rotation = n[4] * u[e] + n[5] * slope[e] + n[6] * u[e + 1] + n[7] * slope[e + 1]
+        cosine, sine = _compute_direction(rotation)
+        ahead, aside = -_WEIGHTS[rule, i] * upto * sine, _WEIGHTS[rule, i] * upto * cosine
+        for j in range(4):
+            by_ends[0, j] += ahead * n[SLOPES + j]
+            by_ends[1, j] += aside * n[SLOPES + j]
+        for p in range(columns):
             if x_by[e, p] != 0.0 or x_by[e + 1, p] != 0.0:
-                fill_hermite_derivatives(
-                    n_by, _NODES[i] * upto, length, -x_by[e, p], x_by[e + 1, p] - x_by[e, p]
-                )
-                change += n_by[4] * u[e] + n_by[5] * slope[e] + n_by[6] * u[e + 1] + n_by[7] * slope[e + 1]
-            into[p] += f * change
+                grows = x_by[e + 1, p] - x_by[e, p]
+                fill_hermite_derivatives(n_by, _NODES[rule, i] * upto, length, -x_by[e, p], grows)
+                turn = n_by[4] * u[e] + n_by[5] * slope[e] + n_by[6] * u[e + 1] + n_by[7] * slope[e + 1]
+                into[0, p] += ahead * turn
+                into[1, p] += aside * turn
+    for j in range(2):
+        a, b, c, d = by_ends[j, 0], by_ends[j, 1], by_ends[j, 2], by_ends[j, 3]
+        for p in range(columns):
+            into[j, p] += a * u_by[e, p] + b * slope_by[e, p] + c * u_by[e + 1, p] + d * slope_by[e + 1, p]

@@ -4,18 +4,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, fill_hermite
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 GAUSS_OFFSET = 0.5 / np.sqrt(3.0)  # two Gauss points stand at 1/2 -+ this, in fractions of an interval
 SAME_DEPTH_MM = 1e-9  # mm; depths nearer than this are the same
 # a guide in the tissue holds the needle once the tip is this far past it: a length of the model, not of the
 # mesh
 GUIDE_ENGAGEMENT_MM = 0.05
+
+LINEAR_CUT = -1.0  # in place of a `switch`: the cut is linear between its constraint points
 
 
 class NodeGrid(NamedTuple):
@@ -31,6 +30,9 @@ class NodeGrid(NamedTuple):
     weight: Floats  # (Q,)
     layer: Ints  # (Q,)
     constraint: Ints  # (Q,) index of the constraint point that it belongs to
+    other: Ints  # (Q,) index of the one at the other end of its cell, of a linear cut
+    share: Floats  # (Q,) how much of the way the cut has gone there; 0: the cut is that of its own point
+    rate: Floats  # (Q,) d share / dx, 1 / mm
     shapes: Floats  # (Q, HERMITE_COLUMNS) cubic functions and their slopes; the solver fills element 0's rows
 
 
@@ -102,12 +104,19 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: f
     """Return the quadrature for constraint depths (M + 1,), layer boundaries (n - 1,) and nodes (N,).
 
     Every interval of quadrature lies in one element and one layer, and belongs to one constraint point.
-    Beyond `switch` of the way to the next constraint point (0.5: the nearest) it belongs to that one.
+    Beyond `switch` of the way to the next constraint point (0.5: the nearest) it belongs to that one. With
+    LINEAR_CUT it belongs to the nearest, and lies in one cell.
     """
+    linear, next_cell = switch == LINEAR_CUT, True  # whether `a` is at or beyond the point `closest`
+    part = 0.5 if linear else switch
     count, layers, cells = len(nodes), len(boundaries), len(constraints)
-    capacity = 2 * (count + layers + cells)
-    x, weight = np.empty(capacity), np.empty(capacity)
-    layer, nearest = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+    capacity = 2 * (count + layers + 2 * cells)
+    x, weight, share, rate = np.empty(capacity), np.empty(capacity), np.zeros(capacity), np.zeros(capacity)
+    layer, nearest, other = (
+        np.empty(capacity, np.int64),
+        np.empty(capacity, np.int64),
+        np.empty(capacity, np.int64),
+    )
     first = np.zeros(count + 1, np.int64)
     points = here = closest = element = 0
     while element < count and nodes[element] <= 0.0:  # an entry node ends an element that has no tissue
@@ -118,7 +127,9 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: f
     while element < count:
         change = np.inf
         if closest + 1 < cells:
-            change = (1.0 - switch) * constraints[closest] + switch * constraints[closest + 1]
+            change = (1.0 - part) * constraints[closest] + part * constraints[closest + 1]
+        if linear and not next_cell:
+            change = constraints[closest]
         b = min(nodes[element], change)
         if here < layers:
             b = min(b, boundaries[here])
@@ -131,11 +142,17 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: f
                 x[points] = 0.5 * (a + b) + side * GAUSS_OFFSET * length
                 weight[points] = 0.5 * length
                 layer[points] = here
-                nearest[points] = closest
+                nearest[points] = other[points] = closest
+                if linear and cells > 1:
+                    other[points] += 1 if next_cell else -1
+                    rate[points] = 1.0 / (constraints[other[points]] - constraints[closest])
+                    share[points] = (x[points] - constraints[closest]) * rate[points]
                 points += 1
         a = b
         if b >= change:
-            closest += 1
+            if next_cell:
+                closest += 1
+            next_cell = not (linear and next_cell)
         if here < layers and b >= boundaries[here]:
             here += 1
         if b >= nodes[element]:
@@ -145,4 +162,15 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: f
     for e in range(1, count):
         for q in range(first[e], first[e + 1]):
             fill_hermite(shapes[q], x[q] - nodes[e - 1], nodes[e] - nodes[e - 1])
-    return NodeGrid(nodes, first, x[:points], weight[:points], layer[:points], nearest[:points], shapes)
+    return NodeGrid(
+        nodes, first, x[:points], weight[:points], layer[:points], nearest[:points], other[:points],
+        share[:points], rate[:points], shapes,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, inline="always")
+def find_cut(grid: NodeGrid, y: Floats, q: int) -> tuple[float, float]:
+    """Return y and slope of the cut c(x) at a quadrature point, from the constraint points `y`, mm."""
+    near = y[grid.constraint[q]]
+    rise = y[grid.other[q]] - near
+    return near + grid.share[q] * rise, grid.rate[q] * rise

@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, fill_hermite
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import (
     GUIDE_ENGAGEMENT_MM,
+    LINEAR_CUT,
     SAME_DEPTH_MM,
     NodeGrid,
     build_grid,
@@ -30,10 +31,6 @@ from needlefit.mechanics.kernel.scalar import (
     equilibrate,
 )
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-
 GUIDE_X, GUIDE_Y, GUIDE_SLOPE = 0, 1, 2  # columns of a guide
 RAY_X, RAY_Y, RAY_SLOPE, RAY_TURN = 0, 1, 2, 3  # columns of a ray
 NOW, ONE_CELL_AGO, TWO_CELLS_AGO = 0, 1, 2  # first index of `KernelInsertion.states`
@@ -48,7 +45,8 @@ class TipStops(NamedTuple):
     permanent: Bools
     ray: Ints
     starts_ray: Bools
-    turn: Floats  # s b / C_int of the bevel that cuts the ray: the slope that it adds
+    extrapolates: Bools  # whether the ray takes on the tip's slope half a cell ahead
+    turn: Floats  # of the bevel that cuts the ray, the slope that it adds: s b / C_int, or s theta
 
 
 class BoundaryConditions(NamedTuple):
@@ -61,29 +59,28 @@ class BoundaryConditions(NamedTuple):
 
 
 class KernelInsertion(NamedTuple):
-    """The state of an insertion: the needle, its position, and the constraint points and rays of all stops so
-    far.
-    """
+    """The state of an insertion: the needle, its position, constraint points and rays of all stops so far."""
 
     rigidity: float  # EI, N mm^2
     length: float  # mm
     first_cell: float  # mm
     spacing: float  # C_int, mm
     element: float  # h, mm
-    switch: float  # where between two constraint points the target changes from one to the other
+    switch: float  # where between two constraint points the target changes from one to the other, or
+    # LINEAR_CUT, and the needle advances by the path angle
     tangent: float  # part of the tip's slope that a ray takes on
     boundaries: Floats  # (n - 1,) mm
     main: NodeGrid  # of all constraint points that the tip can reach
     y: Floats  # (M + 1,) of the constraint points, mm
     track: Floats  # (M + 1, 2) deflection and slope of the tip as it stood at each
-    rays: Floats  # (R, 4) x, y of the tip where each ray begins, the slope that it takes on, the bevel's turn
-    tip: Floats  # (3,) x, y, slope of the tip now
+    rays: Floats  # (R, 4) x, y where each ray begins, the slope that it takes on, the bevel's turn
+    tip: Floats  # (4,) x, y, slope of the tip now, y of the cut there
     nodes: Floats  # (C,) depth of the chain's nodes now
     states: Floats  # (3, C, 2) their deflection and slope: now, one cell ago, two cells ago
     size: Ints  # (4,) nodes of the chain, those before the tissue, whether the rest are the main grid's,
     # and nodes of the chain one cell ago (0: there was no such stop)
-    record: Floats  # (S, C + 1, 2) for derivatives: the state at each stop under way, and below it
-    # the y of the constraint point there and the depth where its ray begins; (0, C + 1, 2): none are wanted
+    record: Floats  # (S, C + 2, 2) for derivatives: the state at each stop under way; below it the y of the
+    # constraint point there, the depth where its ray begins, and the y of point 0. (0, C + 2, 2): not wanted
 
 
 @njit(cache=True, nogil=True)
@@ -91,9 +88,7 @@ def begin_insertion(
     rigidity: float, length: float, first_cell: float, spacing: float, element: float, switch: float,
     tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int,
 ) -> KernelInsertion:  # fmt: skip
-    """Return a needle before first contact, with arrays that reach to `deepest` (mm) and to so many guides
-    and rays.
-    """
+    """Return a needle before first contact, arrays reaching to `deepest` (mm) and so many guides and rays."""
     cells = max(find_cell(deepest, first_cell, spacing), 1)
     tip = first_cell + (cells - 1) * spacing
     nodes = list_node_depths(tip, first_cell, spacing, element, np.empty(0))
@@ -104,8 +99,8 @@ def begin_insertion(
     return KernelInsertion(
         rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, main, y,
         np.full((cells + 1, 2), np.nan), np.zeros((rays, 4)),
-        np.zeros(3), np.zeros(capacity), np.zeros((3, capacity, 2)), np.zeros(4, np.int64),
-        np.zeros((0, capacity + 1, 2)),
+        np.zeros(4), np.zeros(capacity), np.zeros((3, capacity, 2)), np.zeros(4, np.int64),
+        np.zeros((0, capacity + 2, 2)),
     )  # fmt: skip
 
 
@@ -132,6 +127,12 @@ def advance_needle(
         if stops.starts_ray[s]:
             rays[ray, RAY_X], rays[ray, RAY_Y], rays[ray, RAY_TURN] = tip[0], tip[1], stops.turn[s]
             rays[ray, RAY_SLOPE] = insertion.tangent * tip[2]
+            if insertion.switch == LINEAR_CUT:
+                rays[ray, RAY_Y] = tip[3]
+                if tip[0] == 0.0:  # the cut begins where the tip is, under the inputs that hold now
+                    y[0] = tip[3]
+                if stops.extrapolates[s]:
+                    rays[ray, RAY_SLOPE] += 0.5 * (tip[2] - insertion.track[cell - 2, 1])
         # At the entry (cell 0) there is no cut yet: c_0 = 0 defines the frame.
         if cell > 0:
             ahead, direction = depth - rays[ray, RAY_X], rays[ray, RAY_SLOPE] + rays[ray, RAY_TURN]
@@ -158,11 +159,13 @@ def advance_needle(
             return status, iterations, s
         end = size[CHAIN_NODES] - 1
         tip[0], tip[1], tip[2] = depth, states[NOW, end, 0], states[NOW, end, 1]
+        tip[3] = y[cell] if cell > 0 else tip[1]
         insertion.track[cell, 0], insertion.track[cell, 1] = tip[1], tip[2]
         if len(record) > 0:
             for i in range(size[CHAIN_NODES]):
                 record[s, i, 0], record[s, i, 1] = states[NOW, i, 0], states[NOW, i, 1]
             record[s, capacity, 0], record[s, capacity, 1] = y[cell], rays[ray, RAY_X]
+            record[s, capacity + 1, 0] = y[0]
     return CONVERGED, iterations, len(stops.tip)
 
 
@@ -241,9 +244,7 @@ def _prescribe(kind: Ints, value: Floats, node: int, y: float, slope: float) -> 
 def guess_next_state(
     insertion: KernelInsertion, chain: Chain, grid: NodeGrid, last: int, on_main: bool
 ) -> bool:
-    """Fill in a starting guess for the next stop; return whether it was extrapolated from two
-    earlier stops.
-    """
+    """Fill in a guess for the next stop; return whether it was extrapolated from two earlier stops."""
     states, nodes, now = insertion.states, insertion.nodes, insertion.size
     before, size = len(chain.front), len(chain.front) + last + 1
     old_size, older_size = now[CHAIN_NODES], now[PREVIOUS_NODES]

@@ -8,8 +8,8 @@ the tip. Full tangent systems are solved at the last stop only.
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel import insertion as forward
 from needlefit.mechanics.kernel.adjoint import (
     add_entry_derivatives,
@@ -21,7 +21,7 @@ from needlefit.mechanics.kernel.adjoint import (
     sum_adjoint_loads,
 )
 from needlefit.mechanics.kernel.foundation import Foundation, make_alpha_derivative
-from needlefit.mechanics.kernel.grid import SAME_DEPTH_MM
+from needlefit.mechanics.kernel.grid import LINEAR_CUT, SAME_DEPTH_MM
 from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion, TipStops
 from needlefit.mechanics.kernel.parameter_loads import (
     DerivativeColumns,
@@ -38,14 +38,11 @@ from needlefit.mechanics.kernel.scalar import (
     sweep_forward,
 )
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance_derivatives(
     insertion: KernelInsertion, foundation: Foundation, by_alpha: tuple[Floats, Floats],
-    conditions: BoundaryConditions, guides: Ints, stops: TipStops, turn_per_offset: Floats,
+    conditions: BoundaryConditions, guides: Ints, stops: TipStops, turn_per_strength: Floats,
     newton: NewtonOptions, columns: DerivativeColumns, history: DerivativeHistory, whole: Floats,
 ) -> tuple[int, int]:  # fmt: skip
     """Bring the needle from stop to stop, then compute its derivatives; return the status and Newton
@@ -53,12 +50,12 @@ def advance_derivatives(
 
     Parameters
     ----------
-    by_alpha : (P,) and (P,) arrays
-        Derivatives of the law's coefficients and exponents with respect to alpha.
+    by_alpha : (1, P) and (1, P), or (n, C) and (n, 0) arrays
+        Derivatives of the law's coefficients and exponents, or table, with respect to alpha.
     guides : (G + H, 3) array
         Columns of each guide's x, y and slope, of those before the tissue first; -1: not asked for.
-    turn_per_offset : (S,) array
-        Derivative of each stop's turn with respect to the bevel offset, 1 / mm.
+    turn_per_strength : (S,) array
+        Derivative of each stop's turn with respect to the bevel's strength, 1 / mm or 1 / rad.
     whole : (C, 2, P) array
         Filled with the derivatives of every node's deflection and slope at the last stop; without rows:
         more stops are to follow.
@@ -75,7 +72,8 @@ def advance_derivatives(
     boundaries, rigidity, length, before = (
         insertion.boundaries, insertion.rigidity, insertion.length, len(chain.front)
     )  # fmt: skip
-    constraints, rays, tip = history.constraints, history.rays, history.tip
+    constraints, rays, tip, track = history.constraints, history.rays, history.tip, history.track
+    cut, linear = history.cut, insertion.switch == LINEAR_CUT
     depths, cells, ray_of, starts_ray, permanent = (
         stops.tip,
         stops.cell,
@@ -83,7 +81,7 @@ def advance_derivatives(
         stops.starts_ray,
         stops.permanent,
     )
-    total, offset, outside_guides_only = columns.total, columns.offset, len(conditions.within) == 0
+    total, bevel, outside_guides_only = columns.total, columns.bevel, len(conditions.within) == 0
     local = (
         len(guides) > 0 or max(columns.boundary, columns.base_y, columns.base_slope, columns.stage_slope) >= 0
     )
@@ -103,13 +101,21 @@ def advance_derivatives(
         if starts_ray[s]:
             for p in range(total):
                 rays[ray, 0, p], rays[ray, 1, p] = tip[0, p], insertion.tangent * tip[1, p]
+            if linear:
+                for p in range(total):
+                    rays[ray, 0, p] = cut[p]
+                    if state[size, 1] == 0.0:  # the ray begins at the entry
+                        constraints[0, p] = cut[p]
+                    if stops.extrapolates[s]:
+                        rays[ray, 1, p] += 0.5 * (tip[1, p] - track[cell - 2, 1, p])
+        y[0] = state[size + 1, 0]
         if cell > 0:  # c = y + (tip - x)(slope + turn)
             y[cell] = state[size, 0]
             ahead = depth - state[size, 1]
             for p in range(total):
                 constraints[cell, p] = rays[ray, 0, p] + ahead * rays[ray, 1, p]
-            if offset >= 0:
-                constraints[cell, offset] += ahead * turn_per_offset[s]
+            if bevel >= 0:
+                constraints[cell, bevel] += ahead * turn_per_strength[s]
         if permanent[s] and cell > 0 and outside_guides_only:
             grid = main
             last = np.searchsorted(grid.nodes, depth - SAME_DEPTH_MM)
@@ -144,6 +150,8 @@ def advance_derivatives(
             differentiate_shape(
                 whole, workspace, load_entries, foundation, grid, chain, state, constraints, columns, last
             )
+            for p in range(total):
+                tip[0, p], tip[1, p] = whole[before + last, 0, p], whole[before + last, 1, p]
         else:
             solve_adjoint(kind, before + last, factor, rows, prescribed_rows)
             sum_adjoint_loads(
@@ -166,4 +174,7 @@ def advance_derivatives(
             )  # fmt: skip
             if load_entries > 0:
                 add_entry_derivatives(tip, workspace, load_entries, kind)
+        for p in range(total):
+            track[cell, 0, p], track[cell, 1, p] = tip[0, p], tip[1, p]
+            cut[p] = constraints[cell, p] if cell > 0 else tip[0, p]
     return CONVERGED, iterations

@@ -2,8 +2,8 @@
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.kernel.beam import (
     HERMITE_COLUMNS,
     SLOPES,
@@ -11,11 +11,9 @@ from needlefit.mechanics.kernel.beam import (
     fill_hermite,
     find_element,
 )
-from needlefit.mechanics.kernel.foundation import Foundation, evaluate_power, friction_factor
-from needlefit.mechanics.kernel.grid import build_grid
+from needlefit.mechanics.kernel.foundation import Foundation, evaluate_stiffness, friction_factor
+from needlefit.mechanics.kernel.grid import LINEAR_CUT, build_grid
 from needlefit.mechanics.kernel.scalar import compute_bending_stiffness
-
-Floats = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -27,7 +25,8 @@ def compute_load(
     before the tissue.
     """
     load = np.zeros(len(s))
-    change = (1.0 - switch) * constraints[:-1, 0] + switch * constraints[1:, 0]
+    part = 0.5 if switch == LINEAR_CUT else switch
+    change = (1.0 - part) * constraints[:-1, 0] + part * constraints[1:, 0]
     ends, row = np.empty(4), np.empty(HERMITE_COLUMNS)
     for i in range(len(s)):
         if s[i] < 0.0:
@@ -37,14 +36,17 @@ def compute_load(
         fill_hermite(row, s[i] - x[e], x[e + 1] - x[e])
         layer = np.searchsorted(boundaries, s[i])
         away = -constraints[np.searchsorted(change, s[i]), 1]
+        if switch == LINEAR_CUT and len(constraints) > 1:
+            m = max(np.searchsorted(constraints[:, 0], s[i]), 1)
+            rise = constraints[m, 1] - constraints[m - 1, 1]
+            along = (s[i] - constraints[m - 1, 0]) / (constraints[m, 0] - constraints[m - 1, 0])
+            away = -(constraints[m - 1, 1] + along * rise)
         turn = 0.0
         for j in range(4):
             away += row[j] * ends[j]
             turn += row[SLOPES + j] * ends[j]
-        for p in range(foundation.exponents.shape[1]):
-            part, _ = evaluate_power(foundation.exponents[layer, p], abs(away) / foundation.thickness[layer])
-            load[i] -= foundation.mu[layer] * foundation.coefficients[layer, p] * part * away
-        load[i] *= friction_factor(foundation.friction[layer], turn)[0]
+        k, _ = evaluate_stiffness(foundation, layer, abs(away) / foundation.thickness[layer])
+        load[i] = -k * away * friction_factor(foundation.friction[layer], turn)[0]
     return load
 
 

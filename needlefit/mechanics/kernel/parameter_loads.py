@@ -4,16 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.beam import (
     HERMITE_COLUMNS,
     SLOPES,
     fill_hermite,
     fill_hermite_derivatives,
 )
-from needlefit.mechanics.kernel.foundation import Foundation, evaluate_power, friction_factor
-from needlefit.mechanics.kernel.grid import GAUSS_OFFSET, NodeGrid
+from needlefit.mechanics.kernel.foundation import Foundation, evaluate_stiffness, friction_factor
+from needlefit.mechanics.kernel.grid import GAUSS_OFFSET, NodeGrid, find_cut
 from needlefit.mechanics.kernel.insertion import (
     GUIDE_SLOPE,
     GUIDE_X,
@@ -23,20 +23,13 @@ from needlefit.mechanics.kernel.insertion import (
 )
 from needlefit.mechanics.kernel.scalar import CLAMPED, FACTOR_COLUMNS, POINT_COLUMNS, Chain
 
-Floats = NDArray[np.float64]
-
 
 @njit(cache=True, nogil=True)
 def compute_tissue_reaction(
     foundation: Foundation, layer: int, away: float, slope: float
 ) -> tuple[float, float, float]:
     """Return the tissue's reaction k e g at a point, N/mm, and its derivatives with respect to e and u'."""
-    d = abs(away) / foundation.thickness[layer]
-    k = tangent = 0.0
-    for p in range(foundation.exponents.shape[1]):
-        part, tangent_part = evaluate_power(foundation.exponents[layer, p], d)
-        k += foundation.mu[layer] * foundation.coefficients[layer, p] * part
-        tangent += foundation.mu[layer] * foundation.coefficients[layer, p] * tangent_part
+    k, tangent = evaluate_stiffness(foundation, layer, abs(away) / foundation.thickness[layer])
     g, g_slope = friction_factor(foundation.friction[layer], slope)
     return k * away * g, tangent * g, k * away * g_slope
 
@@ -65,8 +58,9 @@ def fill_node_load(
                 drift, gain = 0.5 + (2 * second - 1) * GAUSS_OFFSET, 0.5
             elif i >= before and side == 1 and q < begin + 2:
                 drift, gain = 0.5 - (2 * second - 1) * GAUSS_OFFSET, -0.5
+            c, c_slope = find_cut(grid, y, q)
             _add_point(
-                load, side, state, a, foundation, y[grid.constraint[q]], grid.layer[q], grid.x[q] - start,
+                load, side, state, a, foundation, c, c_slope * drift, grid.layer[q], grid.x[q] - start,
                 stop - start, grid.weight[q], drift - side, 1.0 - 2.0 * side, gain,
             )  # fmt: skip
 
@@ -93,7 +87,8 @@ def fill_boundary_load(
     a = e - 1 + before
     start = chain.front[a] if a < before else grid.nodes[a - before]
     length = grid.nodes[e] - start
-    c = y[grid.constraint[right]]
+    c, c_slope = find_cut(grid, y, right)
+    c += c_slope * (depth - grid.x[right])  # at the boundary
     left = right - 2
     if (
         left >= grid.first[e]
@@ -102,20 +97,22 @@ def fill_boundary_load(
         and grid.x[left] > 0.0
     ):
         for j in range(2):
+            drift, (here, slope) = 0.5 + (2 * j - 1) * GAUSS_OFFSET, find_cut(grid, y, left + j)
             _add_point(
-                load, 0, state, a, foundation, c, b, grid.x[left + j] - start, length, grid.weight[left + j],
-                0.5 + (2 * j - 1) * GAUSS_OFFSET, 0.0, 0.5,
+                load, 0, state, a, foundation, here, slope * drift, b, grid.x[left + j] - start, length,
+                grid.weight[left + j], drift, 0.0, 0.5,
             )  # fmt: skip
     else:
-        _add_point(load, 0, state, a, foundation, c, b, depth - start, length, 0.0, 0.0, 0.0, 1.0)
+        _add_point(load, 0, state, a, foundation, c, 0.0, b, depth - start, length, 0.0, 0.0, 0.0, 1.0)
     if grid.layer[right] == b + 1:
         for j in range(2):
+            drift, (here, slope) = 0.5 - (2 * j - 1) * GAUSS_OFFSET, find_cut(grid, y, right + j)
             _add_point(
-                load, 0, state, a, foundation, c, b + 1, grid.x[right + j] - start, length,
-                grid.weight[right + j], 0.5 - (2 * j - 1) * GAUSS_OFFSET, 0.0, -0.5,
+                load, 0, state, a, foundation, here, slope * drift, b + 1, grid.x[right + j] - start, length,
+                grid.weight[right + j], drift, 0.0, -0.5,
             )  # fmt: skip
     else:  # a layer without extent
-        _add_point(load, 0, state, a, foundation, c, b + 1, depth - start, length, 0.0, 0.0, 0.0, -1.0)
+        _add_point(load, 0, state, a, foundation, c, 0.0, b + 1, depth - start, length, 0.0, 0.0, 0.0, -1.0)
     return a
 
 
@@ -142,12 +139,13 @@ def _add_bending(
 
 @njit(cache=True, nogil=True)
 def _add_point(
-    load: Floats, at: int, state: Floats, a: int, foundation: Foundation, c: float, layer: int,
+    load: Floats, at: int, state: Floats, a: int, foundation: Foundation, c: float, c_by: float, layer: int,
     x: float, length: float, weight: float, drift: float, grows: float, gain: float,
 ) -> None:  # fmt: skip
     """Add d(w k e g N) of a quadrature point `x` mm into the element from node `a` on.
 
-    Per unit of what moves, x grows by `drift`, the element's length by `grows`, the weight by `gain`.
+    Per unit of what moves, x grows by `drift`, the element's length by `grows`, the weight by `gain`, and
+    the cut's y there, `c`, by `c_by`.
     """
     n, n_by = np.empty(HERMITE_COLUMNS), np.empty(HERMITE_COLUMNS)
     fill_hermite(n, x, length)
@@ -160,12 +158,10 @@ def _add_point(
         u_by += n_by[j] * value
         slope_by += n_by[SLOPES + j] * value
     force, by_e, by_slope = compute_tissue_reaction(foundation, layer, u - c, slope)
-    force_by = by_e * u_by + by_slope * slope_by
+    force_by = by_e * (u_by - c_by) + by_slope * slope_by
     for j in range(4):
         load[at + j // 2, j % 2] += (gain * force + weight * force_by) * n[j] + weight * force * n_by[j]
 
-
-Ints = NDArray[np.int64]
 
 # Sums over a layer: of the force k e g, and of its derivatives with respect to alpha and friction.
 LAYER_SUMS = 3
@@ -173,9 +169,7 @@ LAYER_FORCE, LAYER_ALPHA, LAYER_FRICTION = 0, 1, 2
 
 
 class DerivativeColumns(NamedTuple):
-    """The column of each kind of parameter in arrays of derivatives: that of its first one, or -1 if not
-    wanted.
-    """
+    """The first column of each kind of parameter in arrays of derivatives, or -1 if not wanted."""
 
     total: int
     mu: int
@@ -183,7 +177,7 @@ class DerivativeColumns(NamedTuple):
     friction: int
     boundary: int
     rigidity: int
-    offset: int
+    bevel: int  # its offset, or the angle of its cut
     base_y: int
     base_slope: int
     stage_slope: int
@@ -199,6 +193,8 @@ class DerivativeHistory(NamedTuple):
     rays: Floats  # (R, 2, P) of the deflection and slope with which each ray begins
     tip: Floats  # (2, P) of the tip's deflection and slope now
     y: Floats  # (M + 1,) the constraint points themselves, as they stood then
+    track: Floats  # (M + 1, 2, P) of the tip's deflection and slope as it last stood in each cell
+    cut: Floats  # (P,) of the cut's y at the tip
 
 
 class AdjointWorkspace(NamedTuple):

@@ -8,14 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.beam import fill_hermite
-from needlefit.mechanics.kernel.foundation import SERIES_TERMS, Foundation, evaluate_power, friction_factor
+from needlefit.mechanics.kernel.foundation import (
+    SERIES_TERMS,
+    Foundation,
+    evaluate_power,
+    evaluate_table,
+    friction_factor,
+)
 from needlefit.mechanics.kernel.grid import NodeGrid
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CONVERGED, OVER_COMPRESSED, NOT_CONVERGED, NON_FINITE = 0, 1, 2, 3
 # Columns of a node's factor, from the elimination of its 2 x 2 block S with the right-hand side r:
@@ -131,6 +134,7 @@ def sweep_forward(
     in registers and counts no references, which is a factor of five.
     """
     nodes, first, weight, layer, nearest = grid.nodes, grid.first, grid.weight, grid.layer, grid.constraint
+    other, share = grid.other, grid.share
     shapes, front, kind, value, rigidity = grid.shapes, chain.front, chain.kind, chain.value, chain.rigidity
     mu, coefficients, exponents = foundation.mu, foundation.coefficients, foundation.exponents
     thickness, friction = foundation.thickness, foundation.friction
@@ -152,7 +156,8 @@ def sweep_forward(
                 for q in range(first[e], first[e + 1]):
                     n0, n1, n2, n3 = shapes[q, 0], shapes[q, 1], shapes[q, 2], shapes[q, 3]
                     u = n0 * a0 + n1 * a1 + n2 * b0 + n3 * b1
-                    away = u - y[nearest[q]]
+                    near = y[nearest[q]]
+                    away = u - (near + share[q] * (y[other[q]] - near))
                     here = layer[q]
                     size = abs(away)
                     if size <= limit[here]:
@@ -170,6 +175,13 @@ def sweep_forward(
                             part, tangent_part = evaluate_power(exponents[here, p], d)
                             k += mu[here] * coefficients[here, p] * part
                             tangent += mu[here] * coefficients[here, p] * tangent_part
+                        if exponents.shape[1] == 0:  # a table, which ends at its first number
+                            beyond = d > coefficients[here, 0]
+                            if beyond:
+                                crushed, d = True, min(coefficients[here, 0], MAX_FACTORED_COMPRESSION)
+                            k, by_d = evaluate_table(coefficients, here, d)
+                            tangent = mu[here] * (k if beyond else k + d * by_d)
+                            k *= mu[here]
                         if size >= thickness[here]:
                             tangent = k
                     w = weight[q]

@@ -1,6 +1,20 @@
 """Neo-Hookean solid in the same compression: the Ogden law at alpha = 2; alpha is not used."""
 
+from needlefit.mechanics.laws import Numbers, PowerLaw
 
-def terms(alpha: float) -> list[tuple[float, float]]:
+
+class NeoHookean(PowerLaw):
     """K = 2 mu (lambda + 1/2 lambda^-2)."""
-    return [(2.0, 1.0), (1.0, -2.0)]
+
+    name, label = "neo_hookean", "neo-Hookean foundation"
+
+    def terms(self, alpha: float) -> list[tuple[float, float]]:
+        """Return the two powers."""
+        return [(2.0, 1.0), (1.0, -2.0)]
+
+    def stress(self, stretch: Numbers, alpha: Numbers) -> Numbers:
+        """W = mu / 2 (lambda^2 + 2 / lambda - 3)."""
+        return stretch**2 - 1 / stretch
+
+
+NEO_HOOKEAN = NeoHookean()

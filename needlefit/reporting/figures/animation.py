@@ -19,7 +19,7 @@ from needlefit.reporting.figures.style import RC_PARAMS, fit_height
 FRAMES_PER_S = 10
 """Frames a second."""
 
-MAX_FRAMES = 150
+MAX_FRAMES = 210
 """Frames of an animation; a longer one plays faster, and its title states that."""
 
 FINAL_FRAMES = 10

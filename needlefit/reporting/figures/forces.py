@@ -13,7 +13,7 @@ from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions
 from needlefit.reporting.figures import look
-from needlefit.reporting.figures.steps import describe_changes
+from needlefit.reporting.figures.steps import describe_changes, describe_strength
 
 Floats = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def describe_moment(
     position = [
         f"{step.depth:.4g} mm deep",
         *describe_changes(None, step, frame),
-        f"b {step.bevel.offset:.3g} mm",
+        describe_strength(step.bevel, ".3g"),
     ]
     support_forces = [
         f"base {_format_force(found.base.force)}, {_replace_minus(f'{found.base.moment:+z.2f}')} N mm",

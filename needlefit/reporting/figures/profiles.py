@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, is_synthetic, label_origin, plot
+from needlefit.reporting.figures.style import TEXT_WIDTH_IN, plot
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR
-from needlefit.reporting.number_format import format_number, format_symbol, typeset
-from needlefit.reporting.tables import Row, to_records
+from needlefit.reporting.number_format import choose_printed_unit, format_number, typeset
+from needlefit.reporting.table_files import Row, to_records
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, origin: 
 
 
 _PANEL_KEYS = ("fold", "parameter")
-_VERDICT_COLUMNS = ("status", "fisher_sd", "interval_low", "interval_high", "end_low", "end_high", "rise")
+_VERDICT_COLUMNS = ("status", "fisher_sd", "low", "high", "end_low", "end_high", "rise")
 """Columns of the identification that the figure shows."""
 
 
@@ -68,7 +68,6 @@ def _paint(profiles: pd.DataFrame) -> Figure:
         if n % across == 0:
             axes.set_ylabel("deviance")
     _draw_legend(figure, panels[0, across - 1], float(profiles["threshold"].iloc[0]))
-    label_origin(figure, is_synthetic(profiles))
     return figure
 
 
@@ -110,7 +109,7 @@ def _paint_interval(axes: Axes, row: Row, curve: tuple[Floats, Floats], threshol
     )
     for side in ("low", "high"):
         if row[f"end_{side}"] == "closed":
-            axes.plot([row[f"interval_{side}"]] * 2, [0, threshold], color=PROFILE_COLOUR, lw=0.6)
+            axes.plot([row[side]] * 2, [0, threshold], color=PROFILE_COLOUR, lw=0.6)
 
 
 def _paint_parabola(
@@ -133,7 +132,7 @@ def _format_axes(axes: Axes, row: Row, ends: Floats) -> None:
     if is_logarithmic(name):
         ticks = choose_log_ticks(float(ends[0]), float(ends[1]))
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.set_xticks(ticks, [_format_tick(tick) for tick in ticks])
+        axes.set_xticks(ticks, [_format_tick(tick / _choose_unit(row)[1]) for tick in ticks])
     else:
         axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
     axes.set_title(_panel_title(row), loc="left", color=INK, pad=13)
@@ -148,21 +147,24 @@ def _format_axes(axes: Axes, row: Row, ends: Floats) -> None:
     )
 
 
+def _choose_unit(row: Row) -> tuple[str, float]:
+    return choose_printed_unit(str(row["parameter"]), [row["low"], row["high"]])
+
+
 def _panel_title(row: Row) -> str:
-    return format_symbol(str(row["parameter"])) + (", freed" if row["status"] == "fixed" else "")
+    return _choose_unit(row)[0] + (", freed" if row["status"] == "fixed" else "")
 
 
 def _describe_state(row: Row) -> str:
     low, high = row["end_low"] == "closed", row["end_high"] == "closed"
     if low and high:
-        return f"{_format_tick(row['interval_low'])} to {_format_tick(row['interval_high'])}"
+        unit = _choose_unit(row)[1]
+        return f"{_format_tick(row['low'] / unit)} to {_format_tick(row['high'] / unit)}"
     if "lost" in (row["end_low"], row["end_high"]):
         return "could not be followed to its end"
     if not low and not high:
         return "flat: not identifiable" if (row["rise"] or 0) < 1 else "open: not identifiable"
-    end = (
-        f"above {_format_tick(row['interval_low'])}" if low else f"below {_format_tick(row['interval_high'])}"
-    )
+    end = f"above {_format_tick(row['low'])}" if low else f"below {_format_tick(row['high'])}"
     return f"{end}, open"
 
 

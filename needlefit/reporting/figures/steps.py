@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.mechanics.control import Guide, Step
+from needlefit.mechanics.control import Bevel, Guide, Step
 from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.reporting.figures import look
@@ -138,6 +138,13 @@ def _write_head(axes: Axes, head: Sequence[str], lines: int) -> None:
         axes.set_title("\n".join([*head, *[""] * (lines - len(head))]), loc="left", pad=3)
 
 
+def describe_strength(bevel: Bevel, digits: str = "g") -> str:
+    """Return how strongly a bevel turns the cut: its offset b, or the angle of its cut."""
+    if bevel.cut_angle:
+        return f"θ {math.degrees(bevel.cut_angle):{digits}}°"
+    return f"b {bevel.offset:{digits}} mm"
+
+
 def describe_changes(before: Step | None, now: Step, frame: str = "") -> list[str]:
     """Return a description of the inputs that a step changed; the bevel of the first step is always included.
 
@@ -147,8 +154,9 @@ def describe_changes(before: Step | None, now: Step, frame: str = "") -> list[st
     held, past = now.controls, (before or Step(0.0, now.bevel)).controls
     if before is None or before.bevel != now.bevel:
         summary.append(f"bevel {'left' if now.bevel.side > 0 else 'right'}")
-        if before is not None and before.bevel.offset != now.bevel.offset:
-            summary[-1] += f", b {now.bevel.offset:g} mm"
+        strength = describe_strength(now.bevel)
+        if before is not None and describe_strength(before.bevel) != strength:
+            summary[-1] += f", {strength}"
     if (held.base_y, held.base_slope) != (past.base_y, past.base_slope):
         turned = held.base_slope != 0 or past.base_slope != 0
         angle = f", {_format_signed(np.degrees(np.arctan(held.base_slope)))}°" if turned else ""

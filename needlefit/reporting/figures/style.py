@@ -18,7 +18,12 @@ from needlefit.project.outputs import require_folder
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
 from needlefit.reporting.table_files import write_csv
 
-TEXT_WIDTH_IN = 6.7  # inches: the text width of the report, so that figures stand in it at their own size
+TEXT_WIDTH_IN = 7.16
+"""Inches: the text width of the report, and of both columns of a paper together (IEEE)."""
+
+COLUMN_WIDTH_IN = 3.5
+"""Inches: one column of a paper; two such figures stand side by side in the report."""
+
 _VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)
 _METADATA: dict[str, dict[str, None]] = {
     ".pdf": {"CreationDate": None},

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from needlefit.mechanics.load import SupportReaction, compute_loads
+from needlefit.mechanics.load import compute_loads
 from needlefit.verification.cases import EXACT_OPTIONS, RandomCase, draw_schedule
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
@@ -13,12 +13,8 @@ def compute_imbalance(case: RandomCase) -> tuple[float, float]:
     """Return the sum of all forces, and of all moments about the entry, over the sum of their sizes."""
     found = compute_loads(case.shape(), case.tissue, case.needle, case.steps[-1].controls, EXACT_OPTIONS)
     forces = [held.force for held in found.all_loads]
-    moments = [_about_entry(held) for held in found.all_loads]
+    moments = [held.moment + held.x * held.force for held in found.all_loads]
     return _sum_over_sizes(forces), _sum_over_sizes(moments)
-
-
-def _about_entry(held: SupportReaction) -> float:
-    return held.moment + held.x * held.force
 
 
 def _sum_over_sizes(values: list[float]) -> float:

@@ -13,8 +13,8 @@ P s^2 (3 p - s) / 6 EI before the prop.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.control import Controls, Guide, TrackedTip
 from needlefit.mechanics.simulate import equilibrium
 from needlefit.verification.cases import (
@@ -25,8 +25,6 @@ from needlefit.verification.cases import (
     sample_densely,
 )
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
-
-Floats = NDArray[np.float64]
 
 DEPTH = 90.0
 LOAD = 1e-3  # N / mm

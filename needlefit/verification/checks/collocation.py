@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_bvp
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import equilibrium, simulate_steps
@@ -22,9 +23,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import PAPER_NEEDLE, interpolate, make_tissue, require_converged
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 from needlefit.verification.law import ReferenceLaw
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _UNIT = 10.0  # mm: derivatives of order n are kept in mm per (10 mm)^n, to be alike in size
 _TOLERANCE = 1e-6  # of scipy's residual; the deflection is then off by some 1e-8 mm
@@ -190,9 +188,7 @@ class CollocationCase:
 
 
 def compare_with_collocation(case: CollocationCase) -> tuple[float, float]:
-    """Return the difference, mm, of the last equilibrium from the collocation, on the fine and the default
-    mesh.
-    """
+    """Return the difference, mm, of the last equilibrium from collocation, on the fine and default mesh."""
     tissue, steps = case.tissue, case.steps
     constraints = require_converged(simulate_steps(PAPER_NEEDLE, tissue, steps)).constraints
     controls = steps[-1].controls

@@ -1,15 +1,14 @@
-"""Check the compiled model against the readable reference, which uses dense matrices and the plain
-equations.
-"""
+"""Check the compiled model against the readable reference, with dense matrices and plain equations."""
 
 from collections.abc import Iterable
 
 import numpy as np
 
-from needlefit.mechanics import laws, reference
+from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.verification.cases import (
     PAPER_NEEDLE,
@@ -69,11 +68,11 @@ def _in_lanes(rng: np.random.Generator) -> CheckOutcome:
             make_tissue([1.0] * 3, [1.0] * 3, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0], law=law),
             steps,
             mu=10 ** rng.uniform(-2, 2, (SETS_PER_LAW, 3)),
-            alpha=rng.uniform(-10, 10, (SETS_PER_LAW, 3)),
+            alpha=LAWS[law].into_range(rng.uniform(-10, 10, (SETS_PER_LAW, 3))),
             offset=rng.uniform(0.01, 0.15, SETS_PER_LAW),
             rigidity=10 ** rng.uniform(3.5, 4.5, SETS_PER_LAW),
         )
-        for law in laws.list_laws()
+        for law in LAWS.names()
     ]
     found = zip(batches, simulate_batches(batches), strict=True)
     pairs = [

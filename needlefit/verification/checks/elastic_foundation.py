@@ -13,8 +13,8 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.control import Controls, Guide
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import equilibrium
@@ -22,7 +22,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import PAPER_NEEDLE, interpolate, require_converged, sample_densely
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
-Floats = NDArray[np.float64]
 Rows = Callable[[float, int], Floats]  # (place, order) -> derivative of each function of a piece
 
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.kernel.scalar import NewtonOptions
 from needlefit.mechanics.needle import Needle
@@ -26,8 +26,6 @@ from needlefit.verification.cases import make_tissue, sample_between
 from needlefit.verification.check import Check, CheckOutcome, ConvergenceCurve, Group, Quantity, within, worst
 from needlefit.verification.clamped_needle import make_clamped_needle, solve_newton
 from needlefit.verification.law import ReferenceLaw
-
-Floats = NDArray[np.float64]
 
 EI = 1.0e4  # N mm^2
 FREE_LENGTH_MM, DEPTH_MM = 20.0, 40.0  # mm before and in the tissue

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.linearize import linearize_steps
 from needlefit.verification.cases import (
@@ -18,8 +18,6 @@ from needlefit.verification.cases import (
 )
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 from needlefit.verification.complex_step import PARAMETER_KINDS, derivatives, parameters
-
-Floats = NDArray[np.float64]
 
 RANDOM_CASES = 10
 SENSITIVITY_OPTIONS: ModelOptions = EXACT_OPTIONS

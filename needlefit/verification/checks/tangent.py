@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.kernel.scalar import NewtonOptions
@@ -25,7 +26,6 @@ from needlefit.verification.clamped_needle import (
     solve_newton,
 )
 
-Floats = NDArray[np.float64]
 Numbers = NDArray[Any]  # real or complex
 
 _STARTS = (0.2, 0.1, 0.05, 0.025)  # share of the disturbance, whose largest deflection is 1 mm
@@ -35,7 +35,7 @@ def residual(clamped: ClampedNeedle, tissue: Tissue, constraints: Floats) -> Cal
     """Return R(u) of the reference's equations without the clamped base's, (2 N,); u may be complex."""
     x_c, y_c = constraints.T
     K_b = reference.bending_stiffness(clamped.x, PAPER_NEEDLE.flexural_rigidity)
-    change = reference.change_depths(x_c, ModelOptions().switch)
+    change = reference.change_depths(x_c, ModelOptions())
     x, w = reference.quadrature(clamped.x, change, tissue.boundaries)
     N, dN = reference.shape_functions(clamped.x, x)
     layer = np.searchsorted(tissue.boundaries, x)

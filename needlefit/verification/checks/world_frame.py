@@ -19,9 +19,7 @@ _STAGE, _AXIS = 1.0, -2.0  # degrees to the insertion axis, of the stage and of 
 
 
 def make_scene(origin: complex, turn: float) -> Scene:
-    """Return a scene whose entry is at `origin` (mm, complex: x + i y), turned by `turn` (rad) with all
-    else.
-    """
+    """Return a scene whose entry is at `origin` (mm, complex: x + i y), turned by `turn` (rad) as a whole."""
     template = origin + (-15 + 0.4j) * cmath.exp(1j * turn)
     angle = math.degrees(turn)
     tables: dict[str, Any] = {

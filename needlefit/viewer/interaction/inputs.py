@@ -1,8 +1,8 @@
 """The inputs of the interactive simulation, under the names that the page, recordings and replays use.
 
 V-inputs act on the needle's shape (base, guides, a tracked tip), H-inputs on how far it is in and where it
-cuts (depth, bevel). The moduli and a bevel offset throughout are no inputs of an insertion but parameters of
-the model: with them the insertion so far is simulated again.
+cuts (depth, bevel). The moduli and a bevel strength throughout are no inputs of an insertion but parameters
+of the model: with them the insertion so far is simulated again.
 """
 
 import math
@@ -19,6 +19,7 @@ INPUTS: dict[str, Item | None] = {
     "depth_mm": None,
     "bevel_side": None,
     "bevel_offset_mm": None,
+    "cut_angle_deg": None,
     "base_y_mm": None,
     "base_slope": None,
     "guide_x_mm": "guide",
@@ -32,17 +33,20 @@ INPUTS: dict[str, Item | None] = {
     "mu_pa": "layer",
     "alpha": "layer",
     "offset_throughout_mm": None,
+    "cut_angle_throughout_deg": None,
     "return_to": None,
 }
 """All inputs, each with the object that its item number counts."""
 
-PARAMETERS = ("mu_pa", "alpha", "offset_throughout_mm")
+PARAMETERS = ("mu_pa", "alpha", "offset_throughout_mm", "cut_angle_throughout_deg")
 """Parameters of the model: they apply to the whole insertion."""
 
 FLAGS = ("guide_turns_freely", "guide_engaged", "tip_held")
 
 MAX_GUIDE_NUMBER = 32
 """Greatest number of a guide."""
+
+MAX_CUT_ANGLE_DEG = 45.0
 
 MAX_MU_PA = 1e15
 """Greatest mu, Pa: beyond it, rounding exceeds the needle's own stiffness."""
@@ -58,7 +62,6 @@ class Change:
         A key of `INPUTS`, with its unit; slopes are dy/dx.
     item : int or None
         Number of the guide or layer, from 1.
-    value : float
     """
 
     name: str
@@ -95,6 +98,8 @@ class Change:
             expected = f"above 0 Pa, up to {MAX_MU_PA:g} Pa"
         elif self.name in ("bevel_offset_mm", "offset_throughout_mm", "depth_mm") and self.value < 0:
             expected = "0 or above"
+        elif self.name.startswith("cut_angle") and not 0 <= self.value < MAX_CUT_ANGLE_DEG:
+            expected = f"from 0 to {MAX_CUT_ANGLE_DEG:g} degrees"
         elif self.name == "return_to" and (self.value < 0 or self.value != int(self.value)):
             expected = "the number of a step"
         if expected:
@@ -106,7 +111,6 @@ def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], t
 
     Parameters
     ----------
-    step : Step
     changes : iterable of Change
     names : sequence of str
         What the scene calls its guides, in the order of their numbers.
@@ -131,8 +135,17 @@ def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], t
         _guides(held.guides, values, names),
         _tip(held.tip, values, tip_y),
     )
-    bevel = Bevel(of("bevel_offset_mm", step.bevel.offset), int(of("bevel_side", step.bevel.side)))
+    bevel = Bevel(
+        of("bevel_offset_mm", step.bevel.offset),
+        int(of("bevel_side", step.bevel.side)),
+        to_cut_angle(values.get(("cut_angle_deg", None)), step.bevel.cut_angle),
+    )
     return Step(of("depth_mm", step.depth), bevel, controls)
+
+
+def to_cut_angle(degrees: float | None, otherwise: float) -> float:
+    """Return an angle of the cut, rad, given in degrees; one that is not given stays to the bit."""
+    return otherwise if degrees is None else math.radians(degrees)
 
 
 def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, ...]:
@@ -141,6 +154,7 @@ def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, .
     pairs = [
         ("bevel_side", float(step.bevel.side), float(now.bevel.side)),
         ("bevel_offset_mm", step.bevel.offset, now.bevel.offset),
+        ("cut_angle_deg", math.degrees(step.bevel.cut_angle), math.degrees(now.bevel.cut_angle)),
         ("base_y_mm", wanted.base_y, held.base_y),
         ("base_slope", wanted.base_slope, held.base_slope),
     ]

@@ -1,5 +1,6 @@
 """A needle that is simulated step by step as inputs change, and can return to earlier states."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
@@ -88,9 +89,7 @@ class SteeredNeedle:
         return measure_step_rate(self._session, min(self.scene.depth, self.reach()))
 
     def reach(self) -> float:
-        """Return the greatest depth possible under the present inputs, mm; the base is then just before
-        guides or tissue.
-        """
+        """Return the greatest depth possible now, mm: the base is then just before guides or tissue."""
         before = self.now.step.controls.before
         # 1e-6 mm less: the base must stay before guides and tissue.
         return self.scene.needle.length + (before[0].x if before else 0.0) - 1e-6
@@ -148,8 +147,13 @@ class SteeredNeedle:
         return session
 
     def _recompute(self, parameters: Sequence[Change]) -> Session:
-        offset = next((c.value for c in parameters if c.name == "offset_throughout_mm"), None)
-        session = self._session.simulate_again(_with_parameters(self._session.tissue, parameters), offset)
+        given = {change.name: change.value for change in parameters}
+        angle = given.get("cut_angle_throughout_deg")
+        session = self._session.simulate_again(
+            _with_parameters(self._session.tissue, parameters),
+            given.get("offset_throughout_mm"),
+            None if angle is None else math.radians(angle),
+        )
         if session.failures:
             self.failed += 1
             raise ModelError(

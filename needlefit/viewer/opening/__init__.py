@@ -1,6 +1,7 @@
 """Find the scene to show for a name on the command line, or for a recording."""
 
 from dataclasses import replace
+from typing import Literal
 
 from needlefit.errors import NeedlefitError
 from needlefit.mechanics.scene import Scene
@@ -32,7 +33,9 @@ DEFAULT_SCENE = "phantom2"
 """The scene that is shown where nothing is named."""
 
 
-def open_target(name: str | None, insertion: str | None = None) -> ViewedScene:
+def open_target(
+    name: str | None, insertion: str | None = None, specimen: Literal["new", "same"] = "new"
+) -> ViewedScene:
     """Return the scene to show for SCENE, RUN or DATASET/ID.
 
     Parameters
@@ -41,15 +44,17 @@ def open_target(name: str | None, insertion: str | None = None) -> ViewedScene:
         None: the scene `DEFAULT_SCENE`.
     insertion : str, optional
         Of the run or dataset; by default the one in `name`, else the first.
+    specimen : "new" or "same"
+        Whether the parameters of a specimen that a run did not tune on differ in its band.
 
     Raises
     ------
     ConfigError, DataError
         If there is no such thing, or it has a fault.
     """
-    view_target = find_view_target(DEFAULT_SCENE if name is None else name)
+    view_target = replace(find_view_target(DEFAULT_SCENE if name is None else name), specimen=specimen)
     if insertion is not None and view_target.kind != "scene":
-        view_target = ViewTarget(view_target.kind, view_target.name, view_target.path, insertion)
+        view_target = replace(view_target, insertion=insertion)
     return _OPENERS[view_target.kind](view_target)
 
 

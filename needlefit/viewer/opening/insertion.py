@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import estimate_noise_floor
-from needlefit.datasets.read import read
+from needlefit.datasets.read import read_shapes
 from needlefit.geometry.frames import Placement, move_frame
 from needlefit.inference.compared_points import select_points
 from needlefit.inference.forward_model import make_scene_record
@@ -20,9 +20,9 @@ from needlefit.project.view_targets import ViewTarget
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.recording import PlacementRecord
-from needlefit.validation import paper
-from needlefit.validation.job import hand_tuned_set
-from needlefit.validation.needles_in_scan import NEEDLE_POINTS, align_with_measured
+from needlefit.studies import paper
+from needlefit.studies.job import hand_tuned_set
+from needlefit.studies.needles_in_scan import NEEDLE_POINTS, align_with_measured
 from needlefit.viewer.overlay.measured import make_measured_overlay
 from needlefit.viewer.overlay.slice import find_scan
 from needlefit.viewer.viewed_scene import ViewedScene
@@ -53,17 +53,9 @@ def choose_start_parameters(insertion: Insertion) -> StartParameters:
     parameters = Parameters.from_record(medium)
     if name in paper.read_hand_tuned_names():
         values = hand_tuned_set(name, parameters, name)
-        return StartParameters(medium, values, f"Parameters: the paper's hand-tuned set {name}.")
+        return StartParameters(medium, values, f"Parameters: the paper's parameters, set {name}.")
     description = f"Parameters: no fit, the middle of the priors and bounds of medium {name}."
-    return StartParameters(medium, _middle_of_bounds(parameters), description)
-
-
-def _middle_of_bounds(parameters: Parameters) -> dict[str, float]:
-    """Return the peak of the prior where one is stated, else the middle of the bounds, of every parameter."""
-    theta = 0.5 * (parameters.lower + parameters.upper)
-    for name, mean in zip(parameters.prior.names, parameters.prior.mean, strict=True):
-        theta[parameters.free.index(name)] = mean
-    return parameters.values(theta)
+    return StartParameters(medium, parameters.values(parameters.expected), description)
 
 
 def _make_default_medium(name: str, layers: int) -> StartParameters:
@@ -121,7 +113,7 @@ def open_insertion(view_target: ViewTarget) -> ViewedScene:
     ConfigError
         If it has no such insertion; the nearest are listed.
     """
-    dataset = read(view_target.path)
+    dataset = read_shapes(view_target.path)
     insertion = choose_insertion(dataset.insertions, view_target, f"insertion of {dataset.name}")
     begun = choose_start_parameters(insertion)
     seed = load(find_file("recipe", "default"), RecipeRecord).seed
@@ -174,7 +166,7 @@ def make_viewed_scene(
         first_cell=scene.lattice.first_cell,
         placement=find_placement(dataset, insertion, shape),
         synthetic=dataset.origin == "synthetic",
-        measured=make_measured_overlay(dataset, insertion, floor.te_mm, shape),
+        measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
         scanned=scan,
         choices=choices,
         warnings=dataset.warnings,

@@ -9,16 +9,21 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.read import read
+from needlefit.datasets.read import read_shapes
 from needlefit.errors import DataError
+from needlefit.inference.between_specimens import SpecimenSpread, move_to_new_specimen
 from needlefit.inference.forward_model import find_layers
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.ties import BEVEL_SPREAD
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_file
+from needlefit.project.random_streams import random_stream
 from needlefit.project.view_targets import ViewTarget
 from needlefit.schemas.medium import MediumRecord
-from needlefit.validation.packing import unpack
-from needlefit.validation.results import Results
-from needlefit.validation.stored import restore_results
+from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
+from needlefit.studies.packing import unpack
+from needlefit.studies.planned_draws import vary_bevels
+from needlefit.studies.run import Run, restore_run
 from needlefit.viewer.opening.insertion import ShownInsertion, choose_insertion, make_viewed_scene
 from needlefit.viewer.overlay.band import ParameterDraws, select_layer_draws
 from needlefit.viewer.viewed_scene import ViewedScene
@@ -48,7 +53,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
 
 def _open(view_target: ViewTarget) -> ViewedScene:
     _require_fit(view_target.path)
-    results = restore_results(view_target.path)
+    results = restore_run(view_target.path)
     dataset = _read_unchanged_dataset(results, view_target.path)
     roles = _find_roles(results)
     by_id = {insertion.id: insertion for insertion in dataset.insertions}
@@ -56,7 +61,8 @@ def _open(view_target: ViewTarget) -> ViewedScene:
         tuple(by_id[id_] for id_ in roles), view_target, f"insertion of run {view_target.name}"
     )
     role = roles[insertion.id]
-    draws = results.draws[results.draws["fold"] == role.fold]
+    draws = results.frames["draws"][results.frames["draws"]["fold"] == role.fold]
+    spread = None if view_target.specimen == "same" else _find_spread(results, role.fold, insertion, dataset)
     shown = ShownInsertion(
         dataset=dataset,
         insertion=insertion,
@@ -66,16 +72,54 @@ def _open(view_target: ViewTarget) -> ViewedScene:
     )
     crossed = _LAYERS_NOTE if len(insertion.boundaries) else ""
     description = (
-        f"Parameters: fitted by {results.name}, {role.description}. {crossed}{_describe_band(draws)}"
+        f"Parameters: fitted by {results.name}, {role.description}. {crossed}{_describe_band(draws, spread)}"
     )
     viewed_scene = make_viewed_scene(shown, view_target.name, description, tuple(roles))
-    return viewed_scene if draws.empty else replace(viewed_scene, spread=_select_band_draws(draws, insertion))
+    if draws.empty or not draws["certified"].all():
+        return viewed_scene
+    return replace(viewed_scene, spread=_make_band_draws(results, draws, spread, insertion))
 
 
-def _select_band_draws(draws: pd.DataFrame, insertion: Insertion) -> ParameterDraws:
-    """Return some of the draws, evenly spread over all, for the layers that an insertion meets."""
+@dataclass(frozen=True)
+class _StoredSpread:
+    """By how much an insertion's specimen was predicted to differ from the `fitted` ones tuned on."""
+
+    between: SpecimenSpread
+    fitted: int
+
+
+def _find_spread(results: Run, fold: str, insertion: Insertion, dataset: Dataset) -> _StoredSpread | None:
+    """Return by how much a run took a specimen to differ; None if it took it for one tuned on."""
+    rows = results.frames.get("predictive", pd.DataFrame(columns=["fold", "insertion"]))
+    rows = rows[(rows["fold"] == fold) & (rows["insertion"] == insertion.id)]
+    if rows.empty or rows.iloc[0].get("specimen_treatment") != "others":
+        return None
+    row = rows.iloc[0]
+    taus = np.array([[row["between_sd_ln_mu"], row["between_sd_ln_b"]]], dtype=np.float64)
+    (tuned,) = (set(one["tune"]) for one in results.run["folds"] if one["name"] == fold)
+    fitted = {one.specimen for one in dataset.insertions if one.id in tuned}
+    return _StoredSpread(SpecimenSpread(taus, np.ones(1), int(row["other_specimens"])), len(fitted))
+
+
+def _make_band_draws(
+    results: Run, draws: pd.DataFrame, spread: _StoredSpread | None, insertion: Insertion
+) -> ParameterDraws:
+    """Return some of the draws, evenly spread over all, for the layers that an insertion meets.
+
+    Each has a bevel of its own. In a new specimen they differ as much as others do (root mean square).
+    """
     chosen = draws.iloc[np.linspace(0, len(draws) - 1, min(MAX_BAND_DRAWS, len(draws))).astype(np.int64)]
-    return select_layer_draws(chosen, [layer for _, layer in find_layers(insertion)])
+    rng = random_stream(results.run["recipe"]["seed"], "band", insertion.id)
+    medium = Parameters.from_record(MediumRecord.model_validate(results.run["medium"]))
+    names = [name for name in (*medium.names, BEVEL_SPREAD) if name in chosen]
+    sets = [dict(zip(names, row, strict=True)) for row in chosen[names].to_numpy(dtype=np.float64).tolist()]
+    if spread is not None:
+        thetas = np.array([medium.theta(values) for values in sets])
+        moved = move_to_new_specimen(medium, thetas, spread.between, spread.fitted, rng)
+        sets = [values | medium.values(theta) for values, theta in zip(sets, moved, strict=True)]
+    return select_layer_draws(
+        pd.DataFrame(vary_bevels(sets, rng)), [layer for _, layer in find_layers(insertion)]
+    )
 
 
 @dataclass(frozen=True)
@@ -86,7 +130,7 @@ class _InsertionRole:
     description: str
 
 
-def _find_roles(results: Results) -> dict[str, _InsertionRole]:
+def _find_roles(results: Run) -> dict[str, _InsertionRole]:
     """Return the role of every insertion of a run by its id, those first that a fit never saw."""
     folds: list[Mapping[str, Any]] = results.run["folds"]
     held = {
@@ -98,9 +142,9 @@ def _find_roles(results: Results) -> dict[str, _InsertionRole]:
     return held | {id_: role for id_, role in tuned.items() if id_ not in held}
 
 
-def _fitted_values(results: Results, fold: str, where: Path) -> dict[str, float]:
+def _fitted_values(results: Run, fold: str, where: Path) -> dict[str, float]:
     """Return the fitted value of every parameter (Pa, mm)."""
-    rows = results.parameters
+    rows = results.frames["parameters"]
     rows = rows[(rows["fold"] == fold) & (rows["method"] == SHOWN_METHOD)]
     if rows.empty:
         raise DataError(
@@ -112,7 +156,7 @@ def _fitted_values(results: Results, fold: str, where: Path) -> dict[str, float]
     return dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
 
 
-def _describe_band(draws: pd.DataFrame) -> str:
+def _describe_band(draws: pd.DataFrame, spread: _StoredSpread | None) -> str:
     """Return what there is to say of the band."""
     if draws.empty:
         return "No band: the run stored no draws of its parameters, as it was interrupted."
@@ -120,13 +164,21 @@ def _describe_band(draws: pd.DataFrame) -> str:
     how = {"posterior": "of its sampled posterior", "importance": "importance-weighted about its fit"}[
         first["draw_source"]
     ]
-    doubt = "" if first["certified"] else "; they have not converged, so its width is not to be trusted"
-    return f"Band: 95 % of the needles of draws {how}{doubt}."
+    if not draws["certified"].all():
+        return f"No band: the draws {how} are not certified."
+    specimen = ""
+    if spread is not None:
+        mu, b = np.exp(spread.between.rms)
+        specimen = (
+            ", in a specimen that was not tuned on, whose moduli differ by a factor of "
+            f"{mu:.2g} and whose bevel offset by {b:.2g}"
+        )
+    return f"Band: 95 % of the needles of draws {how}{specimen}."
 
 
 def _require_fit(folder: Path) -> None:
     kind = unpack(folder).get("kind")
-    if kind not in ("study", "fit"):
+    if kind not in FIT_KINDS:
         raise DataError(
             f"is a run of another kind ({kind}): it has no fitted needle to show",
             where=str(folder),
@@ -135,9 +187,9 @@ def _require_fit(folder: Path) -> None:
         )
 
 
-def _read_unchanged_dataset(results: Results, where: Path) -> Dataset:
+def _read_unchanged_dataset(results: Run, where: Path) -> Dataset:
     """Return the data of a run; DataError if they are not what it was fitted to."""
-    dataset = read(find_file("dataset", results.record.dataset))
+    dataset = read_shapes(find_file("dataset", results.record.dataset))
     if dataset.digest != results.run["dataset"]["sha256"]:
         raise DataError(
             f"its dataset, {dataset.name}, has changed since",

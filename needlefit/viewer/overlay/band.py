@@ -10,16 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.batch import Batch, compute_batch_positions
 from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
-from needlefit.validation.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
-
-Floats = NDArray[np.float64]
+from needlefit.studies.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
 
 
 @dataclass(frozen=True)
@@ -31,13 +29,13 @@ class ParameterDraws:
     mu : (B, n) array
         Of the n layers that it meets, MPa.
     alpha : (B, n) array
-    offset : (B,) array
-        b, mm.
+    bevel : (B,) array
+        b, mm; of an advance by the path angle theta, rad.
     """
 
     mu: Floats
     alpha: Floats
-    offset: Floats
+    bevel: Floats
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,9 @@ def select_layer_draws(draws: pd.DataFrame, layers: Sequence[int]) -> ParameterD
     return ParameterDraws(
         mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
         alpha=np.column_stack([draws[f"alpha{layer}"] for layer in layers]),
-        offset=draws["bevel_mm"].to_numpy(dtype=np.float64),
+        bevel=np.radians(draws["cut_angle_deg"].to_numpy(dtype=np.float64))
+        if "cut_angle_deg" in draws
+        else draws["bevel_mm"].to_numpy(dtype=np.float64),
     )
 
 
@@ -82,8 +82,9 @@ def compute_band(
 ) -> NeedleBand | None:
     """Return the band of a needle after `steps`; None if it has no width.
 
-    Every draw replaces moduli and alphas of all layers and the bevel offset of all steps; the layers stay
-    where they are, guides and base where the user holds them. Runs on one core, and lets the interpreter go.
+    Every draw replaces moduli and alphas of all layers and the strength of the bevel of all steps; the layers
+    stay where they are, guides and base where the user holds them. Runs on one core, and lets the interpreter
+    go.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def compute_band(
         replace(rules, first_cell=first_cell),
         mu=spread.mu,
         alpha=spread.alpha,
-        offset=spread.offset,
+        **{"cut_angle" if rules.path_angle else "offset": spread.bevel},
     )
     # One thread: the other cores are left to the needles that users control at the same time.
     (shapes,) = simulate_batches([batch], threads=1)

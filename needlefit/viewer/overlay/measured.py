@@ -1,19 +1,19 @@
 """A measured needle as an overlay, and its distance from the simulated one."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.geometry.compare import COMPARISON_POINTS, CurveErrors, compare_curves
+from needlefit.geometry.compare import COMPARISON_POINTS, ComparedCurves, compare_curves
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.compared_points import ComparedPoints, align_points, make_curve, select_points
 from needlefit.mechanics.shape import NeedleShape, compute_positions
-
-Floats = NDArray[np.float64]
+from needlefit.metrics import compute_metrics
 
 DEPTH_TOLERANCE_MM = 1e-6
 """A needle this near to the measured depth, mm, has reached it."""
@@ -30,7 +30,6 @@ class MeasuredOverlay:
 
     Attributes
     ----------
-    id : str
     points : (N, 2) array
         In C, entry first, mm. A shape known only up to a rigid motion lies on the needle of the parameters
         with which it was opened.
@@ -61,11 +60,9 @@ class LiveErrors:
 
     Attributes
     ----------
-    te, ipe_mean, ipe_max : float
-        As in a study where `whole`; else of the length that both have in common, counted from the entry, and
-        TE at its end.
-    edp : float or None
-        Percent of the measured deflection there; None where the measured needle is straight.
+    values : mapping
+        By metric, as in a study where `whole`; else of the length that both have in common, counted from the
+        entry, with its end as the tip. None where a metric is not defined: EDP of a straight needle.
     upto : float
         Inserted length that is compared.
     whole : bool
@@ -74,10 +71,7 @@ class LiveErrors:
         Of TE, for the whole needle.
     """
 
-    te: float
-    ipe_mean: float
-    ipe_max: float
-    edp: float | None
+    values: Mapping[str, float | None]
     upto: float
     whole: bool
     floor: float | None
@@ -126,11 +120,11 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveEr
         errors = _compare_common_length(measured, shape, upto)
     else:
         return None
-    edp = errors.edp if math.isfinite(errors.edp) else None
-    return LiveErrors(errors.te, errors.mean, errors.maximum, edp, upto, whole, measured.floor)
+    values = {name: v if math.isfinite(v) else None for name, v in compute_metrics(errors).items()}
+    return LiveErrors(values, upto, whole, measured.floor)
 
 
-def _compare_common_length(measured: MeasuredOverlay, shape: NeedleShape, upto: float) -> CurveErrors:
+def _compare_common_length(measured: MeasuredOverlay, shape: NeedleShape, upto: float) -> ComparedCurves:
     """Compare both needles up to the same inserted length."""
     s = upto * _FRACTIONS
     seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])

@@ -1,12 +1,13 @@
 /** What buttons, keys and gestures ask for in the same words. */
 
 import { amount } from "./amounts.js";
+import { strengthOf } from "./bevel.js";
 import { degrees, slope } from "./numbers.js";
 import { change, command, move, newGesture, wanted } from "./steering.js";
 import { now } from "./store.js";
 
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
-const STEP = { base_mm: 0.1, turn_deg: 0.1, offset_mm: 0.005 };
+const STEP = { base_mm: 0.1, turn_deg: 0.1 };
 const CLEAR = 2; // mm that a new guide keeps from its neighbours
 const REACH = 0.6; // of the needle's length: a new guide stands nearer than that, to let the needle go in
 
@@ -47,10 +48,11 @@ export function nudgeTurn(steps, at) {
   change([["base_slope", null, slope(angle)]], { gesture: going("turn"), at });
 }
 
-/** Change b from here on by so many steps. */
+/** Change b, or the angle of the cut, from here on by so many steps. */
 export function nudgeOffset(steps, at) {
-  const offset = wanted("bevel_offset_mm", null, now.state.bevel.offset_mm) + steps * STEP.offset_mm;
-  change([["bevel_offset_mm", null, Math.max(offset, 0)]], { gesture: going("offset"), at });
+  const { here, step, value } = strengthOf(now.state.bevel);
+  const strength = wanted(here, null, value) + steps * step;
+  change([[here, null, Math.max(strength, 0)]], { gesture: going("offset"), at });
 }
 
 /** Put a guide on the needle at x (mm), where it changes next to nothing yet; by default between base and skin. */

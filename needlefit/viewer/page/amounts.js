@@ -1,8 +1,8 @@
 /** Fields of the page's own numbers, which no server checks: what is none gives way to the last that was. */
 
-import { tell } from "./store.js";
+import { publish } from "./store.js";
 
-/** Watch a field; returns a function that tells its number, also while another one is being typed. */
+/** Watch a field; returns a function that returns its number, also while another one is being typed. */
 export function amount(input) {
   let last = input.value;
   const valid = () => input.value !== "" && input.checkValidity();
@@ -12,7 +12,7 @@ export function amount(input) {
   };
   const giveBack = () => {
     const expected = `a number, ${input.min} or above`;
-    tell("notice", { what: `No ${input.ariaLabel}: ${last} is kept.`, expected });
+    publish("notice", { what: `No ${input.ariaLabel}: ${last} is kept.`, expected });
     input.value = last;
   };
   input.addEventListener("change", settle);

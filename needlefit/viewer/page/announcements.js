@@ -1,9 +1,9 @@
-/** What is said to who listens to the page, and does not see it. */
+/** Announcements to screen readers. */
 
-const said = document.getElementById("said");
+const announced = document.getElementById("announced");
 
-/** Say something now, also where it is what was said before. */
+/** Announce words now, also where they are those announced before. */
 export function say(words) {
-  said.textContent = "";
-  requestAnimationFrame(() => (said.textContent = words));
+  announced.textContent = "";
+  requestAnimationFrame(() => (announced.textContent = words));
 }

@@ -1,7 +1,7 @@
 /** The line to the server, which comes back by itself; its socket is held by a thread of its own. */
 
 import { makeMailbox, take as takeText } from "./mailbox.js";
-import { now, take, tell } from "./store.js";
+import { now, take, publish } from "./store.js";
 
 const FIRST_WAIT = 0.25; // s
 const LONGEST_WAIT = 5; // s
@@ -16,8 +16,8 @@ let opening = false; // whether a socket is open or will be
 let timer = 0;
 let wait = FIRST_WAIT;
 let lastId = 0;
-let greeted = false; // whether the server has said which needle this window holds
-let farewell = null; // what the program said when it stopped
+let greeted = false; // whether the server has named the needle of this window
+let farewell = null; // the last message of the program, when it stopped
 const sentAt = new Map();
 
 /** The token that the address brought; kept, so that a page opened without it still knows it. */
@@ -46,7 +46,7 @@ export function open() {
 /** Send an input that happened at `at` (ms, as events have it). Returns its id, or null without a line. */
 export function send(message, at = null) {
   if (!now.connected) {
-    tell("unsent", message);
+    publish("unsent", message);
     return null;
   }
   lastId += 1;
@@ -85,8 +85,8 @@ function hear(message) {
   const gone = message.kind === "scene" && !greeted && ![null, message.needle].includes(needle());
   if (message.kind === "scene") welcome(message.needle);
   take(message);
-  if (message.kind === "scene") tell("line", { open: true });
-  if (gone) tell("notice", { what: GONE });
+  if (message.kind === "scene") publish("line", { open: true });
+  if (gone) publish("notice", { what: GONE });
 }
 
 function welcome(name) {
@@ -111,9 +111,9 @@ function lost(code) {
   if (code !== STRANGER) again();
 }
 
-function down(said) {
+function down(reason) {
   opening = now.connected = false;
-  tell("line", { open: false, ...said });
+  publish("line", { open: false, ...reason });
 }
 
 /** Another address of the program was opened in this window: begin anew with its token. */

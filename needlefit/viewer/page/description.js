@@ -1,6 +1,7 @@
 /** The picture in words, for who does not see it. */
 
-import { degrees, signed } from "./numbers.js";
+import { strengthOf } from "./bevel.js";
+import { signed, toDegrees } from "./numbers.js";
 import { comparedUpTo } from "./readouts.js";
 import { say } from "./announcements.js";
 import { now } from "./store.js";
@@ -17,7 +18,7 @@ export function inWords() {
   const sentences = [
     `The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,
     `Its tip is deflected ${signed(tip.deflection_mm, 2)} mm${tip.held ? " and held there" : ""}, at ${angle(tip)}.`,
-    `The bevel turns the cut toward ${bevel.side > 0 ? "+y" : "−y"}, b is ${bevel.offset_mm.toFixed(3)} mm.`,
+    `The bevel turns the cut toward ${bevel.side > 0 ? "+y" : "−y"}, ${strength(bevel)}.`,
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
     `Tip force ${signed(state.forces.tip_n, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
   ];
@@ -29,7 +30,12 @@ export function inWords() {
   return sentences.join(" ");
 }
 
-const angle = ({ slope }) => `${signed(degrees(slope), 1)} degrees`;
+function strength(bevel) {
+  const { symbol, value, digits, unit } = strengthOf(bevel);
+  return `${symbol} is ${value.toFixed(digits)} ${unit}`;
+}
+
+const angle = ({ rotation }) => `${signed(toDegrees(rotation), 1)} degrees`;
 
 /** Keep the text alternative true. */
 export function refresh() {

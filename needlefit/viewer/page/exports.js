@@ -42,12 +42,12 @@ async function ask(file) {
 }
 
 async function reason(answer) {
-  const said = await answer.text();
+  const body = await answer.text();
   try {
-    const { what, expected, fix } = JSON.parse(said);
+    const { what, expected, fix } = JSON.parse(body);
     return [what, expected && `expected ${expected}`, fix].filter(Boolean).join("; ");
   } catch {
-    return said || answer.statusText;
+    return body || answer.statusText;
   }
 }
 

@@ -1,7 +1,7 @@
 /** A number that can be set: a name, a field, and where it has limits a slider with a mark. */
 
 import { newGesture } from "./steering.js";
-import { tell } from "./store.js";
+import { publish } from "./store.js";
 
 const template = document.getElementById("field-template");
 const STEPS = 1000; // of a slider
@@ -14,7 +14,7 @@ let made = 0;
 /**
  * Make a field and put it at the end of `into`.
  *
- * `about` says its `name` and `unit`, what it is a number `of` where the name alone does not tell, how to
+ * `about` has its `name` and `unit`, what it is a number `of` where the name alone is not enough, how to
  * `write` a value and to `read` what is written, and whom to `ask` for another: ask(value, {gesture, at}).
  * With `limits` [low, high] it has a slider too, if `logarithmic` a logarithmic one; what lies beyond them can
  * be typed, and the slider then stands at its end. The arrows add a `step`, or if logarithmic multiply by it.
@@ -94,7 +94,7 @@ function wireNumber(field) {
     field.gesture = newGesture();
     field.editing = false;
     if (number.value !== "") return ask(field, field.read(number.value), event);
-    tell("notice", { what: `No ${number.ariaLabel}: ${field.text} is kept.`, expected: "a number" });
+    publish("notice", { what: `No ${number.ariaLabel}: ${field.text} is kept.`, expected: "a number" });
     giveBack(field);
   });
   number.addEventListener("keydown", (event) => {

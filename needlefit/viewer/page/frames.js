@@ -4,7 +4,7 @@ import { answered, receive } from "./connection.js";
 import { listen, now } from "./store.js";
 
 const KEPT = 8192;
-const SPAN = 2000; // ms over which rates are told
+const SPAN = 2000; // ms over which rates are averaged
 
 let count = 0;
 let fresh = false;

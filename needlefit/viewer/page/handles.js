@@ -10,7 +10,7 @@ const angleOf = (slope) => Math.atan(slope * view.magnified);
 
 /** Where the base is drawn, the ring that turns it (behind it), and its direction. */
 export function basePlace({ base }) {
-  const [px, py, angle] = [toPx(base.x), toPy(base.y), angleOf(base.slope)];
+  const [px, py, angle] = [toPx(base.x), toPy(base.y), angleOf(Math.tan(base.rotation))];
   return { place: [px, py], turn: [px - ARM.base * Math.cos(angle), py + ARM.base * Math.sin(angle)], angle };
 }
 
@@ -35,7 +35,7 @@ function all() {
   return handles;
 }
 
-/** The handle nearest to a place in px, or null; `drag(from, to)` says what dragging it asks for. */
+/** The handle nearest to a place in px, or null; `drag(from, to)` returns what dragging it asks for. */
 export function handleAt(px, py, kind = "mouse") {
   if (!now.state) return null;
   let [nearest, least] = [null, NEAR[kind] ?? NEAR.mouse];
@@ -50,7 +50,7 @@ const rise = (from, to) => fromPy(to[1]) - fromPy(from[1]);
 
 const dragBase = ({ base }) => (from, to) => [["base_y_mm", null, base.input_y + rise(from, to)]];
 
-const dragTip = ({ tip }) => (from, to) => [["tip_y_mm", null, tip.deflection_mm + rise(from, to)]];
+const dragTip = ({ tip }) => (from, to) => [["tip_y_mm", null, tip.input_y + rise(from, to)]];
 
 const dragGuide = ({ item, x, y }) => (from, to) => [
   ["guide_x_mm", item, x + fromPx(to[0]) - fromPx(from[0])],
@@ -59,8 +59,8 @@ const dragGuide = ({ item, x, y }) => (from, to) => [
 
 /** The base's ring stands behind it: it points away from where the needle goes. */
 const turnBase = ({ base }, place) => (_, to) => {
-  const stage = base.slope - base.input_slope; // what the stage's own axis adds
-  return [["base_slope", null, slopeAlong(to, place) - stage]];
+  const stage = base.rotation - base.input_slope; // what the stage's own axis adds
+  return [["base_slope", null, Math.atan(slopeAlong(to, place)) - stage]];
 };
 
 /** A guide's ring stands beside it: the guide's direction is across. */

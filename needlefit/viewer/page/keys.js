@@ -70,7 +70,7 @@ function history(event) {
 }
 
 const list = document.getElementById("key-list");
-for (const [written, what] of [...KEYS.map(([, key, says]) => [key, says]), ...ALWAYS]) {
+for (const [written, what] of [...KEYS.map(([, key, effect]) => [key, effect]), ...ALWAYS]) {
   const [row, term, text] = ["div", "dt", "dd"].map((tag) => document.createElement(tag));
   const key = document.createElement("kbd");
   key.textContent = written;

@@ -1,4 +1,4 @@
-/** Starts the page: the line to the server, the picture, and everything that is told beside it. */
+/** Starts the page: the line to the server, the picture, and the readouts beside it. */
 
 import { open } from "./connection.js";
 import * as described from "./description.js";
@@ -17,7 +17,7 @@ import { listen, now } from "./store.js";
 import "./toolbar.js";
 import * as transport from "./transport.js";
 
-const TOLD = [ // what is told beside the picture, and how often, ms
+const READOUTS = [ // beside the picture, and how often they are refreshed, ms
   { every: 100, refresh: readouts.refresh },
   { every: 100, refresh: transport.refresh },
   { every: 200, refresh: panel.refresh },
@@ -26,21 +26,21 @@ const TOLD = [ // what is told beside the picture, and how often, ms
 ];
 const STATUS_EVERY = 500; // ms
 
-/** Of what is due, tell one thing a frame, so that no frame has to wait for all of it. */
-function tellOne(t) {
-  const due = TOLD.find((one) => t - (one.last ?? -Infinity) >= one.every && one.step !== now.state);
+/** Refresh one readout that is due in a frame, so that no frame has to wait for all of them. */
+function refreshOne(t) {
+  const due = READOUTS.find((one) => t - (one.last ?? -Infinity) >= one.every && one.step !== now.state);
   if (!due) return;
   due.last = t;
   due.step = now.state;
   due.refresh();
 }
 
-listen("refused", () => TOLD.forEach((one) => (one.step = null))); // fields go back to what is
+listen("refused", () => READOUTS.forEach((one) => (one.step = null))); // fields go back to what is
 
 frames.start((fresh, t) => {
   if (now.state) askFrame(); // the needle goes on while this frame is drawn
   paint(fresh);
-  if (now.state) tellOne(t);
+  if (now.state) refreshOne(t);
 });
 setInterval(status.refresh, STATUS_EVERY);
 open();

@@ -21,7 +21,7 @@ function refuse({ what, expected, fix }) {
 const written = (tag, textContent) => Object.assign(document.createElement(tag), { textContent });
 const soon = (wait) => (wait < 1 ? "at once" : `in ${wait.toFixed(0)} s`);
 
-/** What is said while there is no line, and on the button. */
+/** The text without a connection, and that of its button. */
 const BANNERS = {
   lost: ({ wait }) => [
     `Not connected to the needle. Trying again ${soon(wait)}; until then inputs are not sent.`, "Try now",
@@ -40,8 +40,8 @@ listen("line", (line) => {
   banner.hidden = line.open;
   document.body.classList.toggle("offline", !line.open);
   if (line.open) return;
-  const [said, button] = BANNERS[line.why](line);
-  if (text.textContent !== said) text.textContent = said;
+  const [words, button] = BANNERS[line.why](line);
+  if (text.textContent !== words) text.textContent = words;
   act.textContent = button;
   act.hidden = false;
 });

@@ -21,6 +21,7 @@ export function grouped(value) {
 export const asMpa = (pascal) => brief(pascal * 1e-6);
 export const fromMpa = (text) => Number(text) * 1e6;
 
+export const toDegrees = (rotation) => (rotation * 180) / Math.PI;
 export const degrees = (slope) => (Math.atan(slope) * 180) / Math.PI;
 export const slope = (angle) => Math.tan((angle * Math.PI) / 180);
 

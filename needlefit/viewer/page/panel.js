@@ -2,6 +2,7 @@
 
 import * as act from "./actions.js";
 import { makeField, setHome, show } from "./fields.js";
+import { strengthOf } from "./bevel.js";
 import { asMpa, degrees, fromMpa, slope } from "./numbers.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
@@ -33,10 +34,11 @@ function build(scene) {
 }
 
 function buildBevel({ limits, fitted }) {
-  const about = { unit: "mm", write: asMm, limits: limits.offset_mm, step: 0.005 };
-  const offset = () => now.state.bevel.offset_mm;
-  for (const [name, input] of [["b from here on", "bevel_offset_mm"], ["b throughout", "offset_throughout_mm"]]) {
-    setHome(inputField("bevel-fields", [input, null], { ...about, name }, offset), fitted.offset_mm);
+  const { key, symbol, unit, digits, step, here, throughout, value } = strengthOf(fitted);
+  const about = { unit, write: (number) => number.toFixed(digits), limits: limits[key], step };
+  const strength = () => now.state.bevel[key];
+  for (const [name, input] of [[`${symbol} from here on`, here], [`${symbol} throughout`, throughout]]) {
+    setHome(inputField("bevel-fields", [input, null], { ...about, name }, strength), value);
   }
 }
 
@@ -61,9 +63,9 @@ function buildBase({ limits }) {
 
 function buildTip() {
   const y = { of: "tip", name: "deflection", unit: "mm", write: asMm, step: 0.1 };
-  inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.deflection_mm);
+  inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.input_y);
   const angle = { of: "tip", name: "slope", unit: "°", write: asDegrees, step: 0.1 };
-  const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.slope, ANGLE);
+  const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.rotation, ANGLE);
   field.ask = (value, how) => { // a direction is held at a place
     change([["tip_held", null, 1], ["tip_slope", null, slope(value)]], how);
   };
@@ -78,9 +80,10 @@ export function refresh() {
 }
 
 function allHome(event) {
-  const { layers, offset_mm: offset } = now.scene.fitted;
+  const { layers } = now.scene.fitted;
+  const { throughout, value } = strengthOf(now.scene.fitted);
   const set = layers.flatMap(({ mu_pa: mu, alpha }, i) => [["mu_pa", i + 1, mu], ["alpha", i + 1, alpha]]);
-  change([...set, ["offset_throughout_mm", null, offset]], { at: event.timeStamp });
+  change([...set, [throughout, null, value]], { at: event.timeStamp });
 }
 
 listen("scene", build);

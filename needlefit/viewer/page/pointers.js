@@ -62,7 +62,7 @@ function pinch(id, before, at) {
 
 function up(event) {
   if (drag?.pointer === event.pointerId) {
-    if (event.type === "pointerup") follow(event); // its last place, whether or not a move told it
+    if (event.type === "pointerup") follow(event); // its last place, whether or not a move reported it
     drag = null;
   }
   const from = fingers.get(event.pointerId);

@@ -1,7 +1,7 @@
 /** The scan's slice that lies behind the needle. */
 
 import { needle, token } from "./connection.js";
-import { listen, now, tell } from "./store.js";
+import { listen, now, publish } from "./store.js";
 
 let held = null; // {image, extent} of the scene it belongs to
 
@@ -16,9 +16,9 @@ listen("scene", async (scene) => {
     headers: { Authorization: `Bearer ${token()}`, "Content-Type": "application/json" },
     body: JSON.stringify({ needle: needle() }),
   });
-  if (!answer.ok) return tell("notice", { what: `No slice of the scan: ${await answer.text()}` });
+  if (!answer.ok) return publish("notice", { what: `No slice of the scan: ${await answer.text()}` });
   const image = await createImageBitmap(await answer.blob());
   if (now.scene !== scene) return; // another one is shown by now
   held = { image, extent: answer.headers.get("X-Extent-MM").split(",").map(Number) };
-  tell("slice", held);
+  publish("slice", held);
 });

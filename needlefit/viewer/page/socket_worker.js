@@ -22,6 +22,6 @@ onmessage = ({ data }) => {
   else if (data.text && socket.readyState === WebSocket.OPEN) socket.send(data.text);
   else if (data.close) {
     socket.close();
-    socket = null; // nothing of it is told any more
+    socket = null; // none of its messages is passed on any more
   }
 };

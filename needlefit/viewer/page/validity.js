@@ -3,14 +3,14 @@
 import { say } from "./announcements.js";
 import { listen } from "./store.js";
 
-let told = false; // of this needle
+let announced = false; // of this needle
 
 /** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
 export const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
 
-listen("scene", () => (told = false));
+listen("scene", () => (announced = false));
 listen("state", (state) => {
-  if (told || !exceeded(state)) return;
-  told = true;
+  if (announced || !exceeded(state)) return;
+  announced = true;
   say(`The needle is ${exceeded(state)}.`);
 });

@@ -59,7 +59,7 @@ export function fit(which) {
   view.y = midHeight(bottom, top);
 }
 
-/** From the base at first contact to the deepest that is told of; room in px for the base's handle. */
+/** From the base at first contact to the greatest depth that is known; room in px for the base's handle. */
 function wholeSpan() {
   return [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 12];
 }

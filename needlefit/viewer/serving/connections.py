@@ -84,9 +84,7 @@ class AccessControl:
 
 
 class RateLimit:
-    """The limit of messages of a window: `MAX_MESSAGES_PER_S`, with bursts of `MAX_BURST_MESSAGES` after a
-    pause.
-    """
+    """The limit of a window's messages: `MAX_MESSAGES_PER_S`, `MAX_BURST_MESSAGES` after a pause."""
 
     def __init__(self) -> None:
         self._left, self._at = MAX_BURST_MESSAGES, monotonic()

@@ -6,19 +6,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Guide
+from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.load import Loads, compute_loads
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
+from needlefit.metrics import list_metrics
 from needlefit.viewer.interaction.inputs import Change, guide_number
 from needlefit.viewer.overlay.band import NeedleBand
 from needlefit.viewer.overlay.measured import compute_live_errors
 from needlefit.viewer.serving.trials import InteractiveTrial
-
-Floats = NDArray[np.float64]
 
 LENGTH_DIGITS = 4
 """Decimals of drawn lengths in mm."""
@@ -53,13 +52,14 @@ def scene_message(trial: InteractiveTrial) -> dict[str, Any]:
         "guide_names": list(trial.steering.names),
         "boundaries_mm": tissue.boundaries.tolist(),
         "spacing_mm": scene.rules.spacing,
-        "fitted": _encode_parameters(tissue.mu, tissue.alpha) | {"offset_mm": first.offset},
+        "fitted": _encode_parameters(tissue.mu, tissue.alpha) | _encode_strength(first, scene.rules),
         "limits": _encode_limits(scene),
         "measured": measured and {
             "id": measured.id,
             "x": _round_lengths(measured.points[:, 0]),
             "y": _round_lengths(measured.points[:, 1]),
             "depth_mm": measured.depth,
+            "metrics": [[one.name, one.label, one.unit] for one in list_metrics()],
         },
         "band": viewed_scene.spread is not None,
         "slice": viewed_scene.scanned is not None,
@@ -89,8 +89,9 @@ def state_message(trial: InteractiveTrial) -> dict[str, Any]:
         | {"input_y": controls.base_y, "input_slope": controls.base_slope},
         "guides": [_encode_guide(guide, trial) for guide in controls.guides],
         "tip": _encode_end(needle[-1], shape.slope[-1])
-        | {"deflection_mm": shape.deflection, "held": controls.tip is not None},
-        "bevel": {"side": step.bevel.side, "offset_mm": step.bevel.offset},
+        | {"deflection_mm": shape.deflection, "held": controls.tip is not None}
+        | {"input_y": float(shape.u[-1])},
+        "bevel": {"side": step.bevel.side, **_encode_strength(step.bevel, trial.scene.rules)},
         **_encode_parameters(now.tissue.mu, now.tissue.alpha),
         "max_slope": float(shape.validity.max_slope),
         "faults": list(shape.validity.faults),
@@ -115,9 +116,9 @@ def _round_lengths(values: Floats) -> list[float]:
 
 
 def _encode_end(place: Floats, slope: float) -> dict[str, float]:
-    """Return where an end of the needle stands, and how it is turned."""
+    """Return where an end of the needle stands, and its rotation u', rad."""
     x, y = np.round(place, LENGTH_DIGITS).tolist()
-    return {"x": x, "y": y, "slope": float(slope)}
+    return {"x": x, "y": y, "rotation": float(slope)}
 
 
 def _stations(shape: NeedleShape) -> Floats:
@@ -133,13 +134,25 @@ def _encode_parameters(mu: Floats, alpha: Floats) -> dict[str, Any]:
     return {"layers": layers}
 
 
+def _encode_strength(bevel: Bevel, rules: ModelOptions) -> dict[str, float]:
+    """Return how strongly a bevel turns the cut, under the key of the rule of advance."""
+    if rules.path_angle:
+        return {"cut_angle_deg": math.degrees(bevel.cut_angle)}
+    return {"offset_mm": bevel.offset}
+
+
 def _encode_limits(scene: Scene) -> dict[str, Any]:
     """Return how far the page's sliders go; its number fields take what the model takes."""
-    mu, alpha, offset = scene.tissue.mu * 1e6, scene.tissue.alpha, scene.steps[0].bevel.offset
+    mu, alpha, bevel = scene.tissue.mu * 1e6, scene.tissue.alpha, scene.steps[0].bevel
+    angle = math.degrees(bevel.cut_angle)
     return {
         "mu_pa": [float(mu.min()) / SLIDER_FACTOR, float(mu.max()) * SLIDER_FACTOR],
         "alpha": [min(-10.0, float(alpha.min()) - 5), max(10.0, float(alpha.max()) + 5)],
-        "offset_mm": [0.0, max(0.3, 3 * offset)],
+        **(
+            {"cut_angle_deg": [0.0, min(max(10.0, 3 * angle), 44.0)]}
+            if scene.rules.path_angle
+            else {"offset_mm": [0.0, max(0.3, 3 * bevel.offset)]}
+        ),
         "base_y_mm": [-30.0, 30.0],
         "speed_mm_s": 100.0,
         "depth_mm": scene.needle.length,
@@ -185,10 +198,7 @@ def _encode_errors(trial: InteractiveTrial, shape: NeedleShape) -> dict[str, Any
     if found is None:
         return None
     return {
-        "te_mm": found.te,
-        "ipe_mean_mm": found.ipe_mean,
-        "ipe_max_mm": found.ipe_max,
-        "edp_percent": found.edp,
+        **found.values,
         "upto_mm": found.upto,
         "whole": found.whole,
         "floor_mm": found.floor,
@@ -219,7 +229,6 @@ class Message:
         One of `ACTIONS`.
     id : int
         The page's own number of it; answers name it.
-    changes : tuple of Change
     content : dict
         All other keys of the message.
     fault : ModelError or None
@@ -276,7 +285,7 @@ def read_message(text: str) -> Message:
             or type(identity) is not int
         ):
             raise ModelError(
-                "the message says nothing to do", expected=f"`id`, and `do`: {', '.join(sorted(ACTIONS))}"
+                "the message names no action", expected=f"`id`, and `do`: {', '.join(sorted(ACTIONS))}"
             )
         return Message(content["do"], number, _changes(content.get("set", [])), content)
     except ModelError as error:

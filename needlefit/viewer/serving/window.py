@@ -48,7 +48,6 @@ class Stroke:
     ----------
     speed : float
         mm/s.
-    gesture : int
     to : float or None
         Depth, mm.
     """
@@ -91,9 +90,7 @@ class Play:
 
 
 class Replay:
-    """A motion through the steps of a recording at their own times; steps without a pause between are one
-    gesture.
-    """
+    """A motion through a recording's steps at their own times; steps without pause are one gesture."""
 
     def __init__(self, steps: Sequence[RecordedStep], times: float) -> None:
         self.speed = abs(times)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, fill_hermite
-from needlefit.mechanics.kernel.grid import SAME_DEPTH_MM, NodeGrid
+from needlefit.mechanics.kernel.grid import LINEAR_CUT, SAME_DEPTH_MM, NodeGrid
 from needlefit.mechanics.kernel.insertion import (
     GUIDE_SLOPE,
     GUIDE_X,
@@ -38,9 +38,6 @@ from needlefit.mechanics.kernel.lanes.tables import (
 )
 from needlefit.mechanics.kernel.scalar import NewtonOptions
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 W = LANES
 NODES_NOW, ON_MAIN_GRID, PREVIOUS_NODES, CURRENT_STATE = 0, 1, 2, 3  # index of `LaneState.size`
 FRONT_ROWS = 7  # of LANES numbers: what `_condense_front` returns
@@ -51,7 +48,8 @@ class LaneState(NamedTuple):
 
     y: Floats  # (M + 1, W) of the constraint points
     track: Floats  # (M + 1, 2 W) deflection and slope of the tip as it stood at each
-    rays: Floats  # (R, 3 W) y of the tip where each ray begins, the slope it takes on, the bevel's turn
+    rays: Floats  # (R, 3 W) y where each ray begins, the slope it takes on, the bevel's turn
+    cut: Floats  # (W,) y of the cut at the tip
     starts: Floats  # (R,) depth where each ray begins, mm
     states: Floats  # (2, N, 2 W) deflection and slope of the nodes in the tissue, now and one cell ago
     nodes: Floats  # (N,) their depth now
@@ -67,7 +65,7 @@ def begin_lanes(cells: int, nodes: int, rays: int) -> LaneState:
     """Return the lanes before first contact, with room for so many cells, nodes and rays."""
     return LaneState(
         np.zeros((cells + 1, W)), np.full((cells + 1, 2 * W), np.nan), np.zeros((rays, 3 * W)),
-        np.zeros(rays), np.zeros((2, nodes, 2 * W)), np.zeros(nodes),
+        np.zeros(W), np.zeros(rays), np.zeros((2, nodes, 2 * W)), np.zeros(nodes),
         np.zeros(W, np.int64), np.zeros(W, np.int64), np.zeros(4, np.int64), np.zeros(1),
     )  # fmt: skip
 
@@ -92,7 +90,7 @@ def advance_lanes(
     )
     for s in range(len(stops.tip)):
         tip, cell = stops.tip[s], stops.cell[s]
-        _place_constraint(lanes, inputs, stops, s, insertion.tangent)
+        _place_constraint(lanes, inputs, stops, s, insertion)
         on_main = stops.permanent[s] and cell > 0
         grid, tables = insertion.main, main
         if not on_main:
@@ -119,6 +117,8 @@ def advance_lanes(
         lanes.depth[0] = tip
         for l in range(2 * W):
             lanes.track[cell, l] = lanes.states[lanes.size[CURRENT_STATE], last, l]
+        for l in range(W):
+            lanes.cut[l] = lanes.y[cell, l] if cell > 0 else lanes.track[0, l]
         here = 0
         for l in range(W):
             here += int(lanes.lane_status[l] == IN_LANE)
@@ -128,15 +128,24 @@ def advance_lanes(
 
 
 @njit(cache=True, nogil=True)
-def _place_constraint(lanes: LaneState, inputs: LaneInputs, stops: TipStops, s: int, tangent: float) -> None:
+def _place_constraint(
+    lanes: LaneState, inputs: LaneInputs, stops: TipStops, s: int, insertion: KernelInsertion
+) -> None:
     """Put the constraint point under the tip of stop `s` on its ray, in every lane."""
     ray, cell = stops.ray[s], stops.cell[s]
     if stops.starts_ray[s]:
         lanes.starts[ray] = lanes.depth[0]
         tip = lanes.states[lanes.size[CURRENT_STATE], lanes.size[NODES_NOW] - 1]
         for l in range(W):
-            lanes.rays[ray, l], lanes.rays[ray, W + l] = tip[l], tangent * tip[W + l]
+            lanes.rays[ray, l], lanes.rays[ray, W + l] = tip[l], insertion.tangent * tip[W + l]
             lanes.rays[ray, 2 * W + l] = inputs.turn[s, l]
+        if insertion.switch == LINEAR_CUT:
+            for l in range(W):
+                lanes.rays[ray, l] = lanes.cut[l]
+                if lanes.depth[0] == 0.0:  # the cut begins where the tip is, under the inputs that hold now
+                    lanes.y[0, l] = lanes.cut[l]
+                if stops.extrapolates[s]:
+                    lanes.rays[ray, W + l] += 0.5 * (tip[W + l] - lanes.track[cell - 2, W + l])
     if cell > 0:
         ahead, row, y = stops.tip[s] - lanes.starts[ray], lanes.rays[ray], lanes.y[cell]
         for l in range(W):
@@ -220,7 +229,7 @@ def _condense_front(
     span_start = tip - length if last == 0 else inputs.before[last - 1, GUIDE_X, 0]
     for q in range(grid.first[1]):
         fill_hermite(grid.shapes[q], grid.x[q] - span_start, grid.nodes[0] - span_start)
-        tabulate_point(tables.points[q], grid.shapes[q], grid.weight[q])
+        tabulate_point(tables.points[q], grid.shapes[q], grid.weight[q], grid.share[q])
     ends = np.empty(FRONT_ROWS * W)
     for l in range(W):
         s00 = s01 = s11 = r0 = r1 = 0.0

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.grid import NodeGrid
 from needlefit.mechanics.kernel.lanes.passes import (  # fmt: skip
     chord_interval,
@@ -50,9 +50,6 @@ from needlefit.mechanics.kernel.lanes.tables import (  # fmt: skip
     S,
 )
 from needlefit.mechanics.kernel.scalar import ROUNDING_MM, NewtonOptions
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 W = LANES
 U = np.uint64
@@ -217,12 +214,35 @@ def _add_interval(
     tangents: Floats, sums: Floats, full: bool,
 ) -> None:  # fmt: skip
     """Add the interval whose first point is `q` to the sums of its element."""
-    point, layer, tangent_row = U(grid.constraint[q]) * W1, U(grid.layer[q]) * LAYER_OFFSET, U(q) * W1
+    point, other = U(grid.constraint[q]) * W1, U(grid.other[q]) * W1
+    layer, tangent_row = U(grid.layer[q]) * LAYER_OFFSET, U(q) * W1
     if full:
         full_interval(
-            state, node, y, point, inputs.layers, layer, tables.points, U(q), tangents, tangent_row, sums
+            state,
+            node,
+            y,
+            point,
+            other,
+            inputs.layers,
+            layer,
+            tables.points,
+            U(q),
+            tangents,
+            tangent_row,
+            sums,
         )
     else:
         chord_interval(
-            state, node, y, point, inputs.layers, layer, tables.points, U(q), tangents, tangent_row, sums
+            state,
+            node,
+            y,
+            point,
+            other,
+            inputs.layers,
+            layer,
+            tables.points,
+            U(q),
+            tangents,
+            tangent_row,
+            sums,
         )

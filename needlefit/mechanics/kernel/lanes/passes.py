@@ -13,8 +13,8 @@ and four points, are most of a mesh and have a loop of their own; all others are
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats
 from needlefit.mechanics.kernel.lanes.tables import (
     B2,
     B4,
@@ -47,6 +47,7 @@ from needlefit.mechanics.kernel.lanes.tables import (
     Q1,
     Q2,
     Q3,
+    SHARE,
     TANGENT,
     W1,
     W2,
@@ -72,7 +73,6 @@ from needlefit.mechanics.kernel.lanes.tables import (
     Z,
 )
 
-Floats = NDArray[np.float64]
 Offset = np.uint64
 
 FASTMATH = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a lane must see its own NaN
@@ -120,13 +120,73 @@ def _eliminate(
     )  # fmt: skip
 
 
+@njit(inline="always")
+def _element_state(state: Floats, at: Offset) -> tuple[float, float, float, float]:
+    """Return deflection and slope at an element's two ends."""
+    return state[at], state[at + W1], state[at + W2], state[at + W3]
+
+
+@njit(inline="always")
+def _series_of(layers: Floats, at: Offset) -> tuple[float, ...]:
+    """Return the six coefficients of a layer's series."""
+    return layers[at], layers[at + W1], layers[at + W2], layers[at + W3], layers[at + W4], layers[at + W5]
+
+
+@njit(inline="always")
+def _deflection(
+    table: Floats, row: Offset, first: int, a0: float, a1: float, b0: float, b1: float
+) -> float:  # fmt: skip
+    """Return u at the point whose columns begin at `first`."""
+    u: float = (
+        table[row, first + N0] * a0
+        + table[row, first + N1] * a1
+        + table[row, first + N2] * b0
+        + table[row, first + N3] * b1
+    )
+    return u
+
+
+@njit(inline="always")
+def _cut(table: Floats, row: Offset, first: int, y0: float, rise: float) -> float:
+    """Return the cut's y at the point whose columns begin at `first`, from a constraint point and its rise to
+    the other one.
+    """
+    c: float = y0 + table[row, first + SHARE] * rise
+    return c
+
+
+@njit(inline="always")
+def _sum_points(
+    start: float, table: Floats, row: Offset, column: int, v0: float, v1: float, v2: float, v3: float
+) -> float:
+    """Return `start` plus what the four points of a regular element add, each with its weight in `column`."""
+    total: float = (
+        start
+        + table[row, column] * v0
+        + table[row, Q1 + column] * v1
+        + table[row, Q2 + column] * v2
+        + table[row, Q3 + column] * v3
+    )
+    return total
+
+
+@njit(inline="always")
+def _store(work: Floats, at: Offset, out: tuple[float, ...]) -> None:
+    """Keep what `_eliminate` returns."""
+    work[at], work[at + W1], work[at + W2], work[at + W3] = out[0], out[1], out[2], out[3]
+    work[at + INVERSE], work[at + INVERSE + W1], work[at + INVERSE + W2] = out[4], out[5], out[6]
+    work[at + Z], work[at + Z + W1] = out[7], out[8]
+    work[at + S], work[at + S + W1], work[at + S + W2] = out[9], out[10], out[11]
+    work[at + R], work[at + R + W1] = out[12], out[13]
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def full_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
     table: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset,
 ) -> None:  # fmt: skip
     """Integrate and eliminate one regular element: two intervals, one nearest to each of two constraint
-    points.
+    points, and all in the cell between them where the cut is linear.
 
     Parameters
     ----------
@@ -145,36 +205,20 @@ def full_regular(
     """
     before = own - NODE
     for l in range(W1):
-        a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
-        c0, c1, c2 = layers[first + l], layers[first + W1 + l], layers[first + W2 + l]
-        c3, c4, c5 = layers[first + W3 + l], layers[first + W4 + l], layers[first + W5 + l]
-        u0 = table[row, N0] * a0 + table[row, N1] * a1 + table[row, N2] * b0 + table[row, N3] * b1
-        u1 = (
-            table[row, Q1 + N0] * a0
-            + table[row, Q1 + N1] * a1
-            + table[row, Q1 + N2] * b0
-            + table[row, Q1 + N3] * b1
-        )
-        e0, e1 = u0 - y[point + l], u1 - y[point + l]
+        a0, a1, b0, b1 = _element_state(state, node + l)
+        c0, c1, c2, c3, c4, c5 = _series_of(layers, first + l)
+        u0 = _deflection(table, row, N0, a0, a1, b0, b1)
+        u1 = _deflection(table, row, Q1, a0, a1, b0, b1)
+        y0, rise = y[point + l], y[point + W1 + l] - y[point + l]
+        e0, e1 = u0 - _cut(table, row, N0, y0, rise), u1 - _cut(table, row, Q1, y0, rise)
         s0, s1 = abs(e0), abs(e1)
         k0, t0 = _modulus(s0, c0, c1, c2, c3, c4, c5)
         k1, t1 = _modulus(s1, c0, c1, c2, c3, c4, c5)
         r0, r1 = t0 * u0 - k0 * e0, t1 * u1 - k1 * e1
-        c0, c1, c2 = layers[second + l], layers[second + W1 + l], layers[second + W2 + l]
-        c3, c4, c5 = layers[second + W3 + l], layers[second + W4 + l], layers[second + W5 + l]
-        u2 = (
-            table[row, Q2 + N0] * a0
-            + table[row, Q2 + N1] * a1
-            + table[row, Q2 + N2] * b0
-            + table[row, Q2 + N3] * b1
-        )
-        u3 = (
-            table[row, Q3 + N0] * a0
-            + table[row, Q3 + N1] * a1
-            + table[row, Q3 + N2] * b0
-            + table[row, Q3 + N3] * b1
-        )
-        e2, e3 = u2 - y[point + W1 + l], u3 - y[point + W1 + l]
+        c0, c1, c2, c3, c4, c5 = _series_of(layers, second + l)
+        u2 = _deflection(table, row, Q2, a0, a1, b0, b1)
+        u3 = _deflection(table, row, Q3, a0, a1, b0, b1)
+        e2, e3 = u2 - _cut(table, row, Q2, y0, rise), u3 - _cut(table, row, Q3, y0, rise)
         s2, s3 = abs(e2), abs(e3)
         k2, t2 = _modulus(s2, c0, c1, c2, c3, c4, c5)
         k3, t3 = _modulus(s3, c0, c1, c2, c3, c4, c5)
@@ -183,34 +227,20 @@ def full_regular(
         ei = rigidity[l]
         b12, b6, b4, b2 = ei * table[row, B12], ei * table[row, B6], ei * table[row, B4], ei * table[row, B2]
         out = _eliminate(
-            b12 + table[row, WN00] * t0 + table[row, Q1 + WN00] * t1
-            + table[row, Q2 + WN00] * t2 + table[row, Q3 + WN00] * t3,
-            b6 + table[row, WN01] * t0 + table[row, Q1 + WN01] * t1
-            + table[row, Q2 + WN01] * t2 + table[row, Q3 + WN01] * t3,
-            -b12 + table[row, WN02] * t0 + table[row, Q1 + WN02] * t1
-            + table[row, Q2 + WN02] * t2 + table[row, Q3 + WN02] * t3,
-            b6 + table[row, WN03] * t0 + table[row, Q1 + WN03] * t1
-            + table[row, Q2 + WN03] * t2 + table[row, Q3 + WN03] * t3,
-            b4 + table[row, WN11] * t0 + table[row, Q1 + WN11] * t1
-            + table[row, Q2 + WN11] * t2 + table[row, Q3 + WN11] * t3,
-            -b6 + table[row, WN12] * t0 + table[row, Q1 + WN12] * t1
-            + table[row, Q2 + WN12] * t2 + table[row, Q3 + WN12] * t3,
-            b2 + table[row, WN13] * t0 + table[row, Q1 + WN13] * t1
-            + table[row, Q2 + WN13] * t2 + table[row, Q3 + WN13] * t3,
-            b12 + table[row, WN22] * t0 + table[row, Q1 + WN22] * t1
-            + table[row, Q2 + WN22] * t2 + table[row, Q3 + WN22] * t3,
-            -b6 + table[row, WN23] * t0 + table[row, Q1 + WN23] * t1
-            + table[row, Q2 + WN23] * t2 + table[row, Q3 + WN23] * t3,
-            b4 + table[row, WN33] * t0 + table[row, Q1 + WN33] * t1
-            + table[row, Q2 + WN33] * t2 + table[row, Q3 + WN33] * t3,
-            table[row, WN0] * r0 + table[row, Q1 + WN0] * r1
-            + table[row, Q2 + WN0] * r2 + table[row, Q3 + WN0] * r3,
-            table[row, WN1] * r0 + table[row, Q1 + WN1] * r1
-            + table[row, Q2 + WN1] * r2 + table[row, Q3 + WN1] * r3,
-            table[row, WN2] * r0 + table[row, Q1 + WN2] * r1
-            + table[row, Q2 + WN2] * r2 + table[row, Q3 + WN2] * r3,
-            table[row, WN3] * r0 + table[row, Q1 + WN3] * r1
-            + table[row, Q2 + WN3] * r2 + table[row, Q3 + WN3] * r3,
+            _sum_points(b12, table, row, WN00, t0, t1, t2, t3),
+            _sum_points(b6, table, row, WN01, t0, t1, t2, t3),
+            _sum_points(-b12, table, row, WN02, t0, t1, t2, t3),
+            _sum_points(b6, table, row, WN03, t0, t1, t2, t3),
+            _sum_points(b4, table, row, WN11, t0, t1, t2, t3),
+            _sum_points(-b6, table, row, WN12, t0, t1, t2, t3),
+            _sum_points(b2, table, row, WN13, t0, t1, t2, t3),
+            _sum_points(b12, table, row, WN22, t0, t1, t2, t3),
+            _sum_points(-b6, table, row, WN23, t0, t1, t2, t3),
+            _sum_points(b4, table, row, WN33, t0, t1, t2, t3),
+            _sum_points(0.0, table, row, WN0, r0, r1, r2, r3),
+            _sum_points(0.0, table, row, WN1, r0, r1, r2, r3),
+            _sum_points(0.0, table, row, WN2, r0, r1, r2, r3),
+            _sum_points(0.0, table, row, WN3, r0, r1, r2, r3),
             work[before + S + l], work[before + S + W1 + l], work[before + S + W2 + l],
             work[before + R + l], work[before + R + W1 + l],
         )  # fmt: skip
@@ -218,13 +248,7 @@ def full_regular(
         work[own + EXCESS + l] = max(work[before + EXCESS + l], over)
         work[own + TANGENT + l], work[own + TANGENT + W1 + l] = t0, t1
         work[own + TANGENT + W2 + l], work[own + TANGENT + W3 + l] = t2, t3
-        work[own + l], work[own + W1 + l] = out[0], out[1]
-        work[own + W2 + l], work[own + W3 + l] = out[2], out[3]
-        work[own + INVERSE + l], work[own + INVERSE + W1 + l] = out[4], out[5]
-        work[own + INVERSE + W2 + l] = out[6]
-        work[own + Z + l], work[own + Z + W1 + l] = out[7], out[8]
-        work[own + S + l], work[own + S + W1 + l], work[own + S + W2 + l] = out[9], out[10], out[11]
-        work[own + R + l], work[own + R + W1 + l] = out[12], out[13]
+        _store(work, own + l, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
@@ -238,66 +262,28 @@ def chord_regular(
     """
     before = own - NODE
     for l in range(W1):
-        a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
-        c0, c1, c2 = layers[first + l], layers[first + W1 + l], layers[first + W2 + l]
-        c3, c4, c5 = layers[first + W3 + l], layers[first + W4 + l], layers[first + W5 + l]
-        u0 = table[row, N0] * a0 + table[row, N1] * a1 + table[row, N2] * b0 + table[row, N3] * b1
-        u1 = (
-            table[row, Q1 + N0] * a0
-            + table[row, Q1 + N1] * a1
-            + table[row, Q1 + N2] * b0
-            + table[row, Q1 + N3] * b1
-        )
-        e0, e1 = u0 - y[point + l], u1 - y[point + l]
+        a0, a1, b0, b1 = _element_state(state, node + l)
+        c0, c1, c2, c3, c4, c5 = _series_of(layers, first + l)
+        u0 = _deflection(table, row, N0, a0, a1, b0, b1)
+        u1 = _deflection(table, row, Q1, a0, a1, b0, b1)
+        y0, rise = y[point + l], y[point + W1 + l] - y[point + l]
+        e0, e1 = u0 - _cut(table, row, N0, y0, rise), u1 - _cut(table, row, Q1, y0, rise)
         s0, s1 = abs(e0), abs(e1)
         r0 = work[own + TANGENT + l] * u0 - _series(s0, c0, c1, c2, c3, c4, c5) * e0
         r1 = work[own + TANGENT + W1 + l] * u1 - _series(s1, c0, c1, c2, c3, c4, c5) * e1
-        c0, c1, c2 = layers[second + l], layers[second + W1 + l], layers[second + W2 + l]
-        c3, c4, c5 = layers[second + W3 + l], layers[second + W4 + l], layers[second + W5 + l]
-        u2 = (
-            table[row, Q2 + N0] * a0
-            + table[row, Q2 + N1] * a1
-            + table[row, Q2 + N2] * b0
-            + table[row, Q2 + N3] * b1
-        )
-        u3 = (
-            table[row, Q3 + N0] * a0
-            + table[row, Q3 + N1] * a1
-            + table[row, Q3 + N2] * b0
-            + table[row, Q3 + N3] * b1
-        )
-        e2, e3 = u2 - y[point + W1 + l], u3 - y[point + W1 + l]
+        c0, c1, c2, c3, c4, c5 = _series_of(layers, second + l)
+        u2 = _deflection(table, row, Q2, a0, a1, b0, b1)
+        u3 = _deflection(table, row, Q3, a0, a1, b0, b1)
+        e2, e3 = u2 - _cut(table, row, Q2, y0, rise), u3 - _cut(table, row, Q3, y0, rise)
         s2, s3 = abs(e2), abs(e3)
         r2 = work[own + TANGENT + W2 + l] * u2 - _series(s2, c0, c1, c2, c3, c4, c5) * e2
         r3 = work[own + TANGENT + W3 + l] * u3 - _series(s3, c0, c1, c2, c3, c4, c5) * e3
         over = max(max(s0, s1) - layers[first + LIMIT + l], max(s2, s3) - layers[second + LIMIT + l])
         work[own + EXCESS + l] = max(work[before + EXCESS + l], over)
-        f0 = (
-            work[before + R + l]
-            + table[row, WN0] * r0
-            + table[row, Q1 + WN0] * r1
-            + table[row, Q2 + WN0] * r2
-            + table[row, Q3 + WN0] * r3
-        )
-        f1 = (
-            work[before + R + W1 + l]
-            + table[row, WN1] * r0
-            + table[row, Q1 + WN1] * r1
-            + table[row, Q2 + WN1] * r2
-            + table[row, Q3 + WN1] * r3
-        )
-        f2 = (
-            table[row, WN2] * r0
-            + table[row, Q1 + WN2] * r1
-            + table[row, Q2 + WN2] * r2
-            + table[row, Q3 + WN2] * r3
-        )
-        f3 = (
-            table[row, WN3] * r0
-            + table[row, Q1 + WN3] * r1
-            + table[row, Q2 + WN3] * r2
-            + table[row, Q3 + WN3] * r3
-        )
+        f0 = _sum_points(work[before + R + l], table, row, WN0, r0, r1, r2, r3)
+        f1 = _sum_points(work[before + R + W1 + l], table, row, WN1, r0, r1, r2, r3)
+        f2 = _sum_points(0.0, table, row, WN2, r0, r1, r2, r3)
+        f3 = _sum_points(0.0, table, row, WN3, r0, r1, r2, r3)
         g00, g01, g10, g11 = (
             work[own + l],
             work[own + W1 + l],
@@ -313,7 +299,7 @@ def chord_regular(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def full_interval(
-    state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, layer: Offset,
+    state: Floats, node: Offset, y: Floats, point: Offset, other: Offset, layers: Floats, layer: Offset,
     table: Floats, row: Offset, tangents: Floats, tangent_row: Offset, sums: Floats,
 ) -> None:  # fmt: skip
     """Add one interval of any element to `sums` (SUM_ROWS LANES,); keep the tangents of its two points.
@@ -321,17 +307,12 @@ def full_interval(
     `table` (Q, POINT_COLUMNS) is of single points here, `row` the first of the two.
     """
     for l in range(W1):
-        a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
-        c0, c1, c2 = layers[layer + l], layers[layer + W1 + l], layers[layer + W2 + l]
-        c3, c4, c5 = layers[layer + W3 + l], layers[layer + W4 + l], layers[layer + W5 + l]
-        u0 = table[row, N0] * a0 + table[row, N1] * a1 + table[row, N2] * b0 + table[row, N3] * b1
-        u1 = (
-            table[row + ONE, N0] * a0
-            + table[row + ONE, N1] * a1
-            + table[row + ONE, N2] * b0
-            + table[row + ONE, N3] * b1
-        )
-        e0, e1 = u0 - y[point + l], u1 - y[point + l]
+        a0, a1, b0, b1 = _element_state(state, node + l)
+        c0, c1, c2, c3, c4, c5 = _series_of(layers, layer + l)
+        u0 = _deflection(table, row, N0, a0, a1, b0, b1)
+        u1 = _deflection(table, row + ONE, N0, a0, a1, b0, b1)
+        y0, rise = y[point + l], y[other + l] - y[point + l]
+        e0, e1 = u0 - _cut(table, row, N0, y0, rise), u1 - _cut(table, row + ONE, N0, y0, rise)
         s0, s1 = abs(e0), abs(e1)
         k0, t0 = _modulus(s0, c0, c1, c2, c3, c4, c5)
         k1, t1 = _modulus(s1, c0, c1, c2, c3, c4, c5)
@@ -356,22 +337,17 @@ def full_interval(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def chord_interval(
-    state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, layer: Offset,
+    state: Floats, node: Offset, y: Floats, point: Offset, other: Offset, layers: Floats, layer: Offset,
     table: Floats, row: Offset, tangents: Floats, tangent_row: Offset, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the right-hand side of one interval to `sums`, with the tangents of the last full pass."""
     for l in range(W1):
-        a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
-        c0, c1, c2 = layers[layer + l], layers[layer + W1 + l], layers[layer + W2 + l]
-        c3, c4, c5 = layers[layer + W3 + l], layers[layer + W4 + l], layers[layer + W5 + l]
-        u0 = table[row, N0] * a0 + table[row, N1] * a1 + table[row, N2] * b0 + table[row, N3] * b1
-        u1 = (
-            table[row + ONE, N0] * a0
-            + table[row + ONE, N1] * a1
-            + table[row + ONE, N2] * b0
-            + table[row + ONE, N3] * b1
-        )
-        e0, e1 = u0 - y[point + l], u1 - y[point + l]
+        a0, a1, b0, b1 = _element_state(state, node + l)
+        c0, c1, c2, c3, c4, c5 = _series_of(layers, layer + l)
+        u0 = _deflection(table, row, N0, a0, a1, b0, b1)
+        u1 = _deflection(table, row + ONE, N0, a0, a1, b0, b1)
+        y0, rise = y[point + l], y[other + l] - y[point + l]
+        e0, e1 = u0 - _cut(table, row, N0, y0, rise), u1 - _cut(table, row + ONE, N0, y0, rise)
         s0, s1 = abs(e0), abs(e1)
         r0 = tangents[tangent_row + l] * u0 - _series(s0, c0, c1, c2, c3, c4, c5) * e0
         r1 = tangents[tangent_row + W1 + l] * u1 - _series(s1, c0, c1, c2, c3, c4, c5) * e1
@@ -408,13 +384,7 @@ def full_sums(
             work[before + R + l], work[before + R + W1 + l],
         )  # fmt: skip
         work[own + EXCESS + l] = max(work[before + EXCESS + l], sums[OVER + l])
-        work[own + l], work[own + W1 + l] = out[0], out[1]
-        work[own + W2 + l], work[own + W3 + l] = out[2], out[3]
-        work[own + INVERSE + l], work[own + INVERSE + W1 + l] = out[4], out[5]
-        work[own + INVERSE + W2 + l] = out[6]
-        work[own + Z + l], work[own + Z + W1 + l] = out[7], out[8]
-        work[own + S + l], work[own + S + W1 + l], work[own + S + W2 + l] = out[9], out[10], out[11]
-        work[own + R + l], work[own + R + W1 + l] = out[12], out[13]
+        _store(work, own + l, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
@@ -475,9 +445,7 @@ def update_tip(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Fl
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def substitute_back(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
-    """Compute a node from the one after it, and the greatest increment so far, in the lanes that still
-    iterate.
-    """
+    """Compute a node from the one after it, and the greatest increment, in the lanes that iterate."""
     for l in range(W1):
         b0, b1 = state[node + W2 + l], state[node + W3 + l]
         u = work[own + Z + l] - work[own + l] * b0 - work[own + W1 + l] * b1

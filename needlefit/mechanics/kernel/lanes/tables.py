@@ -8,26 +8,25 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.grid import NodeGrid
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LANES = 32  # at least 16: the compiler checks at run time whether rows overlap only where that pays
 
-# Columns of a quadrature point's table; N: shape functions of (u, u') at the element's two ends, w: weight.
-POINT_COLUMNS = 18
+# Columns of a quadrature point's table; N: shape functions of (u, u') at the element's two ends, w: weight,
+# SHARE: how much of the way from one constraint point to the other the cut has gone there.
+POINT_COLUMNS = 19
 N0, N1, N2, N3 = 0, 1, 2, 3
 WN0, WN1, WN2, WN3 = 4, 5, 6, 7  # w N
 WN00, WN01, WN02, WN03, WN11, WN12, WN13, WN22, WN23, WN33 = 8, 9, 10, 11, 12, 13, 14, 15, 16, 17  # w N_i N_j
+SHARE = 18
 
 # Columns of a regular element's table: those of its four points one after the other (Q1: the first column of
 # the second point), then its bending stiffness over EI: 12 / l^3, 6 / l^2, 4 / l, 2 / l.
-Q1, Q2, Q3 = 18, 36, 54
-B12, B6, B4, B2 = 72, 73, 74, 75
-REGULAR_COLUMNS = 76
+Q1, Q2, Q3 = 19, 38, 57
+B12, B6, B4, B2 = 76, 77, 78, 79
+REGULAR_COLUMNS = 80
 
 # Rows of LANES numbers. Of a layer: the series of k (6), and the |e| up to which it holds. Of a node:
 # G = S^-1 K_ab, S^-1, z = S^-1 r, tangents at its element's points, S, r, excess. Of an element's sums:
@@ -65,15 +64,20 @@ def tabulate(grid: NodeGrid) -> LaneTables:
         length = grid.nodes[e] - grid.nodes[e - 1]
         _fill_bending(bending[e], length)
         for q in range(grid.first[e], grid.first[e + 1]):
-            tabulate_point(points[q], grid.shapes[q], grid.weight[q])
+            tabulate_point(points[q], grid.shapes[q], grid.weight[q], grid.share[q])
         first = grid.first[e]
         # Regular: four points, and the third is the first one of the next constraint point.
         if grid.first[e + 1] - first != 4 or grid.constraint[first + 2] != grid.constraint[first] + 1:
+            continue
+        near, far = grid.constraint[first], grid.constraint[first + 2]
+        if grid.other[first] not in (near, far) or grid.other[first + 2] not in (near, far):
             continue
         row = regular[regular_count]
         for q in range(4):
             for i in range(POINT_COLUMNS):
                 row[q * POINT_COLUMNS + i] = points[first + q, i]
+            if q >= 2:  # nearest to the second of the element's constraint points
+                row[q * POINT_COLUMNS + SHARE] = 1.0 - points[first + q, SHARE]
         for i in range(4):
             row[B12 + i] = bending[e, i]
         regular_row[e] = regular_count
@@ -95,8 +99,11 @@ def _are_equal(row: Floats, other: Floats) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def tabulate_point(row: Floats, shape: Floats, weight: float) -> None:
-    """Fill the table row (POINT_COLUMNS,) of one quadrature point, given its shape functions."""
+def tabulate_point(row: Floats, shape: Floats, weight: float, share: float) -> None:
+    """Fill the table row (POINT_COLUMNS,) of one quadrature point, given its shape functions and the share of
+    the way that the cut has gone from its nearest constraint point to the other one.
+    """
+    row[SHARE] = share
     at = WN00
     for i in range(4):
         row[N0 + i], row[WN0 + i] = shape[i], weight * shape[i]

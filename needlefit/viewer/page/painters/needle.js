@@ -70,13 +70,13 @@ function paintBevel(context, { points, tip }, half, side) {
 /** Draw to which side the bevel turns the cut, and whether the tip is held. */
 export function paintTip(context, { tip, bevel }) {
   const [px, py] = [toPx(tip.x), toPy(tip.y)];
-  turned(context, px, py, Math.atan(tip.slope * view.magnified), () => {
+  turned(context, px, py, Math.atan(Math.tan(tip.rotation) * view.magnified), () => {
     paintTurn(context, -bevel.side * (Math.max(thickness() / 2, 2) + 9)); // canvas y runs downwards
   });
   if (tip.held) ring(context, px, py, 11, palette.tip, "transparent");
 }
 
-/** An arrow head that says to which side the bevel turns the cut. */
+/** An arrow head at the side to which the bevel turns the cut. */
 function paintTurn(context, py) {
   const to = Math.sign(py);
   context.beginPath();

@@ -1,0 +1,474 @@
+"""Fit, sample, predict and validate from Python; each returns a `Run`, as the commands write it.
+
+Inputs are names (of what ships, or lies in the working folder), paths, or records, tables and datasets in
+memory. Nothing is written but by `Run.save`, and with `checkpoint`.
+"""
+
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, Literal, TypedDict, TypeVar, Unpack
+
+import numpy as np
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.read import read
+from needlefit.errors import ConfigError
+from needlefit.project.checkpoint_folder import remove_checkpoint
+from needlefit.project.input_files import is_dir
+from needlefit.project.json_values import to_json_values
+from needlefit.project.load import check, load
+from needlefit.project.locate import FileKind, find_file, find_run, find_studies, is_path
+from needlefit.project.progress import Progress, Stop, never_stop, no_progress
+from needlefit.project.threads import count_cores
+from needlefit.project.toml_lines import add_file_context
+from needlefit.schemas.base import FileRecord
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.job import Inputs, Settings, prepare, set_priors
+from needlefit.studies.kind import find_kind, kind_of
+from needlefit.studies.kinds.prediction.run import require_same_configuration
+from needlefit.studies.run import Run, restore_run
+from needlefit.studies.study_files import check_study, load_study
+from needlefit.studies.targets import load_target
+
+Name = str | Path
+Table = Mapping[str, Any]
+Medium = Name | MediumRecord | Table
+Record = TypeVar("Record", bound=FileRecord)
+
+_IN_MEMORY = "given in Python"
+"""Stands in a result for the name of what has none."""
+
+
+class RunOptions(TypedDict, total=False):
+    """How a run is executed; only `seed` changes numbers, and `name`, which keys its random streams.
+
+    Attributes
+    ----------
+    name : str
+        Of the result; by default made of what is run.
+    seed : int
+        Of all random numbers, in place of the recipe's.
+    jobs : int
+        Threads; by default as many as there are cores.
+    progress : bool or callable
+        True prints to stderr; a callable is given what is being done, how much is done, and of how much.
+    checkpoint : str or Path
+        A folder that keeps finished work; the same call goes on from there. It is removed at the end.
+    """
+
+    name: str
+    seed: int
+    jobs: int
+    progress: bool | Progress
+    checkpoint: Name
+
+
+class FitChanges(RunOptions, total=False):
+    """What a fit is made with, in place of what its file names, and how it is executed.
+
+    Attributes
+    ----------
+    tune : table
+        The insertions fitted to, by the keys of `[tune]`: `{"layers": [3]}`. By default all.
+    recipe : str, Path, RecipeRecord or table
+        How to search and sample; a table changes keys of the recipe `default`: `{"starts": 4}`.
+    priors : mapping
+        By number of the layer: the file that `needlefit material` wrote.
+    """
+
+    tune: Table
+    recipe: Name | RecipeRecord | Table
+    priors: Mapping[int, Name]
+
+
+def load_dataset(name: Name) -> Dataset:
+    """Return the dataset that `name` means: a bare name such as `twin`, a folder, or its `dataset.toml`.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of that name.
+    DataError
+        Listing every fault of its files.
+
+    Examples
+    --------
+    >>> dataset = needlefit.load_dataset("twin")
+    >>> dataset.origin, len(dataset.insertions)
+    ('synthetic', 47)
+    """
+    return read(find_file("dataset", _spell(name)))
+
+
+def load_run(folder: Name) -> Run:
+    """Return the run that `Run.save` or a command wrote to `folder`, or to `reports/<folder>`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If there is none, or its files are damaged.
+    """
+    return restore_run(find_run(_spell(folder)))
+
+
+def fit(target: Name | Dataset, medium: Medium | None = None, **options: Unpack[FitChanges]) -> Run:
+    """Fit the parameters of a tissue model (mu in Pa, alpha, b in mm) to measured insertions.
+
+    Parameters
+    ----------
+    target : str, Path or Dataset
+        With `medium`: the data. Without: what ships or your file names, a fit (`"phantom1"`) or a study
+        (`"study3"`), of which the tuning alone is done.
+    medium : str, Path, MediumRecord or table, optional
+        The model: layers, and which parameters are free.
+    **options
+        See `FitChanges`.
+
+    Returns
+    -------
+    Run
+        Of kind `fit`. Ctrl-C ends the search early with the best so far, marked `interrupted`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything that is named is missing or wrong.
+    FitError
+        If the search finds no point that can be solved.
+
+    Examples
+    --------
+    >>> run = needlefit.fit("twin", "chicken", tune={"insertions": ["chicken-04"]}, recipe="quick")
+    >>> run.kind, run.name, run.interrupted
+    ('fit', 'twin-chicken', False)
+    """
+    return _fit(target, medium, options, sample=False)
+
+
+def sample(
+    target: Name | Dataset | Run,
+    medium: Medium | None = None,
+    **options: Unpack[FitChanges],
+) -> Run:
+    """Fit as `fit`, then sample the posterior.
+
+    Parameters
+    ----------
+    target, medium, **options
+        As of `fit`; `target` may also be a run of kind `fit`, or of a study with one fold.
+
+    Returns
+    -------
+    Run
+        With `posterior`, whose `to_inference_data()` is for ArviZ. Ctrl-C ends early, marked `interrupted`.
+
+    Raises
+    ------
+    ConfigError, DataError, FitError
+        As `fit`; also if the data that `target` was fitted to are no longer the same.
+    """
+    return _fit(target, medium, options, sample=True)
+
+
+def predict(
+    target: Name | Run,
+    scene: Name | SceneRecord | Table,
+    specimen: Literal["new", "same"] = "new",
+    **options: Unpack[RunOptions],
+) -> Run:
+    """Predict a planned insertion, with its uncertainty.
+
+    Parameters
+    ----------
+    target : str, Path or Run
+        What was fitted: a fit or a study, or its run. Draws come from the posterior of a run that was
+        sampled, else, by importance sampling, from about a fit that is made now.
+    scene : str, Path, SceneRecord or table
+        The planned insertion; its moduli and bevel offset are replaced.
+    specimen : "new" or "same"
+        Whether it goes into a specimen that was not tuned on, whose parameters differ, or into one that was.
+
+    Returns
+    -------
+    Run
+        Of kind `prediction`; `frames["forecast"]` has the needle and its bands by arc length, mm (NaN where
+        the draws are not certified), `frames["specimens"]` how wide the tip's interval is, and would be.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything that is named is missing or wrong, or the run's data are no longer the same.
+    ModelError
+        If no draw of the parameters can be solved for this scene.
+    KeyboardInterrupt
+        With Ctrl-C.
+    """
+    if isinstance(target, Run):
+        name, fitted, inputs = _reopen(target)
+        inputs = replace(inputs, target=(name, fitted))
+    else:
+        name, inputs = load_target(_spell(target))[0], Inputs()
+    planned, scene_name = _read_record("scene", scene, SceneRecord)
+    about = name.removesuffix("-tune")
+    record = find_kind("prediction").make_record(
+        target=about if isinstance(target, Run) else _spell(target),
+        scene=planned,
+        scene_name=scene_name,
+        posterior=None if inputs.posterior is None else about,
+        specimen=specimen,
+    )
+    stem = Path(scene_name).stem if scene_name != _IN_MEMORY else "scene"
+    return _run(record, f"predict-{about}-{stem}", Settings(inputs=inputs), options)
+
+
+def validate(study: Name | FileRecord | Table, sample: bool = False, **options: Unpack[RunOptions]) -> Run:
+    """Run a study of any kind: fit and score held-out insertions, or whatever else its file asks.
+
+    Parameters
+    ----------
+    study : str, Path, record or table
+        A name such as `study3`, a path, or the keys of a study file.
+    sample : bool
+        Whether to sample the posteriors too.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything that is named is missing or wrong.
+    FitError
+        If a search finds no point that can be solved.
+    KeyboardInterrupt
+        With Ctrl-C.
+    """
+    file, name = None, "study"
+    if isinstance(study, FileRecord):
+        record = study
+    elif isinstance(study, Mapping):
+        record = check_study(study, "needlefit.validate")
+    else:
+        (name, file), *others = find_studies(_spell(study))
+        if others:
+            raise ConfigError(
+                f"`{study}` means several studies",
+                expected="a single one",
+                fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
+            )
+        record = load_study(file)
+    return _run(record, name, Settings(sample=sample, file=file), options)
+
+
+def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChanges, sample: bool) -> Run:
+    if medium is None:
+        if isinstance(target, Dataset):
+            raise ConfigError(
+                "a dataset alone cannot be fitted", fix='name the model: fit(dataset, "phantom1")'
+            )
+        name, record, inputs, file = _find_target(target)
+    else:
+        name, record, inputs = _begin_fit(target, medium)
+        file = None
+    record, inputs = _change_fit(record, inputs, options)
+    return _run(record, name, Settings(sample=sample, inputs=inputs, file=file), options)
+
+
+def _begin_fit(target: Name | Dataset | Run, medium: Medium) -> tuple[str, FitRecord, Inputs]:
+    """Return the fit of a model to all of a dataset."""
+    if isinstance(target, Run):
+        raise ConfigError("a run has a medium already", fix="leave `medium` out, or give the dataset")
+    if isinstance(target, Dataset):
+        dataset, data = _require_unchanged(target), _name_dataset(target)
+    else:
+        dataset, data = load_dataset(target), _spell(target)
+    given, label = (
+        (None, _spell(medium)) if isinstance(medium, Name) else _read_record("medium", medium, MediumRecord)
+    )
+    table = {"schema": FitRecord.SCHEMA, "dataset": data, "medium": label}
+    name = f"{dataset.name}-{Path(label).stem}" if given is None else dataset.name
+    return name, check(table, FitRecord, "needlefit.fit"), Inputs(dataset=dataset, medium=given)
+
+
+def _change_fit(record: FitRecord, inputs: Inputs, options: FitChanges) -> tuple[FitRecord, Inputs]:
+    """Return a fit, and what is in memory for it, with the changes that were asked for."""
+    changes: dict[str, Any] = {}
+    if "tune" in options:
+        changes["tune"] = options["tune"]
+    if "priors" in options:
+        changes["priors"] = {str(layer): str(file) for layer, file in options["priors"].items()}
+    if "recipe" in options:
+        recipe, changes["recipe"] = _read_recipe(options["recipe"])
+        inputs = replace(inputs, recipe=recipe)
+    if not changes:
+        return record, inputs
+    record = check(_plain(record, changes), type(record), "needlefit.fit")
+    if "priors" in options and inputs.medium is not None:
+        inputs = replace(inputs, medium=set_priors(inputs.medium, record.priors))
+    return record, inputs
+
+
+def _find_target(target: Name | Run) -> tuple[str, FitRecord, Inputs, Path | None]:
+    """Return the name of the results of a fit, the fit, what is in memory for it, and its file."""
+    if isinstance(target, Run):
+        return (*_reopen(target), None)
+    name, record, file = load_target(_spell(target))
+    return name, record, Inputs(), file
+
+
+def _reopen(run: Run) -> tuple[str, FitRecord, Inputs]:
+    """Return the fit of a run with its medium, recipe and posterior; ConfigError if its data were changed."""
+    record = run.record
+    if not isinstance(record, FitRecord):
+        raise ConfigError(
+            f"`{run.name}` is a run of kind {run.kind}, no fit",
+            expected="a run of `fit`, `sample`, or of a study that fits and scores",
+        )
+    where = f"run `{run.name}`"
+    medium, recipe = (
+        check(run.run["medium"], MediumRecord, where),
+        check(run.run["recipe"], RecipeRecord, where),
+    )
+    inputs = Inputs(medium=medium, recipe=recipe)
+    job = prepare(run.name, record, Settings(inputs=inputs))
+    require_same_configuration(job, run.run, where)
+    one_fit = len(run.posteriors) == 1 and len(job.folds) == 1
+    inputs = replace(inputs, dataset=job.dataset, posterior=run.posterior if one_fit else None)
+    if isinstance(record, StudyRecord):
+        return f"{run.name}-tune", record.tuning(), inputs
+    return run.name, record, inputs
+
+
+def _read_record(kind: FileKind, value: Name | Record | Table, record: type[Record]) -> tuple[Record, str]:
+    """Return what a name, a path, a record or a table means, and its name."""
+    if isinstance(value, record):
+        return value, _IN_MEMORY
+    if isinstance(value, Mapping):
+        table = {"schema": record.SCHEMA, **value}
+        return check(_plain(None, table), record, f"{kind} {_IN_MEMORY}"), _IN_MEMORY
+    name = _spell(value)  # type: ignore[arg-type]  # nothing else is left
+    return load(find_file(kind, name), record), name
+
+
+def _read_recipe(value: Name | RecipeRecord | Table) -> tuple[RecipeRecord, str]:
+    """Return a recipe and its name; a table changes keys of the default one."""
+    if isinstance(value, Mapping):
+        default, _ = _read_record("recipe", "default", RecipeRecord)
+        value = _plain(default, {"title": "", **value})
+    return _read_record("recipe", value, RecipeRecord)
+
+
+def _plain(record: FileRecord | None, changes: Table) -> dict[str, Any]:
+    """Return the keys of a record, with changes, as JSON values."""
+    table = {} if record is None else record.model_dump(mode="json", by_alias=True)
+    return table | {key: to_json_values(value) for key, value in changes.items()}
+
+
+def _spell(name: Name) -> str:
+    """Return a name or path as text; a Path is never taken for a bare name."""
+    text = str(name)
+    return f"./{text}" if isinstance(name, Path) and not is_path(text) else text
+
+
+def _name_dataset(dataset: Dataset) -> str:
+    """Return the name by which a dataset is found again: its bare one, or its path."""
+    try:
+        found: Path | None = find_file("dataset", dataset.path.parent.name)
+    except ConfigError:
+        found = None
+    return dataset.path.parent.name if found == dataset.path else str(dataset.path)
+
+
+def _require_unchanged(dataset: Dataset) -> Dataset:
+    """Return a dataset that is what its files hold, so that a run's record of it is true."""
+    stored = read(dataset.path)
+    pairs = zip(dataset.insertions, stored.insertions, strict=False)
+    same = len(dataset.insertions) == len(stored.insertions) and all(_is_same(*pair) for pair in pairs)
+    if not same or (dataset.noise, dataset.needle) != (stored.noise, stored.needle):
+        raise ConfigError(
+            "the dataset is not what its files hold",
+            where=str(dataset.path),
+            expected="a dataset as `load_dataset` returns it: a run records the digest of its files",
+            fix="select insertions with `tune`; write changed data to a folder of their own",
+        )
+    return dataset
+
+
+def _is_same(one: Insertion, other: Insertion) -> bool:
+    plain = (np.ndarray, float, int, str)
+    values = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+    return all(np.array_equal(a, b) for a, b in values if isinstance(a, plain))
+
+
+def _run(record: FileRecord, name: str, settings: Settings, options: RunOptions) -> Run:
+    """Run a study with the options of the call."""
+    name, folder = options.get("name", name), options.get("checkpoint")
+    checkpoint = None if folder is None else Path(folder)
+    with _catch_interrupts() as stop, _show_progress(options.get("progress", False)) as progress:
+        settings = replace(
+            settings,
+            seed=options.get("seed"),
+            jobs=options.get("jobs", count_cores()),
+            checkpoint=checkpoint,
+            resume=checkpoint is not None and is_dir(checkpoint),
+            progress=progress,
+            stop=stop,
+            note=warnings.warn,
+        )
+        result = _run_kind(record, name, settings)
+    if checkpoint is not None and not result.interrupted:
+        remove_checkpoint(checkpoint, warnings.warn)
+    if result.interrupted and not _has_fit(result):
+        raise KeyboardInterrupt(f"{name} was interrupted before there was a result")
+    return result
+
+
+def _run_kind(record: FileRecord, name: str, settings: Settings) -> Run:
+    if settings.file is None:
+        return kind_of(record).run(name, record, settings)
+    with add_file_context(settings.file):
+        return kind_of(record).run(name, record, settings)
+
+
+def _has_fit(result: Run) -> bool:
+    """Return whether an interrupted run has a best fit so far, which is worth having."""
+    return result.kind == "fit" and "fitted" in set(result.frames["errors"]["method"])
+
+
+@contextmanager
+def _catch_interrupts() -> Iterator[Stop]:
+    """Yield the question whether Ctrl-C was pressed; the second time it raises KeyboardInterrupt."""
+    if threading.current_thread() is not threading.main_thread():
+        yield never_stop  # signals reach the main thread alone
+        return
+    pressed = threading.Event()
+
+    def on_signal(number: int, frame: object) -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+        pressed.set()
+
+    before = signal.signal(signal.SIGINT, on_signal)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _show_progress(progress: bool | Progress) -> Iterator[Callable[[str, int, int], None]]:
+    """Yield what a run calls with its progress; True rewrites one line on stderr, as notebooks show it."""
+    if not isinstance(progress, bool):
+        yield progress
+        return
+    if not progress:
+        yield no_progress
+        return
+    yield lambda what, done, of: print(f"\r\033[K{what}: {done} of {of}", end="", file=sys.stderr, flush=True)
+    print("\r\033[K", end="", file=sys.stderr)

@@ -1,0 +1,273 @@
+"""Find and read all curves and surfaces in the files and folders that an import names."""
+
+import itertools
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from needlefit.datasets.columns import make_id
+from needlefit.datasets.faults import Fault, as_error, from_error
+from needlefit.datasets.formats import FORMATS, find_format
+from needlefit.datasets.importing.cells import SHEET_SUFFIXES, TEXT_SUFFIXES, read_sheets, read_text_cells
+from needlefit.datasets.importing.curve_tables import ImportedCurve, find_curves
+from needlefit.datasets.importing.slicer_scene import ImportedSurface, read_scene
+from needlefit.datasets.insertion_faults import MIN_POINTS
+from needlefit.errors import DataError
+from needlefit.geometry.frames import RAS_TO_LPS
+from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, read_surface, transform_surface
+from needlefit.project.input_files import is_dir, path_exists
+from needlefit.project.locate import join_names
+from needlefit.schemas.names import EXPECTED_NAME, name_fault
+
+SCENE_SUFFIXES = (".mrml", ".mrb")
+
+MAX_FILES = 2000
+MAX_CURVES = 5000
+MAX_SHOWN_FILES = 8
+MAX_NAME_CHARS = 60
+
+
+@dataclass(frozen=True)
+class ImportContent:
+    """What the files of an import hold.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        Those that curves or surfaces were read from.
+    curves : tuple of ImportedCurve
+        By different names, which can name files.
+    surfaces : tuple of ImportedSurface
+    notes : tuple of str
+        What was left out, or taken in a way that may surprise.
+    """
+
+    files: tuple[Path, ...]
+    curves: tuple[ImportedCurve, ...]
+    surfaces: tuple[ImportedSurface, ...]
+    notes: tuple[str, ...]
+
+
+def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportContent:
+    """Read every file that is named, and the readable files of every folder that is named.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        The headers or numbers of x, y and z in tables; else they are found.
+
+    Raises
+    ------
+    DataError
+        Listing what is wrong with all files, or because they hold no curve.
+    """
+    found: list[Fault] = []
+    notes: list[str] = []
+    files: list[Path] = []
+    curves: list[ImportedCurve] = []
+    surfaces: list[ImportedSurface] = []
+    for path, is_named in _list_files(paths, notes):
+        try:
+            some, more, remarks = _read_file(path, columns)
+        except DataError as error:
+            if is_named or path.suffix.lower() not in TEXT_SUFFIXES or "no table" not in error.what:
+                found.append(from_error(error, str(path)))
+            else:
+                notes.append(f"{path.name} is left out: it {error.what}")
+            continue
+        curves += some
+        surfaces += more
+        notes += [f"{path.name}: {remark}" for remark in remarks]
+        files += [path] if some or more else []
+    if not found and not curves:
+        found.append(_no_curve_fault(paths, surfaces))
+    found += [fault for one in curves for fault in _find_unusable(one)]
+    if found:
+        raise as_error(found, paths[0])
+    return ImportContent(tuple(files), _name_curves(curves), _name_surfaces(surfaces), tuple(notes))
+
+
+def list_import_suffixes() -> tuple[str, ...]:
+    """Return the endings of all files that an import reads."""
+    plugins = {end for one in FORMATS.values() for end in one.suffixes}
+    return tuple(sorted({*TEXT_SUFFIXES, *SHEET_SUFFIXES, *SCENE_SUFFIXES, *READ_SUFFIXES, *plugins}))
+
+
+def _list_files(paths: Sequence[Path], notes: list[str]) -> list[tuple[Path, bool]]:
+    """Return the files, and whether each is named itself; of a folder with a scene that one alone."""
+    listed: list[tuple[Path, bool]] = []
+    suffixes = list_import_suffixes()
+    for path in paths:
+        if not is_dir(path):
+            listed.append((path, True))
+            continue
+        there = sorted(
+            one for one in path.iterdir() if one.is_file() and not one.name.startswith((".", "~$"))
+        )
+        known = [one for one in there if one.name.lower().endswith(suffixes)]
+        scenes = [one for one in known if one.suffix.lower() in SCENE_SUFFIXES]
+        other = [one.name for one in there if one not in (scenes or known)]
+        if other:
+            notes.append(
+                f"{len(other)} files of {path.name or path} are left out: "
+                f"{join_names(other, MAX_SHOWN_FILES)}"
+            )
+        listed += [(one, False) for one in scenes or known]
+    if len(listed) > MAX_FILES:
+        raise DataError(
+            f"{len(listed)} files are named",
+            where=str(paths[0]),
+            expected=f"at most {MAX_FILES}",
+            fix="import them in parts",
+        )
+    return listed
+
+
+def _read_file(
+    path: Path, columns: Sequence[str]
+) -> tuple[Sequence[ImportedCurve], Sequence[ImportedSurface], Sequence[str]]:
+    """Return the curves and surfaces of one file, with remarks on how it was read."""
+    suffix = path.suffix.lower()
+    if suffix in SCENE_SUFFIXES:
+        scene = read_scene(path)
+        return scene.curves, scene.surfaces, scene.notes
+    if suffix in TEXT_SUFFIXES:
+        cells = read_text_cells(path)
+        return _with_stem(find_curves(cells, columns), path), (), [cells.layout]
+    if suffix in SHEET_SUFFIXES:
+        return _read_sheets(path, columns)
+    if suffix in READ_SUFFIXES:
+        return (), [_read_model(path)], ()
+    format_ = find_format(path) if path_exists(path) else None
+    if format_ is None:
+        if not path_exists(path):
+            raise DataError("there is no such file", where=str(path), fix="check the name and the path")
+        raise DataError(
+            f"has the ending {suffix!r}",
+            where=str(path),
+            expected=", ".join(list_import_suffixes()),
+            fix="export the points of the needles to one of these",
+        )
+    named, remarks = format_.read_curves(path)
+    known = "LPS" if format_.in_scan else None
+    unit = "mm" if format_.in_scan else ""
+    found = [ImportedCurve(name, points, unit, known) for name, points in named.items()]  # type: ignore[arg-type]
+    return _with_stem(found, path), (), remarks
+
+
+def _with_stem(curves: Sequence[ImportedCurve], path: Path) -> list[ImportedCurve]:
+    """Return curves without names under that of their file."""
+    stem = path.name.split(".")[0] or path.stem
+    unnamed = sum(not one.name for one in curves)
+    numbers = iter(range(1, len(curves) + 1))
+    return [
+        one if one.name else replace(one, name=stem if unnamed == 1 else f"{stem}-{next(numbers)}")
+        for one in curves
+    ]
+
+
+def _read_sheets(path: Path, columns: Sequence[str]) -> tuple[list[ImportedCurve], tuple[()], list[str]]:
+    """Return the curves of all sheets; those without numbers are left out."""
+    by_sheet: dict[str, tuple[ImportedCurve, ...]] = {}
+    remarks = []
+    faults: list[DataError] = []
+    for cells in read_sheets(path):
+        try:
+            some = find_curves(cells, columns)
+        except DataError as error:
+            faults.append(error)
+            continue
+        if some:
+            by_sheet[cells.sheet] = some
+        else:
+            remarks.append(f"sheet {cells.sheet!r} is left out: it holds no coordinates")
+    if faults and (not by_sheet or columns):
+        raise faults[0]
+    remarks += [f"left out: {error.where} {error.what}" for error in faults]
+    several = len(by_sheet) > 1
+    found = []
+    for sheet, ones in by_sheet.items():
+        for n, one in enumerate(ones, 1):
+            plain = sheet if len(ones) == 1 else f"{sheet}-{one.name or n}"
+            found.append(replace(one, name=plain) if several else one)
+    return _with_stem(found, path), (), remarks
+
+
+def _read_model(path: Path) -> ImportedSurface:
+    """Return a surface file; in LPS where it states a system."""
+    surface, system = read_surface(path, "sheet", 2), read_coordinate_system(path)
+    if system == "RAS":
+        surface = transform_surface(surface, RAS_TO_LPS)
+    return ImportedSurface(path, surface, "LPS" if system else None)
+
+
+def _no_curve_fault(paths: Sequence[Path], surfaces: Sequence[ImportedSurface]) -> Fault:
+    what = "holds surfaces, but no curve" if surfaces else "holds no file that can be read"
+    endings = ", ".join(list_import_suffixes())
+    return Fault(
+        str(paths[0]), what, f"curves of needles in files that end in {endings}", "name their files or folder"
+    )
+
+
+def _find_unusable(one: ImportedCurve) -> list[Fault]:
+    points = one.points
+    if len(points.values) < MIN_POINTS:
+        what = f"curve {one.name!r} has only {len(points.values)} points"
+        return [
+            Fault(
+                points.where(),
+                what,
+                f"at least {MIN_POINTS}",
+                "sample the needle more densely, or leave it out",
+            )
+        ]
+    bad = points.unusable()
+    if len(bad) == 0:
+        return []
+    what = f"curve {one.name!r} has {len(bad)} points that are NaN, infinite or too far away"
+    return [Fault(points.where(int(bad[0])), what, "finite numbers", "remove or fix these points")]
+
+
+def _name_curves(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:
+    """Return the curves under names that can name files, and of which no two are the same.
+
+    Raises
+    ------
+    DataError
+        If there are too many, or a name could do something in a spreadsheet or terminal.
+    """
+    if len(curves) > MAX_CURVES:
+        raise DataError(
+            f"holds {len(curves)} curves",
+            where=str(curves[0].points.path),
+            expected=f"at most {MAX_CURVES}",
+            fix="name the columns with --columns: one curve may have been taken for many",
+        )
+    names: dict[str, ImportedCurve] = {}
+    for one in curves:
+        if fault := name_fault(one.name):
+            raise DataError(
+                f"the name {one.name[:80]!r} of a curve is refused: {fault}",
+                where=one.points.where(),
+                expected=EXPECTED_NAME,
+                fix="rename it in its file",
+            )
+        name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], names)
+        names[name] = replace(one, name=name)
+    return tuple(names.values())
+
+
+def _name_surfaces(surfaces: Sequence[ImportedSurface]) -> tuple[ImportedSurface, ...]:
+    """Return the surfaces under printable names, of which no two are the same."""
+    names: dict[str, ImportedSurface] = {}
+    for one in surfaces:
+        plain = "".join(letter for letter in one.surface.name if letter.isprintable())[:MAX_NAME_CHARS]
+        name = _make_unique(plain or "surface", names)
+        names[name] = replace(one, surface=replace(one.surface, name=name))
+    return tuple(names.values())
+
+
+def _make_unique(name: str, taken: Container[str]) -> str:
+    """Return a name, numbered from 2 where it is taken."""
+    numbered = (f"{name}-{count}" for count in itertools.count(2))
+    return next(one for one in itertools.chain([name], numbered) if one not in taken)

@@ -1,0 +1,176 @@
+"""The smoothing spline by which a needle is drawn through cross-sections, and what it does to a shape.
+
+A spline with a knot every few millimetres rounds what changes faster. It is linear in the cross-sections:
+its coefficients are G y, with the least-squares matrix G of its knots and weights. Where knots, places and
+weights are kept, a simulated shape can be smoothed in the same way before the two are compared.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from needlefit.arrays import Floats
+from needlefit.geometry.frames import Frame
+
+DEGREE = 3
+
+
+def make_knots(start: float, end: float, spacing: float) -> Floats:
+    """Return clamped knots (C + 4,) of a cubic spline from `start` to `end`, about `spacing` apart."""
+    pieces = max(1, round((end - start) / spacing))
+    inner = np.linspace(start, end, pieces + 1)
+    # ends repeated four times in all: a cubic spline that ends at its end knots
+    return np.concatenate([[start] * DEGREE, inner, [end] * DEGREE])
+
+
+def design_matrix(q: Floats, knots: Floats) -> Floats:
+    """Return the B-splines (N, C) on `knots` (C + 4,) at `q` (N,)."""
+    matrix: Floats = BSpline.design_matrix(q, knots, DEGREE, extrapolate=True).toarray()
+    return matrix
+
+
+def free_end_basis(knots: Floats) -> Floats:
+    """Return the matrix (C, C - 1) from free coefficients to those of splines without curvature at the end.
+
+    A needle's tip carries no bending moment, so that its curvature vanishes there: the last coefficient
+    follows from the two before it.
+    """
+    count = len(knots) - DEGREE - 1
+    bend = BSpline(knots, np.eye(count), DEGREE).derivative(2)(knots[-1])  # (C,)
+    basis = np.eye(count)[:, :-1]
+    basis[-1] = -bend[:-1] / bend[-1]
+    return basis
+
+
+@dataclass(frozen=True)
+class SplineSections:
+    """Cross-sections of a needle, and the spline that was drawn through them.
+
+    Attributes
+    ----------
+    q, s : (S,) arrays
+        The spline's own parameter at each, and the arc length along it, mm; the last one is the tip.
+    points : (S, 3) array
+        Where the needle's axis pierces them, mm.
+    weights : (S,) array
+        What each counted in the end.
+    knots : (C + 4,) array
+        Of the cubic spline, in q.
+    sigma : float
+        Standard deviation of a cross-section of weight 1, per direction across, mm; what neighbours share is
+        counted in it.
+    shared_sd : float
+        Standard deviation of what neighbouring cross-sections share without showing it, mm.
+    """
+
+    q: Floats
+    s: Floats
+    points: Floats
+    weights: Floats
+    knots: Floats
+    sigma: float
+    shared_sd: float
+
+    def select(self, which: NDArray[np.bool_]) -> "SplineSections":
+        """Return the cross-sections of a mask."""
+        parts = {name: getattr(self, name)[which] for name in ("q", "s", "points", "weights")}
+        return replace(self, **parts)
+
+    def seen_from(self, patient: Frame, begin: float) -> "SplineSections":
+        """Return the same in the world, with arc lengths counted from `begin`, mm."""
+        return replace(self, s=self.s - begin, points=patient.to_world(self.points))
+
+
+@dataclass(frozen=True)
+class SplineFit:
+    """A weighted least-squares fit of a spline, as matrices.
+
+    Attributes
+    ----------
+    slope : (S, F) array
+        From coefficients to the spline's derivative by q at the S places fitted to.
+    operator : (F, S) array
+        From values at these places to coefficients: G.
+    spread : (F, F) array
+        Covariance of the coefficients for values of unit variance at weight 1.
+    reached : (C,) array
+        Which of the C coefficients of the knots are these F.
+    """
+
+    slope: Floats
+    operator: Floats
+    spread: Floats
+    reached: NDArray[np.bool_]
+
+
+def find_empty_pieces(q: Floats, weights: Floats, knots: Floats) -> Floats:
+    """Return the pieces (M, 2) between knots, as far as `q` (S,) reaches, with no place of positive weight.
+
+    Where there are none, and as many places of positive weight as coefficients, a fit is determined.
+    """
+    edges = np.unique(knots)
+    counts, _ = np.histogram(q[weights > 0], edges)
+    within = (edges[1:] > q[0]) & (edges[:-1] < q[-1])
+    found: Floats = np.column_stack([edges[:-1], edges[1:]])[within & (counts == 0)]
+    return found
+
+
+def find_least_spacing(q: Floats, spacing: float) -> float | None:
+    """Return the least knot spacing, from `spacing` on, of a determined fit to places `q` (S,); or None.
+
+    Knots as `make_knots` has them, weights equal.
+    """
+    length, ones = float(q[-1] - q[0]), np.ones(len(q))
+    largest = min(max(1, round(length / spacing)), len(q) - DEGREE)
+    for pieces in range(largest, 0, -1):
+        least = max(spacing, length / pieces)
+        knots = make_knots(float(q[0]), float(q[-1]), least)
+        if len(q) >= len(knots) - DEGREE - 1 and not len(find_empty_pieces(q, ones, knots)):
+            return least
+    return None
+
+
+def fit_matrices(q: Floats, weights: Floats, knots: Floats) -> SplineFit:
+    """Return the matrices of the fit to values at `q` (S,) with `weights` (S,).
+
+    Coefficients that no place of positive weight reaches are left out.
+    """
+    design = design_matrix(q, knots)
+    reached = np.any(design[weights > 0] > 0, axis=0)
+    bases = BSpline(knots, np.eye(len(reached)), DEGREE)
+    slope: Floats = np.asarray(bases.derivative()(q), dtype=np.float64)[:, reached]
+    design = design[:, reached]
+    weighted = design * weights[:, None]
+    spread = np.linalg.inv(design.T @ weighted)
+    return SplineFit(slope, np.asarray(spread @ weighted.T), np.asarray(spread), reached)
+
+
+@dataclass(frozen=True)
+class DrawnSpline:
+    """The spline through sections: places (N, 3), slopes by q (N, 3), deviation in any direction (N,)."""
+
+    points: Floats
+    slopes: Floats
+    sd: Floats
+
+
+def draw_spline(sections: SplineSections, q: Floats) -> DrawnSpline:
+    """Return the spline through cross-sections at `q` (N,), mm.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the sections do not determine it.
+    """
+    fit = fit_matrices(sections.q, sections.weights, sections.knots)
+    design = design_matrix(q, sections.knots)[:, fit.reached]
+    bases = BSpline(sections.knots, np.eye(len(fit.reached)), DEGREE).derivative()
+    coefficients = fit.operator @ sections.points  # (F, 3)
+    own = sections.sigma * np.sqrt(np.einsum("nf,fg,ng->n", design, fit.spread, design))
+    return DrawnSpline(
+        design @ coefficients,
+        np.asarray(bases(q), dtype=np.float64)[:, fit.reached] @ coefficients,
+        np.hypot(own, sections.shared_sd),
+    )

@@ -1,0 +1,108 @@
+"""Mark the needle and the layers of a reconstruction in the voxels of its scan; write DICOM-SEG."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import ConfigError
+from needlefit.geometry.meshes import make_tube
+from needlefit.geometry.surfaces import Surface, map_surface
+from needlefit.geometry.voxels import fill_mesh
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.scan import Scan
+from needlefit.imaging.volume import IMAGE_SUFFIXES, VoxelGrid, list_series_files
+from needlefit.imaging.volume_files import (
+    SEGMENT_SECONDS,
+    SEGMENTATION_BYTES,
+    UNPACKED_BYTES_PER_SECOND,
+    explain_missing_packages,
+    unpacked,
+)
+from needlefit.project.sandbox import limits_for, read_in_sandbox
+
+NEEDLE_SEGMENT = "needle"
+
+
+@dataclass(frozen=True)
+class MarkedVoxels:
+    """Labels 1, 2, ... of voxels (K, J, I), 0 elsewhere, and what each label is."""
+
+    values: NDArray[np.uint8]
+    names: tuple[str, ...]
+
+
+def layers_in_patient(one: Reconstruction) -> tuple[Surface, ...]:
+    """Return the surfaces of the layers in the frame of the scan, LPS, mm."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = one.patient.rotation.T
+    matrix[:3, 3] = -one.patient.rotation.T @ one.patient.origin
+    return tuple(map_surface(surface, matrix) for surface in one.layers.surfaces)
+
+
+def mark_voxels(one: Reconstruction, grid: VoxelGrid, diameter: float) -> MarkedVoxels:
+    """Return the voxels of the solid layers, in their order, and of the needle, which comes last.
+
+    Of solids that lie in one another the later one has the voxels. Open surfaces (sheets) bound no voxels.
+    """
+    solids = [surface for surface in layers_in_patient(one) if surface.kind == "solid"]
+    tube = make_tube(one.needle_axis.points, diameter / 2, _direction_across(one))
+    values = np.zeros(grid.size[::-1], dtype=np.uint8)
+    for label, mesh in enumerate([*(solid.mesh for solid in solids), tube], 1):
+        indices = mesh.copy()
+        indices.vertices = (mesh.vertices - grid.origin) @ grid.direction / grid.spacing
+        values[fill_mesh(indices, grid.size)] = label
+    names = [f"layer {solid.into}: {solid.name}" for solid in solids]
+    return MarkedVoxels(values, (*names, NEEDLE_SEGMENT))
+
+
+def _direction_across(one: Reconstruction) -> NDArray[np.float64]:
+    """Return C's y axis in the scan, LPS (3,)."""
+    across: NDArray[np.float64] = one.patient.rotation.T @ one.frame.rotation[:, 1]
+    return across
+
+
+def require_dicom(scan: Scan) -> None:
+    """Refuse a DICOM segmentation of a scan that is no DICOM series, before anything is computed.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if scan.volume.name.lower().endswith(IMAGE_SUFFIXES):
+        raise ConfigError(
+            "is no DICOM series, so that no DICOM segmentation can refer to its slices",
+            where=str(scan.volume),
+            expected="a DICOM series with --export seg",
+            fix="give the DICOM series itself, or use --export scene, whose segmentation needs none",
+        )
+
+
+def write_dicom_segmentation(scan: Scan, marked: MarkedVoxels, path: Path) -> None:
+    """Write a DICOM segmentation that refers to the slices of a scan; the same content gives the same bytes.
+
+    Raises
+    ------
+    DataError
+        If the scan is no DICOM series, or its headers lack what a segmentation must repeat.
+    ConfigError
+        If a package is missing.
+    """
+    with explain_missing_packages(), unpacked(scan.volume) as place, TemporaryDirectory() as folder:
+        labels, written = Path(folder) / "labels.npy", Path(folder) / "segmentation.dcm"
+        np.save(labels, marked.values)
+        size = sum(file.stat().st_size for file in list_series_files(place))
+        seconds = SEGMENT_SECONDS + size / UNPACKED_BYTES_PER_SECOND
+        allowed = limits_for(SEGMENTATION_BYTES + 8 * marked.values.size, 4 * marked.values.size, seconds)
+        arguments = {
+            "path": str(place),
+            "series": scan.series,
+            "labels": str(labels),
+            "names": list(marked.names),
+            "out": str(written),
+        }
+        writer = "needlefit.imaging.dicom.segmentation_writer:write_segmentation"
+        read_in_sandbox(writer, scan.volume, allowed, arguments)
+        path.write_bytes(written.read_bytes())

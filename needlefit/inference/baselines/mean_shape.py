@@ -1,0 +1,78 @@
+"""The mean of the tuning shapes: how much they turn toward the bevel, by distance from the tip.
+
+Its coefficients are the turns, rad, between chords of `CHORD_MM`, the first one at the tip; each is the mean
+over the shapes that reach as far. A curve begins along the insertion axis. Nothing is searched, and there is
+no posterior.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion, Pose
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.inference.baselines import Baseline
+from needlefit.inference.compared_points import Curve, select_points
+
+CHORD_MM = 5.0
+"""Short beside the bends of needles, long beside the noise of their points."""
+
+STEP_MM = 0.25
+"""Step of the integration along the curve, mm."""
+
+
+def average_turns(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Floats:
+    """Return the mean turn (P,) at each multiple of `CHORD_MM` from the tip, rad."""
+    each = [_find_turns(pose, drop, one) for one in insertions]
+    longest = max(len(turns) for turns in each)
+    padded = np.array([np.pad(turns, (0, longest - len(turns)), constant_values=np.nan) for turns in each])
+    mean: Floats = np.nanmean(padded, axis=0)
+    return mean
+
+
+def _find_turns(pose: Pose, drop: float, insertion: Insertion) -> Floats:
+    """Return the turns of one shape; where the pose is known the last one is from the entry's axis."""
+    points = select_points(pose, drop, insertion).measured
+    length = float(arc_length(points)[-1])
+    to_tip = np.arange(0.0, length, CHORD_MM)
+    if len(to_tip) < 3:  # shorter than two chords: it has no turn
+        return np.zeros(1)
+    chords = -np.diff(interpolate_at_arc(points, length - to_tip), axis=0)
+    angles = insertion.side * np.arctan2(chords[:, 1], chords[:, 0])
+    turns = -np.diff(angles)
+    if pose == "free":
+        return turns
+    # the heading of the last chord was gained between the entry and its middle
+    rest = length - (to_tip[-1] - CHORD_MM / 2)
+    return np.append(turns, angles[-1] * CHORD_MM / rest)
+
+
+def make_mean_curve(turns: Sequence[float], insertion: Insertion) -> Curve:
+    """Return the curve of an insertion, from the entry along the insertion axis."""
+    along = np.linspace(0.0, insertion.depth, int(np.ceil(insertion.depth / STEP_MM)) + 1)
+    # the curvature of the ends goes on to the tip and to the entry
+    steps = [turns[0] / 2, *turns, turns[-1] * insertion.depth / CHORD_MM]
+    middles = np.array([0.0, *(CHORD_MM * (0.5 + np.arange(len(turns) + 1)))])
+    middles = np.append(middles, middles[-1] + insertion.depth)
+    turned = np.interp(insertion.depth - along, middles, np.concatenate([[0.0], np.cumsum(steps)]))
+    angle = insertion.side * (turned[0] - turned)
+    x, y = cumulative_trapezoid([np.cos(angle), np.sin(angle)], along, initial=0)
+
+    def curve(s: Floats) -> Floats:
+        # before the entry the needle is straight
+        return np.column_stack([np.interp(s, along, x) + np.minimum(s, 0.0), np.interp(s, along, y)])
+
+    return curve
+
+
+MEAN_SHAPE = Baseline(
+    "mean_shape",
+    "mean of the tuning shapes",
+    "the mean of the tuning shapes",
+    "#6A3D9A",
+    curve=make_mean_curve,
+    fit=lambda pose, drop, insertions: average_turns(pose, drop, insertions).tolist(),
+    order=5,
+)

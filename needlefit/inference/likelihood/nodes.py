@@ -1,0 +1,323 @@
+"""The conditions under which one insertion is simulated: as measured, and with each uncertain one moved.
+
+Uncertain are the depths of boundaries, the entry, and the bevel of this insertion. A boundary's error has a
+part of its own and one that its surface gives to every insertion of the specimen; an error of the entry moves
+the tip and all boundaries alike. The effects of two errors add up almost exactly, so that
+
+    r(t) = r(0) + sum_j ( r(t_j along axis j) - r(0) ),      t in standard deviations, d of them
+
+and each term is a line or a spline through a few simulated nodes: r(t) = sum_k phi_k(t) r_k.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion, split_boundary_sd
+from needlefit.errors import ConfigError
+from needlefit.inference.likelihood.quadrature import (
+    MAX_AXES,
+    QUADRATURE_NODES,
+    QuadratureRule,
+    make_rule,
+)
+
+DepthTreatment = Literal["fixed", "linear", "quadrature"]
+
+NODE_POSITIONS_SD: dict[DepthTreatment, tuple[float, ...]] = {
+    "fixed": (),
+    "linear": (-1.0, 1.0),
+    "quadrature": QUADRATURE_NODES,
+}
+"""Where each axis is simulated besides its centre, in standard deviations."""
+
+FRAME, BEVEL = -1, -2
+"""Stand in place of a layer where what is shared is the tracker's frame, or the bevel of one insertion that
+was measured at several depths."""
+
+BEVEL_STEP = 0.1
+"""Change of the logarithm of the bevel's offset at which its effect is simulated, to both sides."""
+
+MIN_GAP_MM = 1e-3
+"""Smallest distance, mm, of moved boundaries from each other and from the entry."""
+
+
+@dataclass(frozen=True)
+class ErrorAxis:
+    """An uncertain depth: t = own * e + shared * z with e and z of unit variance.
+
+    Attributes
+    ----------
+    own, shared : float
+        Deviations of the insertion's own part and of the one that others have too; their squares sum to 1.
+    surface : tuple
+        What z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or `BEVEL`
+        and the number of an insertion, whose t is the logarithm of the bevel's factor in units of its
+        spread; empty where nothing is shared.
+    """
+
+    own: float = 1.0
+    shared: float = 0.0
+    surface: tuple[str, int, int] | tuple[()] = ()
+
+    @property
+    def of_bevel(self) -> bool:
+        """Whether it is the bevel of one insertion."""
+        return self.surface[1:2] == (BEVEL,)
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """The m conditions under which one insertion is simulated; the first is as measured.
+
+    Attributes
+    ----------
+    insertions : tuple of Insertion
+        With their boundaries, depth and bevel.
+    s : (m, K) array
+        Beam coordinates of the measured points in each, mm.
+    axes : tuple of ErrorAxis
+        The d uncertain depths.
+    linear : (1 + d, m + c) array
+        Takes the curves r_k to r(0) and the slopes by t along the d axes. Behind the curves of the nodes
+        stand c constant ones, what a unit deviation of the pose does.
+    effects : (l, m + c) array
+        Takes them to what acts linearly whatever `rule` says: the logarithm of the bevel's offset, the pose.
+    bevel : bool
+        Whether the first effect is the bevel's.
+    rule : QuadratureRule or None
+        How the depths are integrated over; None where they act linearly. Of the first nodes alone.
+    """
+
+    insertions: tuple[Insertion, ...]
+    s: Floats
+    axes: tuple[ErrorAxis, ...]
+    linear: Floats
+    effects: Floats
+    bevel: bool
+    rule: QuadratureRule | None
+
+    def share_bevel(self, insertion: tuple[str, int]) -> "Nodes":
+        """Return the nodes with the bevel as an axis, which what is measured of one insertion shares.
+
+        Raises
+        ------
+        ConfigError
+            If the depths are integrated over by quadrature.
+        """
+        if self.rule is not None:
+            raise ConfigError(
+                f"{self.insertions[0].id} is one of several depths of one insertion, which have one bevel",
+                key="likelihood.depths",
+                expected="depths that are not integrated over by quadrature",
+                fix='write depths = "linear" in [likelihood] of the recipe',
+            )
+        specimen, number = insertion
+        axis = ErrorAxis(0.0, 1.0, (specimen, BEVEL, number))
+        linear = np.vstack([self.linear, self.effects[:1]])
+        effects = self.effects[1:]
+        return replace(self, axes=(*self.axes, axis), linear=linear, effects=effects, bevel=False)
+
+    @cached_property
+    def linear_only(self) -> "Nodes":
+        """The nodes that a linear dependence on the depths needs."""
+        count = len(self.insertions)
+        used = np.flatnonzero(np.vstack([self.linear, self.effects]).any(axis=0))
+        kept = tuple(self.insertions[k] for k in used if k < count)
+        at = self.s[[k for k in used if k < count]]
+        return Nodes(kept, at, self.axes, self.linear[:, used], self.effects[:, used], self.bevel, None)
+
+
+def make_nodes(
+    insertion: Insertion,
+    s: Floats,
+    depths: DepthTreatment,
+    *,
+    bevel: bool = False,
+    constants: int = 0,
+    shared: tuple[ErrorAxis, ...] = (),
+) -> Nodes:
+    """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
+
+    Parameters
+    ----------
+    bevel : bool
+        Whether the bevel's offset of this insertion may differ from that of others.
+    constants : int
+        Number of constant curves behind those of the nodes.
+    shared : tuple of ErrorAxis
+        Of the last constant curves: the axes along which they are, since other insertions share them. Not
+        with depths by quadrature.
+
+    Raises
+    ------
+    ConfigError
+        If the insertion has more uncertain depths than quadrature is right for.
+    """
+    places = NODE_POSITIONS_SD[depths]
+    moves = _list_depth_errors(insertion) if places else []
+    found = [(insertion, s)]
+    for _, boundaries, depth in moves:
+        found += [shift_depths(insertion, s, t * boundaries, t * depth) for t in places]
+    if bevel:
+        factors = (insertion.bevel_factor * float(np.exp(step)) for step in (-BEVEL_STEP, BEVEL_STEP))
+        found += [(replace(insertion, bevel_factor=factor), s) for factor in factors]
+    insertions, at = zip(*found, strict=True)
+    linear = np.zeros((1 + len(moves) + len(shared), len(found) + constants))
+    linear[0, 0] = 1.0
+    for j in range(len(moves)):
+        first = 1 + j * len(places)
+        # central difference over the first two nodes of the axis, at -places[1] and +places[1]
+        linear[1 + j, first : first + 2] = np.array([-0.5, 0.5]) / places[1]
+    apart = constants - len(shared)
+    linear[1 + len(moves) :, len(found) + apart :] = np.eye(len(shared))
+    effects = np.zeros((bevel + apart, len(found) + constants))
+    if bevel:
+        effects[0, len(found) - 2 : len(found)] = np.array([-0.5, 0.5]) / BEVEL_STEP
+    effects[int(bevel) :, len(found) : len(found) + apart] = np.eye(apart)
+    if depths == "quadrature":
+        _check_axes(f"{insertion.id} has {len(moves)} uncertain depths", len(moves))
+    integration = make_rule(len(moves)) if depths == "quadrature" and moves else None
+    axes = (*(axis for axis, *_ in moves), *shared)
+    return Nodes(insertions, np.array(at), axes, linear, effects, bevel, integration)
+
+
+Surface = tuple[object, ...]
+
+
+def draw_boundary_errors(
+    insertion: Insertion, shared: dict[Surface, float], rng: np.random.Generator
+) -> Floats:
+    """Draw the errors (n - 1,) of an insertion's boundaries, mm.
+
+    `shared` holds the errors of surfaces, in standard deviations; what is missing there is drawn and added.
+    """
+    common, own = split_boundary_sd(insertion)
+    errors = own * rng.standard_normal(len(insertion.boundaries))
+    for k, surface in enumerate(_list_surfaces(insertion)):
+        if surface not in shared:
+            shared[surface] = float(rng.standard_normal())
+        errors[k] += common * shared[surface]
+    return errors
+
+
+def _list_surfaces(insertion: Insertion) -> list[tuple[str, int, int]]:
+    """Return which surface of its specimen each boundary is: the layers that it parts say it."""
+    pairs = zip(insertion.sequence, insertion.sequence[1:], strict=False)
+    return [(insertion.specimen, min(pair), max(pair)) for pair in pairs]
+
+
+def _list_depth_errors(insertion: Insertion) -> list[tuple[ErrorAxis, Floats, float]]:
+    """Return each axis, and what a standard deviation along it adds to boundaries (n - 1,) and depth, mm."""
+    count = len(insertion.boundaries)
+    found: list[tuple[ErrorAxis, Floats, float]] = []
+    if insertion.depth_sd > 0:
+        found.append((ErrorAxis(), np.full(count, insertion.depth_sd), insertion.depth_sd))
+    if insertion.boundary_sd > 0:
+        shared, own = split_boundary_sd(insertion)
+        whole = float(np.hypot(shared, own))
+        for row, surface in zip(whole * np.eye(count), _list_surfaces(insertion), strict=True):
+            # the depth of a surface that is crossed again may err otherwise: sheets are crossed once
+            again = any(axis.surface == surface for axis, *_ in found)
+            axis = ErrorAxis(own / whole, shared / whole, surface) if shared and not again else ErrorAxis()
+            found.append((axis, row, 0.0))
+    return found
+
+
+def shift_depths(
+    insertion: Insertion, s: Floats, boundaries: Floats, depth: float
+) -> tuple[Insertion, Floats]:
+    """Return the insertion with shifted depths, boundaries kept in order, and shifted coordinates."""
+    found = enforce_order(insertion.boundaries + boundaries)
+    return replace(insertion, boundaries=found, depth=insertion.depth + depth), s + depth
+
+
+def enforce_order(boundaries: Floats) -> Floats:
+    """Return boundary depths (n - 1,), mm, raised where they are out of order or above the entry."""
+    # subtracting the gaps first makes the running maximum keep them
+    least = MIN_GAP_MM * np.arange(1, len(boundaries) + 1)
+    raised: Floats = np.maximum.accumulate(np.maximum(boundaries - least, 0.0))
+    return least + raised
+
+
+@dataclass(frozen=True)
+class NodeGroup:
+    """Insertions whose depths err together, as the surfaces of one specimen do.
+
+    Attributes
+    ----------
+    nodes : tuple of Nodes
+    surfaces : tuple
+        The k that at least two of them cross.
+    """
+
+    nodes: tuple[Nodes, ...]
+    surfaces: tuple[tuple[str, int, int], ...]
+
+    @cached_property
+    def own(self) -> tuple[Floats, ...]:
+        """Deviations (d,) of the own part of each insertion's depths."""
+        return tuple(np.array([self._split(axis)[0] for axis in one.axes]) for one in self.nodes)
+
+    @cached_property
+    def shared(self) -> tuple[Floats, ...]:
+        """What a standard deviation of each surface adds to each insertion's depths: (d, k)."""
+        return tuple(
+            np.array(
+                [
+                    [self._split(axis)[1] * (axis.surface == surface) for surface in self.surfaces]
+                    for axis in one.axes
+                ]
+            ).reshape(len(one.axes), len(self.surfaces))
+            for one in self.nodes
+        )
+
+    def _split(self, axis: ErrorAxis) -> tuple[float, float]:
+        """Return both deviations; what nobody else has is the insertion's own."""
+        if axis.surface in self.surfaces:
+            return axis.own, axis.shared
+        return float(np.hypot(axis.own, axis.shared)), 0.0
+
+
+def group_nodes(nodes: tuple[Nodes, ...]) -> tuple[tuple[tuple[int, ...], NodeGroup], ...]:
+    """Return the groups of insertions that share surfaces, each with the places of its members in `nodes`.
+
+    Raises
+    ------
+    ConfigError
+        If they share more errors than quadrature, where that is asked for, is right for.
+    """
+    crossed = [{axis.surface for axis in one.axes if axis.surface} for one in nodes]
+    groups: dict[object, list[int]] = {}
+    for place, surfaces in enumerate(crossed):
+        others = set().union(*(more for k, more in enumerate(crossed) if k != place))
+        common = surfaces & others
+        groups.setdefault(next(iter(common))[0] if common else place, []).append(place)
+    found = []
+    for members in groups.values():
+        counted = [surface for place in members for surface in sorted(crossed[place])]
+        common = {surface for surface in counted if counted.count(surface) > 1}
+        group = NodeGroup(tuple(nodes[place] for place in members), tuple(sorted(common)))
+        if any(one.rule is not None for one in group.nodes):
+            ids = ", ".join(one.insertions[0].id for one in group.nodes)
+            _check_axes(f"{ids} share {len(common)} errors of boundaries", len(common))
+        found.append((tuple(members), group))
+    return tuple(found)
+
+
+def _check_axes(what: str, axes: int) -> None:
+    if axes > MAX_AXES:
+        raise ConfigError(
+            f"{what}, too many to integrate over by quadrature",
+            key="likelihood.depths",
+            expected=f"at most {MAX_AXES} with depths by quadrature",
+            fix='write depths = "linear" in [likelihood] of the recipe, or state fewer uncertain depths',
+        )
+
+
+def make_group(nodes: Nodes) -> NodeGroup:
+    """Return the group of one insertion, which shares nothing."""
+    return NodeGroup((nodes,), ())

@@ -1,0 +1,97 @@
+"""Bring a tissue law into the form that the kernel reads: powers of the stretch, or a table.
+
+A law that is no sum of powers is interpolated at Chebyshev points on short pieces of the compression
+d = 1 - lambda. Its error is measured between the points each time: the table ends before the first piece
+where it exceeds `TABLE_TOLERANCE`, and tissue that is compressed further is over-compressed.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from needlefit.arrays import Floats
+from needlefit.errors import ModelError
+from needlefit.mechanics.kernel.foundation import (
+    MAX_SERIES_COMPRESSION,
+    SERIES_TOLERANCE,
+    TABLE_COMPRESSION,
+    TABLE_PIECES,
+    TABLE_TERMS,
+    find_table_range,
+)
+from needlefit.mechanics.laws import LAWS, PowerLaw
+
+LEAST_COMPRESSION = MAX_SERIES_COMPRESSION
+"""|e| / t that every table must reach: the kernel's series may go so far."""
+
+TABLE_TOLERANCE = SERIES_TOLERANCE / 10
+"""Relative error of k in a table."""
+
+_PIECE = TABLE_COMPRESSION / TABLE_PIECES
+_END = 1e-12  # a table ends within its last good piece, not at the beginning of the next one
+_POINTS = np.cos(np.pi * (2 * np.arange(TABLE_TERMS) + 1) / (2 * TABLE_TERMS))
+_BETWEEN = np.cos(np.pi * np.array([0, 1, TABLE_TERMS // 2, TABLE_TERMS - 1, TABLE_TERMS]) / TABLE_TERMS)
+"""On [-1, 1]: the points, and where the error of the polynomial through them is largest."""
+_TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_POINTS, TABLE_TERMS - 1)).T
+_TO_BETWEEN = chebyshev.chebvander(_BETWEEN, TABLE_TERMS - 1).T
+_STRETCH = 1 - _PIECE * (np.arange(TABLE_PIECES)[:, None] + 0.5 * (1 + np.concatenate((_POINTS, _BETWEEN))))
+
+
+def compile_law(name: str, alpha: Floats) -> tuple[Floats, Floats]:
+    """Return a law at the alphas of some layers (n,): coefficients and exponents, (n, P) each, or a table.
+
+    A table is (n, 2 + TABLE_PIECES TABLE_TERMS), with exponents (n, 0): see `kernel.foundation.Foundation`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no law of that name.
+    ModelError
+        If the law cannot be interpolated at one of the alphas.
+    """
+    law = LAWS[name]
+    if isinstance(law, PowerLaw):
+        return law.power_terms(alpha)
+    return np.array([_make_table(name, float(one)) for one in alpha]), np.empty((len(alpha), 0))
+
+
+def differentiate_law(name: str, alpha: Floats) -> tuple[Floats, Floats]:
+    """Return the derivatives of what `compile_law` returns with respect to alpha.
+
+    Those of coefficients and exponents, (1, P) each, are the same for all layers.
+    """
+    law = LAWS[name]
+    if isinstance(law, PowerLaw):
+        return law.term_slopes
+    return np.array([_make_slope_table(name, float(one)) for one in alpha]), np.empty((len(alpha), 0))
+
+
+@lru_cache(maxsize=1024)  # a fit simulates many insertions with the same parameters
+def _make_table(name: str, alpha: float) -> Floats:
+    """Return the table of one layer: see `kernel.foundation.Foundation`."""
+    low, high = LAWS[name].alpha_range
+    with np.errstate(all="ignore"):
+        k = LAWS[name].k(_STRETCH, np.full_like(_STRETCH, alpha))
+        table = k[:, :TABLE_TERMS] @ _TO_COEFFICIENTS
+        error = np.abs(table @ _TO_BETWEEN - k[:, TABLE_TERMS:])
+        good = np.all(error <= TABLE_TOLERANCE * k[:, TABLE_TERMS:], axis=1) & np.all(k > 0, axis=1)
+    covered = _PIECE * (TABLE_PIECES if good.all() else int(np.argmin(good))) - _END
+    if covered < LEAST_COMPRESSION - _END or not low <= alpha <= high:
+        raise ModelError(
+            f"the tissue law `{name}` cannot be interpolated at alpha = {alpha:g}",
+            expected=f"k > 0, smooth and not too steep up to a compression of {LEAST_COMPRESSION:g} of the "
+            f"thickness; the law is meant for alphas of {low:g} to {high:g}",
+            fix="choose another alpha, or narrower bounds for it",
+        )
+    whole = np.concatenate(([covered, 0.0], np.nan_to_num(table).ravel()))
+    whole[1] = find_table_range(whole[None], 0)
+    return whole
+
+
+@lru_cache(maxsize=1024)
+def _make_slope_table(name: str, alpha: float) -> Floats:
+    stretch = _STRETCH[:, :TABLE_TERMS]
+    with np.errstate(all="ignore"):
+        slope = LAWS[name].dk_dalpha(stretch, np.full_like(stretch, alpha))
+        return np.concatenate(([0.0, 0.0], np.nan_to_num(slope @ _TO_COEFFICIENTS).ravel()))

@@ -1,0 +1,36 @@
+"""Exponential (Fung) solid, incompressible, in the same compression; alpha is its exponent.
+
+W = mu / (2 alpha) (exp(alpha (I_1 - 3)) - 1), I_1 = lambda^2 + 2 / lambda: it stiffens exponentially, as soft
+tissue does, and is the neo-Hookean solid at alpha = 0.
+"""
+
+import numpy as np
+
+from needlefit.mechanics.laws import Numbers, TissueLaw
+
+
+class Fung(TissueLaw):
+    """K = mu exp(alpha (I_1 - 3)) (2 lambda + lambda^-2 + 2 alpha lambda (lambda - lambda^-2)^2)."""
+
+    name, label = "fung", "Fung foundation"
+    alpha_range = (0.0, 50.0)
+
+    def k(self, stretch: Numbers, alpha: Numbers) -> Numbers:
+        """Return d stress / d lambda."""
+        inverse = 1 / stretch
+        square = inverse * inverse
+        difference = stretch - square
+        slope = 2 * stretch + square + 2 * alpha * stretch * difference * difference
+        return _exponential(stretch, alpha) * slope
+
+    def stress(self, stretch: Numbers, alpha: Numbers) -> Numbers:
+        """Return lambda dW/dlambda over mu."""
+        return _exponential(stretch, alpha) * (stretch**2 - 1 / stretch)
+
+
+def _exponential(stretch: Numbers, alpha: Numbers) -> Numbers:
+    found: Numbers = np.exp(alpha * (stretch * stretch + 2 / stretch - 3))
+    return found
+
+
+FUNG = Fung()

@@ -1,0 +1,196 @@
+"""Show what an import understood: a table of its needles, and a picture of them in both frames."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+
+from needlefit.arrays import Floats
+from needlefit.datasets.bevel_side import find_bend_side
+from needlefit.datasets.importing.conversion import write_plan
+from needlefit.datasets.importing.decisions import Decisions
+from needlefit.datasets.importing.files import ImportContent
+from needlefit.datasets.importing.starter import write_starter_study
+from needlefit.datasets.importing.understanding import ImportPlan
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.read import read
+from needlefit.geometry.curves import make_normal
+from needlefit.geometry.frames import normalize
+from needlefit.geometry.surfaces import Surface
+from needlefit.project.atomic_write import create_folder
+from needlefit.reporting.figures.style import draw, draw_grid, separate_positions
+from needlefit.reporting.labels import GREY, INK
+
+PICTURE_FILE = "import.png"
+
+MAX_LABELLED_NEEDLES, MAX_NAME_CHARS = 14, 14
+SAME_AXIS_DEG = 10.0
+"""A view that is so near to a world axis is along that axis."""
+
+AWAY_COLOUR = "#b3261e"
+MAX_DRAWN_TRIANGLES = 20_000
+
+_SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
+_SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
+
+
+def write_import(folder: Path, content: ImportContent, plan: ImportPlan, decisions: Decisions) -> Dataset:
+    """Write the dataset of a plan, its picture and a first study into a new folder, or nothing; return it.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` holds something.
+    DataError
+        Listing the faults of the dataset, at their places in the imported files.
+    """
+    with create_folder(folder) as fresh:
+        dataset = read(write_plan(fresh, content, plan, decisions))
+        home = str(folder) if folder.is_absolute() else f"./{folder.as_posix()}"
+        write_starter_study(fresh, dataset, home)
+        draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
+    return dataset
+
+
+def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
+    """Return one row for each insertion: points, depth, deflection, entry, layers, bevel against bend."""
+    return pd.DataFrame([_describe_needle(dataset, one) for one in dataset.insertions])
+
+
+def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
+    known = dataset.pose == "known"
+    entry, tip = one.centerline[0], one.centerline[-1]
+    depths = ", ".join(f"{depth:.1f}" for depth in one.boundaries)
+    return {
+        "insertion": one.id,
+        "points": len(one.centerline),
+        "depth (mm)": round(one.depth, 2),
+        "deflection (mm)": round(float(one.planar[-1, 1]), 2),
+        "entry x, y, z (mm)": _format_point(entry),
+        "tip x, y, z (mm)": _format_point(tip),
+        "layers": " > ".join(map(str, one.sequence)) + (f" at {depths} mm" if depths else ""),
+        "bends, from its bevel": _SIDES[find_bend_side(one, dataset.noise)] if known else "(free shape)",
+    }
+
+
+def _format_point(point: Floats) -> str:
+    return ", ".join(f"{value + 0.0:.1f}" for value in point)
+
+
+def tabulate_decisions(decisions: Decisions) -> pd.DataFrame:
+    """Return one row for each decision: what, value, where it comes from, why."""
+    return pd.DataFrame(
+        [
+            {"decision": one.what, "value": one.value, "from": one.source, "why": one.reason}
+            for one in decisions.made
+        ]
+    )
+
+
+# ---- the picture
+
+
+def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
+    """Draw the needles with the surfaces as they lie in the world, and each one in its own frame."""
+    figure = Figure(figsize=(6.7, 2.9))
+    left, right = figure.subplots(1, 2)
+    _draw_world(left, dataset.insertions, [*plan.surfaces, *([plan.tissue] if plan.tissue else [])])
+    _draw_shapes(right, dataset, "bevel" if plan.insertions[0].row.bevel is not None else "bend")
+    return figure
+
+
+def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[Surface]) -> None:
+    """Draw curves and surfaces seen across the mean direction of the needles and their greatest spread."""
+    curves = [one.centerline for one in insertions]
+    along, across = _find_view([one[-1] - one[0] for one in curves], np.concatenate(curves))
+    for n, surface in enumerate(surfaces):
+        faces = surface.mesh.faces[:MAX_DRAWN_TRIANGLES]
+        view = Triangulation(surface.mesh.vertices @ along, surface.mesh.vertices @ across, faces)
+        colour = _SURFACE_COLOURS[n % len(_SURFACE_COLOURS)]
+        axes.triplot(view, color=colour, lw=0.7, alpha=0.9, zorder=1)
+        axes.plot([], [], color=colour, lw=2, label=surface.name[:24])
+    for curve in curves:
+        axes.plot(curve @ along, curve @ across, color=INK, lw=0.9, zorder=3)
+    ends = np.array([[one[0], one[-1]] for one in curves])
+    axes.plot(
+        ends[:, 0] @ along, ends[:, 0] @ across, "o", ms=3.5, mfc="white", mec=INK, label="entry", zorder=4
+    )
+    axes.plot(ends[:, 1] @ along, ends[:, 1] @ across, "v", ms=3.5, color=INK, label="tip", zorder=4)
+    points = np.concatenate(curves)
+    for limits, axis in ((axes.set_xlim, along), (axes.set_ylim, across)):
+        low, high = float((points @ axis).min()), float((points @ axis).max())
+        margin = 0.1 * max(high - low, 10.0)
+        limits(low - margin, high + margin)
+    axes.set(
+        title="World: all needles from the side",
+        xlabel=f"{_name_axis(along)} (mm)",
+        ylabel=f"{_name_axis(across)} (mm)",
+    )
+    axes.legend(fontsize=6, loc="best")
+
+
+def _find_view(chords: list[Floats], points: Floats) -> tuple[Floats, Floats]:
+    """Return the mean direction of the needles, and the direction normal to it of the greatest extent."""
+    total = np.sum([normalize(chord) for chord in chords], axis=0)
+    along = _snap(normalize(total) if np.linalg.norm(total) > 1e-6 else normalize(chords[0]))
+    centred = points - points.mean(axis=0)
+    flat = centred - np.outer(centred @ along, along)
+    if np.abs(flat).max() < 1e-6:
+        return along, make_normal(along)
+    axis = _snap(np.linalg.svd(flat, full_matrices=False)[2][0])
+    return along, axis if axis[np.argmax(np.abs(axis))] > 0 else -axis
+
+
+def _snap(direction: Floats) -> Floats:
+    """Return a direction, or the world axis that is within 10 degrees of it."""
+    nearest = int(np.argmax(np.abs(direction)))
+    if abs(direction[nearest]) < np.cos(np.radians(SAME_AXIS_DEG)):
+        return direction
+    axis = np.zeros(3)
+    axis[nearest] = np.sign(direction[nearest])
+    return axis
+
+
+def _name_axis(axis: Floats) -> str:
+    """Return the name of a direction: of a world axis its letter, of another one its components."""
+    nearest = int(np.argmax(np.abs(axis)))
+    if abs(axis[nearest]) < 1.0:
+        return "along (" + ", ".join(f"{value + 0.0:.2f}" for value in axis) + ")"
+    return ("" if axis[nearest] > 0 else "minus ") + "xyz"[nearest]
+
+
+def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
+    """Draw every needle in its own frame, deflection exaggerated, with the layers' boundaries."""
+    ones = dataset.insertions
+    axes.axhline(0.0, color=GREY, lw=0.6)
+    for one in ones:
+        x, y = one.planar.T
+        away = dataset.pose == "known" and find_bend_side(one, dataset.noise) == "away"
+        axes.plot(x, y, color=AWAY_COLOUR if away else INK, lw=0.9)
+        axes.plot(one.boundaries, np.interp(one.boundaries, x, y), "|", color=INK, ms=6)
+    if len(ones) <= MAX_LABELLED_NEEDLES:
+        _label_tips(axes, ones)
+    toward = f"toward the {side} (mm)" if all(one.side > 0 for one in ones) else "(mm)"
+    axes.set(
+        title="Each from its entry (vertical scale exaggerated)",
+        xlabel="x, along the entry direction (mm)",
+        ylabel=f"y, {toward}",
+    )
+    draw_grid(axes, "y")
+
+
+def _label_tips(axes: Axes, ones: Sequence[Insertion]) -> None:
+    """Write the names at the right, in the order of the tips, each with a line to its tip."""
+    tips = sorted(((*one.planar[-1], one.id) for one in ones), key=lambda tip: tip[1])
+    low, high = axes.get_ylim()
+    right = 1.08 * max(tip[0] for tip in tips)
+    offsets = 0.055 * (high - low) * np.arange(len(tips), dtype=np.float64)
+    places = separate_positions([tip[1] for tip in tips], offsets)
+    for (x, y, name), place in zip(tips, places, strict=True):
+        axes.plot([x, right], [y, place], color=GREY, lw=0.4)
+        axes.text(right, place, f" {name[:MAX_NAME_CHARS]}", fontsize=6, va="center")
+    axes.set_xlim(None, 1.35 * right)

@@ -1,0 +1,132 @@
+"""A table of a report, declared by rows and keys of columns; the registry has headings, units, formats."""
+
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from needlefit.metrics import METRICS
+from needlefit.reporting.columns import METRIC_UNIT, Column, find_column, format_value
+from needlefit.reporting.number_format import MISSING
+from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_layout import Align, TableColumn, TableLayout, drop_empty_columns
+
+_PARTS = "parts"
+"""Key of the rows that were merged into one."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A printed column: its head, and the cell of a row."""
+
+    head: TableColumn
+    cell: Callable[[Row], str]
+
+
+def _find_cells(key: str, rows: Sequence[Row]) -> Cells:
+    column = find_column(key)
+    unit = _find_unit(column, {row.get("metric") for row in rows})
+    align: Align = "left" if column.is_text else "right"
+    return Cells(TableColumn(column.label, unit, align, wide=column.format == "prose"), column.format_cell)
+
+
+def _find_unit(column: Column, metrics: Iterable[object]) -> str:
+    """Return the unit of a column in rows of these metrics; none where theirs differ."""
+    units = {METRICS[str(name)].unit for name in metrics if name in METRICS}
+    return column.unit.replace(METRIC_UNIT, units.pop() if len(units) == 1 else "")
+
+
+def pivot(rows: pd.DataFrame | Iterable[Row], index: Sequence[str], by: Sequence[str]) -> list[Row]:
+    """Return one row per entry of the columns `index`; `part` prints columns of the rows that it was made of.
+
+    It has the values of the first of these; they differ in the columns `by`.
+    """
+    merged: dict[tuple[Hashable, ...], Row] = {}
+    for row in _list_rows(rows):
+        whole = merged.setdefault(tuple(row[name] for name in index), {**row, _PARTS: {}})
+        whole[_PARTS][frozenset((name, row[name]) for name in by)] = row
+    return list(merged.values())
+
+
+def part(key: str, **place: object) -> Cells:
+    """Return a column of pivoted rows: `key` where the columns of `place` have these values.
+
+    The place is its heading; below stand what the registry has of `key`: its heading, if any, and unit.
+    """
+    column, where = find_column(key), frozenset(place.items())
+    label = ", ".join(format_value(find_column(name).format, value) for name, value in place.items())
+    unit = _find_unit(column, [place.get("metric")])
+    head = TableColumn(label, ", ".join(words for words in (column.heading, unit) if words))
+
+    def cell(row: Row) -> str:
+        return column.format_cell(row[_PARTS][where]) if where in row[_PARTS] else MISSING
+
+    return Cells(head, cell)
+
+
+def _list_rows(rows: pd.DataFrame | Iterable[Row]) -> list[Row]:
+    return to_records(rows) if isinstance(rows, pd.DataFrame) else list(rows)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a report.
+
+    Attributes
+    ----------
+    name : str
+        Of its file and label.
+    caption : str
+        What it shows.
+    rows : DataFrame or rows
+    columns : sequence
+        Keys of the registry, or a `part` of rows that are pivoted.
+    groups : sequence of str
+        Where one of these columns changes, a group begins: a thin rule stands before it.
+    heads : int
+        How many of the first columns name the group, and are blank in its further rows.
+    ruled : bool
+        Whether rules stand between groups.
+    strong : str
+        Which rows hold our answer: "", "first" of the table, "groups": the first of each, or the column that
+        says so.
+    notes : tuple of str
+        Sentences under the table.
+    """
+
+    name: str
+    caption: str
+    rows: pd.DataFrame | Iterable[Row]
+    columns: Sequence[Any]  # str or Cells: a tuple of both is one of objects to mypy
+    groups: Sequence[str] = ()
+    heads: int = 0
+    ruled: bool = True
+    strong: str = ""
+    notes: tuple[str, ...] = ()
+
+    def lay_out(self, drop_empty: bool = False) -> TableLayout:
+        """Return the table as text, without columns that are empty if wanted."""
+        rows = _list_rows(self.rows)
+        columns = [_find_cells(one, rows) if isinstance(one, str) else one for one in self.columns]
+        begins = [k for k, row in enumerate(rows) if not k or self._key(row) != self._key(rows[k - 1])]
+        cells = tuple(
+            tuple(
+                "" if self.groups and number < self.heads and k not in begins else one.cell(row)
+                for number, one in enumerate(columns)
+            )
+            for k, row in enumerate(rows)
+        )
+        breaks = tuple(begins[1:]) if self.groups and self.ruled else ()
+        heads = tuple(one.head for one in columns)
+        strong = self._find_strong(rows, begins)
+        found = TableLayout(self.name, self.caption, heads, cells, breaks, strong, self.notes)
+        return drop_empty_columns(found) if drop_empty else found
+
+    def _key(self, row: Row) -> list[Any]:
+        return [row[name] for name in self.groups]
+
+    def _find_strong(self, rows: Sequence[Row], begins: Sequence[int]) -> tuple[int, ...]:
+        if self.strong in ("", "first", "groups"):
+            return {"": (), "first": (0,), "groups": tuple(begins)}[self.strong]
+        return tuple(k for k, row in enumerate(rows) if row[self.strong])

@@ -1,0 +1,1 @@
+"""Run studies: fit to some insertions, score on others (`run`), compare with published numbers (`paper`)."""

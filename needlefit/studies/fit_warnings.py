@@ -1,0 +1,121 @@
+"""Warn about a finished fit: parameters at bounds, or a baseline curve that is closer than the fit."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from needlefit.inference.baselines import BASELINES
+from needlefit.inference.identifiability.identify import BOUND_FRACTION
+from needlefit.inference.parameters import Parameters, is_logarithmic
+from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
+from needlefit.studies.job import Job
+from needlefit.studies.run import Run
+from needlefit.studies.summary import beats_fit, compare_methods
+from needlefit.studies.validity import validity_warnings
+
+VERDICT_KINDS = ("parameter_at_bound", "worse_than_baseline")
+"""Of warnings that say that a fit's values, or its predictions, are not to be relied on."""
+
+
+def add_warnings(results: Run, job: Job) -> Run:
+    """Return results whose `run` also has the warnings about data, study and fit."""
+    found = [*read_warnings(results.run), *job.warnings]
+    found += validity_warnings(results.run)
+    found += [] if results.interrupted else [*bound_warnings(results), *baseline_warnings(results)]
+    return replace(results, run={**results.run, **warnings_entry(found)})
+
+
+def verdict_warnings(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
+    """Return the warnings that belong under the verdict: a bound is reached, a baseline curve is closer."""
+    return tuple(one for one in read_warnings(run) if one.kind in VERDICT_KINDS)
+
+
+def bound_warnings(results: Run) -> Iterator[ResultWarning]:
+    """Yield the parameters that a fit left at a bound, and in how many folds."""
+    table = results.frames["parameters"]
+    free = table[(table["method"] == "fitted") & (table["status"] == "free")]
+    folds = table["fold"].nunique()
+    for name, rows in free.groupby("parameter", sort=False):
+        columns = (rows[key].to_numpy(dtype=np.float64) for key in ("value", "bound_low", "bound_high"))
+        ends = [_describe_bound(str(name), *row) for row in zip(*columns, strict=True)]
+        yield from _bound_warning(f"the fitted {name}", ends, f" of {folds} folds" if folds > 1 else "")
+
+
+def analysis_bound_warnings(
+    fits: pd.DataFrame, parameters: Mapping[str, Parameters]
+) -> Iterator[ResultWarning]:
+    """Yield the parameters that fits of an analysis left at a bound, and in how many fits.
+
+    Parameters
+    ----------
+    fits : DataFrame
+        A row per fit and `parameter`, with its `value`; the first column names the parameters used.
+    parameters : mapping
+        These, by name.
+    """
+    for name, members in fits.groupby(fits.columns[0], sort=False):
+        bounds = parameters[str(name)].bounds
+        for parameter, rows in members.groupby("parameter", sort=False):
+            if parameter in bounds:
+                ends = [
+                    _describe_bound(str(parameter), value, *bounds[str(parameter)]) for value in rows["value"]
+                ]
+                yield from _bound_warning(f"the fitted {parameter} of {name}", ends, f" of {len(rows)} fits")
+
+
+def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWarning]:
+    """Yield the warning about fits that ended at these bounds, "" for those that did not, if any did."""
+    reached = [end for end in ends if end]
+    if reached:
+        bounds = " and ".join(dict.fromkeys(reached))
+        where = f" in {len(reached)}{of}" if of else ""
+        yield ResultWarning(
+            "parameter_at_bound",
+            f"{what} lies at its {bounds}{where}, so its value is no estimate",
+            fix="check bevel sides, units and layers of the data, or widen the bounds in the medium",
+        )
+
+
+def _describe_bound(name: str, value: float, low: float, high: float) -> str:
+    """Return at which bound a fitted value lies, "" if at none."""
+    least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
+    place = (at - least) / (most - least)
+    if place < BOUND_FRACTION:
+        return f"lower bound, {low:g}"
+    return f"upper bound, {high:g}" if place > 1 - BOUND_FRACTION else ""
+
+
+def baseline_warnings(results: Run) -> Iterator[ResultWarning]:
+    """Yield the closest baseline curve, if it is closer to the scored insertions than the fit.
+
+    Held-out insertions: by more than chance gives (`beats_fit`: two standard errors, or half of the error on
+    a single insertion). Insertions fitted to: by the noise floor as well, for a fit allows for errors of the
+    entry pose that the score counts.
+    """
+    held_out = bool((results.frames["errors"]["role"] == "validate").any())
+    role = "validate" if held_out else "tune"
+    table = compare_methods(results, role=role)
+    better = [row for _, row in table.iterrows() if row["method"] in BASELINES and beats_fit(row)]
+    better = (
+        better if held_out else [row for row in better if -row["difference_mm"] > _mean_noise_floor(results)]
+    )
+    if better:
+        best = min(better, key=lambda row: float(row["difference_mm"]))
+        error, fit = best["ipe_mean_mm"], best["ipe_mean_mm"] - best["difference_mm"]
+        which = "held-out insertions" if held_out else "insertions fitted to"
+        yield ResultWarning(
+            "worse_than_baseline",
+            f"{BASELINES[str(best['method'])].description} is closer to the {which} than the fitted model "
+            f"(mean in-plane error {error:.3f} mm against {fit:.3f} mm)",
+            fix="do not rely on this model there; check bevel sides, layers and needle of the data",
+        )
+
+
+def _mean_noise_floor(results: Run) -> float:
+    """Return the mean in-plane error that measurement noise alone gives, mm; 0 where none is stated."""
+    floors = results.frames["errors"]["floor_ipe_mean_mm"].to_numpy(dtype=np.float64)
+    return float(np.mean(floors[np.isfinite(floors)])) if np.isfinite(floors).any() else 0.0

@@ -1,0 +1,240 @@
+"""Predict held-out needles: the predictive distribution of each, compared with its measurement.
+
+A draw of the parameters gives one needle, through the layers that its own planned path meets, with a bevel
+offset of its own (given what was measured of the same insertion at other depths, where there is any) and
+depths of layers and insertion drawn as the dataset states their errors; about it stand
+the errors of pose and points. In a specimen that was not tuned on the parameters differ too
+(`new_specimens`). The measured shape enters nowhere but as what is compared (and laid on, where its pose is
+free). What the model misses is not predicted: where coverage falls short of its level, that is why, or the
+stated errors are too small. A needle is one trial: its tip, and its shape as a whole, which holds if no point
+of it leaves a band that the predicted probability of such needles stays within all along.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.select import count_layers, find_repeats
+from needlefit.inference.compared_points import align
+from needlefit.inference.draws import Draws, rms_noise_scale, thin_posterior
+from needlefit.inference.fit import Fit
+from needlefit.inference.importance.fit_posterior import resample_draws
+from needlefit.inference.likelihood.observation import Observation, make_observation
+from needlefit.inference.predictive_distribution import (
+    INTERVAL_PROBABILITIES,
+    PredictiveMixture,
+    cdf,
+    crps,
+    interval,
+    quantile,
+    simulate_shape_pit,
+)
+from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.random_streams import random_stream
+from needlefit.studies.folds import Fold
+from needlefit.studies.job import Job, Settings
+from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
+from needlefit.studies.planned_draws import draw_conditions, scale_bevels, simulate_planned
+from needlefit.studies.posterior_fit import PREDICTION_DRAWS, weigh_or_sample
+from needlefit.studies.score import Row
+
+FIGURE_DRAWS = 400
+"""Parameter sets that a figure of the posterior shows."""
+
+MIN_SOLVED_DRAWS = 10
+"""Fewer solved draws make no distribution."""
+
+PREDICTIVE_COLUMNS = (
+    *("fold", "insertion", "specimen", "medium", "layers", "depth_mm"),
+    *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
+    *("draw_source", "certified", "draws", "failed_solves"),
+    *(
+        "tip_measured_mm",
+        "tip_median_mm",
+        "tip_50_low_mm",
+        "tip_50_high_mm",
+        "tip_95_low_mm",
+        "tip_95_high_mm",
+    ),
+    *("tip_pit", "tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm"),
+    *("shape_pit", "shape_in_50", "shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm"),
+)
+"""Columns: `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` of a shape
+nearer, at its worst point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %;
+`points_in_*` is the part of points within their own interval, which are no independent trials."""
+
+
+def draw_fold_parameters(
+    job: Job, fold: Fold, fit: Fit, posterior: Posterior | None, settings: Settings
+) -> tuple[Draws, Draws]:
+    """Draw parameters of a fold: `PREDICTION_DRAWS` to predict with, and `FIGURE_DRAWS` for figures.
+
+    They come from the sampled posterior where there is one, else from importance sampling about the fit, with
+    more effort where its weights cannot be trusted, and then from the sampler.
+    """
+    counts = (PREDICTION_DRAWS, FIGURE_DRAWS)
+    if posterior is None and not len(fit.theta):
+        few, many = (Draws(np.empty((count, 0)), "importance") for count in counts)
+        return few, many
+    if posterior is None:
+        key = (fold.name, "foretold")
+        rng = random_stream(job.recipe.seed, job.name, *key)
+        found, posterior = weigh_or_sample(job, job.problem(fold), fit, rng, key, settings)
+    if posterior is not None:
+        few, many = (thin_posterior(posterior, job.parameters, count) for count in counts)
+        return few, many
+    # both sets come from one generator: their order is part of the result
+    few, many = (resample_draws(found, count, rng) for count in counts)
+    return few, many
+
+
+BAND_COLUMNS = (
+    *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
+    *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+)
+"""Columns: where a held-out needle was predicted to be measured, point by point, at its measured x."""
+
+BAND_POINTS = 41
+"""Points of a band that are kept, of up to some 200."""
+
+
+@dataclass(frozen=True)
+class HeldOutPrediction:
+    """The prediction of one needle: its row of `PREDICTIVE_COLUMNS`, and its rows of `BAND_COLUMNS`.
+
+    `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes.
+    """
+
+    row: Row
+    band: tuple[Row, ...]
+    solved: int
+    outside: int
+
+
+def tabulate_held_out(job: Job, fold: Fold, draws: Draws, new: NewSpecimens | None = None) -> Iterator[Row]:
+    """Yield one row for every insertion that a fold holds out, y toward +y of C, mm."""
+    return (one.row for one in predict_held_out(job, fold, draws, new))
+
+
+def predict_held_out(
+    job: Job, fold: Fold, draws: Draws, new: NewSpecimens | None = None, jobs: int = 1
+) -> Iterator[HeldOutPrediction]:
+    """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
+
+    Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
+    With `new`, parameters differ in specimens that were not tuned on.
+    """
+    factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
+    # what is predicted are the stored points, as they will be measured
+    update = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
+    plain = job.recipe.likelihood.model_copy(update=update)
+    repeats = find_repeats(job.dataset)
+    tuned_on = job.problem(fold) if fold.tune else None
+    for insertion in fold.validate:
+        if not job.dataset.noise.stated and insertion.sd is None:
+            continue
+        rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
+        observation = make_observation(job.dataset, insertion, likelihood=plain)
+        tuned = any(insertion.specimen == one.specimen for one in fold.tune)
+        differing = new if new is not None and new.differs(insertion) else None
+        about = describe_specimen(differing, insertion, "same" if tuned else "training only")
+        # the depths of one insertion have one specimen and one bevel
+        own = repeats.get(insertion.id)
+        once = rng if own is None else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *own)
+        thetas = draws.thetas if differing is None else differing.move(draws.thetas, insertion, once)
+        sets = [job.parameters.values(theta) for theta in thetas]
+        deviations = once.standard_normal(len(sets))
+        if own is not None and tuned_on is not None and len(sets):
+            deviations = _condition_bevels(tuned_on, sets, own, deviations, jobs)
+        sets = scale_bevels(sets, deviations)
+        conditions = draw_conditions(insertion, len(sets), rng)
+        s, needle = observation.nodes.s[0], job.dataset.needle
+        found = simulate_planned(sets, job.medium, needle, insertion, s, conditions, jobs)
+        solved = found.solved
+        if np.sum(solved) < MIN_SOLVED_DRAWS:
+            continue
+        heights = align(observation.pose, found.points[solved], observation.measured)[..., 1]
+        covariance, measured = _measurement_covariance(observation, factor), observation.measured[:, 1]
+        mixture = PredictiveMixture(heights, np.sqrt(np.diag(covariance)))
+        row = {"fold": fold.name, **_describe_insertion(job, insertion, draws, int(np.sum(~solved))), **about}
+        row |= _score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
+        where = {"fold": fold.name, "insertion": insertion.id}
+        band = ({**where, **point} for point in _band_rows(mixture, observation.measured))
+        yield HeldOutPrediction(
+            {name: row[name] for name in PREDICTIVE_COLUMNS},
+            tuple(band),
+            len(heights),
+            int(np.sum(~found.valid[solved])),
+        )
+
+
+def _condition_bevels(
+    problem: Problem, sets: Sequence[Mapping[str, float]], own: tuple[str, int], deviations: Floats, jobs: int
+) -> Floats:
+    """Return standard deviations (B,) of a bevel drawn given what was measured of the insertion `own`."""
+    mean, sd = problem.density.estimate_bevel(sets, own, jobs)
+    # with a set that has no solution nothing is predicted
+    return np.nan_to_num(mean + sd * deviations)
+
+
+def _measurement_covariance(observation: Observation, factor: float) -> Floats:
+    """Return the covariance (K, K) of the measured y about a given needle: of points, and of a known pose.
+
+    A free shape or tip track is laid on the measured one, which takes from its errors what a motion can.
+    """
+    covariance = observation.covariance(factor)
+    if observation.pose == "known":
+        return covariance
+    moved_by: Floats = np.linalg.qr(observation.free)[0]  # (K, 2): across, turn
+    left = np.eye(len(moved_by)) - moved_by @ moved_by.T
+    aligned: Floats = left @ covariance @ left
+    return aligned
+
+
+def _describe_insertion(job: Job, insertion: Insertion, draws: Draws, failed: int) -> Row:
+    return {
+        "insertion": insertion.id,
+        "specimen": insertion.specimen,
+        "medium": insertion.medium,
+        "layers": count_layers(insertion, job.record.layer_count_rule),
+        "depth_mm": insertion.depth,
+        "draw_source": draws.source,
+        "certified": not draws.faults,
+        "draws": len(draws.thetas),
+        "failed_solves": failed,
+    }
+
+
+def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
+    """Yield median and intervals at some of the measured points (K, 2), the tip the last."""
+    kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
+    some = PredictiveMixture(mixture.means[:, kept], mixture.sd[kept])
+    columns = {"x_mm": measured[kept, 0], "measured_mm": measured[kept, 1], "median_mm": quantile(some, 0.5)}
+    for level in INTERVAL_PROBABILITIES:
+        ends = zip(("low", "high"), interval(some, level), strict=True)
+        columns |= {f"{side}_{100 * level:.0f}_mm": end for side, end in ends}
+    for k in range(len(kept)):
+        yield {name: float(values[k]) for name, values in columns.items()}
+
+
+def _score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
+    """Return what became of the prediction of points (K,), the last of them the tip."""
+    tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
+    at, score, pit = float(measured[-1]), crps(mixture, measured), cdf(mixture, measured)
+    row: Row = {"tip_measured_mm": at, "tip_median_mm": float(quantile(tip, 0.5)[0])}
+    row |= {"tip_pit": float(pit[-1]), "tip_crps_mm": float(score[-1])}
+    row |= {"shape_crps_mm": float(score.mean()), "shape_pit": shape_pit}
+    for level in INTERVAL_PROBABILITIES:
+        name = f"{100 * level:.0f}"
+        low, high = (float(end[0]) for end in interval(tip, level))
+        row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
+        row |= {f"tip_in_{name}": low <= at <= high}
+        row |= {f"shape_in_{name}": shape_pit <= level}
+        row |= {f"points_in_{name}": float(np.mean(np.abs(pit - 0.5) <= level / 2))}
+    # width, and what lies outside at 2 / (1 - level) of it: T. Gneiting, A. E. Raftery, JASA 102 (2007) 359
+    beyond = max(low - at, at - high, 0.0)
+    return row | {"tip_interval_score_mm": high - low + 2 / (1 - level) * beyond}

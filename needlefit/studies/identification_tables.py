@@ -1,0 +1,97 @@
+"""Present an identifiability verdict as tables for print and as sentences."""
+
+import pandas as pd
+
+from needlefit.inference.identifiability.information import (
+    short_name,
+)
+from needlefit.reporting.number_format import choose_printed_unit, format_number, format_quantity_range
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_layout import TableLayout
+from needlefit.studies.identification import IDENTIFICATION_COLUMNS
+from needlefit.studies.parameter_intervals import NO_INTERVAL, format_interval, typeset_interval
+
+
+def describe_verdicts(identification: pd.DataFrame) -> list[str]:
+    """Return one sentence per parameter: its 95 % interval, and under which assumption it is determined.
+
+    What information, profile and draws give apart, and where they disagree, is in `identify.csv`.
+    """
+    summary = []
+    for row in to_records(identification):
+        held = f" (fixed at {format_number(row['value'])})" if row["status"] == "fixed" else ""
+        condition = f"; {row['note']}" if row.get("note") else ""
+        summary.append(f"{short_name(str(row['parameter']))}{held}: {_describe_interval(row)}{condition}.")
+    return summary
+
+
+def _describe_interval(row: Row) -> str:
+    """Return the interval of the draws, or what the profile says where there are none."""
+    if row.get("draw_source") in (None, "", "profile"):
+        return str(row["profile_verdict"])
+    text = format_interval(row)
+    if text == NO_INTERVAL:
+        return "not determined: its 95 % interval spans most of its bounds"
+    text = format_quantity_range(str(row["parameter"]), row["interval_low"], row["interval_high"])
+    return f"{'' if row['determined'] else 'not determined: '}95 % CI {text}"
+
+
+def format_small_mm(value: float) -> str:
+    """Return a length as text, also one close to 0."""
+    return "less than 0.001" if value < 1e-3 else f"{value:.2g}"
+
+
+_INTERVAL_NOTE = (
+    "The 95 % interval is that of the posterior draws if they are certified, else that of the profile "
+    "likelihood, open at a bound. A fixed α is freed for this table only. All other values are in "
+    "identify.csv."
+)
+_SD_NOTE = (
+    "“SD”: by Fisher information and bounds, of ln for μ and b, of the value for α. “SD ratio”: posterior "
+    "SD / prior SD (bounds or a stated prior); 1 where the data add nothing. The interval is that of the "
+    "profile likelihood, open at a bound. A fixed α is freed for this table only."
+)
+
+
+def lay_out_identification(identification: pd.DataFrame, expected: bool = False) -> TableLayout:
+    """Return one row per parameter; for a design also where information and profile disagree."""
+    several = identification["fold"].nunique() > 1
+    rows = [
+        {**row, **_identification_cells(row), "fold": row["fold"] if several else ""}
+        for row in to_records(identification)
+    ]
+    known = (
+        ("sd", "profile_low", "profile_high", "sd_ratio", "tip_range_mm", "agreement")
+        if expected
+        else ("interval_95", "note", "tip_range_mm")
+    )
+    columns = ("fold", "parameter", "determined", *known)
+    caption = f"Identifiability of each parameter from the {'design' if expected else 'data'}."
+    groups, notes = ("fold", "status"), (_SD_NOTE if expected else _INTERVAL_NOTE,)
+    table = Table("identification", caption, rows, columns, groups=groups, notes=notes)
+    return table.lay_out(drop_empty=True)
+
+
+def _identification_cells(row: Row) -> Row:
+    label, unit = choose_printed_unit(str(row["parameter"]), [row["value"], row["low"]])
+    ends = {side: row[side] / unit if row[f"end_{side}"] == "closed" else "open" for side in ("low", "high")}
+    return {
+        **ends,
+        "parameter": label + (", fixed" if row["status"] == "fixed" else ""),
+        "tip_range_mm": _format_tip_range(row),
+        "interval_95": typeset_interval(row, unit),
+    }
+
+
+def _format_tip_range(row: Row) -> str:
+    return "" if row["tip_range_mm"] is None else format_small_mm(row["tip_range_mm"])
+
+
+def tabulate_identification(identification: pd.DataFrame, origin: str) -> pd.DataFrame:
+    """Return the rows of `identify.csv`.
+
+    `value` is where the profile is lowest, or where a design was looked at; without `determined` it is no
+    estimate.
+    """
+    return identification.assign(origin=origin).reindex(columns=[*IDENTIFICATION_COLUMNS, "origin"])

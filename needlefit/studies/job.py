@@ -1,0 +1,324 @@
+"""Load a study or fit with everything that it names: dataset, medium, recipe, hand-tuned method and folds."""
+
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
+from needlefit.datasets.read import read
+from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.forward_model import make_options as mesh
+from needlefit.inference.material import set_material_prior
+from needlefit.inference.parameters import (
+    Parameters,
+    with_hyperparameters,
+    without_bevel_spread,
+    without_prior,
+)
+from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.mechanics.insertion_limits import check_size, count_element_solves
+from needlefit.project.load import load
+from needlefit.project.locate import FileKind, find_file
+from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
+from needlefit.project.random_streams import random_stream
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml_lines import add_file_context, add_key_context, locate_key
+from needlefit.project.unit_warnings import medium_warnings
+from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
+from needlefit.schemas.medium import MaterialRecord, MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies import paper
+from needlefit.studies.folds import Fold, make_folds, warn_shared_specimens
+
+_GUIDE_PARAMETER = "guide_distance_mm"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a program has in memory; it takes the place of the files that the study file of one fit names.
+
+    Attributes
+    ----------
+    target : (str, FitRecord) or None
+        The name of the results of the fit that a study is about, and the fit.
+    dataset, medium, recipe : Dataset, MediumRecord, RecipeRecord or None
+        Of the fit; the medium has its priors.
+    posterior : Posterior or None
+        That was sampled of the target.
+    """
+
+    target: tuple[str, FitRecord] | None = None
+    dataset: Dataset | None = None
+    medium: MediumRecord | None = None
+    recipe: RecipeRecord | None = None
+    posterior: Posterior | None = None
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a run is executed; only `seed`, `sample` and `inputs` change its result.
+
+    Attributes
+    ----------
+    seed : int or None
+        Replaces the recipe's.
+    jobs : int
+        Threads.
+    checkpoint : Path or None
+        Folder that keeps finished starts.
+    resume : bool
+        Go on from the checkpoint.
+    sample : bool
+        Also sample the posterior.
+    progress : callable
+        Called with a label, what is done, and of how much.
+    stop : callable
+        Asked often; True ends the run early, marked `interrupted`.
+    note : callable
+        Given a line about what was damaged in the checkpoint.
+    file : Path or None
+        The study's, which warnings about it name.
+    inputs : Inputs
+        What is not read from files.
+    """
+
+    seed: int | None = None
+    jobs: int = 1
+    checkpoint: Path | None = None
+    resume: bool = False
+    sample: bool = False
+    progress: Progress = no_progress
+    stop: Stop = never_stop
+    note: Note = no_note
+    file: Path | None = None
+    inputs: Inputs = Inputs()
+
+    def place(self, key: str) -> str:
+        """Return the name of a key of the study's file for messages; "" where it is not known."""
+        return "" if self.file is None else locate_key(self.file, key)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a fit works on: data, model, parameters, settings; `warnings` are about the data.
+
+    `medium_file` is None where the medium was given in memory.
+    """
+
+    name: str
+    record: FitRecord | StudyRecord
+    dataset: Dataset
+    medium: MediumRecord
+    parameters: Parameters
+    recipe: RecipeRecord
+    hand_tuned: Mapping[str, float] | None
+    folds: tuple[Fold, ...]
+    warnings: tuple[ResultWarning, ...] = ()
+    medium_file: Path | None = None
+
+    def place_in_medium(self, key: str) -> str:
+        """Return how messages name a key of the medium."""
+        return key if self.medium_file is None else locate_key(self.medium_file, key)
+
+    @property
+    def searches(self) -> tuple[str, ...]:
+        """The searches of one fold; the first is the fit that everything else is about."""
+        metric = self.recipe.metric and self.recipe.minimize == "posterior"
+        return (
+            "fitted",
+            *(("fitted_metric",) if metric else ()),
+            *(
+                ("hand_tuned_b",)
+                if self.hand_tuned is not None and "bevel_mm" in self.parameters.free
+                else ()
+            ),
+        )
+
+    def recipe_of(self, search: str) -> RecipeRecord:
+        """Return the recipe of one search; all minimise the same, except the one named after the metric."""
+        return metric_recipe(self.recipe) if search == "fitted_metric" else self.recipe
+
+    @property
+    def insertions(self) -> tuple[Insertion, ...]:
+        """Every insertion that is fitted to or scored in any fold, once."""
+        found = {i.id: i for fold in self.folds for i in (*fold.tune, *fold.validate)}
+        return tuple(found.values())
+
+    def floor(self, insertion: Insertion) -> NoiseFloor:
+        """Return the noise floor of an insertion."""
+        return estimate_noise_floor(
+            self.dataset, insertion, random_stream(self.recipe.seed, "noise floor", insertion.id)
+        )
+
+    def problem(self, fold: Fold, search: str = "fitted") -> Problem:
+        """Return the problem of one search of a fold: all parameters free, or the paper's bevel alone."""
+        everything = Problem(
+            self.dataset,
+            fold.tune,
+            self.medium,
+            self.parameters,
+            self.recipe.weights,
+            likelihood=self.recipe.likelihood,
+        )
+        if search == "hand_tuned_b" and self.hand_tuned is not None:
+            one_bevel = without_bevel_spread(self.parameters)
+            return everything.with_parameters(one_bevel.with_only(("bevel_mm",), self.hand_tuned))
+        if self.recipe_of(search).minimize == "metric":
+            return everything.with_parameters(without_prior(self.parameters))
+        return everything
+
+
+def with_one_bevel(job: Job) -> Job:
+    """Return the job with a bevel offset that is the same in all insertions."""
+    likelihood = job.recipe.likelihood.model_copy(update={"bevel_spread": 0.0})
+    return replace(
+        job,
+        recipe=job.recipe.model_copy(update={"likelihood": likelihood}),
+        parameters=without_bevel_spread(job.parameters),
+    )
+
+
+def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:
+    """Return the recipe that minimises the metric objective instead of the posterior."""
+    return recipe.model_copy(update={"minimize": "metric", "algorithm": recipe.metric_algorithm})
+
+
+def prepare(
+    name: str, record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
+) -> Job:
+    """Load and check everything that a study or fit names; `dataset`, if given, replaces its own.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything it names is missing or wrong.
+    """
+    given = settings.inputs
+    dataset = dataset or given.dataset or read(find_named("dataset", record.dataset))
+    medium, medium_file = (given.medium, None) if given.medium else _load_medium(record)
+    recipe = given.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
+    if settings.seed is not None:
+        recipe = recipe.model_copy(update={"seed": settings.seed})
+    if recipe.minimize == "posterior" and not dataset.noise.stated:
+        recipe = metric_recipe(recipe)  # without noise a posterior has no width, and no peak
+    with nullcontext() if medium_file is None else add_file_context(medium_file):
+        stated = Parameters.from_record(medium)
+    with add_key_context("paper_parameters"):
+        hand = (
+            None
+            if record.paper_parameters is None
+            else hand_tuned_set(record.paper_parameters, stated, record.medium)
+        )
+    parameters = adapt_parameters(stated, recipe)
+    divided = make_folds(record, dataset)
+    warnings = [*dataset.warnings, *medium_warnings(medium, medium_file or record.medium)]
+    if isinstance(record, StudyRecord) and not record.same_specimen:
+        key = "validate" if record.leave_out is None else "leave_out"
+        warnings += warn_shared_specimens(name, divided, settings.place(key))
+    job = Job(name, record, dataset, medium, parameters, recipe, hand, divided, tuple(warnings), medium_file)
+    _check_layers(job)
+    _check_reach(job)
+    _check_size(job)
+    return job
+
+
+def adapt_parameters(stated: Parameters, recipe: RecipeRecord) -> Parameters:
+    """Return the parameters that a medium states as a recipe searches them: without a prior for a metric."""
+    if recipe.minimize == "posterior":
+        return with_hyperparameters(stated, recipe.likelihood)
+    return without_prior(stated)
+
+
+def find_named(key: FileKind, name: str) -> Path:
+    """Return the file that a study names under `key`; the key is also the kind of file."""
+    with add_key_context(key):
+        return find_file(key, name)
+
+
+def _load_medium(record: FitRecord | StudyRecord) -> tuple[MediumRecord, Path]:
+    """Return the medium that a fit names, with its priors, and its file."""
+    file = find_named("medium", record.medium)
+    return set_priors(load(file, MediumRecord), record.priors), file
+
+
+def set_priors(medium: MediumRecord, priors: Mapping[str, str]) -> MediumRecord:
+    """Return the medium, its layers with the priors of the files that a fit names."""
+    for layer, path in priors.items():
+        material = load(Path(path), MaterialRecord)
+        with add_key_context(f"priors.{layer}"):
+            medium = set_material_prior(medium, layer, material)
+    return medium
+
+
+def _check_layers(job: Job) -> None:
+    """Refuse a medium with fewer layers than an insertion meets."""
+    count = f"{job.medium.layers} layer{'s' if job.medium.layers > 1 else ''}"
+    for insertion in job.insertions:
+        if max(insertion.sequence) > job.medium.layers:
+            raise ConfigError(
+                f"medium {job.record.medium} has {count}, insertion {insertion.id} meets "
+                f"layer {max(insertion.sequence)}",
+                fix="name the medium that the needle went into, or select other insertions",
+                key="medium",
+            )
+
+
+def farthest_guide(parameters: Parameters, insertion: Insertion) -> float:
+    """Return the largest distance, mm, before the tissue at which a guide can hold; 0 without one."""
+    if _GUIDE_PARAMETER in parameters.bounds:
+        return parameters.bounds[_GUIDE_PARAMETER][1]
+    return parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
+
+
+def _check_reach(job: Job) -> None:
+    """Refuse, before hours of work, a needle too short for the deepest insertion and the farthest guide."""
+    for insertion in job.insertions:
+        guide = farthest_guide(job.parameters, insertion)
+        if insertion.depth + guide >= job.dataset.needle.length:
+            raise ConfigError(
+                f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "
+                f"the tissue the needle of {job.dataset.needle.length:g} mm is too short",
+                where=job.place_in_medium(f"parameters.{_GUIDE_PARAMETER}"),
+                expected=f"below {job.dataset.needle.length - insertion.depth:g} mm",
+                fix="lessen the guide's distance or its upper bound",
+            )
+
+
+def _check_size(job: Job) -> None:
+    """Refuse, before hours of work, insertions of which a single evaluation would take a minute."""
+    rules, total = mesh(job.medium), 0.0
+    for insertion in job.insertions:
+        try:
+            check_size((insertion.depth,), rules)
+        except ModelError as error:
+            raise ConfigError(
+                f"insertion {insertion.id}: {error.what}",
+                where=job.place_in_medium("constraint_spacing_mm"),
+                expected=error.expected,
+                fix=error.fix,
+            ) from None
+        conditions = 1 + 2 * len(insertion.sequence) if job.recipe.likelihood.depths != "fixed" else 1
+        total += conditions * count_element_solves((insertion.depth,), rules.spacing, rules.element)
+    if total > MAX_EVALUATION_ELEMENT_SOLVES:
+        raise ConfigError(
+            f"{len(job.insertions)} insertions are {total:.3g} elements to be solved for in one evaluation",
+            where=job.place_in_medium("constraint_spacing_mm"),
+            expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
+            fix="select fewer insertions, or take a larger constraint spacing",
+        )
+
+
+def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
+    """Return the paper's set, completed by what the medium fixes; ConfigError if its layers differ."""
+    published = {**parameters.fixed, **paper.read_hand_tuned(name)}
+    missing = [p for p in parameters.names if p not in published]
+    if missing:
+        raise ConfigError(
+            f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
+            fix="name a set of the same layers, or leave paper_parameters out",
+        )
+    return {p: published[p] for p in parameters.names}

@@ -1,0 +1,105 @@
+"""The kinds of study. Each is a folder of `kinds/`: its study file, its computation and its report."""
+
+import platform
+import shlex
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from needlefit.project.source_revision import find_source_revision
+from needlefit.project.threads import one_thread
+from needlefit.project.toml_lines import add_study_context
+from needlefit.registry import Registry
+from needlefit.schemas.base import FileRecord
+
+if TYPE_CHECKING:
+    from needlefit.studies.job import Settings
+    from needlefit.studies.report import StudyReport
+    from needlefit.studies.run import Run
+
+
+@dataclass(frozen=True)
+class StudyKind:
+    """One kind of study.
+
+    Attributes
+    ----------
+    name : str
+        The value of `kind` in the study file.
+    record : type
+        The keys of the study file.
+    package : str
+        The package with the modules `run`, which has a function `run(name, record, settings)` and the columns
+        of its frames in `FRAMES`, and `report`,
+        which has a `StudyReport` named `REPORT`. Both are imported on first use.
+    """
+
+    name: str
+    record: type[FileRecord]
+    package: str
+
+    @property
+    def frames(self) -> Mapping[str, Sequence[str]]:
+        """The columns that every frame of its runs has."""
+        columns: Mapping[str, Sequence[str]] = getattr(import_module(f"{self.package}.run"), "FRAMES", {})
+        return columns
+
+    @property
+    def report(self) -> "StudyReport":
+        """How its results are reported."""
+        report: StudyReport = import_module(f"{self.package}.report").REPORT
+        return report
+
+    @one_thread
+    def run(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
+        """Run a study of this kind.
+
+        The same record, data, seed and versions give the same frames for any number of jobs, and after an
+        interruption with `resume`.
+
+        Raises
+        ------
+        ConfigError, DataError
+            If anything the record names is missing or wrong.
+        """
+        begin = time.time()
+        with add_study_context(name):
+            result: Run = import_module(f"{self.package}.run").run(name, record, settings)
+        timing = {"seconds": time.time() - begin, "jobs": settings.jobs, **describe_surroundings(begin)}
+        state = {"interrupted": result.interrupted, "faults": list(result.faults)}
+        revision = find_source_revision()
+        state |= {"source_revision": revision} if revision else {}
+        return replace(result, run=result.run | state, timing=timing | result.timing)
+
+    def make_record(self, **options: object) -> FileRecord:
+        """Return the study file that the options of a command stand for."""
+        return self.record.model_validate({"schema": self.record.SCHEMA, "kind": self.name, **options})
+
+
+def describe_surroundings(begin: float) -> dict[str, str]:
+    """Return what does not change a result: the command line, the platform and the date (UTC)."""
+    return {
+        "command": shlex.join(sys.argv),
+        "platform": platform.platform(),
+        "started": datetime.fromtimestamp(begin, UTC).isoformat(timespec="seconds"),
+    }
+
+
+KINDS = Registry(StudyKind, "needlefit.studies.kinds", "kind of study")
+"""All kinds by name: the folders of `kinds/`, and those of plugins."""
+
+
+def kind_of(record: FileRecord) -> StudyKind:
+    """Return the kind whose study files are records of this type."""
+    return next(kind for kind in KINDS.values() if kind.record is type(record))
+
+
+def find_kind(name: object) -> StudyKind:
+    """Return a kind by name; ConfigError if there is none."""
+    if not isinstance(name, str) or name not in KINDS:
+        raise KINDS.unknown_name_error(str(name), key="kind")
+    return KINDS[name]

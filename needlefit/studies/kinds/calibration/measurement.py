@@ -1,0 +1,155 @@
+"""Simulate a needle and its measurement, with the errors that its dataset states."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.select import find_repeats
+from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.smoothing_spline import design_matrix
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.nodes import BEVEL, Surface, draw_boundary_errors, shift_depths
+from needlefit.inference.likelihood.observation import (
+    SESSION_SD_RAD,
+    add_headings,
+    list_session_axes,
+    points_covariance,
+    pose_modes,
+    pose_sds,
+)
+from needlefit.inference.likelihood.operators import SectionData, select_sections
+from needlefit.inference.simulated_points import read_points
+from needlefit.inference.ties import BEVEL_SPREAD, NOISE_SCALE
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.schemas.medium import MediumRecord
+
+MIN_WEIGHT = 1e-12
+"""Of a cross-section that counts for nothing: its noise must stay finite."""
+
+FREE_POSE_SHIFT_SD_MM = 10.0
+"""Standard deviation of where a shape lies whose pose is free, mm."""
+
+TRACKER_FRAME_SD = (FREE_POSE_SHIFT_SD_MM, 0.1)
+"""Standard deviations of the shift, mm, and the slope of a tracker's frame."""
+
+
+def simulate_measurement(
+    dataset: Dataset,
+    insertion: Insertion,
+    values: Mapping[str, float],
+    medium: MediumRecord,
+    rng: np.random.Generator,
+    shared: dict[tuple[object, ...], float] | None = None,
+) -> Insertion | None:
+    """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
+
+    The needle is simulated at depths of layers and tip that err as stated about the insertion's, with a bevel
+    of its own. Measured are its deflections at the arc lengths of `insertion.planar`, or its tips at the
+    depths of a tip track, moved by a pose drawn from its prior and by the noise of the points, which is
+    `noise_scale` of `values` times as large as stated. Where cross-sections are stored, they are measured,
+    with their own noise. Where poses are free, the shape or the tracker's frame lies anywhere. There is none
+    where the needle has no solution, or bends as no curve of its length does.
+
+    `shared` holds the errors, in standard deviations, of the surfaces of each specimen; it is filled as
+    needed, and to be given again for every insertion measured with them.
+    """
+    errors = {} if shared is None else shared
+    scale = values.get(NOISE_SCALE, 1.0)
+    known = select_sections(insertion, dataset.needle) if dataset.pose == "known" else None
+    s = _list_beam_coordinates(insertion) if known is None else known.s
+    deep = insertion.depth_sd * rng.standard_normal()
+    wrong = draw_boundary_errors(insertion, errors, rng)
+    factor = math.exp(values.get(BEVEL_SPREAD, 0.0) * _draw_bevel(dataset, insertion, errors, rng))
+    true, at = shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
+    shape = predict(values, medium, dataset.needle, true)
+    if not shape.converged:
+        return None
+    points = read_points(true, shape, at)
+    if known is not None:
+        slope = np.gradient(points[:, 1], points[:, 0])
+        moved = pose_modes(points, slope) @ (pose_sds(insertion, dataset.noise) * rng.standard_normal(3))
+        return _measure_sections(insertion, known, points[:, 0], moved + points[:, 1], scale, rng)
+    cov = scale**2 * points_covariance(s, dataset.noise, insertion.sd)
+    if dataset.pose == "known":
+        spread = pose_modes(points) * pose_sds(insertion, dataset.noise)
+        cov = cov + spread @ spread.T
+    y = points[:, 1] + np.linalg.cholesky(cov) @ rng.standard_normal(len(s))
+    if dataset.pose == "tracker":
+        frame = _draw_frame(insertion.specimen, dataset.noise, errors, rng)
+        tips = insertion.with_planar(np.column_stack([s, y + frame[0] + frame[1] * s]))
+        return _measure_headings(tips, shape, frame[1:], scale * dataset.noise.heading_sd, rng)
+    along_x = np.diff(s) ** 2 - np.diff(y) ** 2
+    if np.any(along_x <= 0):
+        return None
+    # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power
+    planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), y])
+    return insertion.with_planar(_move_randomly(planar, rng) if dataset.pose == "free" else planar)
+
+
+def _draw_bevel(
+    dataset: Dataset, insertion: Insertion, shared: dict[Surface, float], rng: np.random.Generator
+) -> float:
+    """Return how many spreads the logarithm of b deviates by; the same for all depths of one insertion."""
+    own = find_repeats(dataset).get(insertion.id)
+    if own is None:
+        return float(rng.standard_normal())
+    return shared.setdefault((own[0], BEVEL, own[1]), float(rng.standard_normal()))
+
+
+def _measure_sections(
+    insertion: Insertion, known: SectionData, x: Floats, y: Floats, scale: float, rng: np.random.Generator
+) -> Insertion:
+    """Return the insertion with cross-sections at `x`, `y` (K,), and the spline through them, with noise."""
+    stored = known.stored
+    own = stored.sigma / np.sqrt(np.maximum(stored.weights, MIN_WEIGHT)) * rng.standard_normal(len(y))
+    shared = np.linalg.cholesky(known.shared + MIN_WEIGHT * np.eye(len(y))) @ rng.standard_normal(len(y))
+    seen = np.column_stack([x, y + scale * (own + shared)])
+    q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.planar)), known.s, stored.q)
+    measured = insertion.with_planar(design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen)
+    world = insertion.frame.to_world(np.column_stack([seen, np.zeros(len(y))]))
+    return replace(measured, sections=replace(stored, points=world))
+
+
+def _list_beam_coordinates(insertion: Insertion) -> Floats:
+    """Return where the points of an insertion lie on the needle, or at which depths its tip was, (K,) mm."""
+    if isinstance(insertion, TipTrack):
+        return insertion.depths
+    along = arc_length(insertion.planar)
+    beam: Floats = along * (insertion.depth / along[-1])
+    return beam
+
+
+def _draw_frame(session: str, noise: Noise, shared: dict[Surface, float], rng: np.random.Generator) -> Floats:
+    """Return shift (mm), slope and offset of headings (rad) of a run in a tracker's frame: (3,)."""
+    frame = np.append(rng.standard_normal(2) * TRACKER_FRAME_SD, 0.0)
+    for part, axis in enumerate(list_session_axes(session, noise.slope_sd, 2)):
+        if axis.surface not in shared:
+            shared[axis.surface] = float(rng.standard_normal())
+        err = axis.own * rng.standard_normal() + axis.shared * shared[axis.surface]
+        frame[1 + part] = err * SESSION_SD_RAD / axis.shared
+    return frame
+
+
+def _measure_headings(
+    track: Insertion, shape: NeedleShape, turned: Floats, sd: float, rng: np.random.Generator
+) -> Insertion:
+    """Return the track with the headings of a simulated one, turned by slope and offset, with noise `sd`."""
+    if not sd or not isinstance(track, TipTrack) or track.heading is None:
+        return track
+    places, operator = add_headings(track, track.heading)
+    path = operator[len(track.depths) :] @ read_points(track, shape, places[:, 0])[:, 1]
+    seen = path + turned.sum() + sd * rng.standard_normal(len(path))
+    return replace(track, heading=np.append(track.heading[:1], np.arctan(seen)))
+
+
+def _move_randomly(planar: Floats, rng: np.random.Generator) -> Floats:
+    """Return points (K, 2) turned by any angle, and moved."""
+    angle = rng.uniform(0.0, 2 * np.pi)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    moved_: Floats = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
+    return moved_

@@ -1,0 +1,155 @@
+"""Statistics of the ranks of the truth among draws: ECDF and interval coverage, with their chance limits.
+
+N ranks, each one of K equally likely places. How many lie below each place is a sum of N independent Poisson
+numbers, given their total; so the probability that all sums keep within limits is exact, by one convolution a
+place, and the limits of equal pointwise probability that keep it at what is wanted are found by bisection
+(T. Saeilynoja, P.-C. Buerkner, A. Vehtari, Stat. Comput. 32 (2022) 32, whose recursion sums binomials).
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import binom, poisson
+
+from needlefit.arrays import Bools, Floats
+
+Counts = NDArray[np.int64]
+
+BISECTIONS = 40
+"""Bisections of the bracket of the pointwise probability, in its logarithm."""
+
+
+def count_limits(replicates: int, probability: float | Floats, error: float) -> tuple[Counts, Counts]:
+    """Return the lowest and highest plausible count of `replicates` events of this probability.
+
+    Each end is passed with half the error at most: exact, of the binomial distribution.
+    """
+    low = np.asarray(binom.ppf(error / 2, replicates, probability), dtype=np.int64)
+    high = np.asarray(binom.ppf(1 - error / 2, replicates, probability), dtype=np.int64)
+    return low, high
+
+
+def ecdf_band(replicates: int, places: int, error: float) -> tuple[Counts, Counts]:
+    """Return the band of ranks (K - 1,) that holds at all places together, up to the probability `error`."""
+    levels = np.arange(1, places) / places
+    narrow, wide = math.log(error), math.log(error / places)  # by Bonferroni the second is wide enough
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (narrow + wide)
+        if probability_inside(replicates, *count_limits(replicates, levels, math.exp(middle))) >= 1 - error:
+            wide = middle
+        else:
+            narrow = middle
+    return count_limits(replicates, levels, math.exp(wide))
+
+
+def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
+    """Return the probability that uniform ranks stay within limits (K - 1,) at every place."""
+    # counts between neighbouring places are independent Poisson numbers, given that they add up to the
+    # replicates
+    step = poisson.pmf(np.arange(replicates + 1), replicates / (len(low) + 1))
+    alive, first = np.ones(1), 0  # probabilities of sums first, first + 1, ...
+    for least, most in zip(low.tolist(), high.tolist(), strict=True):
+        # convolve, then cut to the limits: probability outside them is lost and never returns
+        summed = np.convolve(alive, step)
+        start = max(least, first)
+        alive, first = summed[start - first : most - first + 1], start
+    last = step[replicates - first - np.arange(len(alive))]
+    return float(alive @ last / poisson.pmf(replicates, replicates))
+
+
+RANK_DRAWS = 79
+"""Draws of each posterior: among them the truth has 80 places, of which every level is a whole part."""
+
+LEVELS = (0.50, 0.80, 0.90, 0.95)
+"""Central intervals whose coverage is counted."""
+
+
+def rank_truth(truth: Floats, draws: Floats, rng: np.random.Generator) -> Counts:
+    """Return the number of draws (L, Q) below the truth (Q,); ties are broken at random."""
+    below = np.sum(draws < truth, axis=0)
+    equal = np.sum(draws == truth, axis=0)
+    # the truth may lie anywhere among equal draws: the upper end of rng.integers is exclusive
+    placed: Counts = below + rng.integers(0, equal + 1)
+    return placed
+
+
+def place_pit(pit: float) -> int:
+    """Return the place, 0 to `RANK_DRAWS`, of a probability predicted of less than the truth."""
+    return min(int(pit * (RANK_DRAWS + 1)), RANK_DRAWS)
+
+
+def count_covered(ranks: Counts, level: float) -> float:
+    """Return how many ranks (N,) lie in the central interval of a level."""
+    outside = round((RANK_DRAWS + 1) * (1 - level) / 2)  # places at each end
+    return count_trials((ranks >= outside) & (ranks < RANK_DRAWS + 1 - outside))
+
+
+def count_trials(hits: Bools) -> float:
+    """Return the number of hits (N,); of (N, K), K of which are no independent trials, the sum of N shares.
+
+    Limits for N trials are then too wide rather than too narrow.
+    """
+    found = int(np.sum(hits))
+    return found if hits.ndim == 1 else found / hits.shape[1]
+
+
+FAMILY_ERROR = 0.01
+"""Probability that a right computation fails anywhere: shared out evenly (Bonferroni) over the ECDFs and the
+coverages at every level of all quantities. As these go together, the true one is smaller."""
+
+COVERAGE_COLUMNS = (
+    "quantity",
+    "level",
+    "replicates",
+    "covered",
+    "expected",
+    "count_low",
+    "count_high",
+    "passes",
+)
+
+
+def single_check_error(quantities: int) -> float:
+    """Return the probability with which each single check may fail by chance."""
+    return FAMILY_ERROR / (quantities * (1 + len(LEVELS)))
+
+
+def tabulate_coverage(ranks: Mapping[str, Counts]) -> pd.DataFrame:
+    """Return the coverage as one row for every quantity and level."""
+    error, rows = single_check_error(len(ranks)), []
+    for name, placed in ranks.items():
+        for level in LEVELS:
+            least, most = (int(end) for end in count_limits(len(placed), level, error))
+            found = count_covered(placed, level)
+            counts = (len(placed), found, level * len(placed), least, most, least <= found <= most)
+            rows.append(dict(zip(COVERAGE_COLUMNS, (name, level, *counts), strict=True)))
+    return pd.DataFrame(rows, columns=list(COVERAGE_COLUMNS))
+
+
+def tabulate_ecdfs(ranks: Mapping[str, Counts]) -> pd.DataFrame:
+    """Return the ECDFs as one row for every quantity and place of the truth among the draws."""
+    error, parts = single_check_error(len(ranks)), []
+    places = np.arange(1, RANK_DRAWS + 1)
+    for name, placed in ranks.items():
+        least, most = ecdf_band(len(placed), RANK_DRAWS + 1, error)
+        below = np.array([count_trials(placed < place) for place in places])
+        columns = {
+            "quantity": name,
+            "rank": places,
+            "below": below,
+            "expected": len(placed) * places / (RANK_DRAWS + 1),
+            "count_low": least,
+            "count_high": most,
+            "passes": (least <= below) & (below <= most),
+        }
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+def find_failing(coverage: pd.DataFrame, ecdfs: pd.DataFrame) -> list[str]:
+    """Return the quantities for which any check fails, in their order."""
+    failed = {*coverage.loc[~coverage["passes"], "quantity"], *ecdfs.loc[~ecdfs["passes"], "quantity"]}
+    return [name for name in dict.fromkeys(coverage["quantity"]) if name in failed]

@@ -1,0 +1,6 @@
+"""Fit to some insertions and score the others: the paper's studies."""
+
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies.kind import StudyKind
+
+KIND = StudyKind("cross_validation", StudyRecord, __name__)

@@ -1,0 +1,120 @@
+"""Compare two fits or cross-validations: parameters, errors and predictions."""
+
+import math
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from needlefit.inference.parameters import is_logarithmic
+from needlefit.metrics import list_metrics
+from needlefit.studies.csv_tables import TableSchema
+from needlefit.studies.kinds.identification.differences import IDENTIFICATION_COMPARISON
+from needlefit.studies.run_differences import (
+    CRPS_NOISE_FRACTION,
+    MIN_SHIFT_SD,
+    ROUNDING_FRACTION,
+    Difference,
+    TableComparison,
+    compare_means,
+    is_number,
+)
+
+_PREDICTED_QUANTITIES = {"tip": "CRPS of the tip predicted", "shape": "CRPS of the shape predicted"}
+
+
+_PARAMETERS = TableSchema(
+    ("fold", "method", "parameter"), ("status",), ("value_used", "sd"), ("determined",), ("value_used",)
+)
+_SCORES = TableSchema(
+    ("fold", "role", "insertion", "method", "boundaries"),
+    numbers=("ipe_mean_mm", "te_mm"),
+    finite=("ipe_mean_mm", "te_mm"),
+    finite_where="converged",
+)
+_PREDICTIVE = TableSchema(
+    ("fold", "insertion", "specimen_treatment", "quantity", "level"), numbers=("crps_mm",)
+)
+
+
+def _compare_parameters(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    if before.empty or after.empty:
+        return
+    fits = [frame[frame["method"] == "fitted"] for frame in (before, after)]
+    both = fits[0].merge(fits[1], on=["fold", "parameter"], how="outer", suffixes=("_a", "_b"), sort=False)
+    several = before["fold"].nunique() > 1
+    for _, row in both.iterrows():
+        name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
+        one, two = _as_bool(row["determined_a"]), _as_bool(row["determined_b"])
+        if one != two:
+            words = {True: "determined", False: "not determined", None: "absent"}
+            yield Difference("state", name, words[one], words[two], True, "the verdict changed")
+        yield from _compare_parameter(name, row, bool(one) and bool(two))
+
+
+def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> Iterator[Difference]:
+    one, two = float(row["value_used_a"]), float(row["value_used_b"])
+    tied = row["status_a"] == row["status_b"] == "tied"  # moves with its source
+    if one == two or tied or not (math.isfinite(one) and math.isfinite(two)):
+        return
+    logarithm = is_logarithmic(str(row["parameter"])) and one > 0 and two > 0
+    shift = abs(math.log(two / one)) if logarithm else abs(two - one)
+    sd = np.nanmax([row["sd_a"], row["sd_b"], 0.0])
+    if not sd > 0:
+        yield Difference("parameter", name, one, two, True, "given, not fitted")
+        return
+    part = shift / sd
+    why = f"{part:.2g} of its standard deviation" + ("" if determined else ", not determined")
+    yield Difference(
+        "parameter",
+        name,
+        one,
+        two,
+        determined and part > MIN_SHIFT_SD,
+        why,
+        part < ROUNDING_FRACTION * MIN_SHIFT_SD,
+    )
+
+
+def _as_bool(value: object) -> bool | None:
+    return value if isinstance(value, bool) else None
+
+
+def _compare_errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    """Yield how mean errors changed on the insertions that both scored, by role and method."""
+    if before.empty or after.empty:
+        return
+    both = before.merge(after, on=list(_SCORES.keys), suffixes=("_a", "_b"), sort=False)
+    for (role, method, boundaries), rows in both.groupby(["role", "method", "boundaries"], sort=False):
+        for metric in list_metrics():
+            if is_number(before, metric.name) and is_number(after, metric.name):
+                where = f"mean {metric.label}, {method}, {role}, {boundaries} boundaries"
+                yield from compare_means(where, rows, metric.name, unit=metric.unit)
+    lost = len(before) + len(after) - 2 * len(both)
+    if lost:
+        counts = (len(before), len(after))
+        yield Difference("state", "scored rows", *counts, True, f"{lost} rows are in one run only")
+
+
+def _compare_predictions(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    if before.empty or after.empty:
+        return
+    both = before.merge(after, on=list(_PREDICTIVE.keys), suffixes=("_a", "_b"), sort=False)
+    for quantity, words in _PREDICTED_QUANTITIES.items():
+        keys = ["fold", "insertion", "specimen_treatment"]
+        rows = both[both["quantity"] == quantity].drop_duplicates(keys)
+        yield from compare_means(
+            words, rows, "crps_mm", CRPS_NOISE_FRACTION * float(rows["crps_mm_a"].mean())
+        )
+
+
+COMPARISONS: Mapping[str, TableComparison] = MappingProxyType(
+    {
+        "parameters": TableComparison(_PARAMETERS, _compare_parameters),
+        "errors": TableComparison(_SCORES, _compare_errors),
+        "predictive": TableComparison(_PREDICTIVE, _compare_predictions),
+        "identify": IDENTIFICATION_COMPARISON,
+    }
+)

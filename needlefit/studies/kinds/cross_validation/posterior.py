@@ -1,0 +1,243 @@
+"""The posteriors of a run: files, the table of percentiles, and the ridge of the draws.
+
+The ridge on which a posterior lies: where parameters can move together and the needles stay what they are.
+
+It is the longest principal axis of the draws, in logarithms of moduli and lengths; across it lies what the
+data determine.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from needlefit.arrays import Floats
+from needlefit.inference.identifiability.information import Direction, principal_directions
+from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
+from needlefit.reporting.number_format import choose_printed_unit, format_symbol, insert_symbols
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_layout import TableLayout
+from needlefit.studies.kinds.cross_validation.parameter_table import NOT_DETERMINED
+from needlefit.studies.run import Run
+
+
+def tabulate_percentiles(results: Run) -> pd.DataFrame:
+    """Return one row per fold and free parameter: percentiles (Pa, mm), the fitted value, R-hat.
+
+    `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
+    that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
+    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's;
+    `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
+    where the criteria, which concern more than the parameters, are not met: percentiles are then not final.
+    `determined` is false where the fit's value is no estimate; the percentiles then depend on the bounds too.
+    """
+    fits = {(str(r["fold"]), r["parameter"]): r for r in _fitted_rows(results)}
+    rows = [
+        row
+        for fold, posterior in results.posteriors.items()
+        for row in _percentile_rows(fold, posterior, fits)
+    ]
+    heads = ("fold", "parameter", *map(_percentile_column, PERCENTILES), "fit_value_used", "determined")
+    heads += ("fit_in_central_95",)
+    heads += ("r_hat", "ess_bulk", "ess_tail", "acceptance", "converged", "origin")
+    return pd.DataFrame([{**row, "origin": results.origin} for row in rows], columns=heads)
+
+
+def describe_unconverged(results: Run) -> str:
+    """Return which criteria of convergence are not met, by fold if there are several; empty if all are."""
+    several = len(results.posteriors) > 1
+    summary = [
+        (f"{fold}: " if several else "") + "; ".join(posterior.faults)
+        for fold, posterior in results.posteriors.items()
+        if posterior.faults
+    ]
+    if not summary:
+        return ""
+    return (
+        f"NOT CONVERGED: {'. '.join(summary)}. Percentiles and bands drawn from this posterior are not "
+        f"final; "
+        "raise the recipe’s sample.steps."
+    )
+
+
+def describe_outside_fits(results: Run) -> str:
+    """Return which fitted values lie outside the central 95 % of their posterior; empty if none does."""
+    rows = [row for row in to_records(tabulate_percentiles(results)) if row["fit_in_central_95"] is False]
+    if not rows:
+        return ""
+    several = len(results.posteriors) > 1
+    names = [format_symbol(row["parameter"]).split(" (")[0] for row in rows]
+    where = [f"{name} in {row['fold']}" if several else name for name, row in zip(names, rows, strict=True)]
+    by_metric = (results.frames["starts"].query("fit == 'fitted'")["minimized"] == "metric").any()
+    why = _METRIC_FIT_NOTE if by_metric else _MODE_NOTE
+    return f"The fit lies outside the central 95 % of the posterior in {', '.join(where)}: {why}"
+
+
+_METRIC_FIT_NOTE = (
+    "the fit minimises the error metrics of the recipe (IPE, TE, EDP), the posterior uses the stated noise, "
+    "so the percentiles are no error bars of the fitted values."
+)
+_MODE_NOTE = (
+    "the fit is the mode of the posterior. Where the mode lies near a bound, or beside a broad second mode, "
+    "most of the posterior lies elsewhere. Use the percentiles."
+)
+
+
+def lay_out_posterior(results: Run) -> TableLayout:
+    """Return the percentiles beside the fitted value."""
+    table = to_records(tabulate_percentiles(results))
+    several = len(results.posteriors) > 1
+    rows = [
+        {
+            **_scale_percentiles(row),
+            **_mark_fit(row),
+            "fold": row["fold"] if several else "",
+            "state": "" if row["converged"] else "NOT CONVERGED",
+        }
+        for row in table
+    ]
+    columns = ("fold", "parameter", *map(_percentile_column, PERCENTILES), "fit_value", "r_hat", "state")
+    marked = any(row["mark"] for row in rows)
+    notes = ("‡ outside the central 95 % of the draws.",) if marked else ()
+    caption = "Posterior: percentiles of the draws, and the fitted value."
+    caption += " NOT CONVERGED: they are not final." if describe_unconverged(results) else ""
+    return Table("posterior", caption, rows, columns, notes=notes).lay_out(drop_empty=True)
+
+
+def _scale_percentiles(row: Row) -> Row:
+    """Return a row with its label and values in the unit in which they are printed."""
+    columns = [*map(_percentile_column, PERCENTILES), "fit_value_used"]
+    median = row[_percentile_column(50.0)]
+    label, unit = choose_printed_unit(str(row["parameter"]), [median])
+    scaled = {name: None if row[name] is None else row[name] / unit for name in columns}
+    return {**row, **scaled, "parameter": label}
+
+
+def _mark_fit(row: Row) -> Row:
+    if row["determined"] is False:
+        return {"fit_value_used": NOT_DETERMINED, "mark": ""}
+    return {"mark": "‡" if row["fit_in_central_95"] is False else ""}
+
+
+def _fitted_rows(results: Run) -> list[Row]:
+    return [row for row in to_records(results.frames["parameters"]) if row["method"] == "fitted"]
+
+
+def _percentile_rows(
+    fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], Row]
+) -> list[dict[str, object]]:
+    sampler = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
+    found = posterior.convergence
+    return [
+        {
+            "fold": fold,
+            "parameter": name,
+            **dict(zip(map(_percentile_column, PERCENTILES), values, strict=True)),
+            **_compare_with_fit(fits.get((str(fold), name)), values),
+            "r_hat": float(found.r_hat[number]),
+            "ess_bulk": float(found.ess_bulk[:, number].min()),
+            "ess_tail": float(found.ess_tail[:, number].min()),
+            **sampler,
+        }
+        for number, (name, values) in enumerate(posterior.percentiles().items())
+    ]
+
+
+def _compare_with_fit(fitted: Row | None, percentiles: tuple[float, ...]) -> dict[str, object]:
+    """Return the fit's value, whether the data determine it, and whether the percentiles hold it."""
+    if fitted is None or fitted["value"] is None:
+        return {"fit_value_used": None, "determined": None, "fit_in_central_95": None}
+    inside = percentiles[0] <= fitted["value"] <= percentiles[-1]
+    determined = bool(fitted["determined"])
+    return {"fit_value_used": fitted["value"], "determined": determined, "fit_in_central_95": inside}
+
+
+def _percentile_column(percentile: float) -> str:
+    return f"p{percentile:g}"
+
+
+RIDGE_MIN_AXIS_RATIO = 3.0
+"""Least ratio of the longest to the shortest axis of the draws of a ridge."""
+
+RIDGE_REACH_SD = 2.0
+"""Standard deviations to which the ridge is drawn in both directions."""
+
+
+def describe_draws(results: Run) -> str:
+    """Return sentences on the draws: their source, their convergence, and their longest direction."""
+    fold = results.frames["draws"]["fold"].iloc[0]
+    draws = results.frames["draws"][results.frames["draws"]["fold"] == fold]
+    source, k, certified = (draws[name].iloc[0] for name in ("draw_source", "pareto_k", "certified"))
+    summary = f"{len(draws)} draws of the sampled posterior"
+    if source == "importance":
+        summary = f"{len(draws)} importance draws about the modes of the fit, Pareto k {k:.2f}".replace(
+            "-", "−"
+        )
+    doubt = "" if certified else ", which is NOT CERTIFIED: sample it (--sample)"
+    where = (
+        f" Shown is the first of {results.frames['draws']['fold'].nunique()} folds, {fold}."
+        if _has_several_folds(results)
+        else ""
+    )
+    ridge = _describe_ridge(draws[list_free_parameters(results)])
+    return f"{summary[:1].upper()}{summary[1:]}{doubt}.{where} {ridge}"
+
+
+def _describe_ridge(draws: pd.DataFrame) -> str:
+    """Return what is known across the ridge and what is not along it."""
+    axes = principal_axes(draws)
+    if not is_ridge(axes):
+        return "No pair lies on a ridge."
+    known, loose = insert_symbols(axes[0].words), insert_symbols(axes[-1].words)
+    return f"Dashed, the ridge: along it {loose}; across it {known}."
+
+
+def _has_several_folds(results: Run) -> bool:
+    return bool(results.frames["draws"]["fold"].nunique() > 1)
+
+
+def list_free_parameters(results: Run) -> list[str]:
+    """Return the parameters that were estimated."""
+    known = results.frames["parameters"]
+    rows = known[(known["method"] == "fitted") & (known["status"] == "free")]
+    return list(dict.fromkeys(rows["parameter"]))
+
+
+def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
+    """Return the principal axes of draws (Pa, mm), the shortest (best determined) first."""
+    names = [str(name) for name in draws.columns]
+    spread = np.atleast_2d(np.cov(to_log_coordinates(draws), rowvar=False))
+    # The inverse covariance of the draws plays the part of the Fisher information.
+    information: Floats = np.linalg.pinv(spread, hermitian=True).astype(np.float64)
+    return principal_directions(information, names)
+
+
+def is_ridge(axes: tuple[Direction, ...]) -> bool:
+    """Return whether draws with these axes are elongated along the longest one."""
+    return len(axes) > 1 and axes[-1].sd > RIDGE_MIN_AXIS_RATIO * axes[0].sd
+
+
+def to_log_coordinates(values: pd.DataFrame) -> Floats:
+    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
+    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
+    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
+
+
+def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
+    """Return both ends of the ridge, Pa and mm; none if the draws have no longest axis."""
+    axes = principal_axes(draws)
+    if not is_ridge(axes):
+        return []
+    middle, step = (
+        to_log_coordinates(draws).mean(axis=0),
+        RIDGE_REACH_SD * axes[-1].sd * np.array(axes[-1].weights),
+    )
+    return [
+        {
+            str(name): float(np.exp(at) if is_logarithmic(str(name)) else at)
+            for name, at in zip(draws.columns, end, strict=True)
+        }
+        for end in (middle - step, middle + step)
+    ]

@@ -1,0 +1,253 @@
+"""Compose the report of one study or fit, the answer first, and the report of several studies."""
+
+from collections.abc import Sequence
+
+from needlefit.reporting import document, labels
+from needlefit.reporting.document import Block, Document
+from needlefit.reporting.number_format import insert_symbols
+from needlefit.studies import paper
+from needlefit.studies.identification_tables import describe_verdicts, lay_out_identification
+from needlefit.studies.kinds.cross_validation import detail_tables, score_tables, sentences
+from needlefit.studies.kinds.cross_validation.differences import COMPARISONS
+from needlefit.studies.kinds.cross_validation.explanation import explain
+from needlefit.studies.kinds.cross_validation.explorer import collect_explorer
+from needlefit.studies.kinds.cross_validation.figures.waterfall import describe_agreement
+from needlefit.studies.kinds.cross_validation.files import (
+    draw_figures,
+    fit_to_json,
+    lay_out_tables,
+    tabulate_files,
+    write_files,
+)
+from needlefit.studies.kinds.cross_validation.methods_paragraph import format_methods_text
+from needlefit.studies.kinds.cross_validation.posterior import (
+    describe_draws,
+    describe_outside_fits,
+    describe_unconverged,
+    lay_out_posterior,
+)
+from needlefit.studies.kinds.cross_validation.score_tables import lay_out_coverage
+from needlefit.studies.kinds.cross_validation.tables import (
+    BY_LAYERS,
+    BY_MEDIA,
+    list_groups,
+    tabulate_tuning,
+)
+from needlefit.studies.kinds.cross_validation.verdict import judge, warn_of_coverage
+from needlefit.studies.report import FigurePaths, StudyReport, verdict_blocks, warning_blocks
+from needlefit.studies.run import Run
+
+
+def compose_sections(results: Run, figures: FigurePaths) -> list[Block]:
+    """Return the report below its verdicts: schematic and summary, errors, coverage, parameters, insertions,
+    methods; diagnostics last.
+    """
+    return [
+        *figure_blocks(figures, "schematic", labels.SCHEMATIC_CAPTION),
+        document.table(score_tables.lay_out_summary([results])),
+        *_error_blocks(results, figures),
+        *_parameter_blocks(results, figures),
+        *_insertion_blocks(results, figures),
+        *_methods_blocks(results),
+        document.heading("Appendix: data and diagnostics"),
+        *_data_blocks(results),
+        *_diagnostic_blocks(results, figures),
+    ]
+
+
+def figure_blocks(figures: FigurePaths, name: str, caption: str) -> list[Block]:
+    """Return the block of a figure if it was drawn."""
+    return [document.figure(figures[name], caption)] if name in figures else []
+
+
+def _error_blocks(results: Run, figures: FigurePaths) -> list[Block]:
+    blocks = []
+    if sentences.find_scored_role(results) == "validate":
+        blocks += [
+            document.heading("Errors on held-out insertions"),
+            *figure_blocks(figures, "boxplot", labels.BOXPLOT_CAPTION),
+            *figure_blocks(figures, "baselines", labels.BASELINES_CAPTION),
+        ]
+        blocks += _baseline_table([results], "validate")
+    else:
+        blocks += [document.heading("Errors"), *tuning_blocks([results])]
+        blocks += _baseline_table([results], "tune")
+    if len(results.frames["predictive"]):
+        blocks += [
+            document.heading("Coverage of the predictive intervals"),
+            *figure_blocks(figures, "predicted", labels.PREDICTIVE_CHECK_CAPTION),
+            document.table(lay_out_coverage(results)),
+        ]
+    return blocks
+
+
+def _baseline_table(results: Sequence[Run], role: str) -> list[Block]:
+    table = detail_tables.lay_out_baselines(results, role)
+    return [document.table(table)] if len(table.rows) > 1 else []
+
+
+def _parameter_blocks(results: Run, figures: FigurePaths) -> list[Block]:
+    drawn = f"{labels.CORNER_CAPTION} {describe_draws(results)}" if "corner" in figures else ""
+    summary = (describe_unconverged(results), describe_outside_fits(results))
+    return [
+        document.heading("Parameters"),
+        document.text(sentences.describe_undetermined(results)),
+        *([document.text(used)] if (used := sentences.describe_prediction_set(results)) else []),
+        document.table(detail_tables.lay_out_parameters([results])),
+        *(document.text(words) for words in summary if words),
+        *figure_blocks(figures, "corner", drawn),
+    ]
+
+
+def _insertion_blocks(results: Run, figures: FigurePaths) -> list[Block]:
+    if results.frames["errors"].empty:
+        return []
+    return [
+        document.heading("Single insertions"),
+        *figure_blocks(figures, "overlays", labels.OVERLAYS_CAPTION),
+        document.table(detail_tables.lay_out_insertions(results, sentences.find_scored_role(results))),
+    ]
+
+
+def _methods_blocks(results: Run) -> list[Block]:
+    summary = format_methods_text(results)
+    if not summary:
+        return []
+    return [
+        document.heading("Methods"),
+        document.text(summary),
+        document.note("The same as LaTeX, with citations: methods.tex and references.bib."),
+    ]
+
+
+def tuning_blocks(results: Sequence[Run]) -> list[Block]:
+    """Return the in-sample tables; by media only where the paper has a cell."""
+    groups = list_groups(tabulate_tuning(*results))
+    printed = any(group.head["grouping"] == BY_MEDIA and group.printed for group in groups)
+    groupings = (BY_LAYERS, BY_MEDIA) if printed else (BY_LAYERS,)
+    return [document.table(score_tables.lay_out_tuning(results, by)) for by in groupings if groups]
+
+
+def _data_blocks(results: Run) -> list[Block]:
+    notes = results.run.get("dataset", {}).get("notes", ())
+    return [
+        document.text(f"{results.dataset_title}. {sentences.describe_noise_floor(results)}"),
+        *(document.note(note) for note in notes),
+        document.table(score_tables.lay_out_design([results])),
+    ]
+
+
+def _diagnostic_blocks(results: Run, figures: FigurePaths) -> list[Block]:
+    held_out = sentences.find_scored_role(results) == "validate"
+    summary = (
+        sentences.describe_failures(results),
+        sentences.describe_validity(results),
+        describe_agreement(results),
+    )
+    return [
+        *([document.table(score_tables.lay_out_validation([results]))] if held_out else []),
+        *(tuning_blocks([results]) if held_out else []),
+        *figure_blocks(figures, "residuals", labels.RESIDUALS_CAPTION),
+        document.table(detail_tables.lay_out_directions(results)),
+        *([document.table(lay_out_posterior(results))] if results.posteriors else []),
+        *_identifiability_blocks(results, figures),
+        *(document.text(words) for words in summary if words),
+        *figure_blocks(figures, "waterfall", labels.WATERFALL_CAPTION),
+    ]
+
+
+def _identifiability_blocks(results: Run, figures: FigurePaths) -> list[Block]:
+    """Return what a fit was found to determine; a study's folds are not examined."""
+    identification = results.frames["identification"]
+    if identification.empty:
+        return []
+    return [
+        document.subheading("Identifiability"),
+        document.bullets([insert_symbols(summary) for summary in describe_verdicts(identification)]),
+        *figure_blocks(figures, "profiles", labels.PROFILES_CAPTION),
+        document.table(lay_out_identification(identification)),
+    ]
+
+
+def compose_overview(
+    results: Sequence[Run],
+    tunings: Sequence[Run],
+    figures: FigurePaths,
+    appendix: Sequence[Block] = (),
+) -> Document:
+    """Return one report over all studies: a matrix of verdicts first, then errors, parameters, the paper.
+
+    `appendix` has the results of studies of other kinds.
+    """
+    synthetic = any(one.origin == "synthetic" for one in results)
+    held_out = [one for one in results if sentences.find_scored_role(one) == "validate"]
+    fits = list({one.name: one for one in (*results, *tunings)}.values())
+    blocks = [
+        *_overview_warnings(results),
+        document.table(score_tables.lay_out_matrix(results)),
+        *(block for one in results for block in verdict_blocks(one, named=True)),
+        document.heading("Errors on held-out insertions"),
+        *figure_blocks(figures, "boxplot", labels.BOXPLOT_CAPTION),
+        *figure_blocks(figures, "baselines", labels.BASELINES_CAPTION),
+        document.table(score_tables.lay_out_summary(results)),
+        *_overview_predictions(results, figures),
+        document.heading("Parameters"),
+        document.table(detail_tables.lay_out_free_parameters(fits)),
+        document.heading("Tuning"),
+        *tuning_blocks(tunings),
+        document.heading("Baselines"),
+        *_baseline_table(held_out, "validate"),
+        document.heading("Questions and data"),
+        document.bullets([f"{one.title}: {one.question}".rstrip(": ") for one in results]),
+        document.table(score_tables.lay_out_design(results)),
+        *_overview_contradictions(),
+        *appendix,
+    ]
+    data = "; ".join(dict.fromkeys(one.dataset_title for one in results))
+    return Document("Validation studies", data, synthetic, tuple(blocks))
+
+
+def _overview_warnings(results: Sequence[Run]) -> list[Block]:
+    """Return the warnings of all runs; what all share stands once."""
+    blocks = [block for one in results for block in warning_blocks(one)]
+    return [block for i, block in enumerate(blocks) if block not in blocks[:i]]
+
+
+def _overview_predictions(results: Sequence[Run], figures: FigurePaths) -> list[Block]:
+    predicted = [one for one in results if len(one.frames["predictive"])]
+    if not predicted:
+        return []
+    return [
+        document.heading("Coverage of the predictive intervals"),
+        *figure_blocks(figures, "predicted", labels.PREDICTIVE_CHECK_CAPTION),
+        document.table(lay_out_coverage(*predicted, named=True)),
+    ]
+
+
+def _overview_contradictions() -> list[Block]:
+    return [
+        document.heading("Where the paper contradicts itself"),
+        document.text("Our numbers cannot agree with the paper more closely than it agrees with itself."),
+        document.table(detail_tables.lay_out_contradictions(paper.find_contradictions())),
+    ]
+
+
+REPORT = StudyReport(
+    summarize=sentences.summarize_errors,
+    lay_out=lay_out_tables,
+    draw=draw_figures,
+    compose=compose_sections,
+    tabulate=tabulate_files,
+    write_files=write_files,
+    to_json=fit_to_json,
+    comparisons=COMPARISONS,
+    compares_only_these=True,
+    judge=judge,
+    explore=collect_explorer,
+    lay_out_first=lambda results: [
+        score_tables.lay_out_summary([results]),
+        detail_tables.lay_out_values(results),
+    ],
+    explain=explain,
+    warn=warn_of_coverage,
+)

@@ -1,0 +1,94 @@
+"""The tables of a study or a fit: one fact per row, the unit in every column's name.
+
+design
+    Insertions, depths and measured deflections of the tip (toward the bevel) per role ("tune", "validate"),
+    medium and layers; `insertions_other` counts the same insertions by the other rule for needles that end at
+    a boundary.
+errors
+    One row per fold, role, insertion, method and boundaries ("measured", as in the paper; "planned"), with a
+    column per metric (`needlefit.metrics`) and `floor_<metric>` for those that have a noise floor.
+    `layers` is counted by the study's rule, `layers_other` by the other. `comparison` is "world", or
+    "aligned" for shapes known only up to a rigid motion; `edp_flagged` marks a deflection below the noise
+    floor.
+shapes
+    The curves that `errors` compares, j = 0 the entry (or the first scored point), as compared.
+starts
+    Every start of every search, then one column per parameter. `objective` is what was `minimized`: the
+    negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best of its search,
+    in units of the tolerance (0.1; 1 % or 0.002 mm), `within_tolerance` whether that is at most 1;
+    `gradients` are the evaluations with derivatives among all; `joined` is the start that it met on its
+    approach and went on with, empty if none.
+failures
+    The first evaluations that failed, of every start and of every ensemble of the sampler (`fit` is then
+    "posterior"): the insertion without a solution, the reason, then one column per parameter.
+
+parameters :
+    Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha; `low`,
+    `high` is the range among starts within tolerance of the best; `interval_low`,
+    `interval_high` is the one 95 % interval that is printed, `draw_source` what it is from.
+directions
+    Combinations of parameters in words, with the standard deviation to which each is known.
+identification
+    Of a fit: per fold and parameter the information (`sd`), the profile likelihood (the 95 % interval, how
+    its ends `end_low`, `end_high` came about, how far the deviance rises at most), posterior SD / prior SD,
+    and whether they agree; alphas that were fixed are freed for it.
+profiles
+    Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per parameter.
+predictive
+    The predictive distribution of every insertion held out, and how the measurement fell in it.
+predictive_training
+    The same of insertions into specimens that were not tuned on, as if they were known not to differ.
+bands
+    Where each insertion held out was predicted to be measured, point by point.
+draws
+    Draws of each fold's parameters: from its sampled posterior, or by importance about the modes of its fit,
+    then with Pareto's k of the weights; then one column per parameter.
+needles
+    Every insertion held out, or, of a single fold, any, point by point in its scan
+    (`studies/needles_in_scan.py`).
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from needlefit.studies.held_out_predictions import BAND_COLUMNS, PREDICTIVE_COLUMNS
+from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS
+from needlefit.studies.needles_in_scan import NEEDLE_COLUMNS
+
+FIT_KINDS = ("cross_validation", "fit")
+"""Kinds of study whose runs have the tables of this module."""
+
+DRAW_COLUMNS = ("fold", "draw_source", "pareto_k", "ess", "certified")
+SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
+
+COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "design": (
+            *("role", "medium", "layers", "insertions", "insertions_other", "depth_min_mm", "depth_max_mm"),
+            *("deflection_min_mm", "deflection_max_mm"),
+        ),
+        "errors": (
+            *("fold", "role", "insertion", "medium", "specimen", "layers", "layers_other", "depth_mm"),
+            *("method", "boundaries", "comparison"),
+            *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
+        ),
+        "shapes": (*SCORE_KEYS, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
+        "starts": (
+            *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
+            *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
+        ),
+        "failures": ("fold", "fit", "start", "insertion", "note"),
+        "parameters": (
+            *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
+            *("sd", "low", "high", "interval_low", "interval_high", "draw_source", "determined", "note"),
+        ),
+        "directions": ("fold", "sd", "sd_ratio", "note"),
+        "identification": IDENTIFICATION_COLUMNS,
+        "profiles": PROFILE_COLUMNS,
+        "predictive": PREDICTIVE_COLUMNS,
+        "predictive_training": PREDICTIVE_COLUMNS,
+        "bands": BAND_COLUMNS,
+        "draws": DRAW_COLUMNS,
+        "needles": NEEDLE_COLUMNS,
+    }
+)

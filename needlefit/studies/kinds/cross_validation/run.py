@@ -1,0 +1,199 @@
+"""Run a study or a fit: fit to some insertions, score on others, each fold by every method."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from needlefit.errors import FitError
+from needlefit.inference.draws import Draws
+from needlefit.inference.fit import Callbacks, Fit, Start
+from needlefit.inference.identifiability.identify import select_within_tolerance
+from needlefit.inference.identifiability.parameter_profiles import FitProfiles, profile_parameters
+from needlefit.inference.optimize import minimize
+from needlefit.inference.sampling.sample import sample
+from needlefit.project.random_streams import random_stream
+from needlefit.project.threads import one_thread
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies import provenance
+from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
+from needlefit.studies.fit_warnings import add_warnings
+from needlefit.studies.folds import Fold
+from needlefit.studies.held_out_predictions import draw_fold_parameters
+from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.kinds.cross_validation.result_rows import (
+    ResultRows,
+    tabulate_draws,
+    tabulate_fold,
+    tabulate_intervals,
+    tabulate_posterior,
+    tabulate_predictions,
+)
+from needlefit.studies.kinds.cross_validation.results import COLUMNS as FRAMES
+from needlefit.studies.needles_in_scan import FoldFit, NeedleInScan, place_needles, tabulate_needles
+from needlefit.studies.run import Run
+from needlefit.studies.score import Scorer
+from needlefit.studies.summary import tabulate_design
+
+__all__ = ["FRAMES", "Settings", "run"]
+
+
+@one_thread
+def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
+    """Run a study, or a fit, which is a study that scores only its own insertions.
+
+    The same record, data, seed and versions give the same frames for any number of jobs, and after an
+    interruption with `resume`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong.
+    FitError
+        If a search finds no point that can be solved.
+    """
+    begin = time.time()
+    job = prepare(name, record, settings)
+    work = provenance.describe_configuration(job)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
+    floors = {insertion.id: job.floor(insertion) for insertion in job.insertions}
+    tables, interrupted = ResultRows(job.parameters.names), False
+    scorer = Scorer(job.dataset, job.record.layer_count_rule, floors, tables.counts)
+    needles: dict[str, NeedleInScan] = {}
+    for number, fold in enumerate(job.folds):
+        fits = _run_searches(job, fold, number, settings, checkpoint)
+        interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
+        examination = None if interrupted else _examine(job, fold, fits, settings)
+        interrupted = interrupted or settings.stop()
+        tabulate_fold(job, fold, fits, scorer, tables, examination)
+        if settings.sample and not interrupted:
+            interrupted = _sample(job, fold, fits["fitted"], settings, checkpoint, tables)
+        few: Draws | None = None
+        if fold.name in tables.verdicts:
+            known = FoldFit(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
+            needles |= place_needles(job, fold, known, settings.jobs)
+            if fold.validate or not interrupted:
+                few, many = draw_fold_parameters(job, fold, known.fit, known.posterior, settings)
+                tabulate_draws(job, fold, many, tables)
+                if not few.faults:  # of what is not certified nothing is predicted
+                    tabulate_predictions(job, fold, few, np.array(fits["fitted"].theta), settings, tables)
+        tabulate_intervals(job, fold, few, tables)
+        if interrupted:
+            break
+    found = Run(
+        kind="cross_validation" if isinstance(record, StudyRecord) else "fit",
+        name=name,
+        record=record,
+        origin=job.dataset.origin,
+        dataset_title=job.dataset.title or job.dataset.name,
+        frames={
+            **{frame: tables.frame(frame) for frame in FRAMES if frame not in ("design", "needles")},
+            "design": tabulate_design(job),
+            "needles": tabulate_needles(needles.values()),
+        },
+        posteriors=tables.posteriors,
+        run={**work, "layers": _list_layers(job), **provenance.summarize_searches(tables, interrupted)},
+        timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
+        interrupted=interrupted,
+    )
+    unconverged = {fold: posterior.faults for fold, posterior in tables.posteriors.items()}
+    unconverged |= {fold: faults for fold, faults in tables.uncertified.items() if fold not in unconverged}
+    faults = find_faults(found.frames["errors"], tables.search_faults, unconverged)
+    return add_warnings(replace(found, faults=faults), job)
+
+
+def _list_layers(job: Job) -> dict[str, list[list[float]]]:
+    """Return by insertion the layers that it meets, each with the depth at which it begins, mm."""
+    return {
+        one.id: [list(pair) for pair in zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True)]
+        for one in job.insertions
+    }
+
+
+Faults = Mapping[str, Sequence[str]]
+"""By fold."""
+
+
+def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faults) -> tuple[str, ...]:
+    """Return what did not converge: scored simulations of the fit, its search, a posterior."""
+    fitted = errors[errors["method"] == "fitted"]
+    failed = int((~fitted["converged"].astype(bool)).sum())
+    faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
+    for fold, reasons in search_faults.items():
+        faults += [fault if fold == "all" else f"{fold}: {fault}" for fault in reasons]
+    faults += [f"the posterior has not converged: {why}" for each in not_converged.values() for why in each]
+    return tuple(faults)
+
+
+def _run_searches(
+    job: Job, fold: Fold, number: int, settings: Settings, checkpoint: Checkpoint
+) -> dict[str, Fit]:
+    """Return the fit of everything free, by the metric too if asked, and of b alone about the paper's."""
+    fits = {}
+    total = len(job.folds) * len(job.searches) * job.recipe.starts
+    for order, search in enumerate(job.searches):
+        if settings.stop():
+            break
+        done = (number * len(job.searches) + order) * job.recipe.starts
+        label = f"{job.name}: {search.replace('_', ' ')}" + (f" {fold.name}" if len(job.folds) > 1 else "")
+        key = f"{fold.name}/{search}"
+        kept = checkpoint.finished(key)
+        counter = _StartCounter(settings, label, done + len(kept), total, key, checkpoint)
+        callbacks = Callbacks(kept, counter.report, settings.stop, counter.approach, settings.jobs)
+        rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
+        fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
+    return fits
+
+
+@dataclass
+class _StartCounter:
+    """Keeps each finished start and says how far the run is."""
+
+    settings: Settings
+    label: str
+    done: int
+    total: int
+    key: str
+    checkpoint: Checkpoint
+
+    def approach(self, done: int, total: int) -> None:
+        self.settings.progress(f"{self.label}: approach", done, total)
+
+    def report(self, start: Start) -> None:
+        self.checkpoint.keep(self.key, start)
+        self.done += 1
+        self.settings.progress(self.label, self.done, self.total)
+
+
+def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> FitProfiles | None:
+    """Return the profiles of the fit; many folds are scored, not examined."""
+    if len(job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
+        return None
+    settings.progress(f"{job.name}: profiles", 0, 1)
+    return profile_parameters(job.problem(fold), fits["fitted"], settings.jobs, settings.stop)
+
+
+def _sample(
+    job: Job, fold: Fold, fit: Fit, settings: Settings, checkpoint: Checkpoint, tables: ResultRows
+) -> bool:
+    """Sample the posterior of one fold; return whether it was interrupted."""
+
+    def step(done: int, total: int) -> None:
+        settings.progress(f"{job.name}: posterior", done, total)
+
+    rng = random_stream(job.recipe.seed, job.name, fold.name, "posterior")
+    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
+    others = [start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta]
+    ends = np.array([fit.theta, *others])
+    snapshots = checkpoint.snapshots(fold.name)
+    try:
+        posterior = sample(job.problem(fold), ends, job.recipe.sample, rng, callbacks, snapshots)
+    except FitError:
+        if settings.stop():  # before there is anything to keep: there is no posterior to write
+            return True
+        raise
+    tabulate_posterior(job, fold, posterior, tables)
+    return posterior.interrupted

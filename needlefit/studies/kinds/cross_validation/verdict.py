@@ -1,0 +1,208 @@
+"""Judge a cross-validation or a fit: errors beside noise floor, baselines and predictive intervals."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Literal
+
+import pandas as pd
+
+from needlefit.datasets.select import group_independent
+from needlefit.inference.baselines import BASELINES
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.reporting.labels import layers_name, medium_name
+from needlefit.reporting.number_format import format_symbol, join_words
+from needlefit.reporting.table_files import to_records
+from needlefit.studies.fit_warnings import verdict_warnings
+from needlefit.studies.kinds.cross_validation.parameter_table import find_undetermined
+from needlefit.studies.kinds.cross_validation.tables import (
+    BY_MEDIA,
+    ScoredGroup,
+    list_groups,
+    list_held_out_groups,
+    tabulate_tuning,
+)
+from needlefit.studies.proportions import Proportion, estimate_proportion
+from needlefit.studies.run import Run
+from needlefit.studies.summary import beats_fit, compare_methods
+from needlefit.studies.verdict import (
+    BestBaseline,
+    Status,
+    Verdict,
+    format_floor_ratio,
+    format_tip_error,
+    judge_errors,
+    qualify,
+)
+
+_TE = "te_mm"
+
+
+def judge(results: Run) -> list[Verdict]:
+    """Return a verdict for each held-out group; of a fit, for each medium fitted to."""
+    groups = [] if results.kind == "fit" else list_held_out_groups(results)
+    if groups:
+        media = [group.head["medium"] for group in groups]
+        return [_judge_held_out(results, group, media.count(group.head["medium"]) > 1) for group in groups]
+    tuning = tabulate_tuning(results)
+    groups = list_groups(tuning[tuning["grouping"] == BY_MEDIA])
+    return [_judge_fit(results, group) for group in groups] or [
+        Verdict("No fit: no start of the search has a solution for every insertion", "fail")
+    ]
+
+
+def _judge_held_out(results: Run, group: ScoredGroup, named_layers: bool) -> Verdict:
+    name = medium_name(group.head["medium"])
+    name += f" ({layers_name(group.head['layers'])})" if named_layers else ""
+    numbers = _collect_numbers(group)
+    error = group.get(_TE)
+    if error is None:
+        return Verdict(f"Not scored: no simulation on {name} converged", "fail", name, numbers)
+    best = _compare_best(results, group)
+    found = replace(judge_errors(name, error, group.over_floor(_TE), best), group=name, numbers=numbers)
+    missed = _describe_missed(_select_group(results.frames["predictive"], group))
+    return qualify(found, f"{found.sentence}; {missed}") if missed else found
+
+
+def _compare_best(results: Run, group: ScoredGroup) -> BestBaseline | None:
+    """Return the best baseline of a group and whether it is significantly better or worse than the fit."""
+    best = find_best_baseline(group)
+    if best is None:
+        return None
+    here = results.with_frames(errors=_select_group(results.frames["errors"], group))
+    error = group.get(_TE, method=best)
+    verdict: Literal["better", "worse", "tie"] = (
+        "better" if _beats(here, best, "fitted") else "worse" if _beats(here, "fitted", best) else "tie"
+    )
+    return BestBaseline(BASELINES[best].description, error, verdict)
+
+
+def _beats(results: Run, method: str, other: str) -> bool:
+    """Return whether the tip errors of a method are significantly smaller than those of another."""
+    rows = to_records(compare_methods(results, against=other, metric=_TE))
+    return any(beats_fit(row, _TE) for row in rows if row["method"] == method)
+
+
+def find_best_baseline(group: ScoredGroup) -> str | None:
+    """Return the baseline with the smallest tip error."""
+    errors = {name: group.get(_TE, method=name) for name in BASELINES.names()}
+    known = {name: error for name, error in errors.items() if error is not None}
+    return min(known, key=lambda name: known[name], default=None)
+
+
+def _select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
+    inside = (frame["medium"] == group.head["medium"]) & (frame["layers"] == group.head["layers"])
+    members: pd.DataFrame = frame[inside]
+    return members
+
+
+def count_covered(predictive: pd.DataFrame, column: str) -> Proportion:
+    """Return how many insertions lie in their predicted interval; `column` is such as "tip_in_95"."""
+    independent = group_independent(list(predictive["insertion"]), list(predictive["specimen"]))
+    return estimate_proportion(list(predictive[column]), independent)
+
+
+def list_coverages(predictive: pd.DataFrame) -> Iterator[tuple[str, int, Proportion]]:
+    """Yield "tip" or "shape", level (%) and share of insertions that the interval covers."""
+    if not predictive.empty:
+        for level in (95, 50):
+            for what in ("tip", "shape"):
+                yield what, level, count_covered(predictive, f"{what}_in_{level}")
+
+
+def list_missed_levels(predictive: pd.DataFrame) -> list[tuple[str, int, Proportion]]:
+    """Return the intervals that cover too few insertions, as `list_coverages`.
+
+    That is where the 95 % confidence interval of the share lies below the level.
+    """
+    return [one for one in list_coverages(predictive) if one[2].high < one[1] / 100]
+
+
+_TOO_NARROW = "the intervals are too narrow: they do not include model error"
+_CENTRE_OFF = "the predictions are biased or too narrow at their centre; the 95 % interval is consistent"
+
+
+def warn_of_coverage(results: Run) -> Iterator[ResultWarning]:
+    """Yield the intervals of held-out insertions that cover too few of them, by group."""
+    for group in list_held_out_groups(results):
+        missed = list_missed_levels(_select_group(results.frames["predictive"], group))
+        narrow = {what for what, level, _ in missed if level == 95}
+        for what, level, found in missed:
+            yield ResultWarning(
+                "coverage",
+                f"the {level} % predictive interval covers {_describe_share(found, what, group)}",
+                fix=_TOO_NARROW if what in narrow else _CENTRE_OFF,
+            )
+
+
+def describe_wide_intervals(results: Run) -> list[str]:
+    """Return a sentence for each interval that covers significantly more insertions than its level."""
+    return [
+        f"The {level} % predictive interval is wider than needed: it covers "
+        f"{_describe_share(found, what, group)}."
+        for group in list_held_out_groups(results)
+        for what, level, found in list_coverages(_select_group(results.frames["predictive"], group))
+        if found.low > level / 100
+    ]
+
+
+def _describe_share(found: Proportion, what: str, group: ScoredGroup) -> str:
+    """Return how many tips or shapes of a group are covered, with the confidence interval of the share."""
+    where = f"{medium_name(group.head['medium'])} ({layers_name(group.head['layers'])})"
+    ends = f"{100 * found.low:.0f} to {100 * found.high:.0f} %"
+    return f"{found.hits} of {found.trials} {what}s on {where} (95 % CI of the share {ends})"
+
+
+def _describe_missed(predictive: pd.DataFrame) -> str:
+    """Return the first interval that covers too few insertions; empty if none does."""
+    for what, level, found in list_missed_levels(predictive):
+        return f"the {level} % interval covers {found.hits} of {found.trials} {what}s"
+    return ""
+
+
+def _collect_numbers(group: ScoredGroup) -> dict[str, float | str | None]:
+    best = find_best_baseline(group)
+    return {
+        _TE: group.get(_TE),
+        "floor_te_mm": group.get(_TE, "floor"),
+        "te_over_floor": group.over_floor(_TE),
+        "baseline": best,
+        "baseline_te_mm": None if best is None else group.get(_TE, method=best),
+        "paper_te_mm": group.get(_TE, "paper"),
+        "insertions": group.head["insertions"],
+    }
+
+
+def _judge_fit(results: Run, group: ScoredGroup) -> Verdict:
+    """Return the verdict on a fit: how closely it follows its insertions, what it determines."""
+    count, name = group.head["insertions"], medium_name(group.head["medium"])
+    what = "insertion" if count == 1 else f"{count} insertions"
+    numbers = {**_collect_numbers(group), "not_determined": ", ".join(find_undetermined(results))}
+    kinds = {one.kind for one in verdict_warnings(results.run)}
+    error = group.get(_TE)
+    if error is None:
+        return Verdict(f"No fit: no simulation on {name} converged", "fail", name, numbers)
+    opening, status = _open_fit(kinds, bool(numbers["not_determined"]))
+    errors = (
+        f"TE {format_tip_error(error)} on the {what} fitted to{format_floor_ratio(group.over_floor(_TE))}"
+    )
+    return Verdict(f"{opening}: {errors}; {_describe_determined(results)}", status, name, numbers)
+
+
+def _open_fit(kinds: set[str], undetermined: bool) -> tuple[str, Status]:
+    if "worse_than_baseline" in kinds:
+        return "Does not fit", "fail"
+    if "parameter_at_bound" in kinds:
+        return "Fitted, but at a bound", "warn"
+    return ("Fitted in part", "warn") if undetermined else ("Fitted", "pass")
+
+
+def _describe_determined(results: Run) -> str:
+    rows = results.frames["parameters"].query("method == 'fitted' and status != 'fixed'")
+    names, loose = list(dict.fromkeys(rows["parameter"])), find_undetermined(results)
+    known = [name for name in names if name not in loose]
+    parts = [
+        f"{words} {join_words([format_symbol(name).split(' (')[0] for name in some])}"
+        for words, some in (("identifiable:", known), ("not identifiable:", loose))
+        if some
+    ]
+    return "; ".join(parts) or "all parameters are fixed"

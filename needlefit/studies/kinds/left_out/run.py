@@ -1,0 +1,216 @@
+"""Leave out each insertion, or each specimen, in turn, and score it by the fit to the others.
+
+The error in sample flatters a model, for it was made small by the fit itself; the error on what was left
+out does not. Their difference is what a reader of a tuning table should add to it. A medium of which there
+is only one specimen says nothing of a further specimen, and is told so instead of given a number.
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student
+
+from needlefit.inference.baselines import fit_baselines
+from needlefit.metrics import headline_metrics
+from needlefit.project.load import load
+from needlefit.project.locate import find_file
+from needlefit.project.toml_lines import add_file_context, add_study_context
+from needlefit.schemas.study import FitRecord
+from needlefit.studies.folds import Fold, group_insertions, leave_out
+from needlefit.studies.held_out_predictions import PREDICTIVE_COLUMNS, tabulate_held_out
+from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.kinds.cross_validation.results import COLUMNS
+from needlefit.studies.kinds.left_out.schema import LeftOutRecord
+from needlefit.studies.new_specimens import NewSpecimens
+from needlefit.studies.posterior_fit import PosteriorFit, fit_posterior
+from needlefit.studies.run import Frames, Run
+from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
+from needlefit.studies.score import Row, Scorer, curve_predictor, list_score_columns, model_predictor
+
+BASELINE = "constant_curvature"
+"""The empirical curve that stands beside the model in the summary."""
+
+_WHERE = ("fit", "left_out")
+_ERRORS = tuple(name for name in COLUMNS["errors"] if name not in ("role", "edp_flagged"))
+
+FRAMES: Mapping[str, tuple[str, ...]] = {
+    "errors": (*_WHERE, *_ERRORS),  # and the columns of metrics
+    "predictive": (*_WHERE, *PREDICTIVE_COLUMNS),
+    "fits": (*_WHERE, "fold", "insertions", "pareto_k", "sampled", "certified", "parameter", "value"),
+}
+"""`left_out` is "insertion", "specimen", or "nothing": the error in sample."""
+
+
+def run(name: str, record: LeftOutRecord, settings: Settings) -> Run:
+    """Run a leave-one-out study.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong.
+    """
+    jobs = [_prepare_job(name, fit, settings) for fit in record.fits]
+    tasks: dict[str, AnalysisTask] = {}
+    held_out: list[Fold] = []
+    for fit, job in zip(record.fits, jobs, strict=True):
+        whole = job.folds[0].tune
+        tasks[f"{fit}, all"] = partial(_run_task, job, Fold("all", whole, whole), (fit, "nothing"), settings)
+        for what in record.groups:
+            if len(group_insertions(whole, what)) > 1:
+                divided = leave_out(whole, what)
+                held_out += divided
+                for fold in divided:
+                    key = f"{fit}, {fold.name}"
+                    tasks[key] = partial(_run_task, job, fold, (fit, what), settings)
+    plan = AnalysisPlan(
+        jobs,
+        tasks,
+        {**FRAMES, "errors": (*FRAMES["errors"], *list_score_columns())},
+        partial(_conclude, record, jobs),
+        folds=held_out,
+        parameters={fit: job.parameters for fit, job in zip(record.fits, jobs, strict=True)},
+    )
+    return run_analysis(name, record, settings, plan)
+
+
+def _prepare_job(name: str, fit: str, settings: Settings) -> Job:
+    with add_study_context(name, "fits"):
+        file = find_file("fit", fit)
+    with add_file_context(file):
+        return prepare(f"{name} {fit}", load(file, FitRecord), settings)
+
+
+def _run_task(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) -> FrameRows:
+    """Fit one fold, score what it holds out, and say how it was predicted."""
+    head: Row = dict(zip(_WHERE, where, strict=True))
+    learned = fit_posterior(job, job.problem(fold), (fold.name,), settings)
+    floors = {insertion.id: job.floor(insertion) for insertion in fold.validate}
+    scorer = Scorer(job.dataset, job.record.layer_count_rule, floors)
+    curves = fit_baselines(job.dataset.pose, job.dataset.drop_proximal, fold.tune)
+    methods = {
+        "fitted": model_predictor(learned.fit.values, job.medium, job.dataset),
+        **{name: curve_predictor(one.curve) for name, one in curves.items()},
+    }
+    errors = [
+        {**head, **row}
+        for method, predictor in methods.items()
+        for insertion in fold.validate
+        for row in scorer.score({"fold": fold.name, "method": method}, insertion, predictor)[0]
+    ]
+    new = NewSpecimens(job, fold, np.array(learned.fit.theta))
+    certified = where[1] != "nothing" and not learned.draws.faults
+    rows = tabulate_held_out(job, fold, learned.draws, new) if certified else ()
+    predicted = [{**head, **row} for row in rows]
+    return {"errors": errors, "predictive": predicted, "fits": _fit_rows(head, fold, learned)}
+
+
+def _fit_rows(head: Row, fold: Fold, learned: PosteriorFit) -> list[Row]:
+    about = {"fold": fold.name, "insertions": len(fold.tune), "pareto_k": learned.k}
+    about |= {"sampled": learned.sampled, "certified": not learned.draws.faults}
+    values = learned.fit.values.items()
+    return [{**head, **about, "parameter": name, "value": value} for name, value in values]
+
+
+SUMMARY = (
+    *("fit", "left_out", "medium", "groups", "insertions", "metric"),
+    *("value", "in_sample", "difference", "difference_se", "planned", "baseline_value", "floor"),
+    *("pareto_k", "sampled", "not_converged", "note"),
+)
+"""Of each headline metric: `value` left out; `difference`, that minus the error in sample, of the same
+insertions, and `difference_se`, its standard error over groups; `planned`, left out and with layers from the
+planned path; `baseline_value`, a constant curvature fitted to the same insertions."""
+
+
+PAIRED = (
+    *("fit", "left_out", "method", "metric", "groups", "value", "difference"),
+    *("low", "high", "better", "insertions"),
+)
+"""`difference`: the method's error minus the fit's, by group, with its 95 % interval (Student) over groups;
+`better`: insertions on which the fit errs less."""
+
+
+def pair_by_group(errors: pd.DataFrame) -> pd.DataFrame:
+    """Compare every curve with the fit on what was left out, a group being one trial: columns `PAIRED`."""
+    held = errors[(errors["left_out"] != "nothing") & (errors["boundaries"] == "measured")]
+    rows = []
+    for (fit, what), some in held.groupby(["fit", "left_out"], sort=False):
+        for metric in headline_metrics():
+            keys = ["fold", "insertion"]
+            wide = some.pivot_table(index=keys, columns="method", values=metric.name, sort=False)
+            for method in [name for name in some["method"].unique() if name in wide]:
+                gap = wide[method] - wide["fitted"]
+                by_group = gap.groupby(level="fold").mean()
+                half = student.ppf(0.975, max(1, len(by_group) - 1)) * by_group.sem()
+                mean = by_group.mean()
+                about = (str(fit), str(what), method, metric.name, len(by_group), wide[method].mean())
+                rows.append((*about, mean, mean - half, mean + half, int((gap > 0).sum()), len(gap)))
+    return pd.DataFrame(rows, columns=list(PAIRED))
+
+
+def _conclude(record: LeftOutRecord, jobs: list[Job], frames: Frames) -> tuple[str, ...]:
+    rows = [
+        row
+        for fit, job in zip(record.fits, jobs, strict=True)
+        for what in record.groups
+        for row in _summary_rows(fit, what, job, frames)
+    ]
+    frames["summary"] = pd.DataFrame(rows, columns=list(SUMMARY))
+    frames["paired"] = pair_by_group(frames["errors"])
+    failed = int(sum({(r["fit"], r["left_out"]): r.get("not_converged", 0) for r in rows}.values()))
+    fits = frames["fits"]
+    doubtful = fits["fold"][~fits["certified"].astype(bool) & (fits["left_out"] != "nothing")].nunique()
+    return (
+        *((f"{failed} simulations of insertions left out did not converge",) if failed else ()),
+        *((f"the draws of {doubtful} fits are not certified: they predict nothing",) if doubtful else ()),
+    )
+
+
+def _summary_rows(fit: str, what: str, job: Job, frames: Frames) -> Iterator[Row]:
+    """Yield what leaving out one kind of group came to, by metric, or why that is not applicable."""
+    whole = job.folds[0].tune
+    count = len(group_insertions(whole, what))
+    head: Row = {"fit": fit, "left_out": what, "medium": whole[0].medium, "groups": count}
+    head["insertions"] = len(whole)
+    metrics = [metric.name for metric in headline_metrics()]
+    if count < 2:
+        yield from ({**head, "metric": one, "note": f"not applicable: one {what}"} for one in metrics)
+        return
+    errors = frames["errors"][frames["errors"]["fit"] == fit]
+    fits = frames["fits"][(frames["fits"]["fit"] == fit) & (frames["fits"]["left_out"] == what)]
+    fits = fits.drop_duplicates("fold")
+    ours = _select_scores(errors, what, "fitted")
+    known = ours[ours["converged"].astype(bool)]
+    sample = _select_scores(errors, "nothing", "fitted").loc[known.index]
+    curve = _select_scores(errors, what, BASELINE)
+    planned = _select_scores(errors, what, "fitted", "planned")
+    counts = {
+        "pareto_k": fits["pareto_k"].astype(float).max(),
+        "sampled": int(fits["sampled"].astype(bool).sum()),
+        "not_converged": len(ours) - len(known),
+        "note": "",
+    }
+    for metric in metrics:
+        gap = known[metric] - sample[metric]
+        by_group = gap.groupby(known["specimen"] if what == "specimen" else known.index).mean()
+        yield {
+            **head,
+            "metric": metric,
+            "value": known[metric].mean(),
+            "in_sample": sample[metric].mean(),
+            "difference": gap.mean(),
+            "difference_se": by_group.std(ddof=1) / np.sqrt(len(by_group)),
+            "planned": planned[metric].replace(np.inf, np.nan).mean(),
+            "baseline_value": curve[metric].mean(),
+            "floor": known[f"floor_{metric}"].mean() if f"floor_{metric}" in known else np.nan,
+            **counts,
+        }
+
+
+def _select_scores(
+    errors: pd.DataFrame, what: str, method: str, boundaries: str = "measured"
+) -> pd.DataFrame:
+    """Return the errors of one method by insertion."""
+    wanted = (errors["left_out"] == what) & (errors["method"] == method)
+    return errors[wanted & (errors["boundaries"] == boundaries)].set_index("insertion")

@@ -1,0 +1,299 @@
+"""Plan the insertion that brings the predicted tip to a target, beside plans that use less information.
+
+The plan is the one of least expected squared miss over draws of the posterior (`aiming`). Beside it stand:
+aiming straight at the target; the plan at the best fit, which takes its parameters for certain and their
+execution for exact; and that of the paper's hand-tuned set. At known parameters many plans hit: it is the one
+found first. All are tried on draws that none was sought with, each with the layers on its own path.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+import pandas as pd
+
+from needlefit.arrays import Floats
+from needlefit.geometry.crossings import find_crossings
+from needlefit.project.random_streams import random_stream
+from needlefit.studies.job import Settings, prepare
+from needlefit.studies.kinds.plan.aiming import (
+    Aim,
+    ExecutionDraw,
+    OptimizedAim,
+    TargetSite,
+    aim_straight,
+    clearance,
+    draw_execution,
+    execute_exactly,
+    optimize_aim,
+)
+from needlefit.studies.kinds.plan.candidates import (
+    WeightedPosterior,
+    check_reach,
+    describe_posterior,
+    find_template,
+    weigh_posterior,
+)
+from needlefit.studies.kinds.plan.schema import EntryPlaneRecord, PlanRecord
+from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
+from needlefit.studies.planned_draws import vary_bevels
+from needlefit.studies.proportions import estimate_proportion
+from needlefit.studies.run import Frames, Run
+from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
+from needlefit.studies.score import Row
+
+SEARCH_DRAWS, TEST_DRAWS = 60, 1000
+"""Draws on which a plan is sought, and others on which it is tried."""
+
+FIGURE_NEEDLES = 80
+"""Needles of the plan that are kept to be drawn."""
+
+BOUND_TOLERANCE = 0.05
+"""Values nearer to a bound, mm or degrees, are printed as the bound."""
+
+LAYER_RAYS = 121
+"""Lines along x on which the layers of the plane are found."""
+
+EXPECTED, BEST_FIT, HAND_TUNED, STRAIGHT = "expected", "best_fit", "hand_tuned", "straight"
+
+TARGET = "target"
+
+_MISS_COLUMNS = ("median_mm", "miss_95_mm", "rms_mm", "bias_x_mm", "bias_y_mm", "spread_mm")
+FRAMES: Mapping[str, tuple[str, ...]] = {
+    "plans": (
+        *("method", "offset_mm", "angle_deg", "depth_mm", "bevel_side", "search_rms_mm"),
+        *("draws", "failed_solves", *_MISS_COLUMNS),
+    ),
+    "exceedances": ("method", "object", "limit_mm", "share", "low", "high"),
+    "misses": ("method", "trial", "x_mm", "y_mm", "miss_mm"),
+    "needles": ("method", "trial", "x_mm", "y_mm"),
+    "layers": ("y_mm", "interval", "layer", "low_mm", "high_mm"),
+    "posterior": (
+        *("insertions", "pareto_k", "sampled", "draws", "ess", "note"),
+        *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
+    ),
+}
+"""`exceedances` is the share of needles that miss by more than `limit_mm`, or, where `object` names an
+obstacle, that touch it, with Wilson's 95 % interval. `needles` of trial -1 are those of the mean parameters,
+executed as planned. `miss_95_mm` is what 95 % of needles miss by at most; the bias is the mean tip less the
+target."""
+
+
+@dataclass(frozen=True)
+class _PlanningDraws:
+    """The posterior at planning time, and the draws that plans are optimised and tested on."""
+
+    site: TargetSite
+    knowledge: WeightedPosterior
+    new: NewSpecimens | None
+    search_draws: tuple[ExecutionDraw, ...]
+    test_draws: tuple[ExecutionDraw, ...]
+
+
+GetDraws = Callable[[], _PlanningDraws | None]
+
+
+def run(name: str, record: PlanRecord, settings: Settings) -> Run:
+    """Return the plan of a study and its expected miss, beside those of other plans.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong.
+    FitError
+        If the fit has no solution.
+    """
+    job = prepare(name, record.tuning(), settings)
+    site = TargetSite(job, find_template(job, record.template_insertion), record)
+    check_reach(job, site.like, {"entry_plane.depth_mm": record.entry_plane.depth_mm[1]})
+    known = cache(partial(_draw_executions, site, settings))
+    names = [EXPECTED, BEST_FIT, *([HAND_TUNED] if job.hand_tuned is not None else []), STRAIGHT]
+    tasks: dict[str, AnalysisTask] = {
+        "posterior": partial(_posterior_row, known),
+        **{one: partial(_run_task, known, one, settings) for one in names},
+        "layers": partial(_layer_rows, site),
+    }
+    conclude = partial(_conclude, max(record.tolerances_mm))
+    return run_analysis(name, record, settings, AnalysisPlan([job], tasks, FRAMES, conclude))
+
+
+def _draw_executions(site: TargetSite, settings: Settings) -> _PlanningDraws | None:
+    found = weigh_posterior(site.job, settings)
+    if found is None:
+        return None
+    new = _find_new_specimen(site, found)
+    # search and test use different draws: a plan must not be tried on the draws it was fitted to
+    even = np.arange(len(found.thetas)) % 2 == 0
+    return _PlanningDraws(
+        site,
+        found,
+        new,
+        _draw_trials(site, found.only(even), new, SEARCH_DRAWS),
+        _draw_trials(site, found.only(~even), new, TEST_DRAWS),
+    )
+
+
+def _find_new_specimen(site: TargetSite, known: WeightedPosterior) -> NewSpecimens | None:
+    """Return by how much the parameters of the plan's specimen differ; None if it was tuned on."""
+    (fold,) = site.job.folds
+    new = NewSpecimens(site.job, fold, np.array(known.learned.fit.theta))
+    stated = site.record.specimen
+    differs = new.differs(site.like) if stated is None else stated == "new"
+    return new if differs else None
+
+
+def _draw_trials(
+    site: TargetSite, known: WeightedPosterior, new: NewSpecimens | None, count: int
+) -> tuple[ExecutionDraw, ...]:
+    """Return draws of parameters and of errors; other counts are other draws."""
+    rng = random_stream(site.job.recipe.seed, site.job.name, "trials", count)
+    thetas = known.thetas[known.drawn(count, rng)]
+    if new is not None:
+        thetas = new.move(thetas, site.like, rng)
+    sets = vary_bevels([known.problem.values(theta) for theta in thetas], rng)
+    return tuple(draw_execution(values, site.like, rng) for values in sets)
+
+
+def _posterior_row(known: GetDraws) -> FrameRows:
+    now = known()
+    if now is None:
+        return {}
+    about = describe_specimen(now.new, now.site.like)
+    return {"posterior": [describe_posterior(now.knowledge) | about]}
+
+
+def _run_task(known: GetDraws, name: str, settings: Settings) -> FrameRows:
+    """Return one plan, and what became of its needles."""
+    now = known()
+    if now is None:
+        return {}
+    aimed = _find_aim(now, name)
+    if settings.stop():
+        return {}
+    paths = [now.site.executed(aimed.aim, one) for one in now.test_draws]
+    return _result_rows(now, name, aimed, paths)
+
+
+def _find_aim(now: _PlanningDraws, name: str) -> OptimizedAim:
+    site, middle = now.site, now.knowledge.middle
+    if name == EXPECTED:
+        return optimize_aim(site, now.search_draws, middle)
+    if name == STRAIGHT:
+        low, high = site.record.entry_plane.angle_deg
+        return OptimizedAim(
+            aim_straight(site.record.entry_plane, site.record.target_mm, float(np.clip(0, low, high)), 1), 0.0
+        )
+    values = dict(now.knowledge.learned.fit.values if name == BEST_FIT else site.job.hand_tuned or {})
+    return optimize_aim(site, [execute_exactly(values)], values)
+
+
+def _result_rows(
+    now: _PlanningDraws, name: str, aimed: OptimizedAim, paths: list[Floats | None]
+) -> FrameRows:
+    site, target = now.site, np.asarray(now.site.record.target_mm)
+    solved = {number: path for number, path in enumerate(paths) if path is not None}
+    tips = np.array([path[-1] for path in solved.values()]).reshape(-1, 2)
+    misses = np.linalg.norm(tips - target, axis=1)
+    (nominal,) = site.paths(aimed.aim, [execute_exactly(now.knowledge.middle)], now.knowledge.middle)
+    fan = dict(list(solved.items())[:FIGURE_NEEDLES]) if name == EXPECTED else {}
+    drawn = {**({} if nominal is None else {-1: nominal}), **fan}
+    ends = pd.DataFrame({"trial": list(solved), "x_mm": tips[:, 0], "y_mm": tips[:, 1], "miss_mm": misses})
+    return {
+        "plans": [_plan_row(name, aimed, tips - target, len(paths) - len(solved))],
+        "exceedances": _exceedance_rows(site.record, name, misses, list(solved.values())),
+        "misses": [{"method": name, **dict(row)} for _, row in ends.iterrows()],
+        "needles": [
+            {"method": name, "trial": number, "x_mm": x, "y_mm": y}
+            for number, path in drawn.items()
+            for x, y in path.tolist()
+        ],
+    }
+
+
+def _plan_row(name: str, aimed: OptimizedAim, off: Floats, failed: int) -> Row:
+    """Return one plan and its misses; `off` (B, 2) are the tips less the target."""
+    aim: Aim = aimed.aim
+    chosen: Row = {"method": name, "offset_mm": aim.offset, "angle_deg": aim.angle, "depth_mm": aim.depth}
+    chosen |= {"bevel_side": aim.side, "search_rms_mm": None if name == STRAIGHT else aimed.rms}
+    chosen |= {"draws": len(off) + failed, "failed_solves": failed}
+    if not len(off):
+        return chosen
+    misses, bias = np.linalg.norm(off, axis=1), off.mean(axis=0)
+    spread = np.sqrt(np.mean(np.sum((off - bias) ** 2, axis=1)))
+    quantiles = np.quantile(misses, [0.5, 0.95])
+    found = (*quantiles, np.sqrt(np.mean(misses**2)), *bias, spread)
+    return chosen | dict(zip(_MISS_COLUMNS, map(float, found), strict=True))
+
+
+def at_bounds(entry_plane: EntryPlaneRecord, row: Row) -> tuple[str, ...]:
+    """Return which values of a plan lie at a bound of the study file, at the precision of the tables."""
+    ranges = {"offset": entry_plane.offset_mm, "angle": entry_plane.angle_deg, "depth": entry_plane.depth_mm}
+    values = {"offset": row["offset_mm"], "angle": row["angle_deg"], "depth": row["depth_mm"]}
+    return tuple(
+        name
+        for name, ends in ranges.items()
+        if min(abs(values[name] - end) for end in ends) < BOUND_TOLERANCE
+    )
+
+
+def _exceedance_rows(record: PlanRecord, name: str, misses: Floats, paths: list[Floats]) -> list[Row]:
+    """Return how many needles miss by more than each tolerance, and how many touch an obstacle."""
+    held = [(TARGET, limit, misses > limit) for limit in record.tolerances_mm]
+    for one in record.obstacles:
+        held.append((one.name, 0.0, np.array([clearance(path, one) < 0 for path in paths])))
+    rows = []
+    for what, limit, wrong in held:
+        found = (
+            estimate_proportion(wrong.tolist(), [str(k) for k in range(len(wrong))]) if len(wrong) else None
+        )
+        ends = (None,) * 3 if found is None else (found.hits / found.trials, found.low, found.high)
+        row = dict(zip(("share", "low", "high"), ends, strict=True))
+        rows.append({"method": name, "object": what, "limit_mm": limit, **row})
+    return rows
+
+
+def _layer_rows(site: TargetSite) -> FrameRows:
+    """Return the layers of the plane, on lines along x; nothing where the dataset has no surfaces."""
+    if not site.like.surfaces:
+        return {}
+    entry_plane, (x, y) = site.record.entry_plane, site.record.target_mm
+    half = max(abs(entry_plane.offset_mm[0]), abs(entry_plane.offset_mm[1]), abs(y)) + 5.0
+    far = max(entry_plane.depth_mm[1], x) + 5.0
+    rows = []
+    for height in np.linspace(-half, half, LAYER_RAYS).tolist():
+        ends = site.plane.to_world(np.array([[0.0, height, 0.0], [far, height, 0.0]]))
+        met = find_crossings(ends, site.like.surfaces)
+        stops = [0.0, *met.arc.tolist(), far]
+        for k, layer in enumerate(met.sequence):
+            place = {"y_mm": height, "interval": k, "layer": layer}
+            rows.append({**place, "low_mm": stops[k], "high_mm": stops[k + 1]})
+    return {"layers": rows}
+
+
+def _conclude(limit: float, frames: Frames) -> tuple[str, ...]:
+    plans = frames["plans"]
+    lost = plans[plans["failed_solves"].astype(float) > 0]
+    failed = [
+        f"{row.failed_solves} of {row.draws} needles of plan {row.method} have no solution"
+        for row in lost.itertuples()
+    ]
+    ours = plans.set_index("method")["median_mm"].astype(float)
+    beside = (
+        ()
+        if reaches(float(ours[EXPECTED]), limit)
+        else (_describe_unreachable(float(ours[EXPECTED]), limit),)
+    )
+    return (*beside, *(fault for fault in frames["posterior"]["note"] if fault), *failed)
+
+
+def reaches(median: float | None, limit: float) -> bool:
+    """Return whether at least half of a plan's needles come within `limit` mm; False if none is solved."""
+    return median is not None and median <= limit
+
+
+def _describe_unreachable(median: float, limit: float) -> str:
+    missed = f"half of the needles of the best one miss by more than {median:.1f} mm"
+    if not np.isfinite(median):
+        missed = "no needle of the best one has a solution"
+    return f"no plan within these bounds comes within {limit:g} mm of the target: {missed}"

@@ -1,0 +1,241 @@
+"""Where a planned needle will be: draws of the parameters, simulated in a scene.
+
+There are two bands. The *needle's* comes from the draws of the parameters, of a bevel for each insertion, and
+of the depths of layers and tip. The *measurement's* adds what a scan of it would err by: the errors that the
+dataset states of its points and of the entry pose. Neither includes model error.
+
+In a specimen that was not tuned on the parameters differ (`new_specimens`). What that adds stands beside the
+width that would be left in the specimen tuned on, and after one insertion into the new one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, split_boundary_sd
+from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.draws import Draws, rms_noise_scale
+from needlefit.inference.forward_model import make_bevel, make_options
+from needlefit.inference.likelihood.nodes import enforce_order
+from needlefit.inference.likelihood.observation import pose_sds
+from needlefit.inference.predictive_distribution import (
+    INTERVAL_PROBABILITIES,
+    PredictiveMixture,
+    quantile,
+)
+from needlefit.mechanics.control import ModelOptions, Step
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.tissue import Tissue
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.job import Job
+from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
+from needlefit.studies.planned_draws import PlannedNeedles, vary_bevels
+from needlefit.studies.score import Row
+
+FORECAST_POINTS = 101
+"""Points of a predicted needle, from entry to tip."""
+
+RIGIDITY_TOLERANCE = 0.02
+"""Relative difference of two needles' rigidity from which on they are two needles."""
+
+BANDS = ("needle", "measured")
+"""Where the needle is, and where it would be measured."""
+
+SPECIMEN_COLUMNS = (
+    *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
+    "tip_95_width_mm",
+)
+"""The first row is what is predicted, the others what would be left of its width."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """A predicted needle in the scene's constraint frame, with its uncertainty.
+
+    Attributes
+    ----------
+    s : (K,) array
+        Arc length from the entry, mm.
+    x : (K,) array
+        Depth of these points along the entry axis, median over draws, mm.
+    needle, measured : PredictiveMixture
+        Of y at each of them, mm: where the needle is, and where it would be measured.
+    failed : int
+        Draws of which the solve failed; they are left out.
+    outside : int
+        Draws whose needle is outside what the model assumes; they are kept.
+    specimens : tuple of Row
+        Rows of `SPECIMEN_COLUMNS`.
+    """
+
+    s: Floats
+    x: Floats
+    needle: PredictiveMixture
+    measured: PredictiveMixture
+    failed: int
+    outside: int
+    specimens: tuple[Row, ...]
+
+
+def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
+    """Return one row per station: s and x, then median and ends of the bands of y, all mm."""
+    columns = {"s_mm": forecast.s, "x_mm": forecast.x}
+    for name in BANDS:
+        mixture: PredictiveMixture = getattr(forecast, name)
+        columns[f"{name}_median_mm"] = _find_quantile(mixture, 0.5)
+        for level in INTERVAL_PROBABILITIES:
+            columns[f"{name}_{100 * level:.0f}_low_mm"] = _find_quantile(mixture, (1 - level) / 2)
+            columns[f"{name}_{100 * level:.0f}_high_mm"] = _find_quantile(mixture, (1 + level) / 2)
+    return pd.DataFrame(columns)
+
+
+def _find_quantile(mixture: PredictiveMixture, p: float) -> Floats:
+    """Return the quantiles (K,) of probability `p`, mm."""
+    if mixture.sd.any():
+        return quantile(mixture, p)
+    # the CDF of draws without errors is a step function: between two draws its inverse is not unique, and
+    # in the sparse tail of a skewed posterior an arbitrary value there can lie outside the measured band
+    found: Floats = np.quantile(mixture.means, p, axis=0)
+    return found
+
+
+def forecast(scene: Scene, draws: Draws, job: Job, new: NewSpecimens | None = None) -> Forecast:
+    """Predict the needle of a planned insertion.
+
+    The scene says needle, depth, layers' places, bevel side and controls; its moduli and bevel offset are
+    replaced by the draws': layer n of the scene is layer n of the medium. With each draw a bevel of this
+    insertion and the depths of layers and tip are drawn too, as they err in a typical insertion of the
+    dataset. With `new` the insertion goes into a specimen that is not in the dataset.
+
+    Raises
+    ------
+    ConfigError
+        If the scene has more layers than the medium, or another needle than the dataset.
+    ModelError
+        If no draw can be solved.
+    """
+    _check(scene, job.medium, job.dataset)
+    rng = random_stream(job.recipe.seed, job.name, "forecast")
+    s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
+    thetas = draws.thetas if new is None else new.move(draws.thetas, None, rng)
+    found = _simulate_draws(scene, thetas, job, s, rng)
+    points = found.points[found.solved]  # (B, K, 2)
+    if not len(points):
+        raise ModelError(
+            f"none of {len(thetas)} draws of the parameters can be solved for this scene",
+            expected="an insertion that the model can follow",
+            fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
+        )
+    sd = _measurement_sd(
+        s, job.dataset, rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
+    )
+    tips = found.points[:, -1, 1]
+    rows = [describe_specimen(new, None) | {"tip_95_width_mm": _measure_width(tips)}]
+    if new is not None:
+        again, same = (
+            _simulate_draws(scene, some, job, s, rng).points[:, -1, 1] for some in (thetas, draws.thetas)
+        )
+        known = tips + sd[-1] * rng.standard_normal(len(tips))
+        left = {"one insertion": _subtract_known(again, known), "same": same}
+        rows += [
+            describe_specimen(None, None, name) | {"tip_95_width_mm": _measure_width(some)}
+            for name, some in left.items()
+        ]
+    return Forecast(
+        s=s,
+        x=np.median(points[:, :, 0], axis=0),
+        needle=PredictiveMixture(points[:, :, 1], np.zeros(len(s))),
+        measured=PredictiveMixture(points[:, :, 1], sd),
+        failed=len(thetas) - len(points),
+        outside=int(np.sum(~found.valid[found.solved])),
+        specimens=tuple(rows),
+    )
+
+
+def _measure_width(tips: Floats) -> float:
+    """Return how wide the central 95 % of tips (B,) are, mm; NaN are left out."""
+    low, high = np.nanquantile(tips, [0.025, 0.975])
+    return float(high - low)
+
+
+def _subtract_known(tips: Floats, known: Floats) -> Floats:
+    """Return what tips (B,) keep when a tip of the same parameters (B,) is known; linear in it."""
+    solved = np.isfinite(tips) & np.isfinite(known)
+    (variance, shared), _ = np.cov(known[solved], tips[solved])
+    rest: Floats = tips - shared / variance * known
+    return rest
+
+
+def _simulate_draws(
+    scene: Scene, thetas: Floats, job: Job, s: Floats, rng: np.random.Generator
+) -> PlannedNeedles:
+    """Return the needles of parameters (B, P) at arc lengths `s` (K,), each of its own bevel and depths."""
+    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], rng)
+    typical = [(one.depth_sd, np.hypot(*split_boundary_sd(one))) for one in job.dataset.insertions]
+    entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
+    deep = entry_sd * rng.standard_normal(len(sets))
+    wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
+    points, valid = np.full((len(sets), len(s), 2), np.nan), np.zeros(len(sets), dtype=np.bool_)
+    for n, values in enumerate(sets):
+        shape = simulate_steps(*_make_inputs(scene, values, job, float(deep[n]), wrong[n]))
+        if shape.converged:
+            points[n], valid[n] = compute_positions(shape, s + deep[n]), shape.valid
+    return PlannedNeedles(points, valid)
+
+
+def _make_inputs(
+    scene: Scene, values: Mapping[str, float], job: Job, deep: float, wrong: Floats
+) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
+    """Return the arguments of `simulate_steps` with the errors of one draw, mm."""
+    layers = range(1, scene.tissue.layers + 1)
+    tissue = Tissue(
+        np.array([values[f"mu{n}_pa"] * 1e-6 for n in layers]),
+        np.array([values[f"alpha{n}"] for n in layers]),
+        enforce_order(scene.tissue.boundaries + deep + wrong),
+        np.array([job.medium.thickness_mm]),
+        law=job.medium.law,
+    )
+    steps = tuple(
+        replace(step, depth=step.depth + deep, bevel=make_bevel(values, job.medium, step.bevel.side))
+        for step in scene.steps
+    )
+    return scene.needle, tissue, steps, make_options(job.medium)
+
+
+def _measurement_sd(s: Floats, dataset: Dataset, scale: float) -> Floats:
+    """Return the deviation (K,) of a measured y about the needle's, mm; of a typical insertion.
+
+    The scale of the noise is none of the pose.
+    """
+    noise = dataset.noise
+    pose = np.array([pose_sds(one, noise) for one in dataset.insertions])  # (N, 3)
+    shift, angle, _ = np.sqrt(np.mean(pose**2, axis=0))  # a shift along hardly moves y
+    stated = [
+        noise.correlated_sd**2 if one.sd is None else float(np.mean(one.sd**2)) for one in dataset.insertions
+    ]
+    points = noise.point_sd**2 + np.mean(stated)
+    total: Floats = np.sqrt(scale**2 * points + shift**2 + (angle * s) ** 2)
+    return total
+
+
+def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
+    if scene.tissue.layers > medium.layers:
+        raise ConfigError(
+            f"the scene has {scene.tissue.layers} layers, the fitted medium {medium.layers}",
+            expected="at most as many: layer n of the scene is layer n of the medium",
+            fix="name a scene of the fitted medium, or fit a medium with more layers",
+        )
+    ours, fitted = scene.needle.flexural_rigidity, dataset.needle.flexural_rigidity
+    if abs(ours - fitted) > RIGIDITY_TOLERANCE * fitted:
+        raise ConfigError(
+            f"the scene's needle has a flexural rigidity of {ours:.4g} N mm^2, the fitted one {fitted:.4g}",
+            expected="the needle that the parameters were fitted with: mu and b depend on it",
+            fix="correct [needle] of the scene",
+        )

@@ -1,0 +1,299 @@
+"""Figures of a scan along the needle, and across it near its tip, with the reconstruction."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from needlefit.arrays import Floats
+from needlefit.geometry.curves import arc_length
+from needlefit.imaging.reconstruction import Reconstruction, ScanView
+from needlefit.imaging.views import TIP_SECTION_OFFSET_MM
+from needlefit.reporting.figures.scan_views import (
+    ENTRY_COLOUR,
+    LAYER_COLOUR,
+    MARKER_COLOUR,
+    NEEDLE_COLOUR,
+    TIP_COLOUR,
+    join_needle,
+    show_view,
+)
+from needlefit.reporting.figures.style import add_panel_mm, draw, draw_grid, make_figure_mm, spread_labels
+from needlefit.reporting.labels import GREY, INK
+
+Span = tuple[float, float]
+
+NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM = 180.0, 175.0
+"""Of the figure, mm."""
+
+OUT_OF_PLANE_COLOUR = "#D55E00"
+
+_LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = (
+    17.0,
+    1.0,
+    4.0,
+    8.0,
+    2.5,
+)  # mm around and between the panels
+_PLOT_HEIGHTS_MM = {"core": 9.0, "around": 24.0, "deflection": 24.0, "residuals": 20.0}  # heights, mm
+_NORMAL_95_HALF_WIDTH_SD = 1.96
+
+
+def draw_needle_section(reconstruction: Reconstruction, path: Path) -> Path:
+    """Draw image, brightness, deflection and residuals over the same axis, x of the constraint frame."""
+    return draw(path, lambda: _paint_needle_section(reconstruction))
+
+
+def _paint_needle_section(reconstruction: Reconstruction) -> Figure:
+    figure = make_figure_mm(NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM)
+    pictures = [view for view in reconstruction.views if view.axes[0] == "x"]
+    width = NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM
+    left, right = pictures[0].extent[:2]
+    scale = width / (right - left)  # mm on paper per mm
+    taken = (
+        _TOP_MM
+        + _BOTTOM_MM
+        + sum(_PLOT_HEIGHTS_MM.values())
+        + _PANEL_GAP_MM * (len(_PLOT_HEIGHTS_MM) + len(pictures) - 1)
+    )
+    shown = choose_spans(pictures, join_needle(reconstruction), (NEEDLE_SECTION_HEIGHT_MM - taken) / scale)
+    top = NEEDLE_SECTION_HEIGHT_MM - _TOP_MM
+    panels: list[Axes] = []
+    for view, span in zip(pictures, shown, strict=True):
+        height = scale * (span[1] - span[0])
+        panels.append(add_panel_mm(figure, (_LEFT_MM, top - height, width, height)))
+        show_view(panels[-1], view, reconstruction, span)
+        panels[-1].set_ylabel(f"{view.axes[1]} in C\n(mm)")
+        top -= height + _PANEL_GAP_MM
+    for name, height in _PLOT_HEIGHTS_MM.items():
+        panels.append(add_panel_mm(figure, (_LEFT_MM, top - height, width, height)))
+        _PAINTERS[name](panels[-1], reconstruction)
+        panels[-1].set_xlim(left, right)
+        _mark_depths(panels[-1], reconstruction)
+        top -= height + _PANEL_GAP_MM
+    for axes in panels[:-1]:
+        axes.tick_params(labelbottom=False)
+    panels[-1].set_xlabel("x along the entry axis (mm)")
+    _name_depths(panels[0], reconstruction)
+    for axes in panels:
+        axes.yaxis.set_label_coords(-10.0 / width, 0.5)
+    return figure
+
+
+def choose_spans(pictures: Sequence[ScanView], needle: Floats, room: float) -> list[Span]:
+    """Return the vertical range of each image so that together they are at most `room` mm high, the needle in
+    the middle.
+    """
+    centres, reaches = [], []
+    for view in pictures:
+        left, right, bottom, top = view.extent
+        part = needle[(needle[:, 0] >= left) & (needle[:, 0] <= right), "xyz".index(view.axes[1])]
+        centres.append(float(part.min() + part.max()) / 2)
+        reaches.append((top - bottom) / 2)
+    share = min(1.0, room / (2 * sum(reaches)))
+    return [(c - share * reach, c + share * reach) for c, reach in zip(centres, reaches, strict=True)]
+
+
+def _paint_core(axes: Axes, reconstruction: Reconstruction) -> None:
+    profile = reconstruction.profile
+    axes.plot(_arc_to_x(reconstruction, profile.s), profile.core, color=INK, lw=0.9)
+    axes.set_ylabel("needle\n(HU)")
+    axes.yaxis.set_major_locator(MaxNLocator(2))
+
+
+def _paint_around(axes: Axes, reconstruction: Reconstruction) -> None:
+    profile = reconstruction.profile
+    axes.plot(_arc_to_x(reconstruction, profile.s), profile.around, color=INK, lw=0.9)
+    axes.set_ylabel("surroundings\n(HU)")
+    draw_grid(axes, "y")
+
+
+def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:
+    x, y, z = reconstruction.local.T
+    half = _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd
+    for side, colour, words in (
+        (z, OUT_OF_PLANE_COLOUR, "out of plane, z"),
+        (y, NEEDLE_COLOUR, "deflection, y"),
+    ):
+        axes.fill_between(x, side - half, side + half, color=colour, alpha=0.3, lw=0)
+        axes.plot(x, side, color=colour, lw=1.1, label=words)
+    axes.axhline(0.0, color=GREY, lw=0.5, zorder=1)
+    axes.set_ylabel("in C\n(mm)")
+    axes.legend(
+        loc="upper left", handlelength=1.3, fontsize=7, borderaxespad=0.2, reverse=True,
+        frameon=True, facecolor="white", edgecolor="none", framealpha=1.0, borderpad=0.15,
+    )  # fmt: skip
+    draw_grid(axes, "y")
+
+
+def _paint_residuals(axes: Axes, reconstruction: Reconstruction) -> None:
+    needle_axis = reconstruction.needle_axis
+    x = join_needle(reconstruction)[:, 0]
+    turn = reconstruction.frame.rotation.T @ reconstruction.patient.rotation
+    beside = needle_axis.residuals @ turn.T  # (S, 3), C
+    at = np.interp(needle_axis.sections_s, arc_length(needle_axis.points), x)
+    half = _NORMAL_95_HALF_WIDTH_SD * needle_axis.sd
+    axes.fill_between(x, -half, half, color=GREY, alpha=0.3, lw=0, label="the axis, 95 %")
+    for side, colour, mark, words in ((2, OUT_OF_PLANE_COLOUR, "D", "in z"), (1, NEEDLE_COLOUR, "o", "in y")):
+        axes.plot(at, beside[:, side], mark, color=colour, ms=1.3, mew=0, label=words)
+    axes.set_ylabel("sections off\naxis (mm)")
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.15 * (high - low), high + 0.3 * (high - low))  # room for the words
+    axes.legend(
+        loc="upper left", ncols=3, handlelength=1.0, handletextpad=0.4, columnspacing=1.2, fontsize=7,
+        markerscale=2, borderaxespad=0.1, reverse=True,
+    )  # fmt: skip
+    _mark_tip_model(axes, float(at[-1]), float(x[-1]))
+    draw_grid(axes, "y")
+
+
+def _mark_tip_model(axes: Axes, last: float, tip: float) -> None:
+    """Say why no cross-section stands near the tip: there a model is fitted whole."""
+    across = axes.get_xaxis_transform()
+    ends = {"arrowstyle": "|-|,widthA=0.15,widthB=0.15", "color": INK, "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (tip, 0.1), (last, 0.1), xycoords=across, arrowprops=ends, annotation_clip=False)
+    axes.annotate(
+        "fitted as\na whole", (tip, 0.04), xytext=(3, 0), xycoords=across, textcoords="offset points",
+        fontsize=7, va="bottom", linespacing=0.95,
+    )  # fmt: skip
+
+
+_PAINTERS = {
+    "core": _paint_core,
+    "around": _paint_around,
+    "deflection": _paint_deflection,
+    "residuals": _paint_residuals,
+}
+
+
+def _marked_depths(reconstruction: Reconstruction) -> list[tuple[float, float, str, str]]:
+    """Return place along x, deviation, colour and name of the entry, each boundary and the tip."""
+    layers, tip = reconstruction.layers, reconstruction.local[-1, 0]
+    found = [(0.0, reconstruction.pose.along_sd, ENTRY_COLOUR, "entry")]
+    for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True)):
+        before, after = layers.sequence[n : n + 2]
+        found.append((float(depth), float(sd), LAYER_COLOUR, f"{before} → {after}"))
+    return [*found, (float(tip), float(reconstruction.needle_axis.tip_sd[0]), TIP_COLOUR, "tip")]
+
+
+def _mark_depths(axes: Axes, reconstruction: Reconstruction) -> None:
+    for at, sd, colour, _ in _marked_depths(reconstruction):
+        axes.axvspan(
+            at - _NORMAL_95_HALF_WIDTH_SD * sd,
+            at + _NORMAL_95_HALF_WIDTH_SD * sd,
+            color=colour,
+            alpha=0.3,
+            lw=0,
+            zorder=0,
+        )
+        axes.axvline(at, color=colour, lw=0.7, zorder=1)
+
+
+def _name_depths(axes: Axes, reconstruction: Reconstruction) -> None:
+    """Write over the first panel what the lines through the others are, and where the base lies."""
+    top = axes.get_ylim()[1]
+    left, right = axes.get_xlim()
+    depths = _marked_depths(reconstruction)
+    stand = spread_labels(
+        [at for at, *_ in depths],
+        [name for *_, name in depths],
+        (NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM) / (right - left),
+    )
+    for (at, _, colour, name), over in zip(depths, stand, strict=True):
+        axes.annotate(
+            name, (over, top), xytext=(0, 2.5), textcoords="offset points", ha="center", va="bottom",
+            fontsize=7, color=INK, annotation_clip=False,
+        )  # fmt: skip
+        axes.plot([at, at], [top, top], "v", color=colour, ms=3.2, mew=0, clip_on=False, zorder=6)
+    axes.annotate(
+        "← base", (left, top), xytext=(0, 2.5), textcoords="offset points", va="bottom", fontsize=7,
+    )  # fmt: skip
+
+
+def _arc_to_x(reconstruction: Reconstruction, s: Floats) -> Floats:
+    """Return x in C of places along the needle, `s` from its entry; straight on beyond the tip."""
+    points = join_needle(reconstruction)
+    along = arc_length(points)
+    along += reconstruction.depth - along[-1]
+    beyond = np.clip(s - along[-1], 0, None) + np.clip(s - along[0], None, 0)
+    x: Floats = np.interp(s, along, points[:, 0]) + beyond
+    return x
+
+
+TIP_SECTION_WIDTH_MM = 86.0
+"""Of the figure, mm."""
+
+_MAX_MARKER_PANEL_MM = 40.0  # mm: height of the markers' panel at most
+
+
+def draw_tip_section(reconstruction: Reconstruction, path: Path) -> Path:
+    """Draw the image across the needle near its tip, and the markers' distances from known positions."""
+    return draw(path, lambda: _paint_tip_section(reconstruction))
+
+
+def _paint_tip_section(reconstruction: Reconstruction) -> Figure:
+    view = next(view for view in reconstruction.views if view.axes == ("y", "z"))
+    left, right, bottom, top = view.extent
+    width = 52.0
+    height = width * (top - bottom) / (right - left)
+    registration = reconstruction.registration
+    rows = 0 if registration is None else len(registration.pairs)
+    room = min(3.2 * rows, _MAX_MARKER_PANEL_MM)
+    below = 15.0 + room if rows else 0.0
+    total = height + 13.0 + below
+    figure = make_figure_mm(TIP_SECTION_WIDTH_MM, total)
+    axes = add_panel_mm(figure, (12.0, total - 5.0 - height, width, height))
+    show_view(axes, view, reconstruction, (bottom, top))
+    axes.set(xlabel="y in C (mm)", ylabel="z in C (mm)")
+    axes.set_title(f"{TIP_SECTION_OFFSET_MM:g} mm before the tip", loc="left", pad=3)
+    _point_bevel(axes, reconstruction)
+    if rows:
+        _paint_markers(add_panel_mm(figure, (12.0, 9.0, TIP_SECTION_WIDTH_MM - 13.0, room)), reconstruction)
+    return figure
+
+
+def _point_bevel(axes: Axes, reconstruction: Reconstruction) -> None:
+    """Draw an arrow from the tip to the side of the bevel's point, where the scan shows it."""
+    bevel = (
+        reconstruction.frame.rotation.T @ reconstruction.patient.rotation @ reconstruction.needle_axis.bevel
+    )
+    if not np.isfinite(bevel).all():
+        return
+    tip, side = reconstruction.local[-1, 1:], bevel[1:]
+    (y, z), (far_y, far_z), (text_y, text_z) = tip, tip + 4.0 * side, tip + 4.4 * side
+    at = "left" if side[0] >= 0 else "right"
+    style = {
+        "arrowstyle": "-|>",
+        "color": TIP_COLOUR,
+        "lw": 0.9,
+        "mutation_scale": 6,
+        "shrinkA": 2,
+        "shrinkB": 0,
+    }
+    axes.annotate("", (far_y, far_z), (y, z), arrowprops=style, zorder=6)
+    axes.annotate("bevel", (text_y, text_z), color=TIP_COLOUR, fontsize=7, ha=at, va="center")
+
+
+def _paint_markers(axes: Axes, reconstruction: Reconstruction) -> None:
+    registration = reconstruction.registration
+    assert registration is not None
+    rows, order = np.arange(len(registration.pairs)), np.argsort(registration.pairs[:, 1])
+    size = np.linalg.norm(registration.residuals[order], axis=1)
+    left_out, expected = registration.leave_one_out[order], registration.expected_leave_one_out[order]
+    axes.hlines(rows, 0.0, np.fmax(size, left_out), color=GREY, lw=0.5, zorder=1)
+    axes.plot(size, rows, "o", color=MARKER_COLOUR, ms=3.2, mew=0, label="in the fit")
+    axes.plot(left_out, rows, "o", mfc="white", mec=MARKER_COLOUR, mew=0.8, ms=3.2, label="left out")
+    axes.plot(expected, rows, "|", color=INK, ms=7, mew=0.9, label="left out, expected")
+    axes.set_yticks(rows, [f"{known}" for known in registration.pairs[order, 1]])
+    axes.set(ylim=(len(rows) - 0.5, -0.5), ylabel="marker", xlabel="distance from its known place (mm)")
+    axes.set_xlim(left=0.0)
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, handletextpad=0.1, columnspacing=1.0,
+        fontsize=7, borderaxespad=0.1,
+    )  # fmt: skip
+    draw_grid(axes, "x")

@@ -1,0 +1,145 @@
+"""Report of a batch of reconstructed scans, written into the folder of their dataset."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from needlefit.datasets.read import check_all
+from needlefit.datasets.sources import ScanVolume, write_volumes
+from needlefit.imaging.assembly import DatasetDescription, assemble_checked
+from needlefit.imaging.batch import ReconstructionFailure
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.project.atomic_write import replace_folder
+from needlefit.project.progress import Progress
+from needlefit.reporting import document
+from needlefit.reporting.document import Block
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_layout import TableLayout
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.studies.kinds.reconstruction import KIND
+from needlefit.studies.kinds.reconstruction.quality import write_quality
+from needlefit.studies.kinds.reconstruction.run import tabulate_batch
+from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
+from needlefit.studies.report import FigurePaths, StudyReport, write_files
+from needlefit.studies.run import Run
+from needlefit.studies.slicer import write_scan
+from needlefit.studies.verdict import Status
+
+_COLUMNS = (
+    *(
+        "scan",
+        "medium",
+        "depth_mm",
+        "depth_sd_mm",
+        "deflection_mm",
+        "out_of_plane_max_mm",
+        "markers",
+        "fre_mm",
+    ),
+    *("expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths", "remark_count"),
+)
+
+
+_SCREEN_COLUMNS = (
+    *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
+    *("crossing_depths", "remark_count"),
+)
+
+
+def lay_out_first(found: Run) -> list[TableLayout]:
+    """Return the columns of `lay_out_reconstructions` that a terminal has room for."""
+    return [lay_out_reconstructions(found, _SCREEN_COLUMNS)]
+
+
+def lay_out_reconstructions(found: Run, columns: Sequence[str] = _COLUMNS) -> TableLayout:
+    """Return the main results of each scan."""
+    caption = "Reconstructed scans" + (" (synthetic data)" if found.synthetic else "")
+    notes = ("Out of plane: largest distance. Target error: predicted, at the tip. Remarks: see quality/.",)
+    rows = [_describe_scan(found, row) for row in to_records(found.frames["reconstruction"])]
+    return Table("reconstruction", caption, rows, columns, notes=notes).lay_out(drop_empty=True)
+
+
+def _describe_scan(found: Run, row: Row) -> Row:
+    crossings, remarks = (_select_scan(found, name, row["id"]) for name in ("crossings", "remarks"))
+    depths = ", ".join(f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in crossings)
+    about = {"scan": row["id"], "crossing_depths": depths or None, "remark_count": len(remarks) or ""}
+    unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
+    return {**row, **about, **unregistered}
+
+
+def _select_scan(found: Run, name: str, id_: object) -> list[Row]:
+    rows = found.frames[name]
+    return to_records(rows[rows["id"] == id_])
+
+
+def summarize(found: Run) -> list[str]:
+    """Return how many scans were reconstructed, and of how many quality checks remark something."""
+    count, remarks = len(found.frames["reconstruction"]), to_records(found.frames["remarks"])
+    remarked = len({row["id"] for row in remarks})
+    outcome = f"{remarked} with remarks" if remarked else "no remarks"
+    listed = [f"{row['id']}: {row['note']}." for row in remarks]
+    return [f"Reconstructed {count} scan{'' if count == 1 else 's'}, {outcome}.", *listed]
+
+
+def rate(found: Run) -> Status:
+    """Return "warn" if a quality check remarks something."""
+    return "warn" if len(found.frames["remarks"]) else "pass"
+
+
+def compose_sections(found: Run, figures: FigurePaths) -> list[Block]:
+    """Return the report's sections: the table; each scan has a page of its own."""
+    return [
+        document.heading("Scans"),
+        document.table(lay_out_reconstructions(found)),
+        document.text("The folder quality/ has a page of figures for every scan."),
+    ]
+
+
+REPORT = StudyReport(
+    summarize,
+    lambda found: [lay_out_reconstructions(found)],
+    lambda found, folder: {},
+    compose_sections,
+    keeps_files=True,
+    rate=rate,
+    lay_out_first=lay_out_first,
+)
+
+
+def write_reconstruction(
+    folder: Path,
+    ones: Sequence[Reconstruction],
+    recipe: ReconstructionRecord,
+    description: DatasetDescription,
+    progress: Progress,
+) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
+    """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
+
+    Where none can be held nothing is written, and what was there stays.
+
+    The dataset, and where its scans lie; `quality/<id>.pdf`; `slicer/`; and the files of every run.
+
+    Raises
+    ------
+    DataError
+        If the dataset has a fault that belongs to no single scan.
+    ConfigError
+        If `folder` holds anything that needlefit did not write, or that was changed since.
+    """
+    with replace_folder(folder) as fresh:
+        kept, failures = assemble_checked(fresh, ones, recipe, description)
+        if not kept:
+            return None, failures
+        volumes = {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept}
+        write_volumes(fresh, volumes, folder)
+        for done, one in enumerate(kept):
+            progress(f"{one.scan.id}: quality page", done, len(kept))
+            write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
+            write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
+        title = f"Reconstruction: {description.title or description.name}"
+        options = {"title": title, "scans": [one.scan.id for one in kept], "recipe": recipe}
+        record = KIND.make_record(**options)
+        assert isinstance(record, ReconstructionBatchRecord)
+        found = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
+        write_files(found, fresh)
+    return found, failures

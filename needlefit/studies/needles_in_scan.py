@@ -1,0 +1,257 @@
+"""Place measured and fitted needles in the scan's coordinates, with the uncertainty band of the fit.
+
+The band says how the needle would move with the parameters, as far as the data know them: neither the
+noise of the measured points nor what the model misses is in it. From a posterior it is the central 95 % of
+the needles of its draws. Without one it is linear about the fit: 1.96 standard deviations, over every
+direction that `identify` found.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.frames import Placement, align_rigid
+from needlefit.inference.compared_points import make_curve, select_points
+from needlefit.inference.draws import thin_posterior
+from needlefit.inference.fit import Fit
+from needlefit.inference.forward_model import make_batch, predict
+from needlefit.inference.identifiability.identify import Identifiability
+from needlefit.inference.identifiability.information import difference_jacobian, difference_steps
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.mechanics.batch import compute_batch_positions
+from needlefit.mechanics.lanes import simulate_batches
+from needlefit.studies.folds import Fold
+from needlefit.studies.job import Job
+
+NEEDLE_POINTS = 51
+"""Points of a fitted needle and of its band."""
+
+BAND_DRAWS = 400
+"""Most draws of a posterior of which needles are simulated for a band."""
+
+BAND_PERCENTILES = (2.5, 50.0, 97.5)
+NORMAL_95_HALF_WIDTH_SD = 1.959963984540054
+"""Half width of the central 95 % of a normal distribution, in standard deviations."""
+
+DEFAULT_DIAMETER_MM = 1.27
+"""Diameter with which a needle is drawn where the dataset states none, mm: 18 gauge."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """The central 95 % band across a fitted needle, in its bending plane; (K, 3) each, LPS, mm.
+
+    `converged` is false where the posterior that it is drawn from has not.
+    """
+
+    low: Floats
+    middle: Floats
+    high: Floats
+    source: Literal["posterior", "linear"]
+    converged: bool = True
+
+
+@dataclass(frozen=True)
+class NeedleInScan:
+    """One insertion in the patient coordinates of its scan, LPS, mm.
+
+    Attributes
+    ----------
+    insertion, fold : str
+    role : str
+        "validate" where the fit never saw it, else "tune".
+    measured : (N, 3) array
+        The centreline, entry first.
+    toward : (3,) array
+        Unit vector across the entry, in the bending plane.
+    diameter : float
+        Of the needle as it is drawn.
+    fitted : (K, 3) array or None
+        In the bending plane; None where the solve failed.
+    band : Band or None
+        None where no needle beside the fitted one can be solved.
+    """
+
+    insertion: str
+    fold: str
+    role: str
+    measured: Floats
+    toward: Floats
+    diameter: float
+    fitted: Floats | None = None
+    band: Band | None = None
+
+
+NEEDLE_COLUMNS = (
+    *("fold", "role", "insertion", "diameter_mm", "band_source", "converged"),
+    *("curve", "j", "x_mm", "y_mm", "z_mm"),
+)
+"""A row per point of the curves of `NeedleInScan`; the single point of `toward` is a direction."""
+
+
+def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
+    """Return needles point by point: columns `NEEDLE_COLUMNS`."""
+    rows = []
+    for one in needles:
+        band = one.band
+        about = (one.fold, one.role, one.insertion, one.diameter)
+        source = ("", True) if band is None else (band.source, band.converged)
+        curves = {"measured": one.measured, "toward": one.toward[None]}
+        curves |= {} if one.fitted is None else {"fitted": one.fitted}
+        curves |= {} if band is None else {"low": band.low, "middle": band.middle, "high": band.high}
+        rows += [
+            (*about, *source, curve, j, *point)
+            for curve, points in curves.items()
+            for j, point in enumerate(points.tolist())
+        ]
+    return pd.DataFrame(rows, columns=list(NEEDLE_COLUMNS))
+
+
+def read_needles(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
+    """Return the needles that `tabulate_needles` tabulated, by insertion."""
+    return {str(name): _read_needle(rows) for name, rows in frame.groupby("insertion", sort=False)}
+
+
+def _read_needle(rows: pd.DataFrame) -> NeedleInScan:
+    curves = {
+        str(curve): points[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=np.float64)
+        for curve, points in rows.groupby("curve", sort=False)
+    }
+    first, edges = rows.iloc[0], [curves[name] for name in ("low", "middle", "high") if name in curves]
+    return NeedleInScan(
+        insertion=str(first["insertion"]),
+        fold=str(first["fold"]),
+        role=str(first["role"]),
+        measured=curves["measured"],
+        toward=curves["toward"][0],
+        diameter=float(first["diameter_mm"]),
+        fitted=curves.get("fitted"),
+        band=_make_band(edges, first) if edges else None,
+    )
+
+
+def _make_band(edges: list[Floats], row: "pd.Series[Any]") -> Band:
+    low, middle, high = edges
+    return Band(low, middle, high, row["band_source"], bool(row["converged"]))
+
+
+@dataclass(frozen=True)
+class FoldFit:
+    """The results of one fold: the fit, its identifiability, and draws where they were requested."""
+
+    fit: Fit
+    verdict: Identifiability
+    posterior: Posterior | None = None
+
+
+def place_needles(job: Job, fold: Fold, known: FoldFit, jobs: int = 1) -> dict[str, NeedleInScan]:
+    """Return every insertion that a fold holds out; with one fold only, also those it is fitted to.
+
+    Tip tracks were never in a scan: of them there is none.
+    """
+    roles = [("tune", fold.tune), ("validate", fold.validate)]
+    chosen = roles if len(job.folds) == 1 else roles[1:]
+    return {
+        insertion.id: _place_needle(_NeedleCurve(job, insertion), fold.name, role, known, jobs)
+        for role, insertions in chosen
+        for insertion in insertions
+        if not isinstance(insertion, TipTrack)
+    }
+
+
+def _place_needle(stations: "_NeedleCurve", fold: str, role: str, known: FoldFit, jobs: int) -> NeedleInScan:
+    insertion, stated = stations.insertion, stations.job.dataset.outer_diameter
+    placement = Placement(insertion.frame, insertion.patient)
+    in_scan = placement.to_patient
+    points = stations.points(np.array(known.fit.theta))
+    fitted, band = None, None
+    if np.isfinite(points).all():
+        fitted = in_scan(points)
+        draws = known.posterior
+        heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
+        if heights is not None:
+            low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
+            converged = draws is None or draws.converged
+            band = Band(low, middle, high, "posterior" if draws else "linear", converged)
+    diameter = DEFAULT_DIAMETER_MM if stated is None else stated
+    measured = insertion.patient.to_local(insertion.centerline)
+    return NeedleInScan(insertion.id, fold, role, measured, placement.across, diameter, fitted, band)
+
+
+@dataclass(frozen=True)
+class _NeedleCurve:
+    """The places on one needle at which it is drawn."""
+
+    job: Job
+    insertion: Insertion
+
+    @property
+    def s(self) -> Floats:
+        """Beam coordinates (K,), mm."""
+        dataset = self.job.dataset
+        return select_points(dataset.pose, dataset.drop_proximal, self.insertion, NEEDLE_POINTS).s
+
+    def points(self, theta: Floats) -> Floats:
+        """Return the needle (K, 2) in C, aligned where the pose is free; NaN where the solve fails."""
+        values = self.job.parameters.values(theta)
+        shape = predict(values, self.job.medium, self.job.dataset.needle, self.insertion)
+        if not shape.converged:
+            return np.full((NEEDLE_POINTS, 2), np.nan)
+        return self.align(make_curve(shape)(self.s))
+
+    def heights(self, theta: Floats) -> Floats:
+        """Return y of the needle (K,)."""
+        return self.points(theta)[:, 1]
+
+    def align(self, points: Floats) -> Floats:
+        """Return a simulated needle (K, 2) as it lies in C: a free shape lies on the measured one."""
+        return (
+            points
+            if self.job.dataset.pose == "known"
+            else align_with_measured(self.insertion, self.s, points)
+        )
+
+
+def align_with_measured(insertion: Insertion, s: Floats, points: Floats) -> Floats:
+    """Return points (K, 2) of a simulated needle at `s` (K,), mm, aligned with the measured one."""
+    planar = insertion.planar
+    measured = interpolate_at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
+    return align_rigid(points, measured)
+
+
+def _linear_band(stations: _NeedleCurve, known: FoldFit) -> tuple[Floats, Floats, Floats] | None:
+    """Return the band (low, middle, high) of y, linear about the fit; None where it cannot be found."""
+    names, theta = stations.job.parameters.free, np.array(known.fit.theta)
+    fitted = stations.heights(theta)
+    if not names:
+        return None
+    weights = np.array([direction.weights for direction in known.verdict.directions])  # (D, P)
+    sds = np.array([direction.sd for direction in known.verdict.directions])
+    moves = difference_jacobian(stations.heights, theta, difference_steps(names)) @ weights.T * sds  # (K, D)
+    width = NORMAL_95_HALF_WIDTH_SD * np.sqrt(np.sum(moves**2, axis=1))
+    if not np.isfinite(width).all():
+        return None
+    return fitted - width, fitted, fitted + width
+
+
+def _sampled_band(
+    stations: _NeedleCurve, posterior: Posterior, jobs: int
+) -> tuple[Floats, Floats, Floats] | None:
+    """Return the band (low, middle, high) of y over the needles of draws; None where none can be solved."""
+    job, insertion = stations.job, stations.insertion
+    draws = thin_posterior(posterior, job.parameters, BAND_DRAWS)
+    sets = [job.parameters.values(theta) for theta in draws.thetas]
+    (shapes,) = simulate_batches([make_batch(sets, job.medium, job.dataset.needle, insertion)], jobs)
+    needles = compute_batch_positions(shapes, stations.s)[shapes.converged]  # (B, K, 2)
+    if not len(needles):
+        return None
+    heights = np.array([stations.align(needle)[:, 1] for needle in needles])  # (B, K)
+    low, middle, high = np.percentile(heights, BAND_PERCENTILES, axis=0)
+    return low, middle, high

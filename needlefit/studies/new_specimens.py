@@ -1,0 +1,121 @@
+"""What predictions in a specimen that was not tuned on know of it: its parameters differ from those fitted.
+
+By how much is learned from all specimens of the dataset but that one which have as many layers, together with
+what the recipe states; each is fitted by itself, by some of its insertions.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.inference.between_specimens import (
+    SpecimenEstimate,
+    SpecimenSpread,
+    estimate_specimen,
+    learn_spread,
+    list_groups,
+    move_to_new_specimen,
+)
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies.folds import Fold
+from needlefit.studies.job import Job
+from needlefit.studies.score import Row
+
+MAX_INSERTIONS = 4
+"""Insertions of a specimen that its estimate uses, the deepest and others evenly over depths."""
+
+
+@dataclass
+class NewSpecimens:
+    """The spreads that predictions of a fold use; estimates of specimens are kept, for several need them.
+
+    Attributes
+    ----------
+    theta : (P,) array
+        The fit, from which the estimates are searched.
+    """
+
+    job: Job
+    fold: Fold
+    theta: Floats
+    estimates: dict[str, SpecimenEstimate | None] = field(default_factory=dict)
+
+    def differs(self, insertion: Insertion) -> bool:
+        """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
+        wanted = not isinstance(self.job.record, StudyRecord) or self.job.record.specimens == "others"
+        return wanted and insertion.specimen not in self._tuned
+
+    def find_spread(self, insertion: Insertion | None) -> SpecimenSpread:
+        """Return the spread between specimens, learned without that of this insertion.
+
+        None stands for one into a specimen that is not in the dataset.
+        """
+        stated = self.job.recipe.specimens
+        prior = (float(np.log(stated.modulus_factor)), float(np.log(stated.bevel_factor)))
+        moving = list_groups(self.job.parameters)
+        found = [self._estimate(name) for name in self.list_others(insertion)] if moving else []
+        return learn_spread([one for one in found if one is not None], self.job.parameters, prior)
+
+    def move(self, thetas: Floats, insertion: Insertion | None, rng: np.random.Generator) -> Floats:
+        """Return draws (B, P) of the parameters in the specimen of an insertion."""
+        spread = self.find_spread(insertion)
+        return move_to_new_specimen(self.job.parameters, thetas, spread, len(self._tuned), rng)
+
+    @property
+    def _tuned(self) -> set[str]:
+        return {one.specimen for one in self.fold.tune}
+
+    def list_others(self, insertion: Insertion | None) -> list[str]:
+        """Return the other specimens with as many layer boundaries, by default as those tuned on."""
+        counts = {len(one.surfaces) for one in (self.fold.tune if insertion is None else (insertion,))}
+        alike = [one for one in self.job.dataset.insertions if len(one.surfaces) in counts]
+        deepest = [one for one in alike if max(one.sequence) <= self.job.medium.layers]
+        target = set() if insertion is None else {insertion.specimen}
+        return sorted({one.specimen for one in deepest} - target)
+
+    def _estimate(self, specimen: str) -> SpecimenEstimate | None:
+        if specimen not in self.estimates:
+            own = sorted(
+                (
+                    one
+                    for one in self.job.dataset.insertions
+                    if one.specimen == specimen and max(one.sequence) <= self.job.medium.layers
+                ),
+                key=lambda one: (one.depth, one.id),
+            )
+            chosen = np.unique(np.linspace(0, len(own) - 1, MAX_INSERTIONS).round().astype(int))
+            everything = self.job.problem(self.fold)
+            problem = replace(everything, insertions=tuple(own[k] for k in chosen))
+            self.estimates[specimen] = estimate_specimen(problem, self.theta)
+        return self.estimates[specimen]
+
+
+def describe_specimen(new: NewSpecimens | None, insertion: Insertion | None, otherwise: str = "same") -> Row:
+    """Return what a prediction knows of its specimen; `otherwise` is what it is called without `new`."""
+    mu, b, count, treatment = np.nan, np.nan, np.nan, otherwise
+    if new is not None:
+        spread = new.find_spread(insertion)
+        (mu, b), count, treatment = spread.rms.tolist(), float(spread.specimens), "others"
+    return {
+        "specimen_treatment": treatment,
+        "between_sd_ln_mu": mu,
+        "between_sd_ln_b": b,
+        "other_specimens": count,
+    }
+
+
+def describe_spread(row: Row) -> str:
+    """Return in words by how much a specimen differs, from a row of `describe_specimen`."""
+    mu, b = (math.exp(row[f"between_sd_ln_{name}"]) for name in ("mu", "b"))
+    return (
+        f"its moduli differ by a factor of {mu:.2g} and its bevel offset by {b:.2g} (one standard "
+        f"deviation), learned from {_count_specimens(row)} and the prior that the recipe states"
+    )
+
+
+def _count_specimens(row: Row) -> str:
+    count = int(row["other_specimens"])
+    return f"{count} specimen{'' if count == 1 else 's'}"

@@ -1,0 +1,253 @@
+"""Predict one planned insertion with many draws of the parameters at once.
+
+Each draw has layers of its own: its needle bends otherwise, and meets the surfaces elsewhere. All draws are
+simulated together (`mechanics.lanes`) with a few sets of layer depths; between these the needle of a draw is
+interpolated by a spline in each depth. Where the surfaces lie is tabulated along parallels to the entry axis,
+since draws deviate by millimetres from each other. What cannot be interpolated (a surface that some draws
+meet and others miss) is simulated draw by draw.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needlefit.arrays import Bools, Floats
+from needlefit.datasets.insertion import Insertion, split_boundary_sd
+from needlefit.datasets.layers import find_layers
+from needlefit.inference.forward_model import predict, simulate_each
+from needlefit.inference.likelihood.nodes import shift_depths
+from needlefit.inference.likelihood.quadrature import make_spline_weights
+from needlefit.inference.simulated_points import read_batch_points, read_points
+from needlefit.inference.ties import BEVEL_PARAMETERS, BEVEL_SPREAD
+from needlefit.mechanics.needle import Needle
+from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.planned_insertions import with_planned_layers
+
+MAX_LAYERS = 32
+"""Depth errors drawn for an insertion, so that what a draw is does not depend on the layers it meets."""
+
+PATH_POINTS = 101
+"""Points of a needle among which its crossings are looked for."""
+
+TABLE_POINTS = 9
+"""Parallels to the entry axis along which the places of surfaces are tabulated."""
+
+OUTERMOST = (0.002, 0.998)
+"""Quantiles of the points of all draws between which surfaces are tabulated."""
+
+TABLE_MARGIN_MM = 0.5
+"""Distance of the outermost parallels from the outermost draws, mm, and of surfaces that no tip reaches."""
+
+BEYOND_TIP_MM = 10.0
+"""Length of the parallels beyond the tip, mm."""
+
+NODE_PLACES, NODE_SD = (-1.0, 1.0), 1.2
+"""Where each depth is simulated besides its middle, in units of so many deviations over the draws."""
+
+MIN_NODE_MM = 0.05
+"""Least distance of the depths at which needles are simulated, mm."""
+
+CROSSING_ROUNDS = 6
+"""Rounds in which the crossings of interpolated needles come to rest; each changes them by a slope less."""
+
+
+@dataclass(frozen=True)
+class DrawnConditions:
+    """What is drawn for every prediction beside the parameters, B draws of it.
+
+    Attributes
+    ----------
+    deep : (B,) array
+        Errors of the entry, mm.
+    wrong : (B, MAX_LAYERS) array
+        Errors of the boundaries in the order met, mm.
+    """
+
+    deep: Floats
+    wrong: Floats
+
+
+@dataclass(frozen=True)
+class PlannedNeedles:
+    """The needles of B draws: points (B, K, 2) in C, mm, NaN where a solve failed; and which are valid."""
+
+    points: Floats
+    valid: Bools
+
+    @property
+    def solved(self) -> Bools:
+        """Which draws have a solution, (B,)."""
+        return np.asarray(np.isfinite(self.points).all(axis=(1, 2)), dtype=np.bool_)
+
+
+def draw_conditions(insertion: Insertion, count: int, rng: np.random.Generator) -> DrawnConditions:
+    """Draw the errors of depths of an insertion, as they are stated."""
+    whole = float(np.hypot(*split_boundary_sd(insertion)))
+    return DrawnConditions(
+        insertion.depth_sd * rng.standard_normal(count), whole * rng.standard_normal((count, MAX_LAYERS))
+    )
+
+
+def vary_bevels(sets: Sequence[Mapping[str, float]], rng: np.random.Generator) -> list[dict[str, float]]:
+    """Return sets of values with a bevel of one insertion, drawn with the spread that each has."""
+    return scale_bevels(sets, rng.standard_normal(len(sets)))
+
+
+def scale_bevels(sets: Sequence[Mapping[str, float]], deviations: Floats) -> list[dict[str, float]]:
+    """Return sets of values with bevels that deviate by so many spreads of ln b, (B,)."""
+    factors = np.exp([values.get(BEVEL_SPREAD, 0.0) for values in sets] * deviations)
+    return [
+        {name: value * factor if name in BEVEL_PARAMETERS else value for name, value in values.items()}
+        for values, factor in zip(sets, factors.tolist(), strict=True)
+    ]
+
+
+def simulate_planned(
+    sets: Sequence[Mapping[str, float]],
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+    s: Floats,
+    conditions: DrawnConditions,
+    jobs: int = 1,
+) -> PlannedNeedles:
+    """Return the needles of B sets of values at beam coordinates `s` (K,), through the layers each meets.
+
+    Nothing of the measured shape is used.
+    """
+    stations = np.concatenate([np.linspace(0.0, insertion.depth, PATH_POINTS), s])
+
+    def simulate(nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
+        """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
+        shapes = simulate_each(sets, medium, needle, [one for one, _ in nodes], jobs)
+        found = [read_batch_points(one, shape, at) for (one, at), shape in zip(nodes, shapes, strict=True)]
+        return np.array(found), shapes[0].valid
+
+    table = _tabulate_surfaces(insertion, 0.0, 0.0)
+    if table is None or max(table.sequence) > medium.layers:
+        return _simulate_each(sets, medium, needle, insertion, s, conditions)
+    straight = replace(insertion, boundaries=table.depths[len(table.y) // 2], sequence=table.sequence)
+    (paths,), _ = simulate([(straight, stations)])
+    if insertion.surfaces:
+        # the few draws beyond are taken to cross where the outermost parallel does
+        low, high = np.nanquantile(paths[..., 1], OUTERMOST)
+        table = _tabulate_surfaces(insertion, float(low), float(high))
+        count = 0 if table is None else min(len(table.sequence), len(straight.sequence))
+        if table is None or table.sequence[:count] != straight.sequence[:count]:
+            return _simulate_each(sets, medium, needle, insertion, s, conditions)
+    crossed = table.find_crossings(paths[:, :PATH_POINTS])  # (B, n - 1)
+    errors = conditions.wrong[:, : crossed.shape[1]]
+    met = np.nanmin(crossed + errors, axis=0) < insertion.depth + TABLE_MARGIN_MM
+    table = table.keep(met)
+    crossed, errors = (part[:, : len(table.sequence) - 1] for part in (crossed, errors))
+    centre = replace(straight, boundaries=np.nanmedian(crossed, axis=0), sequence=table.sequence)
+    reach = np.maximum(NODE_SD * np.nanstd(crossed + errors, axis=0), MIN_NODE_MM)
+    entry = max(NODE_SD * insertion.depth_sd, MIN_NODE_MM) if insertion.depth_sd > 0 else 0.0
+    moves = [(row, 0.0) for row in np.diag(reach)]
+    moves += [(np.full(len(reach), entry), entry)] if entry else []
+    nodes = [(centre, stations)]
+    for shifts, deep in moves:
+        nodes += [shift_depths(centre, stations, at * shifts, at * deep) for at in NODE_PLACES]
+    points, valid = simulate(nodes)
+    needles = _Interpolation(points, np.append(reach, entry) if entry else reach)
+    for _ in range(CROSSING_ROUNDS if insertion.surfaces else 0):
+        paths = needles.at(crossed - centre.boundaries, np.zeros(len(crossed)))[:, :PATH_POINTS]
+        crossed = table.find_crossings(paths)
+    found = needles.at(crossed + errors - centre.boundaries, conditions.deep)
+    return PlannedNeedles(found[:, PATH_POINTS:], valid)
+
+
+@dataclass(frozen=True)
+class _SurfaceTable:
+    """Depths (T, n - 1) at which T parallels to the entry axis, at `y` (T,), cross surfaces, and n layers."""
+
+    y: Floats
+    depths: Floats
+    sequence: tuple[int, ...]
+
+    def keep(self, met: Bools) -> "_SurfaceTable":
+        """Return the table of the first surfaces alone, those that are met (n - 1,)."""
+        count = int(np.sum(np.cumprod(met)))
+        return _SurfaceTable(self.y, self.depths[:, :count], self.sequence[: count + 1])
+
+    def find_crossings(self, paths: Floats) -> Floats:
+        """Return the depths (B, n - 1) at which paths (B, P, 2) cross; of the parallel if they end before."""
+        x, y = paths[..., 0], paths[..., 1]
+        found = np.empty((len(paths), self.depths.shape[1]))
+        rows = np.arange(len(paths))
+        for j, depths in enumerate(self.depths.T):
+            ahead = np.interp(y, self.y, depths) - x  # (B, P), positive before the surface
+            beyond = ahead <= 0
+            # the first point beyond; without one the last
+            after = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), x.shape[1] - 1)
+            before = np.maximum(after - 1, 0)
+            span = ahead[rows, before] - ahead[rows, after]
+            part = np.clip(np.divide(ahead[rows, before], span, out=np.ones(len(x)), where=span > 0), 0, 1)
+            depth = x[rows, before] + part * (x[rows, after] - x[rows, before])
+            # of a needle that ends before it
+            end = x[:, -1] + ahead[:, -1]
+            found[:, j] = np.where(beyond.any(axis=1), depth, end)
+        return found
+
+
+def _tabulate_surfaces(insertion: Insertion, low: float, high: float) -> _SurfaceTable | None:
+    """Return where parallels `low` to `high` mm beside the entry axis cross; None where they disagree."""
+    if not insertion.surfaces:
+        return _SurfaceTable(np.zeros(1), insertion.boundaries[None], insertion.sequence)
+    y = np.linspace(low - TABLE_MARGIN_MM, high + TABLE_MARGIN_MM, TABLE_POINTS)
+    x = np.linspace(0.0, insertion.depth + BEYOND_TIP_MM, PATH_POINTS)
+    found = []
+    for at in y:
+        local = np.column_stack([x, np.full(len(x), at), np.zeros(len(x))])
+        found.append(find_layers(insertion.frame.to_world(local), insertion.frame, insertion.surfaces))
+    count = min(len(depths) for depths, _ in found)
+    sequences = {sequence[: count + 1] for _, sequence in found}
+    # a further surface that some parallels do not meet must be one that no needle reaches
+    near = any(np.any(depths[count:] < insertion.depth + TABLE_MARGIN_MM) for depths, _ in found)
+    if len(sequences) > 1 or near:
+        return None
+    return _SurfaceTable(y, np.array([depths[:count] for depths, _ in found]), sequences.pop())
+
+
+@dataclass(frozen=True)
+class _Interpolation:
+    """Needles between nodes: points (1 + 2 d, B, K, 2), the centre first, then `NODE_PLACES` of each axis.
+
+    `reach` (d,) are the axes' units, mm.
+    """
+
+    points: Floats
+    reach: Floats
+
+    def at(self, shifts: Floats, deep: Floats) -> Floats:
+        """Return the points (B, K, 2) with boundaries shifted by (B, n - 1) and the entry by (B,), mm."""
+        whole = np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach  # (B, d)
+        found: Floats = self.points[0].copy()
+        for axis, part in enumerate(whole.T):
+            weights = make_spline_weights(NODE_PLACES, part)  # (B, 2)
+            for place, weight in enumerate(weights.T, start=1 + len(NODE_PLACES) * axis):
+                found += weight[:, None, None] * (self.points[place] - self.points[0])
+        return found
+
+
+def _simulate_each(
+    sets: Sequence[Mapping[str, float]],
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+    s: Floats,
+    conditions: DrawnConditions,
+) -> PlannedNeedles:
+    """Return the same, draw by draw."""
+    points, valid = np.full((len(sets), len(s), 2), np.nan), np.zeros(len(sets), dtype=np.bool_)
+    for n, values in enumerate(sets):
+        met = with_planned_layers(insertion, values, medium, needle)
+        if met is None:
+            continue
+        deep = float(conditions.deep[n])
+        wrong = conditions.wrong[n, : len(met.boundaries)]
+        moved, at = shift_depths(met, s, deep + wrong, deep)
+        shape = predict(values, medium, needle, moved)
+        points[n], valid[n] = read_points(moved, shape, at), shape.valid
+    return PlannedNeedles(points, valid)

@@ -1,0 +1,142 @@
+"""Record what a reader needs to repeat a run: versions, data, configuration, rules; no time and no path."""
+
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+import pandas as pd
+
+from needlefit.datasets.formats import FORMATS
+from needlefit.datasets.insertion import Dataset
+from needlefit.inference.baselines import BASELINES
+from needlefit.inference.forward_model import make_options as mesh
+from needlefit.mechanics.laws import LAWS
+from needlefit.metrics import METRICS
+from needlefit.registry import plugin_versions
+from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.job import Job
+from needlefit.studies.kinds.cross_validation.result_rows import ResultRows
+from needlefit.studies.summary import count_reasons
+from needlefit.studies.validity import VALIDITY_KEY
+
+PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
+"""Whose versions decide the result of a study."""
+
+
+def describe_configuration(job: Job) -> dict[str, Any]:
+    """Return everything that decides the result of a job, as JSON values."""
+    return {
+        "name": job.name,
+        "versions": package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
+        "dataset": {
+            "name": job.dataset.name,
+            "origin": job.dataset.origin,
+            "sha256": job.dataset.digest,
+            "needle": asdict(job.dataset.needle),
+            "notes": list(job.dataset.notes),
+        },
+        "study": job.record.model_dump(mode="json", by_alias=True),
+        "medium": job.medium.model_dump(mode="json", by_alias=True),
+        "recipe": job.recipe.model_dump(mode="json", by_alias=True),
+        "hand_tuned": job.hand_tuned,
+        "folds": [
+            {"name": f.name, "tune": [i.id for i in f.tune], "validate": [i.id for i in f.validate]}
+            for f in job.folds
+        ],
+        "rules": describe_model_options(job.medium),
+    }
+
+
+def package_versions(packages: Sequence[str]) -> dict[str, str]:
+    """Return the versions of Python, of needlefit and of these packages."""
+    each = {package: version(package) for package in ("needlefit", *packages)}
+    return {"python": platform.python_version(), **each}
+
+
+def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]:
+    """Return the versions of the plugins that a result with these depends on, if any."""
+    added = [(registry, name) for registry in (METRICS, BASELINES) for name in registry.names()]
+    return plugin_versions((LAWS, medium.law), (FORMATS, dataset.centerline_format), *added)
+
+
+def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
+    """Return the model rules that fitted numbers depend on; fits with other rules cannot be compared."""
+    return {
+        "constraint_spacing_mm": medium.constraint_spacing_mm,
+        "thickness_mm": medium.thickness_mm,
+        "law": medium.law,
+        "friction": 0.0,
+        "element_mm": mesh(medium).element,
+        "tie": _describe_tie(medium),
+        "advance": _describe_advance(medium),
+        "first_cell": "the depth's remainder over the spacing, or a whole cell"
+        if medium.first_cell_mm is None
+        else f"{medium.first_cell_mm:g} mm, whatever the depth",
+        "mu": "Pa, effective foundation modulus",
+        "bevel": "degrees of the cut to the needle's tangent"
+        if medium.advance == "path_angle"
+        else "mm per constraint spacing",
+    }
+
+
+def _describe_tie(medium: MediumRecord) -> str:
+    switch = medium.constraint_switch
+    if medium.advance == "path_angle":
+        return "linear between constraint points, quadrature split at them and halfway"
+    if switch in (0, 1):
+        return f"every cell has the constraint point {'behind' if switch else 'ahead'}"
+    which = "nearest constraint at each quadrature point"
+    if switch != 0.5:
+        which = f"constraint behind up to {switch:g} of the way, then the one ahead"
+    return f"{which}, quadrature split where it changes"
+
+
+def _describe_advance(medium: MediumRecord) -> str:
+    tangent = medium.tangent_part
+    if medium.advance == "path_angle":
+        return "at an angle to the path"
+    if tangent in (0, 1):
+        return "along the tangent" if tangent else "a shift in x"
+    return f"along {tangent:g} of the tip's slope"
+
+
+def _describe_draws(draws: pd.DataFrame) -> dict[str, Any]:
+    """Return of each fold where its draws come from, Pareto's k, and their effective number."""
+    first = draws.drop_duplicates("fold")
+    return {
+        str(row["fold"]): {
+            "draw_source": row["draw_source"],
+            "pareto_k": None if pd.isna(row["pareto_k"]) else float(row["pareto_k"]),
+            "ess": None if pd.isna(row["ess"]) else float(row["ess"]),
+            "certified": bool(row["certified"]),
+        }
+        for _, row in first.iterrows()
+    }
+
+
+def summarize_searches(tables: ResultRows, interrupted: bool) -> dict[str, Any]:
+    """Return the results of the searches by fold and fit, and the failures in them and in the sampler."""
+    every = [search for fold in tables.searches.values() for search in fold.values()]
+    sampled = {
+        "failed_solves_of_sampler": sum(p.failures for p in tables.posteriors.values()),
+        "not_converged": {fold: list(p.faults) for fold, p in tables.posteriors.items() if p.faults},
+    }
+    return {
+        "searches": tables.searches,
+        "evaluations": sum(search["evaluations"] for search in every),
+        "not_determined": {
+            fold: [name for name, known in verdict.determined.items() if not known]
+            for fold, verdict in tables.verdicts.items()
+        },
+        "failed_solves": sum(search["failed_solves"] for search in every),
+        **(sampled if tables.posteriors else {}),
+        "sampled": bool(tables.posteriors),
+        "draws": _describe_draws(tables.frame("draws")),
+        "search_faults": tables.search_faults,
+        VALIDITY_KEY: tables.counts.table(),
+        "recorded_failures": count_reasons(tables.frame("failures")),
+        "interrupted": interrupted,
+        "budget_limited": False,  # every budget is counted in evaluations, none in time
+    }

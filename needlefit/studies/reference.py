@@ -1,0 +1,90 @@
+"""Write reference results: the numbers of a run, rounded so that only a changed result changes the files.
+
+Lengths are rounded to 0.001 mm, in which machines agree; everything else to three significant digits. Of
+`run.json` what the answer was computed with and what it could not tell is kept; how many evaluations that
+took is not, for it differs from machine to machine.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from needlefit.project.atomic_write import replace_folder
+from needlefit.reporting.table_files import write_csv, write_json
+from needlefit.reporting.tidy import to_tidy
+from needlefit.studies.kind import find_kind
+from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
+from needlefit.studies.run import Run
+from needlefit.studies.validity import VALIDITY_KEY
+
+LENGTH_DECIMALS = 3
+"""Decimals of a length in mm."""
+
+SIGNIFICANT_DIGITS = 3
+"""Significant digits of all other numbers."""
+
+MAX_ROWS = 500
+"""Longest table that is kept: longer ones are intermediate results that nobody reviews."""
+
+_COUNT_KEYS = (
+    "searches",
+    "evaluations",
+    "failed_solves",
+    "failed_solves_of_sampler",
+    "recorded_failures",
+    "source_revision",
+    VALIDITY_KEY,
+)
+
+
+def write_reference(one: Run, folder: Path) -> Path:
+    """Write the tables of a run, rounded, and its `run.json` to `folder`; return it.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` holds anything that needlefit did not write, or that was changed since.
+    """
+    with replace_folder(folder) as new:
+        for name, wide in _collect_frames(one).items():
+            frame = to_tidy(wide)
+            if 0 < len(frame) <= MAX_ROWS:
+                write_csv(round_frame(frame).assign(origin=one.origin), new / f"{name}.csv")
+        write_json(
+            new / "run.json", {key: value for key, value in one.run_json.items() if key not in _COUNT_KEYS}
+        )
+    return folder
+
+
+def round_frame(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a frame with lengths rounded to 0.001 mm and other numbers to three significant digits."""
+    return frame.assign(**{str(name): _round_column(frame[name], str(name)) for name in frame})
+
+
+REVIEWED_FIT_TABLES = ("validation", "tuning", "parameters", "errors", "predictive")
+"""Of studies and fits; of other kinds all tables are kept."""
+
+
+def _collect_frames(one: Run) -> Mapping[str, pd.DataFrame]:
+    tables = find_kind(one.kind).report.tabulate(one)
+    return {
+        name: table
+        for name, table in tables.items()
+        if one.kind not in FIT_KINDS or name in REVIEWED_FIT_TABLES
+    }
+
+
+def _round_column(column: pd.Series, name: str) -> pd.Series:
+    if not pd.api.types.is_float_dtype(column):
+        return column
+    if name.endswith("_mm"):
+        return column.round(LENGTH_DECIMALS) + 0.0  # no −0
+    return column.map(_round_significant)
+
+
+def _round_significant(value: float) -> float:
+    if not math.isfinite(value) or value == 0:
+        return value
+    return round(value, SIGNIFICANT_DIGITS - 1 - math.floor(math.log10(abs(value))))

@@ -1,0 +1,339 @@
+"""The report of a run: what every kind of study provides, and the folder that is written from it."""
+
+import shutil
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from needlefit.project.atomic_write import replace_folder
+from needlefit.project.ownership import listed_files
+from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
+from needlefit.project.threads import one_thread
+from needlefit.reporting import document
+from needlefit.reporting.document import Block, Document
+from needlefit.reporting.labels import SYNTHETIC_NOTE
+from needlefit.reporting.latex import format_latex, format_table_macros
+from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import to_records, write_csv, write_json
+from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.tidy import to_tidy
+from needlefit.studies.kind import find_kind
+from needlefit.studies.run import Run, store_run
+from needlefit.studies.run_differences import TableComparison
+from needlefit.studies.validity import VALIDITY_KEY
+from needlefit.studies.verdict import STATUSES, VERDICTS_KEY, Status, Verdict, judge_run, verdicts_to_json
+
+FigurePaths = Mapping[str, Path]
+
+
+def tabulate_frames(result: Run) -> Mapping[str, pd.DataFrame]:
+    """Return the frames of a run: the tables of most kinds."""
+    return result.frames
+
+
+def write_no_files(result: Run, folder: Path) -> None:
+    """Write nothing: of kinds that have only tables, figures and a report."""
+
+
+def frames_to_json(result: Run) -> dict[str, Any]:
+    """Return all frames of a run as plain values, by name."""
+    return {name: to_records(to_tidy(frame)) for name, frame in result.frames.items()}
+
+
+def run_to_json(result: Run) -> dict[str, Any]:
+    """Return what `--json` prints of a run."""
+    return {
+        "kind": result.kind,
+        "name": result.name,
+        "origin": result.origin,
+        "dataset": result.dataset_title,
+        "interrupted": result.interrupted,
+        "faults": list(result.faults),
+        VERDICTS_KEY: verdicts_to_json(judge_run(result)),
+        WARNINGS_KEY: to_rows(list_run_warnings(result)),
+        **find_kind(result.kind).report.to_json(result),
+    }
+
+
+def judge_by_summary(result: Run) -> list[Verdict]:
+    """Return the first sentence of the summary as the verdict; warnings make it "warn" at best."""
+    report = find_kind(result.kind).report
+    warned: Status = "warn" if read_warnings(result.run) else "pass"
+    status = max(report.rate(result), warned, key=STATUSES.index)
+    return [Verdict(sentence.rstrip("."), status) for sentence in report.summarize(result)[:1]]
+
+
+def rate_as_pass(result: Run) -> Status:
+    """Return "pass": of kinds whose answer is neither good nor bad."""
+    return "pass"
+
+
+def lay_out_first_table(result: Run) -> list[TableLayout]:
+    """Return the first table of a run: of most kinds its main one."""
+    return find_kind(result.kind).report.lay_out(result)[:1]
+
+
+def explain_by_report(result: Run) -> tuple[list[TableLayout], list[str]]:
+    """Return all tables of a run, and the sentences of its summary."""
+    report = find_kind(result.kind).report
+    return report.lay_out(result), report.summarize(result)
+
+
+def warn_of_nothing(result: Run) -> tuple[ResultWarning, ...]:
+    """Return no warnings: of kinds whose tables need none."""
+    return ()
+
+
+QUALIFYING_WARNINGS = ("worse_than_baseline", "parameter_at_bound", "coverage")
+"""Kinds of warnings that qualify the verdict; they come first."""
+
+
+def list_run_warnings(result: Run) -> tuple[ResultWarning, ...]:
+    """Return the warnings of a run, stored and from its tables, those that qualify the verdict first."""
+    found = [*read_warnings(result.run), *find_kind(result.kind).report.warn(result)]
+    return tuple(sorted(dict.fromkeys(found), key=lambda one: one.kind not in QUALIFYING_WARNINGS))
+
+
+@dataclass(frozen=True)
+class StudyReport:
+    """The functions that report the runs of one kind of study; each takes the run.
+
+    Attributes
+    ----------
+    summarize : callable
+        Result -> its sentences, the most important first.
+    lay_out : callable
+        Result -> its tables.
+    draw : callable
+        Result and folder -> figures as PDF by name; beside each lies what it draws, as CSV of the same name.
+    compose : callable
+        Result and figures -> the body of the report, down to its last table.
+    tabulate : callable
+        Result -> the tables that are written as CSV, by name.
+    write_files : callable
+        Result and folder: writes what the kind has besides tables, figures and report.
+    keeps_files : bool
+        Whether other files that needlefit wrote to the folder stay when the result is written again.
+    comparisons : mapping
+        How `needlefit diff` compares single tables, by name; the others are compared row by row.
+    compares_only_these : bool
+        Whether `needlefit diff` leaves the other tables out.
+    to_json : callable
+        Result -> what `--json` prints, without verdicts and warnings.
+    judge : callable
+        Result -> its verdicts; `judge_run` (`studies/verdict.py`) is what others call.
+    rate : callable
+        Result -> the status of its verdict, where that is the first sentence of its summary.
+    explore : callable
+        Result -> what the HTML page draws interactively (`Document.explorer`).
+    lay_out_first : callable
+        Result -> the tables that terminal and first page show under the verdict, without their notes.
+    explain : callable
+        Result -> the tables and sentences that `--explain` prints: all of them unless a kind has more.
+    warn : callable
+        Result -> warnings that follow from its stored tables; `list_run_warnings` adds the stored ones.
+    """
+
+    summarize: Callable[[Run], list[str]]
+    lay_out: Callable[[Run], list[TableLayout]]
+    draw: Callable[[Run, Path], dict[str, Path]]
+    compose: Callable[[Run, FigurePaths], list[Block]]
+    write_files: Callable[[Run, Path], None] = write_no_files
+    to_json: Callable[[Run], dict[str, Any]] = frames_to_json
+    keeps_files: bool = False
+    comparisons: Mapping[str, TableComparison] = field(default_factory=dict)
+    compares_only_these: bool = False
+    tabulate: Callable[[Run], Mapping[str, pd.DataFrame]] = tabulate_frames
+    judge: Callable[[Run], list[Verdict]] = judge_by_summary
+    rate: Callable[[Run], Status] = rate_as_pass
+    explore: Callable[[Run], dict[str, Any] | None] = lambda result: None
+    lay_out_first: Callable[[Run], list[TableLayout]] = lay_out_first_table
+    explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = explain_by_report
+    warn: Callable[[Run], Iterable[ResultWarning]] = warn_of_nothing
+
+
+MODEL_DATA_NOTE = (
+    "The needles were made by the model itself: its errors on them do not carry over to real ones."
+)
+"""Of synthetic data that are not the twin's."""
+
+
+@one_thread
+def write_run(result: Run, folder: Path) -> Path:
+    """Write the result of an analysis to `folder`, replacing an earlier result there; return the folder.
+
+    Every frame as CSV, tables and their numbers as LaTeX, figures as PDF, the report as PDF and HTML,
+    `run.json`, `results.json.gz`, from which all of this can be made again, and `timing.json`.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` holds anything that needlefit did not write, or that was changed since.
+    """
+    with replace_folder(folder) as new:
+        if find_kind(result.kind).report.keeps_files:
+            _copy_files(folder, new)
+        write_files(result, new)
+    return folder
+
+
+def _copy_files(folder: Path, new: Path) -> None:
+    for name in listed_files(folder):
+        (new / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(folder / name, new / name)
+
+
+def write_files(result: Run, folder: Path) -> None:
+    """Write the files of a result, as `write_run`, into a folder that takes the place of another."""
+    page = find_kind(result.kind).report
+    for name, frame in page.tabulate(result).items():
+        marked = result.origin == "none" or "origin" in frame
+        write_csv(frame if marked else frame.assign(origin=result.origin), folder / f"{name}.csv")
+    tables = page.lay_out(result)
+    for table in tables:
+        (folder / f"{table.name}.tex").write_text(format_latex(table, result.synthetic), encoding="utf-8")
+    (folder / "numbers.tex").write_text(format_table_macros(result.name, tables), encoding="utf-8")
+    figures = page.draw(result, folder)
+    page.write_files(result, folder)
+    report = compose_run_report(result, figures)
+    write_report(report, folder)
+    methods = (folder / "methods.tex").is_file()
+    example = format_example(report, [table.name for table in tables], methods)
+    (folder / EXAMPLE_FILE).write_text(example, encoding="utf-8")
+    label_figures(figures, result.synthetic)
+    store_run(result, folder)
+    write_json(folder / "run.json", result.run_json)
+    write_json(folder / "timing.json", result.timing)
+
+
+def label_figures(figures: FigurePaths, synthetic: bool) -> None:
+    """Write "Synthetic data" above figures that stand alone; within a report the page says it."""
+    if synthetic:
+        for path in figures.values():
+            path.write_bytes(document.label_figure(path))
+
+
+def write_report(report: Document, folder: Path, name: str = "report") -> None:
+    """Write a report as PDF and as HTML."""
+    (folder / f"{name}.pdf").write_bytes(document.compile_pdf(report))
+    (folder / f"{name}.html").write_bytes(document.compile_html(report))
+
+
+def compose_run_report(result: Run, figures: FigurePaths) -> Document:
+    """Return the report: question, verdicts, results, method, provenance."""
+    page = find_kind(result.kind).report
+    sentences = page.summarize(result)[1:] if page.judge is judge_by_summary else []
+    blocks = [
+        *state_blocks(result),
+        *verdict_blocks(result),
+        *([document.bullets(sentences)] if sentences else []),
+        *_list_warning_blocks(result),
+        *page.compose(result, figures),
+        *_run_blocks(result),
+    ]
+    subtitle = " ".join(
+        words for words in (f"{result.name} · {result.dataset_title}.", result.question) if words
+    )
+    return Document(result.title, subtitle, result.synthetic, tuple(blocks), page.explore(result))
+
+
+def verdict_blocks(result: Run, named: bool = False) -> list[Block]:
+    """Return the verdict on each group of a run, with the run's name if wanted."""
+    head = f"{result.title.partition(':')[0]}: " if named else ""
+    return [document.verdict(f"{head}{one.sentence}.", one.status) for one in judge_run(result)]
+
+
+def format_notebook_html(result: Run) -> str:
+    """Return what a notebook shows of a run: title, warnings, results in words, tables."""
+    page = find_kind(result.kind).report
+    warned = _list_warning_blocks(result)
+    blocks = state_blocks(result)
+    if result.interrupted and result.kind != "fit":
+        blocks += warned
+    else:  # of the others only what is finished is laid out
+        blocks += [document.bullets(page.summarize(result)), *warned]
+        blocks += [document.table(table) for table in page.lay_out(result)]
+    subtitle = f"{result.name} · {result.dataset_title}"
+    return document.format_html_part(Document(result.title, subtitle, result.synthetic, tuple(blocks)))
+
+
+def warning_blocks(result: Run) -> list[Block]:
+    """Return what must be read before any number, and the warnings."""
+    return state_blocks(result) + _list_warning_blocks(result)
+
+
+def _list_warning_blocks(result: Run) -> list[Block]:
+    return [document.warning(f"Warning: {one} ({one.help_page}).") for one in list_run_warnings(result)]
+
+
+def state_blocks(result: Run) -> list[Block]:
+    """Return what must be read before any number: synthetic, interrupted, not converged."""
+    blocks = []
+    if result.synthetic:
+        names = result.run.get("datasets") or [result.run.get("dataset", {}).get("name")]
+        of_twin = "twin" in names
+        why = SYNTHETIC_NOTE.removeprefix("Synthetic data: ").capitalize() if of_twin else MODEL_DATA_NOTE
+        blocks.append(document.warning(f"Synthetic data. {why}"))
+    if result.interrupted:
+        blocks.append(
+            document.warning("INTERRUPTED. Some of the work was left undone; what is here is part.")
+        )
+    return blocks + [document.warning(f"NOT CONVERGED: {result.name}: {fault}.") for fault in result.faults]
+
+
+_RUN_KEYS = ("versions", "dataset", "datasets", "recipe", "rules")
+
+
+def _run_blocks(result: Run) -> list[Block]:
+    settings = describe_run({key: result.run[key] for key in _RUN_KEYS if key in result.run})
+    rows = [{"setting": name, "setting_value": line} for name, line in settings]
+    if not rows:
+        return []
+    caption = f"Settings of {result.name}. The file run.json holds all of them."
+    table = Table("run", caption, rows, ("setting", "setting_value")).lay_out()
+    return [
+        *([document.text(result.note)] if result.note else []),
+        document.table(table),
+    ]
+
+
+_OMITTED_RUN_KEYS = (
+    "name",
+    "study",
+    "fit",
+    "medium",
+    "folds",
+    "searches",
+    "hand_tuned",
+    WARNINGS_KEY,
+    VALIDITY_KEY,
+)
+
+
+def describe_run(run: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Return the settings of the run, one line per key; what the report shows elsewhere is left to
+    run.json.
+    """
+    summary = [
+        (key, _format_value(value)) for key, value in sorted(run.items()) if key not in _OMITTED_RUN_KEYS
+    ]
+    return [(key.replace("_", " "), line) for key, line in summary if line]
+
+
+def _format_value(value: object) -> str:
+    """Return a value of run.json on one line; digests are cut, notes stand elsewhere."""
+    if isinstance(value, Mapping):
+        pairs = ((str(key), _format_value(item)) for key, item in sorted(value.items()) if key != "notes")
+        return "; ".join(f"{key.replace('_', ' ')} {line}" for key, line in pairs if line)
+    if isinstance(value, list | tuple):
+        return ", ".join(_format_value(item) for item in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:g}"
+    words = "" if value is None else str(value)
+    return f"{words[:16]}…" if len(words) >= 40 and " " not in words else words

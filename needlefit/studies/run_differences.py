@@ -1,0 +1,293 @@
+"""Find in what two runs differ, and whether it matters.
+
+Runs are compared by what they wrote for readers (`run.json` and CSVs), so that a run may be compared with
+committed evidence too. A difference matters where it could change what is concluded: a parameter that moved
+by more than `MIN_SHIFT_SD` of its standard deviation, errors on the same insertions that changed visibly and
+by more than two standard errors, a verdict, what converged.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from needlefit.errors import DataError
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.run_file import read_run
+from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
+from needlefit.studies.kind import find_kind
+
+MIN_SHIFT_SD = 0.5
+"""Part of its standard deviation by which a parameter that is determined may move and stay what it was."""
+
+VISIBLE_ERROR_MM = 0.005
+"""mm: a mean error that changes by less is printed alike."""
+
+VISIBLE_ERROR_PERCENT = 0.05
+"""The same of a relative error."""
+
+CRPS_NOISE_FRACTION = 0.1
+"""Part of a CRPS that changes with the draws it is computed from."""
+
+ROUNDING_FRACTION = 0.02
+"""Part of `MIN_SHIFT_SD` or `VISIBLE_ERROR_MM` under which a change is slight: of rounding, or of a search's
+tolerance."""
+
+SIGNIFICANT_SE = 2.0
+"""Standard errors from which on a mean difference is taken for one."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One difference of run B from run A.
+
+    Attributes
+    ----------
+    what : "input", "parameter", "error" or "state"
+    where : str
+        Which key, parameter or insertions.
+    before, after : object
+        In A and in B, as JSON knows values; None where one of them has none.
+    matters : bool or None
+        None for inputs: they are why results differ, and no result.
+    why : str
+        In words.
+    slight : bool
+        Whether it is of the size of rounding.
+    """
+
+    what: str
+    where: str
+    before: object
+    after: object
+    matters: bool | None
+    why: str
+    slight: bool = False
+
+
+def compare_means(
+    where: str, rows: pd.DataFrame, column: str, visible: float | None = None, unit: str = "mm"
+) -> Iterator[Difference]:
+    """Yield the change of the mean of a column, over the rows that both runs have.
+
+    Changes up to `visible` do not matter; None: up to what is printed alike.
+
+    Where only one of them has a finite value, as of a simulation that did not converge, that is a difference.
+    """
+    pairs = rows[[f"{column}_a", f"{column}_b"]].to_numpy(dtype=np.float64)
+    there = np.isfinite(pairs)
+    if np.any(there[:, 0] != there[:, 1]):
+        before, after = (int(count) for count in there.sum(axis=0))
+        yield Difference("state", where, before, after, True, "values that are finite, of the same rows")
+    pairs = pairs[there.all(axis=1)]
+    gap = pairs[:, 1] - pairs[:, 0]
+    if not np.any(gap):
+        return
+    mean, error = float(np.mean(gap)), math.nan
+    words = f"{mean:+.4f} {unit} on 1 insertion"
+    if gap.size > 1:
+        error = float(np.std(gap, ddof=1) / math.sqrt(gap.size))
+        words = f"{mean:+.4f} ± {error:.4f} {unit} on {gap.size} insertions"
+    printed = VISIBLE_ERROR_MM if unit == "mm" else VISIBLE_ERROR_PERCENT
+    matters = (
+        abs(mean) > (printed if visible is None else visible) and not abs(mean) <= SIGNIFICANT_SE * error
+    )
+    slight = float(np.max(np.abs(gap))) < ROUNDING_FRACTION * printed
+    one, two = (float(value) for value in pairs.mean(axis=0))
+    yield Difference("error", where, one, two, matters, words.replace("-", "−"), slight)
+
+
+MIN_SD_CHANGE = 0.1
+"""Part by which a standard deviation may change and say the same."""
+
+
+@dataclass(frozen=True)
+class TableComparison:
+    """How a kind of study compares one of its tables: the columns that are read, and the function.
+
+    `compare` takes the tables of run A and of run B.
+    """
+
+    schema: TableSchema
+    compare: Callable[[pd.DataFrame, pd.DataFrame], Iterator[Difference]]
+
+
+_STATES = (
+    "interrupted",
+    "budget_limited",
+    "posteriors",
+    "passes",
+    "not_calibrated",
+    "not_converged",
+    "faults",
+)
+_INPUTS = (
+    "dataset",
+    "medium",
+    "recipe",
+    "rules",
+    "study",
+    "fit",
+    "folds",
+    "hand_tuned",
+    "versions",
+    "source_revision",
+    "datasets",
+    "parts",
+    "scene",
+    "fits",
+    "control",
+    "sampled",
+    "replicates",
+)
+
+
+def compare_runs(before: Path, after: Path) -> list[Difference]:
+    """Return all differences of run folder `after` from `before`: inputs, states, parameters, errors.
+
+    Raises
+    ------
+    DataError
+        If a `run.json` is missing, a file is damaged, or the runs are of different kinds.
+    """
+    with convert_stored_errors(f"{before} or {after}"):
+        one, two = read_run(before), read_run(after)
+        kinds = [_read_kind(folder, run) for folder, run in ((before, one), (after, two))]
+        if kinds[0] != kinds[1]:
+            raise DataError(
+                f"is of kind {kinds[1]}, and {before} of kind {kinds[0]}: they answer different questions",
+                where=str(after),
+                expected=f"a run of kind {kinds[0]}",
+                fix="compare runs of the same command",
+            )
+        tables = _compare_folders(kinds[0], before, after)
+        return [*_compare_inputs(one, two), *_compare_states(one, two), *tables]
+
+
+def _read_kind(folder: Path, run: Mapping[str, Any]) -> str:
+    if not run.get("kind"):
+        raise DataError(
+            "states no kind of study",
+            where=str(folder / "run.json"),
+            expected="a run of this version, of one study",
+            fix=f"rewrite it: needlefit migrate {folder}",
+        )
+    return str(run["kind"])
+
+
+def _compare_folders(kind: str, before: Path, after: Path) -> Iterator[Difference]:
+    """Yield the changes in the tables that both folders hold, as the kind of study compares them."""
+    report = find_kind(kind).report
+    names = sorted(path.stem for path in before.glob("*.csv") if (after / path.name).is_file())
+    for name in names:
+        if name in report.comparisons:
+            special = report.comparisons[name]
+            yield from special.compare(
+                *(read_table(folder / f"{name}.csv", special.schema) for folder in (before, after))
+            )
+        elif not report.compares_only_these:
+            one, two = (read_table(folder / f"{name}.csv", ANY_COLUMNS) for folder in (before, after))
+            yield from compare_tables(name, one, two)
+
+
+def _compare_inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
+    every = [
+        dict(leaf for key in _INPUTS if key in run for leaf in iterate_leaves(run[key], key))
+        for run in (before, after)
+    ]
+    for key in dict.fromkeys([*every[0], *every[1]]):
+        one, two = every[0].get(key), every[1].get(key)
+        if one != two:
+            yield Difference("input", key, one, two, None, "")
+
+
+def iterate_leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
+    """Yield every value of nested mappings with its path; a list is one value."""
+    if isinstance(value, Mapping) and value:
+        for key, inner in value.items():
+            yield from iterate_leaves(inner, f"{path}.{key}" if path else str(key))
+    else:
+        yield path, value
+
+
+def _compare_states(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
+    for key in _STATES:
+        one, two = before.get(key), after.get(key)
+        if one != two:
+            yield Difference("state", key, one, two, key != "posteriors", "")
+
+
+MIN_RELATIVE_CHANGE = 0.1
+"""Part by which a number that is no length may change and say the same."""
+
+
+def compare_tables(name: str, before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    numbers = [str(one) for one in before if is_number(before, one) and is_number(after, one)]
+    keys = [str(one) for one in before if one in after and str(one) not in numbers]
+    both = _number_repeats(before, keys).merge(
+        _number_repeats(after, keys),
+        on=[*keys, _REPEAT],
+        how="outer",
+        suffixes=("_a", "_b"),
+        indicator="in",
+        sort=False,
+    )
+    alone = both[both["in"] != "both"]
+    if len(alone):
+        first = ", ".join(filter(None, (str(alone.iloc[0][key]) for key in keys)))
+        why = f"{len(alone)} rows are in one run only, the first of them: {first}"
+        yield Difference("state", f"rows of {name}", len(before), len(after), True, why)
+    same = both[both["in"] == "both"].reset_index(drop=True)
+    for column in numbers:
+        where = f"{name}, {column}"
+        if column.endswith("_mm") and "insertion" in keys:
+            yield from compare_means(where, same, column)
+        else:
+            yield from _find_greatest_change(where, same, column, keys)
+
+
+_REPEAT = "__repeat"
+
+
+def _number_repeats(frame: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """Return a frame whose rows are identified by their words, and by their order where these are alike.
+
+    A missing word is empty: a missing value would match every other one.
+    """
+    words = frame.assign(
+        **{key: frame[key].astype(object).where(frame[key].notna(), "").astype(str) for key in keys}
+    )
+    return words.assign(
+        **{_REPEAT: words.groupby(keys, sort=False).cumcount() if keys else range(len(frame))}
+    )
+
+
+def is_number(frame: pd.DataFrame, column: object) -> bool:
+    """Return whether a table has a column of numbers with a fraction."""
+    return column in frame and pd.api.types.is_float_dtype(frame[column])
+
+
+def _find_greatest_change(
+    where: str, rows: pd.DataFrame, column: str, keys: list[str]
+) -> Iterator[Difference]:
+    """Yield the greatest change of a number: of a length in mm, of others beside the size of their column."""
+    before, after = (rows[f"{column}_{run}"].to_numpy(dtype=np.float64) for run in "ab")
+    gap = np.abs(after - before)
+    if not np.any(gap > 0):
+        return
+    row = int(np.nanargmax(gap))
+    at = ", ".join(filter(None, (str(rows.loc[row, key]) for key in keys)))
+    if column.endswith("_mm"):
+        part, why = float(gap[row]) / VISIBLE_ERROR_MM, f"at most {gap[row]:.3g} mm"
+        matters, slight = part > 1, part < ROUNDING_FRACTION
+    else:
+        size = float(np.nanmax(np.abs(before)))
+        part = float(gap[row]) / size if size else np.inf
+        why = f"at most {part:.2g} of the largest of its column"
+        matters, slight = part > MIN_RELATIVE_CHANGE, part < ROUNDING_FRACTION * MIN_RELATIVE_CHANGE
+    why = f"{why}: {at}" if at else why
+    yield Difference("parameter", where, float(before[row]), float(after[row]), matters, why, slight)

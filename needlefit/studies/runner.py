@@ -1,0 +1,165 @@
+"""Run an analysis of any kind: checkpointed tasks, then a conclusion; the result has its provenance."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pandas as pd
+
+from needlefit.inference.parameters import Parameters
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.schemas.analyses import AnalysisRecord
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies import provenance
+from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
+from needlefit.studies.fit_warnings import analysis_bound_warnings
+from needlefit.studies.folds import Fold, warn_shared_specimens
+from needlefit.studies.job import Job, Settings
+from needlefit.studies.packing import to_json_value
+from needlefit.studies.run import Frames, Run
+from needlefit.studies.score import Row
+
+FrameRows = dict[str, list[Row]]
+"""Rows by the name of the frame that they belong to."""
+
+AnalysisTask = Callable[[], FrameRows]
+"""Computes the rows of one task from its arguments alone; its random streams are keyed by them too."""
+
+_CHECKPOINT_ROWS = "tasks"
+
+
+def run_tasks(
+    tasks: Mapping[str, AnalysisTask], label: str, settings: Settings, checkpoint: Checkpoint
+) -> tuple[FrameRows, bool]:
+    """Return the rows of all tasks in their order, and whether a stop left some of them undone.
+
+    A task that a stop interrupts is discarded: its rows would be incomplete.
+    """
+    finished: dict[str, FrameRows] = {
+        row["task"]: row["rows"] for row in checkpoint.rows(_CHECKPOINT_ROWS, ("task", "rows"))
+    }
+    done = len(finished.keys() & tasks.keys())
+    for key, task in tasks.items():
+        if key in finished:
+            continue
+        settings.progress(f"{label}: {key}", done, len(tasks))
+        # through JSON and back, so that fresh rows are the same as rows read from a checkpoint
+        rows = None if settings.stop() else json.loads(json.dumps(task(), default=to_json_value))
+        if rows is None or settings.stop():
+            break
+        checkpoint.keep_row(_CHECKPOINT_ROWS, {"task": key, "rows": rows})
+        finished[key] = rows
+        done += 1
+    settings.progress(label, done, len(tasks))
+    return join_rows([finished[key] for key in tasks if key in finished]), done < len(tasks)
+
+
+def join_rows(parts: Iterable[FrameRows]) -> FrameRows:
+    """Return the rows of several tasks, one after the other."""
+    every: FrameRows = {}
+    for part in parts:
+        for frame, rows in part.items():
+            every.setdefault(frame, []).extend(rows)
+    return every
+
+
+def _conclude_nothing(frames: Frames) -> tuple[str, ...]:
+    return ()
+
+
+@dataclass(frozen=True)
+class AnalysisPlan:
+    """The tasks, tables and conclusion of an analysis.
+
+    Attributes
+    ----------
+    jobs : sequence of Job
+        The fits that it is about, for data, configuration and rules.
+    tasks : mapping
+        The work, by keys that say what each task is.
+    columns : mapping
+        The columns of every frame, which it has even without rows.
+    conclude : callable
+        What is left to compute once all tasks are done: adds frames to those of the tasks, in place, and
+        returns the faults. It must be quick: it is not kept.
+    also : mapping
+        Whatever else decides the result, as JSON values.
+    folds : sequence of Fold
+        What is held out besides the jobs' own folds.
+    parameters : mapping
+        Those of the fits in the frame `fits`, by its first column, if values at bounds are to be named.
+    """
+
+    jobs: Sequence[Job]
+    tasks: Mapping[str, AnalysisTask]
+    columns: Mapping[str, Sequence[str]]
+    conclude: Callable[[Frames], tuple[str, ...]] = _conclude_nothing
+    also: Mapping[str, Any] | None = None
+    folds: Sequence[Fold] = ()
+    parameters: Mapping[str, Parameters] = field(default_factory=dict)
+
+
+def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> Run:
+    """Run the tasks of a plan; an interrupted run with `resume` gives the same result.
+
+    Raises
+    ------
+    ConfigError
+        If the checkpoint belongs to other work.
+    """
+    work = _describe_configuration(name, record, plan)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
+    rows, interrupted = run_tasks(plan.tasks, name, settings, checkpoint)
+    frames = {frame: _make_frame(rows.get(frame, []), columns) for frame, columns in plan.columns.items()}
+    faults = () if interrupted else plan.conclude(frames)
+    at_bounds = analysis_bound_warnings(frames["fits"], plan.parameters) if plan.parameters else ()
+    datasets = {job.dataset.name: job.dataset for job in plan.jobs}.values()
+    return Run(
+        kind=str(record.kind),
+        name=name,
+        record=record,
+        origin="synthetic" if any(one.origin == "synthetic" for one in datasets) else "measured",
+        dataset_title="; ".join(dict.fromkeys(one.title or one.name for one in datasets)),
+        frames=frames,
+        run={
+            **work,
+            **warnings_entry(
+                [*_find_warnings(name, record, plan, settings.place("same_specimen")), *at_bounds]
+            ),
+        },
+        timing={},
+        interrupted=interrupted,
+        faults=faults,
+    )
+
+
+def _find_warnings(name: str, record: AnalysisRecord, plan: AnalysisPlan, where: str) -> list[ResultWarning]:
+    """Return the warnings about the data, and about what is held out; a job that is a study has its own."""
+    found = [one for job in plan.jobs for one in job.warnings]
+    divided = [fold for job in plan.jobs if not isinstance(job.record, StudyRecord) for fold in job.folds]
+    if record.same_specimen:
+        return found
+    return [*found, *warn_shared_specimens(name, [*divided, *plan.folds], where)]
+
+
+def _describe_configuration(name: str, record: AnalysisRecord, plan: AnalysisPlan) -> dict[str, Any]:
+    """Return all that decides the result; each dataset, medium and recipe stands there once."""
+    each = [provenance.describe_configuration(job) for job in plan.jobs]
+    parts = [{key: one[key] for key in _PARTS} for one in each]
+    return {
+        "name": name,
+        "versions": provenance.package_versions(provenance.PACKAGES)
+        | {package: version for one in each for package, version in one["versions"].items()},
+        "study": record.model_dump(mode="json", by_alias=True),
+        "datasets": {one["dataset"]["name"]: one["dataset"] for one in each},
+        "parts": [part for i, part in enumerate(parts) if part not in parts[:i]],
+        **(plan.also or {}),
+    }
+
+
+_PARTS = ("medium", "recipe", "rules", "hand_tuned", "folds")
+
+
+def _make_frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> pd.DataFrame:
+    return pd.DataFrame(list(rows), columns=list(columns))

@@ -1,0 +1,158 @@
+"""Score methods: the curve of every method against every measured one, as rows of the tables of `Run`."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.noise import NoiseFloor
+from needlefit.datasets.select import count_layers, get_other_rule
+from needlefit.geometry.compare import compare_curves
+from needlefit.inference.baselines import list_baselines
+from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points, make_curve
+from needlefit.inference.forward_model import predict
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.metrics import METRICS, Metric, compute_metrics, headline_metrics, list_metrics
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.study import LayerCountRule
+from needlefit.studies.planned_insertions import planned_layers
+from needlefit.studies.validity import ValidityCounts
+
+Row = dict[str, Any]
+
+MODEL_METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
+"""The methods that simulate a needle: both fits, the paper's parameters, and these with b fitted again."""
+
+Predictor = Callable[[Insertion], Mapping[str, Curve | None]]
+"""An insertion -> a curve by kind of boundaries ("measured", "planned"); None where the solve failed."""
+
+
+def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: Dataset) -> Predictor:
+    """Return the method that simulates with given parameter values.
+
+    Where the layers are surfaces it is scored twice: with the measured crossings, as the paper does,
+    though they leak a held-out needle's outcome, and with the crossings of the planned needle.
+    """
+
+    def curves(insertion: Insertion) -> dict[str, Curve | None]:
+        def at(boundaries: Floats | None, sequence: tuple[int, ...] | None) -> NeedleShape:
+            return predict(values, medium, dataset.needle, insertion, boundaries, sequence)
+
+        shapes: dict[str, NeedleShape | None] = {"measured": at(None, None)}
+        if insertion.surfaces:
+            planned = planned_layers(insertion, at)
+            shapes["planned"] = None if planned is None else at(*planned)
+        return {
+            kind: make_curve(shape, insertion) if shape is not None and shape.converged else None
+            for kind, shape in shapes.items()
+        }
+
+    return curves
+
+
+def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
+    """Return the method of an empirical curve, which has no layers."""
+    return lambda insertion: {"measured": curve(insertion)}
+
+
+def list_methods() -> tuple[str, ...]:
+    """Return the names of all methods in the order of tables: models, then baselines."""
+    return (*MODEL_METHODS, *(baseline.name for baseline in list_baselines()))
+
+
+def list_score_columns(metrics: Iterable[Metric] | None = None) -> tuple[str, ...]:
+    """Return the columns of a row of errors that hold metrics (all of them by default) and noise floors."""
+    chosen = list_metrics() if metrics is None else tuple(metrics)
+    floors = (f"floor_{metric.name}" for metric in chosen if metric.has_floor)
+    return (*(metric.name for metric in chosen), *floors)
+
+
+def list_length_metrics() -> tuple[Metric, ...]:
+    """Return the headline metrics in mm with a noise floor: those that analyses compare."""
+    return tuple(metric for metric in headline_metrics() if metric.unit == "mm" and metric.has_floor)
+
+
+@dataclass(frozen=True)
+class Scorer:
+    """What scoring needs besides method and insertion.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    reading : str
+        Which count of layers holds for an insertion that ends at a boundary.
+    floors : mapping
+        The noise floor of every insertion, by id.
+    counts : ValidityCounts
+        Keeps the validity of every simulation that is scored.
+    """
+
+    dataset: Dataset
+    layer_count_rule: LayerCountRule
+    floors: Mapping[str, NoiseFloor]
+    counts: ValidityCounts = field(default_factory=ValidityCounts)
+
+    def score(self, place: Row, insertion: Insertion, method: Predictor) -> tuple[list[Row], list[Row]]:
+        """Return the rows of `errors` and of `shapes`; `place` has fold, role and method."""
+        errors, shapes = [], []
+        for boundaries, curve in method(insertion).items():
+            where = {**place, "insertion": insertion.id, "boundaries": boundaries}
+            row = {**where, **self._about(insertion)}
+            if curve is None:
+                errors.append({**row, **dict.fromkeys(METRICS.names(), math.inf), **_FAILED})
+                continue
+            if isinstance(curve, SimulatedCurve):
+                self.counts.score(where, curve.shape.validity)
+            pose, drop = self.dataset.pose, self.dataset.drop_proximal
+            simulated, measured = compare_points(pose, drop, insertion, curve)
+            errors.append({**row, **self._errors(insertion, simulated, measured)})
+            shapes += _shape_rows(where, simulated, measured)
+        return errors, shapes
+
+    def _about(self, insertion: Insertion) -> Row:
+        floor = {f"floor_{name}": value for name, value in self.floors[insertion.id].items()}
+        return {
+            "medium": insertion.medium,
+            "specimen": insertion.specimen,
+            "layers": count_layers(insertion, self.layer_count_rule),
+            "layers_other": count_layers(insertion, get_other_rule(self.layer_count_rule)),
+            "depth_mm": insertion.depth,
+            "comparison": "world" if self.dataset.pose == "known" else "aligned",
+            **floor,
+        }
+
+    def _errors(self, insertion: Insertion, simulated: Floats, measured: Floats) -> Row:
+        curves = compare_curves(simulated, measured)
+        side = insertion.side
+        floor = self.floors[insertion.id]["te_mm"]
+        return {
+            **compute_metrics(curves),
+            "deflection_mm": side * curves.deflection,
+            "predicted_deflection_mm": side * float(simulated[-1, 1] - simulated[0, 1]),
+            "edp_flagged": bool(abs(curves.deflection) < floor),  # never where no floor is stated (NaN)
+            "converged": True,
+        }
+
+
+_FAILED = {
+    "deflection_mm": math.nan,
+    "predicted_deflection_mm": math.nan,
+    "edp_flagged": False,
+    "converged": False,
+}
+
+
+def _shape_rows(where: Row, simulated: Floats, measured: Floats) -> list[Row]:
+    return [
+        {
+            **where,
+            "j": j,
+            "measured_x_mm": float(m[0]),
+            "measured_y_mm": float(m[1]),
+            "simulated_x_mm": float(s[0]),
+            "simulated_y_mm": float(s[1]),
+        }
+        for j, (s, m) in enumerate(zip(simulated, measured, strict=True))
+    ]

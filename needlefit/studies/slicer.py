@@ -1,0 +1,255 @@
+"""Write needles for 3D Slicer: curves (`.mrk.json`), bodies (`.ply`), simulated or reconstructed; LPS, mm."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
+from needlefit.datasets.markups import Markups
+from needlefit.errors import ConfigError
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import Placement
+from needlefit.geometry.meshes import make_tube, write_ply
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.project.outputs import require_folder
+from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
+from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, Band, NeedleInScan, read_needles
+from needlefit.studies.run import Run
+
+LINE_WIDTH_MM, THIN_LINE_WIDTH_MM = 0.6, 0.3
+"""Lines of needles and of the edges of bands, mm."""
+
+POINTS_BEFORE_ENTRY, POINTS_INSERTED = 25, 51
+"""Points of a simulated needle before its entry into the tissue, and from there on."""
+
+_MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (
+    PAPER_COLOUR,
+    METHOD_COLOURS["fitted"],
+    SKY_BLUE,
+)
+
+
+def write_needles(results: Run, folder: Path) -> None:
+    """Write every needle of a run to `folder`, in the patient coordinates of its scan.
+
+    `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), and the edges of
+    the 95 % band, of a posterior its median too. `<id>.needle.ply` is the fitted needle's body,
+    `<id>.band.ply` the space that it takes when it goes through the band.
+    """
+    folder.mkdir(exist_ok=True)
+    summary = " (synthetic)" if results.origin == "synthetic" else ""
+    for needle in read_needles(results.frames["needles"]).values():
+        write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
+        for name, points, widths in _needle_bodies(needle):
+            doubt = ", NOT CONVERGED" if name == "band" and _has_not_converged(needle) else ""
+            comments = (f"needlefit: {needle.insertion}, {name}{summary}{doubt}, mm",)
+            body = make_tube(points, widths, needle.toward)
+            write_ply(body, folder / f"{needle.insertion}.{name}.ply", comments)
+
+
+def write_scene(
+    placement: Placement, shapes: Sequence[NeedleShape], path: Path, diameter: float | None = None
+) -> bool:
+    """Write a simulated needle, base to tip, in patient coordinates.
+
+    A `.mrk.json` holds a curve for every step, a `.ply` the body after the last; a step that failed is left
+    out. Return whether there was any to write.
+
+    Raises
+    ------
+    ConfigError
+        If the ending of `path` is another one or its folder does not exist.
+    """
+    _check_suffix(path)
+    curves = [_place_simulated(placement, shape) for shape in shapes if shape.converged]
+    if not curves:
+        return False
+    if path.suffix.lower() == ".ply":
+        radius = (DEFAULT_DIAMETER_MM if diameter is None else diameter) / 2
+        write_ply(make_tube(curves[-1][0], radius, placement.across), path)
+        return True
+    steps = [f"needle, step {n}" for n in range(1, len(curves) + 1)] if len(shapes) > 1 else ["needle"]
+    lists = [
+        Markups(path, f"{name}, {shape.depth:g} mm deep", "Curve", _station_labels(s), points)
+        for name, shape, (points, s) in zip(steps, shapes, curves, strict=False)
+    ]
+    write_mrk_json(path, [(one, CurveStyle(rgb(_FITTED_COLOUR), LINE_WIDTH_MM)) for one in lists])
+    return True
+
+
+def _has_not_converged(needle: NeedleInScan) -> bool:
+    """Whether the band is drawn from a posterior that has not converged."""
+    return needle.band is not None and not needle.band.converged
+
+
+def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups, CurveStyle]]:
+    found = "predicted" if needle.role == "validate" else "fitted"
+    lines = [("measured", needle.measured, _MEASURED_COLOUR, LINE_WIDTH_MM)]
+    if needle.fitted is not None:
+        lines.append((found, needle.fitted, _FITTED_COLOUR, LINE_WIDTH_MM))
+    if needle.band is not None:
+        lines += _band_edges(needle.band)
+    for name, points, colour, thickness in lines:
+        labels = _station_labels(arc_length(points))
+        path = Path(needle.insertion)
+        curve = Markups(path, f"{needle.insertion} {name}{summary}", "Curve", labels, points)
+        yield curve, CurveStyle(rgb(colour), thickness)
+
+
+def _band_edges(band: Band) -> Iterable[tuple[str, Floats, str, float]]:
+    source = band.source if band.converged else f"{band.source}, NOT CONVERGED"
+    if band.source == "posterior":
+        yield source.replace("posterior", "posterior median", 1), band.middle, _BAND_COLOUR, LINE_WIDTH_MM
+    yield f"95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM
+    yield f"95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM
+
+
+def _needle_bodies(needle: NeedleInScan) -> Iterator[tuple[str, Floats, Floats]]:
+    """Yield the name, axis (K, 3) and half widths (K, 2) of each body: in its plane, and across it."""
+    radius = needle.diameter / 2
+    if needle.fitted is not None:
+        yield "needle", needle.fitted, np.array([radius, radius])
+    if needle.band is not None:
+        half = np.linalg.norm(needle.band.high - needle.band.low, axis=1) / 2
+        axis = (needle.band.high + needle.band.low) / 2
+        yield "band", axis, np.column_stack([half + radius, np.full(len(half), radius)])
+
+
+def _place_simulated(placement: Placement, shape: NeedleShape) -> tuple[Floats, Floats]:
+    """Return points (K, 3) from base to tip, LPS, and their distances from the entry (K,), mm."""
+    before = np.linspace(shape.x[0], 0.0, POINTS_BEFORE_ENTRY) if shape.x[0] < 0 else np.zeros(1)
+    inserted = np.linspace(0.0, shape.depth, POINTS_INSERTED)[1:] if shape.depth > 0 else np.empty(0)
+    s = np.concatenate([before, inserted])
+    return placement.to_patient(compute_positions(shape, s)), s
+
+
+def _station_labels(s: Floats) -> tuple[str, ...]:
+    """Return what stands at each point: its distance from the entry; the ends say which they are."""
+    ends = {int(np.argmin(np.abs(s))): "entry", len(s) - 1: "tip"}
+    return tuple(ends.get(n, f"{distance:.1f} mm") for n, distance in enumerate(s))
+
+
+def _check_suffix(path: Path) -> None:
+    if not path.name.lower().endswith((".mrk.json", ".ply")):
+        raise ConfigError(
+            f"cannot write a `{path.suffix}` file for 3D Slicer",
+            where=str(path),
+            expected="a name that ends in .mrk.json or .ply",
+            fix=f"write to {path.stem or 'needle'}.mrk.json",
+        )
+    require_folder(path)
+
+
+POINT_SIZE_MM = 1.5
+"""Points, mm."""
+
+_WHOLE_COLOUR, _INSERTED_COLOUR = GREY, METHOD_COLOURS["fitted"]
+_SCAN_BAND_COLOUR, _MARKER_COLOUR = SKY_BLUE, GREEN
+_NORMAL_95_HALF_WIDTH_SD = 1.96
+
+
+def write_scan(reconstruction: Reconstruction, folder: Path, diameter: float) -> tuple[Path, ...]:
+    """Write the objects that Slicer shows over the scan to `folder`; return the files.
+
+    `<id>.mrk.json` holds the whole needle, the part from entry to tip, the edges of its 95 % band toward and
+    away from the bending side, entry and tip, where layers are crossed, and the markers found.
+    `<id>.needle.ply` is the needle's body, of `diameter` (mm), `<id>.band.ply` the space that its inserted
+    part takes when it goes through the band.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    name = reconstruction.scan.id
+    summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
+    curves = folder / f"{name}.mrk.json"
+    write_mrk_json(curves, _scan_markups(reconstruction, summary))
+    files = [curves]
+    for body, points, radius in _scan_bodies(reconstruction, diameter):
+        files.append(folder / f"{name}.{body}.ply")
+        toward = _band_direction(reconstruction)
+        write_ply(make_tube(points, radius, toward), files[-1], (f"needlefit: {name}, {body}{summary}, mm",))
+    return tuple(files)
+
+
+def _scan_markups(reconstruction: Reconstruction, summary: str) -> Iterator[tuple[Markups, CurveStyle]]:
+    whole, inserted = reconstruction.needle_axis.points, _inserted_needle(reconstruction)
+    depth = reconstruction.depth
+    half = _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[:, None] * _band_direction(reconstruction)
+    along = arc_length(whole)
+    curves = [
+        ("whole needle", whole, along + depth - along[-1], _WHOLE_COLOUR, THIN_LINE_WIDTH_MM),
+        ("inserted", inserted, arc_length(inserted), _INSERTED_COLOUR, LINE_WIDTH_MM),
+        ("95 % band, low", inserted - half, arc_length(inserted), _SCAN_BAND_COLOUR, THIN_LINE_WIDTH_MM),
+        ("95 % band, high", inserted + half, arc_length(inserted), _SCAN_BAND_COLOUR, THIN_LINE_WIDTH_MM),
+    ]
+    for name, points, s, colour, thickness in curves:
+        yield (
+            _make_markups(reconstruction, f"{name}{summary}", "Curve", _arc_labels(s), points),
+            CurveStyle(rgb(colour), thickness),
+        )
+    for name, labels, points, colour in _scan_points(reconstruction):
+        if len(points):
+            yield (
+                _make_markups(reconstruction, f"{name}{summary}", "Fiducial", labels, points),
+                CurveStyle(rgb(colour), POINT_SIZE_MM),
+            )
+
+
+def _make_markups(
+    reconstruction: Reconstruction, name: str, kind: str, labels: tuple[str, ...], points: Floats
+) -> Markups:
+    scan = reconstruction.scan.id
+    return Markups(Path(scan), f"{scan} {name}", kind, labels, points)
+
+
+def _scan_points(reconstruction: Reconstruction) -> Iterator[tuple[str, tuple[str, ...], Floats, str]]:
+    """Yield name, labels, places (K, 3) and colour of each list of points."""
+    inserted, layers = _inserted_needle(reconstruction), reconstruction.layers
+    yield "entry and tip", ("entry", "tip"), inserted[[0, -1]], PAPER_COLOUR
+    into = tuple(
+        f"into layer {layer}, {depth:.1f} mm"
+        for layer, depth in zip(layers.sequence[1:], layers.boundaries, strict=True)
+    )
+    yield "layer crossings", into, reconstruction.patient.to_local(layers.points), _SCAN_BAND_COLOUR
+    if reconstruction.markers is not None:
+        yield "markers", name_markers(reconstruction), reconstruction.markers.centers, _MARKER_COLOUR
+
+
+def name_markers(reconstruction: Reconstruction) -> tuple[str, ...]:
+    """Return a name for each found marker: the number of its known marker, counted from 0, or none."""
+    markers, registration = reconstruction.markers, reconstruction.registration
+    if markers is None:
+        return ()
+    paired = {} if registration is None else {int(found): int(known) for found, known in registration.pairs}
+    return tuple(
+        f"marker {paired[n]}" if n in paired else f"found {n}, no known marker"
+        for n in range(len(markers.centers))
+    )
+
+
+def _scan_bodies(reconstruction: Reconstruction, diameter: float) -> Iterator[tuple[str, Floats, Floats]]:
+    """Yield the name, axis (K, 3) and half widths (K, 2) of each body."""
+    whole = reconstruction.needle_axis.points
+    yield "needle", whole, np.full((len(whole), 2), diameter / 2)
+    wide = diameter / 2 + _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd
+    yield "band", _inserted_needle(reconstruction), np.column_stack([wide, wide])
+
+
+def _inserted_needle(reconstruction: Reconstruction) -> Floats:
+    """Return the centreline from first contact to tip in the scan (N, 3), LPS, mm."""
+    return reconstruction.patient.to_local(reconstruction.points)
+
+
+def _band_direction(reconstruction: Reconstruction) -> Floats:
+    """Return C's y axis in the scan, LPS (3,)."""
+    toward: Floats = reconstruction.patient.rotation.T @ reconstruction.frame.rotation[:, 1]
+    return toward
+
+
+def _arc_labels(s: Floats) -> tuple[str, ...]:
+    """Return what stands at each point: its distance from the entry; the ends say which they are."""
+    last = len(s) - 1
+    nearest = int(np.argmin(np.abs(s)))
+    named = {nearest: "entry", last: "tip"} if abs(s[nearest]) < 1e-6 else {0: "base", last: "tip"}
+    return tuple(named.get(n, f"{distance:.1f} mm") for n, distance in enumerate(s))

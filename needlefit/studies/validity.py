@@ -1,0 +1,108 @@
+"""Count the simulations behind a result outside the model's assumptions; they are never penalised."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from needlefit.mechanics.validity import LIMITS, Validity
+from needlefit.project.result_warnings import ResultWarning
+
+VALIDITY_KEY = "validity"
+"""Key in `run.json`."""
+
+FITTED_METHODS = ("fitted", "fitted_metric")
+"""Rivals of which a warning is given; how far a published set strains the model is counted only."""
+
+MAX_LISTED_ROWS = 20
+"""Scored simulations outside that are listed; the others are counted."""
+
+_WORDS = {
+    "scored": "scored simulations",
+    "starts": "ends of starts",
+    "draws": "draws of the posterior",
+    "predicted": "predictions of held-out insertions",
+}
+
+
+@dataclass
+class ValidityCount:
+    """A number of simulations, and how many of them are outside the model's assumptions."""
+
+    simulations: int = 0
+    outside: int = 0
+
+    def add(self, simulations: int, outside: int) -> None:
+        """Add a number of simulations."""
+        self.simulations += simulations
+        self.outside += outside
+
+
+@dataclass
+class ValidityCounts:
+    """The simulations of one run, and how many of them are outside the model's assumptions.
+
+    Attributes
+    ----------
+    starts : ValidityCount
+        Ends of all starts of all searches: one is outside if any of its insertions is.
+    draws : ValidityCount
+        Of the posterior, sampled or by importance about the fit; counted likewise.
+    predicted : ValidityCount
+        Needles predicted of held-out insertions, one for each draw.
+    scored : list of dict
+        Fold, role, method, insertion and boundaries of every scored simulation, with `faults` (empty:
+        inside).
+    """
+
+    starts: ValidityCount = field(default_factory=ValidityCount)
+    draws: ValidityCount = field(default_factory=ValidityCount)
+    predicted: ValidityCount = field(default_factory=ValidityCount)
+    scored: list[dict[str, Any]] = field(default_factory=list)
+
+    def score(self, place: Mapping[str, Any], validity: Validity) -> None:
+        """Count one scored simulation."""
+        self.scored.append({**place, "faults": list(validity.faults)})
+
+    def table(self) -> dict[str, Any]:
+        """Return the counts as JSON values."""
+        beyond = [row for row in self.scored if row["faults"]]
+        counts = {"scored": ValidityCount(len(self.scored), len(beyond))}
+        counts |= {name: getattr(self, name) for name in ("starts", "draws", "predicted")}
+        table: dict[str, Any] = {name: vars(count) for name, count in counts.items()}
+        table["limits"] = {name: limit for name, limit, _ in LIMITS}
+        table["fitted_outside"] = sum(row["method"] in FITTED_METHODS for row in beyond)
+        table["scored_outside"] = beyond[:MAX_LISTED_ROWS]
+        return table
+
+
+MAX_OUTSIDE_SHARE = 0.01
+"""Share of draws, or of needles predicted by them, that may be outside without a warning: their tails are."""
+
+
+def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
+    """Yield a warning where fitted, drawn or predicted needles are outside the model's assumptions."""
+    table = run.get(VALIDITY_KEY, {})
+    fitted = table.get("fitted_outside", 0)
+    parts = [f"{fitted} scored simulations of the fit"] if fitted else []
+    many = {
+        name: count
+        for name, count in table.items()
+        if name in ("draws", "predicted") and count["outside"] > MAX_OUTSIDE_SHARE * count["simulations"]
+    }
+    parts += _shares(many, tuple(many))
+    if parts:
+        yield ResultWarning(
+            "validity",
+            f"outside what the model assumes (slopes, shortening, compression, rounding): {', '.join(parts)}",
+            fix="read these numbers with care; `validity` in run.json names the limits and the insertions",
+        )
+
+
+def describe_outside(run: Mapping[str, Any]) -> str:
+    """Return in a clause how many simulations of a run are outside; empty if none is."""
+    return ", ".join(_shares(run.get(VALIDITY_KEY, {}), tuple(_WORDS)))
+
+
+def _shares(table: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    counts = [(name, table[name]) for name in names if name in table and table[name]["outside"]]
+    return [f"{count['outside']} of {count['simulations']} {_WORDS[name]}" for name, count in counts]

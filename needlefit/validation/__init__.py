@@ -1,3 +1,0 @@
-"""Run studies: fit to some insertions, score on others (`run`), and compare with the published numbers
-(`paper`).
-"""

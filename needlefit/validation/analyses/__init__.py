@@ -1,1 +1,0 @@
-"""Kinds of study other than fit and score: one module or package each."""

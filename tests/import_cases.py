@@ -1,0 +1,183 @@
+"""Files of other programs, written by hand: tables, workbooks, MATLAB files, scenes of 3D Slicer."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+TURN = np.array([[0.0, -1.0, 0.0, 12.0], [1.0, 0.0, 0.0, -30.0], [0.0, 0.0, 1.0, 5.0], [0.0, 0.0, 0.0, 1.0]])
+"""A quarter turn and a shift, LPS, from a node to its parent."""
+
+FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+def needle(n=0, points=16, depth=60.0):
+    """An arc along x from an entry of its own."""
+    s = np.linspace(0.0, depth - 5.0 * n, points)
+    return np.column_stack([s, 3.0 * n + (4e-4 + 1e-4 * n) * s**2, np.zeros(points)])
+
+
+def german(value):
+    return f"{value:.4f}".replace(".", ",")
+
+
+def wide_rows(curves, number=german):
+    """Curves side by side; shorter ones end with empty cells."""
+    rows = []
+    for n in range(max(map(len, curves))):
+        points = [one[n] if n < len(one) else None for one in curves]
+        rows.append([cell for p in points for cell in ([""] * 3 if p is None else map(number, p))])
+    return rows
+
+
+def write_european_csv(path: Path, curves):
+    head = [
+        "Messung vom 3. März;" + ";" * 10,
+        ";".join(f"Nadel {n};;" for n in range(1, len(curves) + 1)),
+        ";".join(["x;y;z"] * len(curves)),
+        ";".join(["mm"] * 3 * len(curves)),
+    ]
+    lines = [*head, *(";".join(row) for row in wide_rows(curves))]
+    path.write_bytes("\r\n".join(lines).encode("latin-1"))
+
+
+def write_workbook(path: Path, curves):
+    from datetime import datetime
+
+    from openpyxl import Workbook
+
+    book = Workbook()
+    book.properties.created = book.properties.modified = datetime(2024, 1, 1)
+    sheet = book.active
+    sheet.title = "Nadeln"
+    sheet.append(["Nadelversuch"])
+    sheet.append([cell for n in range(1, len(curves) + 1) for cell in (f"Nadel {n}", None, None)])
+    sheet.append(["x (mm)", "y (mm)", "z (mm)"] * len(curves))
+    for row in wide_rows(curves, float):
+        sheet.append([None if cell == "" else cell for cell in row])
+    book.create_sheet("Notizen").append(["von", "mir"])
+    book.save(path)
+    with zipfile.ZipFile(path) as archive:
+        members = {one.filename: archive.read(one) for one in archive.infolist()}
+    with zipfile.ZipFile(path, "w") as archive:  # without the time of day
+        for name, data in members.items():
+            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+
+
+def markups(name, points, kind="Curve", system="LPS"):
+    signs = [-1, -1, 1] if system == "RAS" else [1, 1, 1]
+    return {
+        "type": kind,
+        "name": name,
+        "coordinateSystem": system,
+        "controlPoints": [
+            {"label": str(n), "position": (point * signs).tolist()} for n, point in enumerate(points)
+        ],
+    }
+
+
+def write_markups(path: Path, name, points, kind="Curve", system="LPS"):
+    schema = "https://x/markups-schema-v1.0.3.json#"
+    path.write_text(json.dumps({"@schema": schema, "markups": [markups(name, points, kind, system)]}))
+
+
+def vtk_sheet(x, size=60.0, system="LPS"):
+    """A square across x as a legacy VTK file, text."""
+    corners = np.array([[x, -size, -size], [x, size, -size], [x, size, size], [x, -size, size]])
+    if system == "RAS":
+        corners = corners * [-1, -1, 1]
+    points = " ".join(f"{value:g}" for value in corners.ravel())
+    return (
+        f"# vtk DataFile Version 4.2\n3D Slicer output. SPACE={system}\nASCII\nDATASET POLYDATA\n"
+        f"POINTS 4 float\n{points}\nPOLYGONS 2 8\n3 0 1 2\n3 0 2 3\n"
+    ).encode()
+
+
+def vtk_binary_sheet(x, size=60.0):
+    """The same, binary, version 5.1, RAS."""
+    corners = np.array([[x, -size, -size], [x, size, -size], [x, size, size], [x, -size, size]]) * [-1, -1, 1]
+    return b"".join(
+        (
+            b"# vtk DataFile Version 5.1\n3D Slicer output. SPACE=RAS\nBINARY\nDATASET POLYDATA\n",
+            b"POINTS 4 float\n",
+            corners.astype(">f4").tobytes(),
+            b"\nPOLYGONS 3 6\nOFFSETS vtktypeint64\n" + np.array([0, 3, 6], ">i8").tobytes(),
+            b"\nCONNECTIVITY vtktypeint64\n" + np.array([0, 1, 2, 0, 2, 3], ">i8").tobytes() + b"\n",
+        )
+    )
+
+
+def write_tfm(path: Path, matrix):
+    """What Slicer writes: the way from the parent, LPS."""
+    inverse = np.linalg.inv(matrix)
+    numbers = " ".join(map(repr, [*inverse[:3, :3].ravel().tolist(), *inverse[:3, 3].tolist()]))
+    path.write_text(
+        "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n"
+        f"Parameters: {numbers}\nFixedParameters: 0 0 0\n"
+    )
+
+
+def write_h5(path: Path, matrix):
+    inverse = np.linalg.inv(matrix)
+    with h5py.File(path, "w") as file:
+        group = file.create_group("TransformGroup/0")
+        group["TransformType"] = np.array([b"AffineTransform_double_3_3"])
+        group["TransformParameters"] = np.concatenate([inverse[:3, :3].ravel(), inverse[:3, 3]])
+        group["TransformFixedParameters"] = np.zeros(3)
+
+
+def scene_text(nodes):
+    lines = [
+        " ".join([f" <{tag}", *(f'{key}="{value}"' for key, value in keys.items()), f"></{tag}>"])
+        for tag, keys in nodes
+    ]
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<MRML version="Slicer5.6.2">\n'
+        + "\n".join(lines)
+        + "\n</MRML>\n"
+    )
+
+
+def write_scene(folder: Path, curves, transform="tfm"):
+    """A scene with curves (RAS) below a transform, a model in the world, and what an import leaves out."""
+    data = folder / "Data"
+    data.mkdir(parents=True)
+    matrix = FLIP @ TURN @ FLIP
+    inline = " ".join(f"{value:g}" for value in matrix.ravel())
+    own = {"matrixTransformToParent": inline} if transform == "inline" else {"references": "storage:ts;"}
+    nodes = [("LinearTransform", {"id": "t", "name": "Tisch", **own})]
+    if transform != "inline":
+        nodes.append(("TransformStorage", {"id": "ts", "fileName": f"Data/Tisch%20neu.{transform}"}))
+        (write_tfm if transform == "tfm" else write_h5)(data / f"Tisch neu.{transform}", TURN)
+    inverse = np.linalg.inv(TURN)
+    for n, points in enumerate(curves, 1):
+        local = points @ inverse[:3, :3].T + inverse[:3, 3]
+        write_markups(data / f"C{n}.mrk.json", "x", local, system="RAS")
+        refs = f"display:d{n};storage:s{n};transform:t;"
+        nodes.append(("MarkupsCurve", {"id": f"c{n}", "name": f"Needle {n}", "references": refs}))
+        nodes.append(("MarkupsJsonStorage", {"id": f"s{n}", "fileName": f"Data/C{n}.mrk.json"}))
+    write_markups(data / "F.mrk.json", "F", curves[0][:3], "Fiducial")
+    nodes.append(("MarkupsFiducial", {"id": "f", "name": "F", "references": "storage:fs;"}))
+    nodes.append(("MarkupsFiducialStorage", {"id": "fs", "fileName": "Data/F.mrk.json"}))
+    (data / "fat.vtk").write_bytes(vtk_binary_sheet(20.0))
+    nodes.append(("Model", {"id": "m", "name": "fat", "references": "storage:ms;"}))
+    nodes.append(("ModelStorage", {"id": "ms", "fileName": "Data/fat.vtk", "coordinateSystem": "RAS"}))
+    nodes.append(("Model", {"id": "red", "name": "Red Volume Slice"}))
+    (folder / "scene.mrml").write_text(scene_text(nodes))
+    return folder / "scene.mrml"
+
+
+def write_bundle(path: Path, folder: Path, extra=(), packed=True):
+    """A .mrb of a scene's folder; `extra` are members besides."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for file in sorted(folder.rglob("*")):
+            if file.is_file():
+                info = zipfile.ZipInfo(f"case/{file.relative_to(folder).as_posix()}")
+                archive.writestr(
+                    info, file.read_bytes(), zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
+                )
+        for name, data in extra:
+            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+    return path

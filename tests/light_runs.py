@@ -1,0 +1,53 @@
+"""Runs that predict by few draws or draw empty figures, for tests of neither predictions nor figures."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from needlefit.inference import predictive_distribution
+from needlefit.inference.importance.fit_posterior import EFFORT
+from needlefit.studies import held_out_predictions, posterior_fit
+from needlefit.studies.kinds.tracks import run as tracks
+
+DRAWS, CURVES = 50, 100
+
+
+def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
+    for module in (held_out_predictions, tracks):
+        patch.setattr(module, "PREDICTION_DRAWS", DRAWS)
+    patch.setattr(predictive_distribution, "CURVES", CURVES)
+
+
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    predict_by_few_draws(monkeypatch)
+
+
+def do_not_escalate(patch: pytest.MonkeyPatch) -> None:
+    """Leave draws that are not certified as they are: no more of them, and no sampler."""
+    patch.setattr(posterior_fit, "escalate_effort", lambda sample: sample(EFFORT))
+    patch.setattr(posterior_fit, "sample_posterior", lambda *_: None)
+
+
+def draw_blank(patch: pytest.MonkeyPatch) -> None:
+    """Let every figure be saved empty; the table lies beside it as always.
+
+    Saving is what takes the time. `style.draw` is left as it is: a module that is first loaded while it is
+    replaced would keep the replacement for the tests that follow.
+    """
+    save = Figure.savefig
+
+    def save_blank(_: Figure, path: Path, **options: Any) -> None:
+        blank = Figure(figsize=(1, 1))
+        FigureCanvasAgg(blank)
+        save(blank, path, **options)
+
+    patch.setattr(Figure, "savefig", save_blank)
+
+
+@pytest.fixture
+def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    draw_blank(monkeypatch)

@@ -1,0 +1,12 @@
+"""A plugin of needlefit, as its users write them: every module here adds one thing.
+
+needlefit registers what stands in this module.
+"""
+
+from needlefit_example.baseline import PARABOLA
+from needlefit_example.depth_study import KIND as DEPTH_STUDY
+from needlefit_example.file_format import XYZ
+from needlefit_example.law import LOGARITHMIC
+from needlefit_example.metric import END_ERROR
+
+__all__ = ["DEPTH_STUDY", "END_ERROR", "LOGARITHMIC", "PARABOLA", "XYZ"]

@@ -1,0 +1,221 @@
+"""The Python API: the same computations as the commands', from names, paths and objects in memory."""
+
+import doctest
+import os
+import re
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from light_runs import blank_figures, few_draws  # noqa: F401 - fixtures
+
+import needlefit
+from needlefit import api
+from needlefit.errors import ConfigError
+from needlefit.project.load import load
+from needlefit.project.locate import find_file, shipped_folder
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies.kinds.prediction import run as prediction
+
+TUNE = {"insertions": ["chicken-04"]}
+RECIPE = {"starts": 1, "metric": False, "likelihood": {"depths": "fixed"}}
+SAMPLE = {"ensembles": 2, "walkers": 8, "steps": 20, "check_interval": 10}
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return needlefit.load_dataset("twin")
+
+
+@pytest.fixture(scope="module")
+def fitted(dataset):
+    return needlefit.fit(dataset, "chicken", tune=TUNE, recipe=RECIPE)
+
+
+@pytest.fixture(scope="module")
+def sampled(fitted):
+    return needlefit.sample(fitted, recipe={**RECIPE, "sample": SAMPLE})
+
+
+DOCTEST_OPTIONS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+PAGE = shipped_folder() / "docs" / "python.md"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PAGE.is_file(), reason="not run from the repository")
+def test_the_page_prints_what_it_shows(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```pycon\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    examples = doctest.DocTestParser().get_doctest("".join(blocks), {}, PAGE.name, str(PAGE), 0)
+    found = doctest.DocTestRunner(optionflags=DOCTEST_OPTIONS).run(examples)
+    assert found.attempted > 20 and found.failed == 0
+
+
+def test_the_docstrings_print_what_they_show():
+    found = doctest.testmod(api, extraglobs={"needlefit": needlefit}, optionflags=DOCTEST_OPTIONS)
+    assert found.attempted > 3 and found.failed == 0
+
+
+def values(run):
+    found = run.frames["parameters"].query("method == 'fitted'")
+    return dict(zip(found["parameter"], found["value"], strict=True))
+
+
+def test_a_dataset_is_a_table(dataset):
+    table = dataset.to_frame()
+    assert len(table) == len(dataset.insertions) and not table["insertion"].duplicated().any()
+    row, one = table.iloc[-1], dataset.insertions[-1]
+    assert (row["insertion"], row["depth_mm"], row["deflection_mm"]) == (one.id, one.depth, one.deflection)
+    html = replace(dataset, notes=("<b>",))._repr_html_()
+    assert "SYNTHETIC" in html and "&lt;b&gt;" in html and "<b>" not in html
+
+
+def test_a_fit_is_the_same_from_names_and_from_objects(fitted):
+    medium = load(find_file("medium", "chicken"), MediumRecord)
+    again = needlefit.fit(Path("data/twin"), medium, tune=TUNE, recipe=RECIPE, name="twin-chicken", jobs=1)
+    assert (
+        fitted.kind == "fit" and fitted.run["dataset"]["name"] == "twin" and values(again) == values(fitted)
+    )
+    other = needlefit.fit("twin", "chicken", tune=TUNE, recipe=RECIPE, name="twin-chicken", seed=2)
+    assert other.run["recipe"]["seed"] == 2 and other.frames["starts"]["start"].tolist() == [0]
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch):
+    monkeypatch.setattr(prediction, "PREDICTION_DRAWS", 100)
+    assert needlefit.load_run(sampled.save(tmp_path / "run")).run == sampled.run
+    here = needlefit.predict(sampled, "chicken")
+    there = needlefit.predict(needlefit.load_run(tmp_path / "run"), find_file("scene", "chicken"), jobs=1)
+    assert here.kind == "prediction" and here.run["draw_source"] == "posterior"
+    assert list(here.frames["specimens"]["specimen_treatment"]) == ["others", "one insertion", "same"]
+    np.testing.assert_array_equal(
+        here.frames["forecast"].filter(like="_mm"), there.frames["forecast"].filter(like="_mm")
+    )
+
+
+def test_a_posterior_goes_to_xarray_and_arviz(sampled):
+    tree, data = sampled.posterior.to_xarray(), sampled.posterior.to_inference_data()
+    assert set(tree.children) == {"posterior", "sample_stats", "convergence"} == set(data.groups())
+    for k, name in enumerate(sampled.posterior.names):
+        np.testing.assert_array_equal(data.posterior[name], sampled.posterior.draws[:, :, k])
+    assert data.posterior.sizes == {"chain": 2, "draw": sampled.posterior.draws.shape[1]}
+
+
+def test_without_arviz_the_error_names_the_extra(sampled, monkeypatch):
+    monkeypatch.setitem(sys.modules, "arviz", None)
+    with pytest.raises(ConfigError) as error:
+        sampled.posterior.to_inference_data()
+    assert "needlefit[arviz]" in error.value.fix
+
+
+def test_a_run_without_a_posterior_has_none(fitted):
+    with pytest.raises(ConfigError):
+        _ = fitted.posterior
+
+
+def test_a_notebook_shows_origin_faults_and_tables(fitted, sampled):
+    html = sampled._repr_html_()
+    assert "Synthetic data" in html and "NOT CONVERGED" in html and html.count("<table>") >= 3
+    assert "<html" not in html and "<script" not in html
+    assert "<table>" in replace(fitted, interrupted=True)._repr_html_()
+    assert "&lt;b&gt;" in replace(fitted, dataset_title="<b>")._repr_html_()
+
+
+@pytest.mark.usefixtures("few_draws")
+def test_a_study_runs_by_name_record_and_table():
+    keys = {
+        "dataset": "twin",
+        "medium": "chicken",
+        "tune": TUNE,
+        "validate": [{"insertions": ["chicken-10"]}],
+    }
+    table = {"schema": 2, "recipe": "quick", **keys}
+    found = needlefit.validate(table, name="small")
+    assert found.kind == "cross_validation" and set(found.frames["errors"]["role"]) == {"tune", "validate"}
+    again = needlefit.validate(StudyRecord.model_validate(table), name="small", jobs=1)
+    assert again.frames["errors"].equals(found.frames["errors"])
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: needlefit.load_dataset("nothing"),
+        lambda: needlefit.load_run("nothing"),
+        lambda: needlefit.fit("nothing"),
+        lambda: needlefit.fit("twin", "nothing"),
+        lambda: needlefit.fit(needlefit.load_dataset("twin")),
+        lambda: needlefit.fit("twin", "chicken", tune={"layer": 3}),
+        lambda: needlefit.fit("twin", "chicken", recipe={"starts": "many"}),
+        lambda: needlefit.fit("twin", {"layers": 1}),
+        lambda: needlefit.predict("chicken", "nothing"),
+        lambda: needlefit.predict("chicken", {"depth": 1}),
+        lambda: needlefit.validate("all"),
+        lambda: needlefit.validate({"schema": 2, "kind": "nothing"}),
+        lambda: needlefit.validate({"schema": 2, "dataset": "twin"}),
+    ],
+)
+def test_wrong_input_is_a_config_error(call):
+    with pytest.raises(ConfigError):
+        call()
+
+
+def test_a_changed_dataset_is_refused(dataset):
+    one, *others = dataset.insertions
+    moved = replace(dataset, insertions=(one.with_planar(one.planar + 1.0), *others))
+    for changed in (moved, replace(dataset, insertions=(one,))):
+        with pytest.raises(ConfigError, match="not what its files hold"):
+            needlefit.fit(changed, "chicken", tune=TUNE, recipe=RECIPE)
+
+
+def test_a_run_of_other_data_is_refused(fitted):
+    other = {**fitted.run, "dataset": {**fitted.run["dataset"], "sha256": "0"}}
+    with pytest.raises(ConfigError, match="another dataset"):
+        needlefit.predict(replace(fitted, run=other), "chicken")
+
+
+def test_an_interrupted_fit_is_the_best_so_far_and_goes_on(fitted, tmp_path):
+    def interrupt(what, done, of):
+        if done:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    options = {
+        "tune": TUNE,
+        "recipe": {**RECIPE, "starts": 3, "approach": False},
+        "checkpoint": tmp_path / "keep",
+    }
+    before = signal.getsignal(signal.SIGINT)
+    part = needlefit.fit("twin", "chicken", progress=interrupt, jobs=1, **options)
+    assert part.interrupted and len(part.frames["starts"]) < 3 and "INTERRUPTED" in part._repr_html_()
+    assert signal.getsignal(signal.SIGINT) is before
+    whole = needlefit.fit("twin", "chicken", **options)
+    assert not whole.interrupted and len(whole.frames["starts"]) == 3 and not options["checkpoint"].exists()
+
+
+def test_an_interrupted_prediction_raises():
+    def interrupt(what, done, of):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    table = {"schema": 2, "recipe": "quick", "dataset": "twin", "medium": "chicken", "tune": TUNE}
+    with pytest.raises(KeyboardInterrupt):
+        needlefit.validate(
+            {**table, "validate": [{"insertions": ["chicken-10"]}]}, progress=interrupt, jobs=1
+        )
+
+
+def test_progress_is_quiet_unless_asked_for(capsys):
+    needlefit.fit("twin", "chicken", tune=TUNE, recipe=RECIPE)
+    assert capsys.readouterr() == ("", "")
+    needlefit.fit("twin", "chicken", tune=TUNE, recipe=RECIPE, progress=True)
+    out, err = capsys.readouterr()
+    assert not out and "1 of 1" in err
+
+
+def test_importing_the_package_loads_nothing_else():
+    code = "import sys, needlefit; print([m for m in sys.modules if m.startswith(('numpy', 'needlefit.'))])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,289 @@
+"""Scans as image archives export them: folders in folders, DICOMDIR, ZIP, enhanced multi-frame files."""
+
+import zipfile
+
+import numpy as np
+import pytest
+from dicom_series import COUNT, NUMBERS, STEP, a_slice, save, series
+from highdicom.legacy import LegacyConvertedEnhancedCTImage
+from pydicom import dcmread
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import (
+    EnhancedCTImageStorage,
+    ExplicitVRLittleEndian,
+    MediaStorageDirectoryStorage,
+    RLELossless,
+    generate_uid,
+)
+from reading_here import child_process_reader, read_here  # noqa: F401
+
+from needlefit.errors import DataError
+from needlefit.imaging import volume_files
+from needlefit.imaging.scan_table import scan_id
+from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume_files import read_volume, write_volume
+
+pytestmark = pytest.mark.usefixtures("read_here")
+OTHER = generate_uid(entropy_srcs=["other"])
+
+
+def refused(path, **arguments):
+    with pytest.raises(DataError) as error:
+        read_volume(path, **arguments)
+    fault = error.value
+    assert fault.what and fault.where.startswith(str(path)) and fault.expected and fault.fix
+    return fault
+
+
+def pack(path, files, method=zipfile.ZIP_DEFLATED):
+    """Write an archive of a folder, or of (name, bytes)."""
+    if not isinstance(files, list):
+        files = [(str(one.relative_to(files)), one.read_bytes()) for one in files.rglob("*") if one.is_file()]
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for name, data in files:
+            archive.writestr(name, data)
+    return path
+
+
+def other_series(count=3, **entries):
+    known = {"SeriesInstanceUID": OTHER, "SeriesNumber": 4, "Modality": "CT"} | entries
+    return [a_slice(k, NUMBERS[k] + 1, **known) for k in range(count)]
+
+
+def export(folder, **entries):
+    """A CT in two folders, a second series, a report viewer."""
+    slices = series()
+    save(folder / "DICOM" / "ST1" / "SE1", slices[:4])
+    save(folder / "DICOM" / "ST1" / "SE1b", slices[4:])
+    save(folder / "DICOM" / "ST1" / "SE2", other_series(**entries))
+    (folder / "VIEWER").mkdir()
+    (folder / "VIEWER" / "viewer.exe").write_bytes(b"MZ" * 100)
+    return folder
+
+
+def directory(folder, names, uid):
+    """Write a DICOMDIR that lists files of one series."""
+    data = Dataset()
+    data.file_meta = FileMetaDataset()
+    data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    data.file_meta.MediaStorageSOPClassUID = MediaStorageDirectoryStorage
+    data.file_meta.MediaStorageSOPInstanceUID = generate_uid(entropy_srcs=["directory"])
+    records = [Dataset()]
+    records[0].DirectoryRecordType, records[0].SeriesInstanceUID = "SERIES", uid
+    for name in names:
+        records.append(Dataset())
+        records[-1].DirectoryRecordType, records[-1].ReferencedFileID = "IMAGE", name.split("/")
+    data.DirectoryRecordSequence = records
+    data.save_as(folder / "DICOMDIR", enforce_file_format=True)
+    return folder / "DICOMDIR"
+
+
+# ---- folders in folders
+
+
+def test_the_series_of_an_export_are_listed_with_their_folders_and_one_is_read_by_its_number(tmp_path):
+    fault = refused(export(tmp_path))
+    assert "holds 2 series" in fault.what and "DICOM/ST1/SE2/" in fault.what and "--series" in fault.fix
+    assert np.array_equal(read_volume(tmp_path, "3").values, NUMBERS)
+    assert np.array_equal(read_volume(tmp_path, OTHER).values, NUMBERS[:3] + 1)
+
+
+def test_a_series_of_another_modality_is_no_candidate(tmp_path):
+    assert np.array_equal(read_volume(export(tmp_path, Modality="MR")).values, NUMBERS)
+    fault = refused(tmp_path, series="4")
+    assert "Modality is MR" in fault.what and "HU" in fault.expected
+
+
+@pytest.mark.parametrize("unit", ["OD", "MGML", "MG HA/CCM"])
+def test_values_that_are_no_hu_are_refused(tmp_path, unit):
+    fault = refused(save(tmp_path, series(RescaleType=unit)))
+    assert unit in fault.what and "micro-CT" in fault.fix
+
+
+def test_an_unspecified_unit_gives_a_warning(tmp_path):
+    (warning,) = read_volume(save(tmp_path, series(RescaleType="US"))).warnings
+    assert "RescaleType" in warning
+
+
+def test_a_directory_names_its_folder_and_files_that_are_missing(tmp_path):
+    names = [f"CT/{n:03d}" for n in range(COUNT + 2)]
+    save(tmp_path / "CT", series())
+    path = directory(tmp_path, names, series()[0].SeriesInstanceUID)
+    volume = read_volume(path)
+    assert np.array_equal(volume.values, NUMBERS)
+    (warning,) = volume.warnings
+    assert "2 images" in warning and read_volume(tmp_path).warnings == volume.warnings
+    directory(tmp_path, names[:-2], series()[0].SeriesInstanceUID)
+    assert read_volume(path).warnings == ()
+    path.write_bytes(path.read_bytes()[:300])
+    assert read_volume(path).warnings == ()
+
+
+def test_folders_too_deep_are_refused(tmp_path):
+    folder = tmp_path.joinpath(*["a"] * 40)
+    save(folder, series())
+    assert "nested" in refused(tmp_path).what
+
+
+# ---- archives
+
+
+@pytest.mark.usefixtures("child_process_reader")
+def test_an_archive_of_an_export(tmp_path):
+    path = pack(tmp_path / "scan.zip", export(tmp_path / "export"))
+    assert np.array_equal(read_volume(path, "3").values, NUMBERS)
+    assert scan_id(path) == "scan"
+    assert "export.zip" not in refused(path).what and "SE2/" in refused(path).what
+
+
+def test_an_archive_in_an_archive(tmp_path):
+    inner = pack(tmp_path / "inner.zip", save(tmp_path / "series", series())).read_bytes()
+    middle = pack(tmp_path / "middle.zip", [("a/inner.zip", inner), ("readme.txt", b"CT")]).read_bytes()
+    path = pack(tmp_path / "outer.zip", [("middle.zip", middle)])
+    assert np.array_equal(read_volume(path).values, NUMBERS)
+    deep = pack(tmp_path / "deep.zip", [("outer.zip", path.read_bytes())])
+    assert "too many" in refused(deep).what
+
+
+def test_an_archive_of_image_files(tmp_path):
+    volume = Volume(NUMBERS.astype(np.float32), np.zeros(3), np.ones(3), np.eye(3))
+    write_volume(volume, tmp_path / "a.nrrd")
+    data = (tmp_path / "a.nrrd").read_bytes()
+    path = pack(tmp_path / "one.zip", [("x/a.nrrd", data), ("__MACOSX/._a.nrrd", b"x")])
+    assert np.array_equal(read_volume(path).values, NUMBERS)
+    path = pack(tmp_path / "two.zip", [("x/a.nrrd", data), ("b.nrrd", data)])
+    assert "b.nrrd" in refused(path).what and np.array_equal(read_volume(path, "b.nrrd").values, NUMBERS)
+    dicom = save(tmp_path / "series", series())
+    files = [("a.nrrd", data), *((one.name, one.read_bytes()) for one in dicom.iterdir())]
+    path = pack(tmp_path / "both.zip", files)
+    assert "DICOM" in refused(path).what and np.array_equal(read_volume(path, "3").values, NUMBERS)
+
+
+@pytest.mark.parametrize("name", ["../x.dcm", "/etc/x.dcm", "a/../../x.dcm", "C:\\x.dcm", "a\x1b.dcm"])
+def test_an_archive_that_names_files_outside_is_refused(tmp_path, name):
+    refused(pack(tmp_path / "a.zip", [(name, b"x")]))
+    assert not (tmp_path.parent / "x.dcm").exists()
+
+
+def damaged(path, change):
+    data = bytearray(path.read_bytes())
+    change(data)
+    path.write_bytes(data)
+    return path
+
+
+def encrypt(data):
+    for mark, place in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        data[data.index(mark) + place] |= 1
+
+
+def test_damaged_and_encrypted_archives_are_refused(tmp_path):
+    files = [("a.dcm", bytes(1000))]
+    assert "damaged" in refused(damaged(pack(tmp_path / "a.zip", files), lambda data: data.clear())).what
+    assert "encrypted" in refused(damaged(pack(tmp_path / "b.zip", files), encrypt)).what
+    assert "method" in refused(pack(tmp_path / "c.zip", files, zipfile.ZIP_LZMA)).what
+    with pytest.warns(UserWarning, match="Duplicate"):
+        pack(tmp_path / "d.zip", files * 2)
+    assert "damaged" in refused(tmp_path / "d.zip").what
+    assert "empty" in refused(pack(tmp_path / "e.zip", [])).what
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(volume_files, "EXEMPT_BYTES", 2**20)
+    bomb = pack(tmp_path / "a.zip", [(f"{n}.dcm", bytes(2**20)) for n in range(3)])
+    assert "unpacks" in refused(bomb).what
+    monkeypatch.setenv("NEEDLEFIT_READ_GIB", "1")
+    assert "unpacks" not in refused(bomb).what
+
+
+# ---- enhanced multi-frame
+
+
+def whole_slices():
+    """Slices with all entries that a converter asks for."""
+    study = generate_uid(entropy_srcs=["study"])
+    about = {"StudyInstanceUID": study, "PatientID": "a", "PatientName": "a^b", "StudyID": "1"}
+    empty = dict.fromkeys(("StudyDate", "StudyTime", "AccessionNumber", "ReferringPhysicianName"), "")
+    more = dict.fromkeys(("PatientBirthDate", "PatientSex", "Manufacturer"), "")
+    return [
+        a_slice(
+            k, **about, **empty, **more, InstanceNumber=k + 1, ContentDate="20200101", ContentTime="000000"
+        )
+        for k in range(COUNT)
+    ]
+
+
+def test_a_series_converted_to_one_file_by_another_library(tmp_path):
+    uids = [generate_uid(entropy_srcs=[name]) for name in ("new series", "new file")]
+    LegacyConvertedEnhancedCTImage(whole_slices(), uids[0], 7, uids[1], 1).save_as(tmp_path / "all.dcm")
+    for path in (tmp_path / "all.dcm", tmp_path):
+        volume = read_volume(path)
+        assert np.array_equal(volume.values, NUMBERS)
+        assert volume.spacing == pytest.approx([0.4, 0.5, STEP])
+        assert volume.origin.tolist() == [-10.0, 20.0, 30.0]
+
+
+def sequence(**entries):
+    one = Dataset()
+    for name, value in entries.items():
+        setattr(one, name, value)
+    return [one]
+
+
+def enhanced(order=range(COUNT), **entries):
+    """An enhanced file whose frames stand in some order, each with a rescaling of its own."""
+    data = a_slice(0, NUMBERS[0])
+    for name in ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"):
+        delattr(data, name)
+    del data.RescaleSlope, data.RescaleIntercept
+    data.SOPClassUID = data.file_meta.MediaStorageSOPClassUID = EnhancedCTImageStorage
+    data.NumberOfFrames = COUNT
+    data.PixelData = NUMBERS[list(order)].tobytes()
+    data.SharedFunctionalGroupsSequence = sequence(
+        PixelMeasuresSequence=sequence(PixelSpacing=[0.5, 0.4]),
+        PlaneOrientationSequence=sequence(ImageOrientationPatient=[1, 0, 0, 0, 1, 0]),
+    )
+    data.PerFrameFunctionalGroupsSequence = [
+        sequence(
+            PlanePositionSequence=sequence(ImagePositionPatient=[-10, 20, 30 + STEP * k]),
+            PixelValueTransformationSequence=sequence(
+                RescaleSlope=1 + k, RescaleIntercept=-k, RescaleType="HU"
+            ),
+        )[0]
+        for k in order
+    ]
+    for name, value in entries.items():
+        setattr(data, name, value)
+    return data
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.usefixtures("child_process_reader")
+def test_frames_in_any_order_with_their_own_rescaling(tmp_path, packed):
+    data = enhanced(order=[3, 0, 5, 1, 4, 2])
+    if packed:
+        data.compress(RLELossless)
+    k = np.arange(COUNT)[:, None, None]
+    assert np.array_equal(read_volume(save(tmp_path / "a", [data])).values, NUMBERS * (1 + k) - k)
+
+
+def test_padding_of_frames(tmp_path):
+    volume = read_volume(save(tmp_path, [enhanced(PixelPaddingValue=5)]))
+    assert volume.values[0, 0, 5] == volume.values.min() == 0
+
+
+def test_faults_of_one_frame_name_it(tmp_path):
+    data = enhanced()
+    data.PerFrameFunctionalGroupsSequence[2].PlanePositionSequence[0].ImagePositionPatient = [-10, 20, 30]
+    assert "frame" in refused(save(tmp_path / "twice", [data])).what
+    data = enhanced()
+    del data.PerFrameFunctionalGroupsSequence[4].PixelValueTransformationSequence
+    fault = refused(save(tmp_path / "unit", [data]))
+    assert "no HU" in fault.what and fault.where.endswith("frame 5")
+    assert "MR" in refused(save(tmp_path / "mr", [enhanced(Modality="MR")])).what
+    assert "damaged" in refused(save(tmp_path / "count", [enhanced(NumberOfFrames=COUNT + 1)])).what
+    save(tmp_path / "short", [enhanced()])
+    file = tmp_path / "short" / "000.dcm"
+    file.write_bytes(file.read_bytes()[:-2000])
+    assert refused(tmp_path / "short").where.startswith(str(file))
+    assert dcmread(file).NumberOfFrames == COUNT

@@ -1,0 +1,264 @@
+"""Segmentations in DICOM as layers: DICOM-SEG by highdicom, RTSTRUCT contours, choice by name."""
+
+import highdicom
+import numpy as np
+import pytest
+from dicom_series import a_slice, save
+from highdicom.seg import Segmentation, SegmentDescription
+from layer_cases import labelled, save_segments
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.sr.codedict import codes
+from pydicom.uid import ExplicitVRLittleEndian, RTStructureSetStorage, generate_uid
+from reading_here import child_process_reader, read_here  # noqa: F401
+from test_imaging_exports import pack
+
+from needlefit.datasets.faults import Fault
+from needlefit.errors import DataError
+from needlefit.geometry.frames import IDENTITY_FRAME
+from needlefit.geometry.surfaces import make_cylinder
+from needlefit.geometry.voxels import fill_mesh
+from needlefit.imaging.label_surfaces import extract_label_surfaces, read_labels
+from needlefit.imaging.layers import read_layers
+from needlefit.imaging.scan import LayerSource, Scan, parse_layer_source
+from needlefit.imaging.volume import to_patient
+from needlefit.imaging.volume_files import read_mask
+
+pytestmark = pytest.mark.usefixtures("read_here")
+
+COUNT, ROWS, COLUMNS, STEP = 24, 40, 48, 1.0
+ORIGIN = (-12.0, 20.0, 30.0)
+PIXEL = (0.9, 0.8)
+
+
+def slices():
+    about = {"StudyInstanceUID": generate_uid(entropy_srcs=["study"]), "PatientID": "a", "StudyID": "1"}
+    names = ("StudyDate", "StudyTime", "AccessionNumber", "ReferringPhysicianName", "PatientName")
+    empty = dict.fromkeys((*names, "PatientBirthDate", "PatientSex", "Manufacturer"), "")
+    return [
+        a_slice(
+            k,
+            np.zeros((ROWS, COLUMNS), np.int16),
+            ImagePositionPatient=[*ORIGIN[:2], ORIGIN[2] + STEP * k],
+            PixelSpacing=list(PIXEL),
+            SliceThickness=STEP,
+            **about,
+            **empty,
+        )
+        for k in range(COUNT)
+    ]
+
+
+def boxes():
+    """Three neighbours along the columns, inside the volume: (K, J, I) masks."""
+    masks = [np.zeros((COUNT, ROWS, COLUMNS), bool) for _ in range(3)]
+    for n, mask in enumerate(masks):
+        mask[4 + n : 20, 6:34, 6 + 12 * n : 18 + 12 * n] = True
+    return masks
+
+
+def write_seg(path, masks, kind="BINARY", names=("skin", "fat", "muscle")):
+    algorithm = highdicom.AlgorithmIdentificationSequence("a", codes.DCM.ArtificialIntelligence, "1")
+    described = [
+        SegmentDescription(
+            n, name, codes.SCT.Tissue, codes.SCT.Tissue, "AUTOMATIC", algorithm_identification=algorithm
+        )
+        for n, name in enumerate(names[: len(masks)], 1)
+    ]
+    pixels = np.stack(masks, axis=-1)
+    pixels = pixels.astype(np.uint8) if kind == "BINARY" else pixels.astype(np.float64)
+    uids = [generate_uid(entropy_srcs=[name]) for name in ("seg series", "seg")]
+    about = ("a", "b", "c", "d")
+    Segmentation(slices(), pixels, kind, described, uids[0], 9, uids[1], 1, *about).save_as(path)
+    return path
+
+
+def refused(path, names=()):
+    with pytest.raises(DataError) as error:
+        read_labels(path, names)
+    assert error.value.where.startswith(str(path)) and error.value.expected and error.value.fix
+    return error.value
+
+
+# ---- DICOM-SEG
+
+
+@pytest.mark.usefixtures("child_process_reader")
+def test_segments_are_labels_where_the_scan_stands(tmp_path):
+    labels = read_labels(write_seg(tmp_path / "tissue", boxes()))  # archives use no endings
+    assert [one.name for one in labels.segments] == ["skin", "fat", "muscle"]
+    for n, mask in enumerate(boxes(), 1):
+        marked = to_patient(labels.volume, np.argwhere(labels.volume.values == n)[:, ::-1])
+        places = np.argwhere(mask)[:, ::-1] * [PIXEL[1], PIXEL[0], STEP] + ORIGIN
+        assert marked[np.lexsort(marked.T)] == pytest.approx(places[np.lexsort(places.T)], abs=1e-9)
+
+
+def test_fractional_segments_count_from_one_half(tmp_path):
+    skin, fat, _ = boxes()
+    path = write_seg(tmp_path / "s.dcm", [np.where(skin, 0.8, 0.2) * (skin | fat)], "FRACTIONAL")
+    assert np.count_nonzero(read_labels(path).volume.values) == np.count_nonzero(skin)
+
+
+def test_the_surfaces_of_segments_are_solids_in_place(tmp_path):
+    scan = Scan("a", tmp_path / "a", "m", surfaces=(LayerSource(write_seg(tmp_path / "s.dcm", boxes())),))
+    surfaces = read_layers(scan, IDENTITY_FRAME)
+    assert [(one.kind, one.into) for one in surfaces] == [("solid", 1), ("solid", 2), ("solid", 3)]
+    low = ORIGIN[0] + PIXEL[1] * (np.array([6, 18, 30]) - 0.5)
+    assert [one.mesh.bounds[0, 0] for one in surfaces] == pytest.approx(low, abs=0.05)
+    high = ORIGIN[2] + STEP * 19.5
+    assert [one.mesh.bounds[1, 2] for one in surfaces] == pytest.approx([high] * 3, abs=0.05)
+
+
+def test_segments_are_chosen_by_name_in_any_file(tmp_path):
+    path = write_seg(tmp_path / "s.dcm", boxes())
+    labels = read_labels(path, ("muscle", "Fat"))
+    assert [one.name for one in labels.segments] == ["muscle", "fat"]
+    assert "bone" in refused(path, ("bone",)).what and "skin" in refused(path, ("bone",)).expected
+    nrrd = save_segments(
+        tmp_path / "l.seg.nrrd", [labelled(lambda p: 1 + (p[:, 0] > 0))], [(1, "skin"), (2, "fat")]
+    )
+    (fat,) = extract_label_surfaces(nrrd, ("fat",))
+    assert fat.into == 1 and fat.mesh.bounds[0] @ [1, 0, 0] == pytest.approx(0, abs=0.1)
+    source = parse_layer_source("s.dcm=segments:muscle, fat", tmp_path)
+    assert source == LayerSource(path, segments=("muscle", "fat"))
+    assert isinstance(parse_layer_source("s.dcm=solid:2", tmp_path), Fault)
+
+
+def test_segments_that_overlap_are_refused(tmp_path):
+    skin, fat, _ = boxes()
+    path = write_seg(tmp_path / "s.dcm", [skin, fat | skin])
+    assert "overlap: skin, fat" in refused(path).what
+    assert len(read_labels(path, ("fat",)).segments) == 1
+
+
+def test_a_segmentation_in_an_archive_and_as_a_mask(tmp_path):
+    path = write_seg(tmp_path / "s.dcm", boxes()[:1])
+    save(tmp_path / "scan", slices())
+    files = [("a/seg", path.read_bytes()), ("a/ct", (tmp_path / "scan" / "000.dcm").read_bytes())]
+    archive = pack(tmp_path / "s.zip", files)
+    for one in (path, archive):
+        assert np.count_nonzero(read_mask(one).values) == np.count_nonzero(boxes()[0])
+        assert len(read_labels(one).segments) == 1
+    twice = pack(tmp_path / "t.zip", [*files, ("b/seg", path.read_bytes())])
+    assert "2 DICOM segmentations" in refused(twice).what
+    assert "no DICOM segmentation" in refused(tmp_path / "scan" / "000.dcm").what
+
+
+# ---- RTSTRUCT
+
+
+def circle(radius, z, centre=(0.0, 0.0), count=180):
+    angle = np.arange(count) * 2 * np.pi / count
+    x, y = radius * np.cos(angle) + centre[0], radius * np.sin(angle) + centre[1]
+    return np.column_stack([x, y, np.full(count, z)])
+
+
+def write_contours(path, regions, kinds=None, turn=None):
+    """Write regions, name -> contours; `kinds` are those of regions whose contours are not closed."""
+    data = Dataset()
+    data.file_meta = FileMetaDataset()
+    data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    data.SOPClassUID = data.file_meta.MediaStorageSOPClassUID = RTStructureSetStorage
+    data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = generate_uid(entropy_srcs=["rt"])
+    data.Modality = "RTSTRUCT"
+    data.StructureSetROISequence, data.ROIContourSequence = [], []
+    for number, (name, contours) in enumerate(regions.items(), 1):
+        listed, drawn = Dataset(), Dataset()
+        listed.ROINumber, listed.ROIName, drawn.ReferencedROINumber = number, name, number
+        drawn.ContourSequence = []
+        for points in contours:
+            one = Dataset()
+            one.ContourGeometricType = (kinds or {}).get(name, "CLOSED_PLANAR")
+            one.NumberOfContourPoints = len(points)
+            points = points if turn is None else points @ turn.T
+            one.ContourData = [f"{value:.5f}" for value in points.ravel()]
+            drawn.ContourSequence.append(one)
+        data.StructureSetROISequence.append(listed)
+        data.ROIContourSequence.append(drawn)
+    data.save_as(path, enforce_file_format=True)
+    return path
+
+
+HEIGHTS = np.arange(0.0, 40.5, 1.5)
+
+
+def cylinder(radius, low=0.0, high=40.0, centre=(0.0, 0.0)):
+    return [circle(radius, z, centre) for z in HEIGHTS if low <= z <= high]
+
+
+def turned_about(axis, angle):
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(np.array(axis) * angle).as_matrix()
+
+
+@pytest.mark.parametrize("turn", [None, turned_about([0.6, 0.0, 0.8], 0.5)])
+def test_contours_become_closed_surfaces(tmp_path, turn):
+    inner = [circle(8.0, z) for z in HEIGHTS if 9.0 <= z <= 30.0]
+    path = write_contours(tmp_path / "rt.dcm", {"Body": cylinder(20.0), "Core": inner}, turn=turn)
+    body, core = extract_label_surfaces(path)
+    for surface, radius, low, high in ((body, 20.0, 0.0, 39.0), (core, 8.0, 9.0, 30.0)):
+        points = surface.mesh.vertices if turn is None else surface.mesh.vertices @ turn
+        assert surface.mesh.is_watertight
+        middle = points[np.abs(points[:, 2] - 20) < 8]
+        assert np.linalg.norm(middle[:, :2], axis=1).mean() == pytest.approx(radius, abs=0.1)
+        assert points[:, 2].min() == pytest.approx(low - 0.75, abs=0.05)
+        assert points[:, 2].max() == pytest.approx(high + 0.75, abs=0.05)
+
+
+@pytest.mark.usefixtures("child_process_reader")
+def test_contours_within_contours_are_holes(tmp_path):
+    ring = [one for z in HEIGHTS for one in (circle(20.0, z), circle(10.0, z))]
+    values = read_labels(write_contours(tmp_path / "rt.dcm", {"Ring": ring})).volume
+    pixel = values.spacing[0] * values.spacing[1]
+    area = np.count_nonzero(values.values[5]) * pixel
+    assert area == pytest.approx(np.pi * 300, rel=0.005) and values.spacing[2] == pytest.approx(1.5)
+
+
+def test_of_regions_that_lie_in_one_another_the_inner_one_comes_later(tmp_path):
+    regions = {"Core": cylinder(8.0), "Body": cylinder(20.0), "Beside": cylinder(5.0, centre=(40.0, 0.0))}
+    path = write_contours(tmp_path / "rt.dcm", regions)
+    fault = refused(path)
+    assert "Core" in fault.what and "segments:" in fault.fix
+    labels = read_labels(path, ("Body", "Core"))
+    assert [one.name for one in labels.segments] == ["Body", "Core"]
+    regions = {"A": cylinder(10.0), "B": cylinder(10.0, centre=(10.0, 0.0))}
+    assert "overlap" in refused(write_contours(tmp_path / "o.dcm", regions)).what
+    thin = {"A": cylinder(10.0), "B": cylinder(10.0, centre=(19.9, 0.0))}  # a sliver
+    assert len(read_labels(write_contours(tmp_path / "t.dcm", thin)).segments) == 2
+
+
+def test_points_are_left_out_and_open_contours_refused(tmp_path):
+    regions = {"Body": cylinder(20.0), "Iso": [np.zeros((1, 3))]}
+    path = write_contours(tmp_path / "rt.dcm", regions, {"Iso": "POINT"})
+    assert [one.name for one in read_labels(path).segments] == ["Body"]
+    assert "Iso" in refused(path, ("Iso",)).what
+    write_contours(path, {"Body": cylinder(20.0)}, {"Body": "OPEN_PLANAR"})
+    assert "0 segments" in refused(path).what
+
+
+@pytest.mark.parametrize(
+    ("contours", "word"),
+    [
+        ([circle(9.0, 0.0)], "one plane"),
+        ([circle(9.0, z) for z in (0.0, 1.0, 2.4, 3.4)], "uneven"),
+        ([circle(9.0, 0.0), circle(9.0, 1.0) @ turned_about([1, 0, 0], 0.3)], "flat"),
+        ([circle(9.0, 0.0, count=2), circle(9.0, 1.0)], "three points"),
+        ([circle(9.0, 0.0), circle(1e6, 1.0)], "finite"),
+    ],
+)
+def test_contours_that_bound_nothing_are_refused(tmp_path, contours, word):
+    assert word in refused(write_contours(tmp_path / "rt.dcm", {"Body": contours})).what
+
+
+def test_a_damaged_file_is_refused(tmp_path):
+    data = write_contours(tmp_path / "rt.dcm", {"Body": cylinder(20.0)}).read_bytes()
+    (tmp_path / "cut.dcm").write_bytes(data[: len(data) // 2])
+    refused(tmp_path / "cut.dcm")
+
+
+def test_voxels_inside_a_closed_surface():
+    mesh = make_cylinder("c", ((20, 20, 5.2), (20, 20, 30.2)), 8.3, into=2, facets=360).mesh
+    inside = fill_mesh(mesh, (45, 40, 28))
+    assert inside.shape == (28, 40, 45) and not inside[:6].any() and inside[6:].any(axis=(1, 2)).all()
+    assert inside[10].sum() == pytest.approx(np.pi * 8.3**2, rel=0.03)
+    assert inside[10, 20, 13:28].all() and not inside[10, 20, :12].any() and not inside[10, 20, 29:].any()

@@ -1,0 +1,86 @@
+"""The spread between specimens: what is learned from some, against integrals; a new specimen."""
+
+import math
+
+import numpy as np
+import pytest
+from inference_cases import medium
+from scipy.integrate import quad
+from scipy.stats import norm, truncnorm
+
+from needlefit.inference.between_specimens import (
+    SpecimenEstimate,
+    SpecimenSpread,
+    learn_spread,
+    move_to_new_specimen,
+)
+from needlefit.inference.parameters import Parameters
+from needlefit.schemas.medium import MediumRecord
+
+PRIOR = (math.log(2.0), math.log(1.2))
+WELL_KNOWN, UNKNOWN = 1e-4, 1e4
+
+
+def parameters(**changed: object) -> Parameters:
+    return Parameters.from_record(MediumRecord.model_validate({**medium().model_dump(), **changed}))
+
+
+def one_layer() -> Parameters:
+    bounds = {"mu1_pa": {"bounds": (1e3, 1e6)}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": (1e-3, 0.5)}}
+    return parameters(layers=1, parameters=bounds)
+
+
+@pytest.mark.parametrize("gap", [0.05, 0.4, 2.0])
+def test_two_specimens_tell_of_the_spread_of_b_what_their_difference_does(gap):
+    found = learn_spread(
+        [SpecimenEstimate(np.array([11.0, b]), np.diag([UNKNOWN, WELL_KNOWN])) for b in (-2.0, gap - 2.0)],
+        one_layer(),
+        PRIOR,
+    )
+
+    def density(tau: float, power: int) -> float:
+        sd = math.sqrt(2 * (tau**2 + WELL_KNOWN))
+        return tau**power * norm.pdf(tau, scale=PRIOR[1]) * norm.pdf(gap, scale=sd)
+
+    moments = [quad(density, 0, 3, args=(power,), points=(0.05, 0.2, 0.5, 1))[0] for power in (0, 2)]
+    assert found.specimens == 2
+    assert found.rms[1] == pytest.approx(math.sqrt(moments[1] / moments[0]), rel=0.01)
+    assert found.rms[0] == pytest.approx(PRIOR[0], rel=0.01)  # of mu nothing is known
+
+
+def test_one_specimen_leaves_the_prior():
+    found = learn_spread([SpecimenEstimate(np.zeros(2), np.eye(2))], one_layer(), PRIOR)
+    assert found.rms == pytest.approx(PRIOR, rel=1e-3) and found.weights.sum() == pytest.approx(1)
+
+
+def test_a_new_specimen_has_its_own_mean_of_the_moduli_and_its_own_ratio_between_layers():
+    layers = {f"mu{n}_pa": {"bounds": (1e3, 1e9)} for n in (1, 2)} | {
+        "mu3_pa": {"tie": "mu1_pa", "spread": 1.2},
+        **{f"alpha{n}": {"fixed": 1.0} for n in (1, 2, 3)},
+        "bevel_mm": {"bounds": (1e-3, 0.5)},
+    }
+    known = parameters(layers=3, parameters=layers)
+    spread = SpecimenSpread(np.array([[0.6, 0.3]]), np.ones(1), 3)
+    tuned = known.theta({"mu1_pa": 1e5, "mu2_pa": 1e7, "mu3_pa": 2e5, "bevel_mm": 0.1})
+    moved = move_to_new_specimen(known, np.tile(tuned, (40000, 1)), spread, 2, np.random.default_rng(1))
+    at = {name: moved[:, known.free.index(name)] - tuned[known.free.index(name)] for name in known.free}
+    widen = math.sqrt(1 + 1 / 2)
+    assert np.std(at["mu1_pa"]) == pytest.approx(0.6 * widen, rel=0.02)
+    assert np.std(at["bevel_mm"]) == pytest.approx(0.3 * widen, rel=0.02)
+    assert np.corrcoef(at["mu1_pa"], at["mu2_pa"])[0, 1] == pytest.approx(0.0, abs=0.02)
+    ratio = at["mu3_pa"] - at["mu1_pa"] + math.log(2)
+    assert (np.mean(ratio), np.std(ratio)) == pytest.approx((0.0, math.log(1.2)), abs=0.01)
+
+
+def test_a_new_specimen_stays_within_the_bounds_of_its_medium():
+    known = one_layer()
+    spread = SpecimenSpread(np.array([[3.0, 1.5]]), np.ones(1), 3)
+    tuned = known.theta({"mu1_pa": 1e5, "bevel_mm": 0.4})
+    moved = move_to_new_specimen(known, np.tile(tuned, (4000, 1)), spread, 1, np.random.default_rng(1))
+    assert np.all((moved >= known.lower) & (moved <= known.upper))
+    # drawn again, not put on the bounds
+    assert len(np.unique(moved[:, 1])) == len(moved)
+    kept = truncnorm(
+        (known.lower - tuned) / [3, 1.5] / math.sqrt(2), (known.upper - tuned) / [3, 1.5] / math.sqrt(2)
+    )
+    assert np.mean(moved - tuned, axis=0) == pytest.approx(kept.mean() * [3, 1.5] * math.sqrt(2), abs=0.1)

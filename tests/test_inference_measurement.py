@@ -1,0 +1,289 @@
+"""What a measurement does to shapes: cross-sections, their file, and the likelihood of their spline."""
+
+from dataclasses import replace
+
+import needles
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from needlefit.datasets.read import check, read
+from needlefit.datasets.sections import format_sections
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.smoothing_spline import (
+    SplineSections,
+    design_matrix,
+    draw_spline,
+    fit_matrices,
+    free_end_basis,
+    make_knots,
+)
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observation import make_observation, whiten_deflections
+from needlefit.inference.problem import make_problem
+from needlefit.inference.simulated_points import read_points
+from needlefit.project.load import load
+from needlefit.project.locate import find_file
+from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.studies.kinds.calibration.measurement import simulate_measurement
+
+TRUE = {"mu1_pa": 3e5, "alpha1": 1.0, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": needles.BEVEL}
+MEDIUM = MediumRecord.model_validate(
+    {
+        "schema": 1,
+        "title": "gel",
+        "layers": 2,
+        "parameters": {
+            "mu1_pa": {"bounds": [1e3, 1e9]},
+            "alpha1": {"fixed": 1.0},
+            "mu2_pa": {"bounds": [1e3, 1e9]},
+            "alpha2": {"fixed": -1.0},
+            "bevel_mm": {"bounds": [1e-3, 0.5]},
+        },
+    }
+)
+KNOT, SIGMA = 15.0, 0.02
+
+
+def with_sections(dataset, insertion):
+    """Return an insertion measured without noise: a spline through cross-sections, with 30 mm of shaft."""
+    shape = predict(TRUE, MEDIUM, dataset.needle, insertion)
+    s = np.append(np.arange(-30.0, insertion.depth - 4, 0.5), insertion.depth)
+    q = s + 30.0
+    places = np.column_stack([read_points(insertion, shape, s), np.zeros(len(s))])
+    weights = np.where(np.arange(len(s)) % 7 == 3, 0.2, 1.0)
+    sections = SplineSections(
+        q, s, insertion.frame.to_world(places), weights, make_knots(0.0, q[-1], KNOT), SIGMA, 0.002
+    )
+    fit = fit_matrices(q, weights, sections.knots)
+    along = np.linspace(30.0, q[-1], 80)
+    smooth = design_matrix(along, sections.knots) @ fit.operator @ places
+    return replace(insertion.with_planar(smooth[:, :2]), sections=sections)
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory):
+    dataset = read(needles.build(tmp_path_factory.mktemp("needles")))
+    measured = tuple(with_sections(dataset, one) for one in dataset.insertions)
+    return replace(dataset, insertions=measured)
+
+
+def test_a_free_end_has_no_curvature():
+    knots = make_knots(0.0, 40.0, 7.5)
+    coefficients = free_end_basis(knots) @ np.random.default_rng(1).normal(size=len(knots) - 5)
+    near_end = design_matrix(np.array([39.98, 39.99, 40.0]), knots) @ coefficients
+    assert abs(np.diff(near_end, 2)[0]) / 1e-4 < 1e-2
+
+
+def test_the_fit_reproduces_splines_and_leaves_out_what_nothing_reaches():
+    knots, q = make_knots(0.0, 60.0, 7.5), np.arange(20.0, 60.1, 0.5)
+    fit = fit_matrices(q, np.ones(len(q)), knots)
+    assert 0 < fit.reached.sum() < len(knots) - 4
+    coefficients = np.random.default_rng(2).normal(size=fit.reached.sum())
+    values = design_matrix(q, knots)[:, fit.reached] @ coefficients
+    assert_allclose(fit.operator @ values, coefficients, atol=1e-9)
+
+
+def test_smoothing_moves_points_but_not_residuals(scanned):
+    one = scanned.insertions[-1]
+    stored = make_observation(scanned, one)
+    shape = predict(TRUE, MEDIUM, scanned.needle, one)
+    at_truth = whiten_deflections(stored, read_points(one, shape, stored.nodes.s[0])[:, 1])
+    assert stored.rows == len(fit_matrices(one.sections.q, one.sections.weights, one.sections.knots).spread)
+    assert stored.nodes.s[0].min() < -25
+    assert_allclose(at_truth, 0, atol=1e-6)
+    points = make_observation(scanned, one, likelihood=LikelihoodRecord(measurement="points"))
+    exact = read_points(one, shape, points.nodes.s[0])[:, 1]
+    assert np.abs(exact - points.measured[:, 1]).max() > 0.002  # what the spline rounds, mm
+
+
+def test_the_gradient_is_exact(scanned):
+    problem = make_problem(scanned, scanned.insertions[:2], MEDIUM, WeightsRecord())
+    theta = problem.parameters.theta(TRUE) + 0.05
+    value, slope = problem.gradient(theta)
+    for axis, step in zip(np.eye(3), (1e-4, 1e-4, 1e-4), strict=True):
+        difference = problem.log_posterior(theta + step * axis) - problem.log_posterior(theta - step * axis)
+        assert difference / (2 * step) == pytest.approx(slope @ axis, rel=1e-4, abs=1e-3)
+    assert value == pytest.approx(problem.log_posterior(theta), abs=1e-9)
+
+
+def test_residuals_of_simulated_measurements_have_unit_variance(scanned):
+    rng, found = np.random.default_rng(3), []
+    for one in scanned.insertions * 6:
+        again = simulate_measurement(scanned, one, TRUE, MEDIUM, rng)
+        observation = make_observation(scanned, again)
+        shape = predict(TRUE, MEDIUM, scanned.needle, again)
+        found.append(whiten_deflections(observation, read_points(again, shape, observation.nodes.s[0])[:, 1]))
+    squares = np.concatenate(found) ** 2
+    assert squares.mean() == pytest.approx(1, abs=4 * np.sqrt(2 / len(squares)))
+
+
+def test_sections_are_written_and_read(scanned, tmp_path):
+    sections = {one.id: one.sections for one in scanned.insertions}
+    folder = needles.build(tmp_path / "plain").parent
+    record = needles.record().model_copy(
+        update={"measurement": MeasurementRecord(operator="spline", sections="sections/{id}.toml")}
+    )
+    for name, some in sections.items():
+        path = folder / "sections" / f"{name}.toml"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(format_sections(some))
+    (again,) = [SplineSections(**vars(one.sections)) for one in scanned.insertions[:1]]
+    stated = load(folder / "sections/needle-1.toml", SectionsRecord)
+    assert_allclose(stated.points_mm, again.points, atol=1e-5)
+    text = (folder / "dataset.toml").read_text()
+    (folder / "dataset.toml").write_text(
+        text.replace(
+            "[media.gel]",
+            '[measurement]\noperator = "spline"\nsections = "sections/{id}.toml"\n\n[media.gel]',
+        )
+    )
+    assert check(folder) == []
+    dataset = read(folder)
+    assert dataset.measurement == record.measurement
+    assert_allclose(dataset.insertions[2].sections.s, scanned.insertions[2].sections.s, atol=1e-5)
+    before = dataset.digest
+    file = folder / "sections/needle-3.toml"
+    file.write_text(file.read_text().replace("sigma_mm = 0.02", "sigma_mm = 0.03"))
+    assert read(folder).digest != before
+    file.write_text(file.read_text().replace("q_mm = [0.0, 0.5", "q_mm = [0.5, 0.0"))
+    assert [str(file) in str(fault.where) for fault in check(folder)] == [True]
+    file.unlink()
+    with pytest.raises(DataError):
+        read(folder)
+
+
+def with_measurement(folder, text, sections=()):
+    """A dataset in `folder` with this [measurement], and such files of cross-sections."""
+    file = needles.build(folder)
+    stated = f"[measurement]\n{text}\n\n[media.gel]"
+    file.write_text(file.read_text().replace("[media.gel]", stated))
+    for name, some in sections:
+        path = file.parent / "sections" / f"{name}.toml"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(format_sections(some))
+    return file
+
+
+STORED = 'operator = "spline"\nsections = "sections/{id}.toml"'
+
+
+def test_knots_that_no_section_holds_are_refused(scanned, tmp_path):
+    pairs = [(one.id, one.sections) for one in scanned.insertions]
+    name, some = pairs[1]
+    weights = np.where(some.q > 0.6 * some.q[-1], 0.0, some.weights)
+    pairs[1] = (name, replace(some, weights=weights))
+    (fault,) = check(with_measurement(tmp_path / "n", STORED, pairs))
+    assert f"{name}.toml" in fault.where and fault.fix
+
+
+@pytest.mark.parametrize(
+    ("shift", "faults"),
+    [((0, 0, 0), 0), ((0, 0.01, 0), 0), ((0, 0.3, 0), 1), ((0, 0, 30), 1), ((0.5, 0, 0), 1)],
+)
+def test_sections_off_the_centreline_are_refused(scanned, tmp_path, shift, faults):
+    pairs = [(one.id, one.sections) for one in scanned.insertions]
+    name, some = pairs[2]
+    pairs[2] = (name, replace(some, points=some.points + np.array(shift)))
+    found = check(with_measurement(tmp_path / "n", STORED, pairs))
+    assert [f"{name}.toml" in fault.where for fault in found] == [True] * faults
+
+
+def test_the_spline_of_the_shipped_sections_is_their_centreline():
+    twin = read(find_file("dataset", "twin"))
+    for one in twin.insertions:
+        along = arc_length(one.centerline)
+        q = np.interp(along + one.sections.s[-1] - along[-1], one.sections.s, one.sections.q)
+        off = np.linalg.norm(draw_spline(one.sections, q).points - one.centerline, axis=1)
+        assert off.max() < 0.003  # 0.05 mm and more are allowed
+
+
+@pytest.mark.parametrize("spacing", [1, 2])
+def test_knots_closer_than_points_are_refused_with_the_least_spacing(tmp_path, spacing):
+    file = with_measurement(tmp_path / "n", f'operator = "spline"\nknot_spacing_mm = {spacing}')
+    folder = file.parent / "centerlines"
+    for path in folder.iterdir():  # a point every 3 mm or so
+        head, *lines = path.read_text().splitlines()
+        path.write_text("\n".join([head, *lines[:: len(lines) // 12], lines[-1]][: 1 + 14]) + "\n")
+    text = "".join(line for line in file.read_text().splitlines(True) if not line.startswith('"'))
+    file.write_text(text)
+    (fault,) = check(file)
+    assert f"{file}:" in fault.where
+    least = float(fault.expected.split()[-1])
+    file.write_text(text.replace(f"knot_spacing_mm = {spacing}", f"knot_spacing_mm = {least}"))
+    dataset = read(file)
+    assert least > spacing
+    assert all(np.isfinite(make_observation(dataset, one).whitening).all() for one in dataset.insertions)
+    file.write_text(text.replace(f"knot_spacing_mm = {spacing}", f"knot_spacing_mm = {0.8 * least}"))
+    assert len(check(file)) == 1
+
+
+@pytest.mark.parametrize("key", ["heading_sd_deg", "slope_sd_deg"])
+def test_errors_of_a_tracker_are_refused_in_a_dataset_of_shapes(tmp_path, key):
+    file = needles.build(tmp_path / "n")
+    file.write_text(file.read_text().replace(f"{key} = 0.0", f"{key} = 1.0"))
+    (fault,) = check(file)
+    assert f"{file}:" in fault.where and key in fault.what
+
+
+def test_a_gaussian_width_explains_smoothed_points(scanned):
+    one = replace(scanned.insertions[-1], sections=None)
+    shape = predict(TRUE, MEDIUM, scanned.needle, one)
+    s = np.linspace(0.0, one.depth, 90)
+    exact = read_points(one, shape, s)
+    kernel = np.gradient(s) * np.exp(-0.5 * ((s[:, None] - s) / 4.0) ** 2)
+    smoothed = one.with_planar(np.column_stack([exact[:, 0], kernel @ exact[:, 1] / kernel.sum(axis=1)]))
+    norms = {}
+    for operator in (MeasurementRecord(), MeasurementRecord(operator="gaussian", width_mm=4.0)):
+        observation = make_observation(replace(scanned, measurement=operator), smoothed)
+        white = whiten_deflections(observation, read_points(one, shape, observation.nodes.s[0])[:, 1])
+        norms[operator.operator] = float(np.linalg.norm(white))
+    assert norms["gaussian"] < 0.2 * norms["none"]
+
+
+def test_points_on_a_spline_of_stated_knots_give_its_coefficients(scanned):
+    one = replace(scanned.insertions[-1], sections=None)
+    stated = replace(scanned, measurement=MeasurementRecord(operator="spline", knot_spacing_mm=KNOT))
+    observation = make_observation(stated, one)
+    assert observation.rows == round(one.depth / KNOT) + 3
+    assert observation.whitening.shape == (observation.rows, len(one.planar))
+
+
+def test_an_unknown_bias_is_shared_by_all_insertions_of_a_fit(scanned):
+    plain = tuple(replace(one, sections=None) for one in scanned.insertions)
+    widths = {}
+    for size in (None, 0.02, 0.2):
+        measurement = (
+            MeasurementRecord(operator="unknown", bias_sd_mm=size, bias_length_mm=10.0)
+            if size
+            else MeasurementRecord()
+        )
+        stated = replace(scanned, insertions=plain, measurement=measurement)
+        problem = make_problem(stated, plain, MEDIUM, WeightsRecord())
+        slopes = problem.jacobian(problem.parameters.theta(TRUE))[1]
+        widths[size] = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    assert np.all(widths[None] < widths[0.02])
+    assert np.all(widths[0.02] < widths[0.2])
+    one = make_observation(stated, plain[0]).covariance() - make_observation(scanned, plain[0]).covariance()
+    four = make_observation(stated, plain[0], insertions=4).covariance()
+    assert_allclose(np.diag(one), 0.2**2)
+    assert_allclose(np.diag(four - make_observation(scanned, plain[0]).covariance()), 4 * 0.2**2)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"operator": "spline"},
+        {"operator": "spline", "sections": "sections/all.toml"},
+        {"operator": "spline", "sections": "sections/{id}.toml", "knot_spacing_mm": 5.0},
+        {"operator": "gaussian"},
+        {"operator": "none", "width_mm": 2.0},
+        {"operator": "unknown", "bias_sd_mm": 0.02},
+    ],
+)
+def test_incomplete_operators_are_refused(table):
+    with pytest.raises(ValueError, match=r"operator|sections"):
+        MeasurementRecord.model_validate(table)

@@ -1,0 +1,251 @@
+"""The advance by the path angle: one rule in reference, kernel, lanes, derivatives, session; it converges."""
+
+import math
+from dataclasses import replace
+
+import complex_step
+import numpy as np
+import pytest
+from mechanics_cases import random_batch, random_needle, random_rules, random_steps, random_tissue
+
+from needlefit.datasets.read import read
+from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.forward_model import make_batch, make_scene_record, predict_with_derivatives
+from needlefit.inference.parameters import Parameters
+from needlefit.mechanics import reference
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.linearize import DERIVATIVE_KINDS, linearize_steps
+from needlefit.mechanics.load import compute_loads
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.scene import Scene, simulate_scene
+from needlefit.mechanics.session import Session
+from needlefit.mechanics.simulate import simulate, simulate_steps
+from needlefit.mechanics.tissue import Tissue
+from needlefit.project.load import load
+from needlefit.project.locate import find_file
+from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle
+from needlefit.viewer.interaction.inputs import Change, apply_changes, find_changes
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[7, 13, 18])
+RULES = ModelOptions(advance="path_angle")
+
+
+def angled(steps) -> list[Step]:
+    return [replace(step, bevel=Bevel(0.0, step.bevel.side, step.bevel.offset)) for step in steps]
+
+
+def random_case(seed: int, **more):
+    rng = np.random.default_rng(seed)
+    rules = replace(random_rules(rng), advance="path_angle", **more)
+    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
+    lattice = Lattice(rng.uniform(0.05, 1.0) * rules.spacing, rules.spacing)
+    return needle, tissue, angled(random_steps(rng, 5, deepest=11.0)), rules, lattice
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_kernel_equals_reference_along_many_steps(seed: int) -> None:
+    case = random_case(seed)
+    fast, slow = simulate_steps(*case), reference.simulate_steps(*case)
+    assert fast.converged
+    for name in ("u", "slope", "constraints"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), atol=1e-7, err_msg=name)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_lanes_equal_the_scalar_kernel(seed: int) -> None:
+    batch = random_batch(np.random.default_rng(seed), 3)
+    batch = replace(
+        batch, rules=replace(batch.rules, advance="path_angle"), steps=tuple(angled(batch.steps)),
+        offset=None, cut_angle=np.array([0.02, 0.1, 0.2]),
+    )  # fmt: skip
+    (shapes,) = simulate_batches([batch], threads=1)
+    for i in range(3):
+        alone = simulate_steps(*batch.pick(i))
+        assert alone.converged == shapes.converged[i]
+        np.testing.assert_allclose(shapes.u[i], alone.u, atol=1e-7)
+
+
+def test_the_lanes_are_used() -> None:
+    """Regular elements of the linear cut: no set goes to the scalar kernel, whose iterations are others."""
+    from needlefit.mechanics.batch import Batch
+    from needlefit.mechanics.lanes import _prepare_job, _simulate_lanes
+
+    batch = Batch(NEEDLE, PHANTOM, (Step(25.0, Bevel(cut_angle=0.1)),), RULES, cut_angle=np.array([0.1, 0.2]))
+    job = _prepare_job(batch)
+    assert job.shared is not None and (job.shared.tables.regular_row[1:] >= 0).mean() > 0.8
+    assert not _simulate_lanes(job, job.shared, np.arange(2))[1].any()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 5])
+def test_jacobian_equals_complex_steps(seed: int) -> None:
+    needle, tissue, steps, rules, lattice = random_case(seed, tolerance=1e-9)
+    tissue = replace(tissue, mu=np.maximum(tissue.mu, 0.1))  # softer, rounding is larger than 1e-7
+    shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=DERIVATIVE_KINDS)
+    assert shape.converged and not found.u[:, found.names.index("offset")].any()
+    for p, name in enumerate(found.names):
+        _, u, _, points = complex_step.follow(needle, tissue, steps, rules, name, lattice)
+        largest = max(np.abs(u).max(), np.abs(points).max(), 1e-6)
+        tolerance = 1e-5 if name.startswith("alpha") else 1e-6
+        np.testing.assert_allclose(found.u[:, p], u, rtol=0, atol=tolerance * largest, err_msg=name)
+        np.testing.assert_allclose(
+            found.constraints[:, p], points, rtol=0, atol=tolerance * largest, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("seed", range(20, 26))
+def test_a_session_is_the_batch_however_its_steps_are_divided(seed: int) -> None:
+    needle, tissue, steps, rules, lattice = random_case(seed)
+    whole = simulate_steps(needle, tissue, steps, rules, lattice)
+    session = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
+    for step in steps:
+        begin = session.depth
+        for part in (0.37, 0.71):
+            session.go(replace(step, depth=begin + part * (step.depth - begin)))
+        session.go(step)
+    assert not session.failures
+    again = simulate_steps(needle, tissue, session.input_path(), rules, lattice)
+    for other in (session.now.shape, session.simulate_again().now.shape, again):
+        np.testing.assert_allclose(other.u, whole.u, atol=1e-7)
+
+
+def test_too_far_and_back_changes_nothing() -> None:
+    session = Session(NEEDLE, PHANTOM, Bevel(cut_angle=0.1), rules=RULES)
+    there = session.step(15.4).u
+    session.step(3.0)
+    np.testing.assert_allclose(session.step(-3.0).u, there, atol=1e-7)
+
+
+def test_the_points_lie_on_the_rays_of_the_rule() -> None:
+    """Second order in whole cells; first order in the first one, after a turn and after a move of a guide."""
+    moved = Controls(guides=(Guide(-20.0, 0.5),))
+    steps = (
+        Step(4.0, Bevel(cut_angle=0.1)),
+        Step(7.0, Bevel(cut_angle=0.1, side=-1)),
+        Step(9.0, Bevel(cut_angle=0.1, side=-1), moved),
+    )
+    shape = simulate_steps(NEEDLE, PHANTOM, steps, RULES)
+    y, slope = shape.constraints[:, 1], shape.tip_track[:, 1]
+    turn = np.diff(y)  # of cells 1 mm long
+    first_order = (1, 5, 8)
+    for cell in range(1, 10):
+        side, order = 1 if cell < 5 else -1, 1 if cell in first_order else 2
+        path = slope[cell - 1] + (0.5 * (slope[cell - 1] - slope[cell - 2]) if order == 2 else 0.0)
+        assert turn[cell - 1] == pytest.approx(path + side * 0.1, abs=1e-12), cell
+
+
+def test_the_cut_begins_where_the_inputs_hold_the_tip() -> None:
+    shape = simulate(NEEDLE, PHANTOM, Bevel(cut_angle=0.1), 6.0, Controls(0.4, 0.01), RULES)
+    assert (
+        shape.constraints[0, 1] == pytest.approx(shape.tip_track[0, 0]) and abs(shape.constraints[0, 1]) > 0.5
+    )
+
+
+@pytest.mark.parametrize(("k", "error"), [(0.66, 0.0007), (96.0, 0.0045)])
+def test_it_converges_with_second_order(k: float, error: float) -> None:
+    tips = [
+        simulate(
+            NEEDLE, Tissue(mu=[k / 3], alpha=[1.0]), Bevel(cut_angle=0.1), 50.0,
+            rules=ModelOptions(spacing, spacing, advance="path_angle"),
+        ).u[-1]
+        for spacing in (1.0, 0.5, 0.25, 0.125)
+    ]  # fmt: skip
+    steps = np.diff(tips)
+    np.testing.assert_allclose(np.log2(steps[:-1] / steps[1:]), 2.0, atol=0.15)
+    assert abs(tips[0] / tips[-1] - 1) < error
+
+
+@pytest.mark.parametrize(
+    ("mu", "spacing", "excess"),
+    [(20.0, 1.0, (0.108, 0.311)), (20.0, 0.5, (0.028, 0.076)), (0.2, 1.0, (0.002, 0.009))],
+)
+def test_the_curvature_of_the_tangent_rule_grows_with_depth(mu: float, spacing: float, excess) -> None:
+    """2 beta^2 b / (1 + 2 beta C_int) is its value near the entry; excess at 100 and 260 mm."""
+    needle, b = Needle.from_tube(400.0, 1.27, 80e3), 1e-4
+    shape = simulate(needle, Tissue([mu], [1.0]), Bevel(b), 300.0, rules=ModelOptions(spacing, spacing))
+    beta = (3 * mu / 4 / needle.flexural_rigidity) ** 0.25
+    x, y = shape.constraints.T
+    for at, expected in zip((100.0, 260.0), excess, strict=True):
+        near = np.abs(x - at) <= 10.0
+        curvature = 2 * np.polyfit(x[near] - at, y[near], 2)[0]
+        assert curvature / (2 * beta**2 * b / (1 + 2 * beta * spacing)) - 1 == pytest.approx(
+            expected, abs=0.001
+        )
+
+
+def test_forces_balance_on_a_linear_cut() -> None:
+    shape = simulate(NEEDLE, PHANTOM, Bevel(cut_angle=0.1), 22.3, rules=RULES)
+    loads = compute_loads(shape, PHANTOM, NEEDLE, Controls(), RULES)
+    assert sum(one.force for one in loads.all_loads) == pytest.approx(0.0, abs=1e-7)
+    assert abs(loads.base.force) > 1e-3
+
+
+@pytest.mark.parametrize(("bevel", "rules"), [(Bevel(0.1), RULES), (Bevel(cut_angle=0.1), ModelOptions())])
+def test_a_strength_of_the_other_rule_is_refused(bevel: Bevel, rules: ModelOptions) -> None:
+    with pytest.raises(ModelError, match="alone"):
+        simulate(NEEDLE, PHANTOM, bevel, 5.0, rules=rules)
+    with pytest.raises(ModelError, match="variants"):
+        ModelOptions(tangent=0.5, advance="path_angle")
+
+
+# ---- of media, scenes and the page ----
+
+
+@pytest.fixture(scope="module")
+def medium() -> MediumRecord:
+    return use_path_angle(load(find_file("medium", "phantom2"), MediumRecord))
+
+
+def test_a_medium_has_the_angle_in_the_place_of_b(medium: MediumRecord) -> None:
+    parameters = Parameters.from_record(medium)
+    assert "cut_angle_deg" in parameters.free and "bevel_mm" not in parameters.names
+    assert parameters.bounds["cut_angle_deg"] == pytest.approx((math.degrees(1e-3), math.degrees(0.5)))
+    with pytest.raises(ConfigError, match="cut_angle_deg"):
+        Parameters.from_record(medium.model_copy(update={"advance": "tangent"}))
+
+
+@pytest.mark.parametrize("stated", [{"bounds": (1.0, 89.0)}, {"fixed": 45.0}])
+def test_angles_that_are_never_simulated_are_refused(medium: MediumRecord, stated: dict[str, object]) -> None:
+    angle = ParameterRecord.model_validate(stated)
+    with pytest.raises(ConfigError) as refused:
+        Parameters.from_record(
+            medium.model_copy(update={"parameters": {**medium.parameters, "cut_angle_deg": angle}})
+        )
+    assert refused.value.key == "parameters.cut_angle_deg"
+
+
+def test_gradient_and_batch_of_a_fitted_model(medium: MediumRecord) -> None:
+    twin = read(find_file("dataset", "twin"))
+    insertion = next(one for one in twin.insertions if len(one.sequence) == 2)
+    parameters = Parameters.from_record(medium)
+    theta = 0.5 * (parameters.lower + parameters.upper)
+    s = np.linspace(1.0, insertion.depth, 7)
+
+    def predict(theta):
+        return predict_with_derivatives(
+            parameters.values(theta), parameters, medium, twin.needle, insertion, s
+        )
+
+    _, moves = predict(theta)
+    for p in range(len(theta)):
+        step = np.zeros(len(theta))
+        step[p] = 1e-5
+        slope = (predict(theta + step)[0] - predict(theta - step)[0]) / 2e-5
+        np.testing.assert_allclose(moves[:, :, p], slope, atol=1e-6 + 1e-5 * np.abs(slope).max())
+    values = parameters.values(theta)
+    (shapes,) = simulate_batches([make_batch([values, values], medium, twin.needle, insertion)])
+    scene = Scene.from_record(make_scene_record(values, medium, twin, insertion))
+    assert scene.rules.path_angle
+    np.testing.assert_allclose(simulate_scene(scene)[-1].u, shapes.u[1], atol=1e-6)
+
+
+def test_inputs_of_the_page_change_the_angle() -> None:
+    step = Step(5.0, Bevel(cut_angle=0.1))
+    wanted = apply_changes(step, [Change("cut_angle_deg", None, 4.0)], (), 0.0)
+    assert wanted.bevel.cut_angle == pytest.approx(math.radians(4.0)) and wanted.bevel.offset == 0
+    (change,) = find_changes(wanted, step, ())
+    assert change.value == pytest.approx(4.0)
+    with pytest.raises(ModelError):
+        Change("cut_angle_throughout_deg", None, 50.0)

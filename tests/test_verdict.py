@@ -1,0 +1,69 @@
+"""Verdicts of runs: status and numbers, from stored tables alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from reporting_results import study, with_predictions
+
+from needlefit.studies.report import run_to_json
+from needlefit.studies.run import Run
+from needlefit.studies.verdict import VERDICTS_KEY, Verdict, judge_run, worst_status
+
+
+def with_tip_errors(results: Run, **mm: tuple[float, float]) -> Run:
+    """Replace the tip errors of methods by mean and alternating deviation; the floor is 0.22 mm."""
+    errors = results.frames["errors"].copy()
+    for method, (mean, deviation) in mm.items():
+        rows = errors["method"] == method
+        number = pd.factorize(errors.loc[rows, "insertion"])[0]
+        errors.loc[rows, "te_mm"] = mean + deviation * np.where(number % 2, 1, -1)
+    return results.with_frames(errors=errors)
+
+
+CURVES = dict.fromkeys(("straight", "constant_curvature", "linear_curvature"), (9.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("fitted", "straight", "status"),
+    [
+        ((0.1, 0.0), (0.01, 0.0), "pass"),  # below the floor no difference is significant
+        ((0.3, 0.01), (2.0, 0.01), "pass"),
+        ((1.0, 0.01), (2.0, 0.01), "warn"),  # better than any curve, but far above the floor
+        ((1.0, 0.5), (0.99, 0.0), "warn"),  # no significant difference
+        ((2.0, 0.01), (1.0, 0.01), "fail"),
+    ],
+)
+def test_status_follows_floor_and_best_baseline(fitted, straight, status):
+    results = with_tip_errors(study(4), **{**CURVES, "fitted": fitted, "straight": straight})
+    (verdict,) = judge_run(results)
+    assert verdict.status == status
+    assert verdict.numbers["te_mm"] == pytest.approx(fitted[0], abs=fitted[1] / 8)
+    assert verdict.numbers["te_over_floor"] == pytest.approx(verdict.numbers["te_mm"] / 0.22)
+    assert (verdict.numbers["baseline"], verdict.numbers["baseline_te_mm"]) == (
+        "straight",
+        pytest.approx(straight[0], abs=straight[1] / 8),
+    )
+
+
+def test_intervals_that_cover_too_few_insertions_are_no_pass():
+    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    assert [one.status for one in judge_run(with_predictions(good))] == ["pass"]
+    missed = with_predictions(good, levels=(0.9999,))
+    assert [one.status for one in judge_run(missed)] == ["warn"]
+
+
+def test_one_verdict_for_each_group_and_in_json():
+    results = study(1)
+    verdicts = judge_run(results)
+    assert len({one.group for one in verdicts}) == len(verdicts) == 3 and results.verdicts == verdicts
+    rows = run_to_json(results)[VERDICTS_KEY]
+    assert [row["status"] for row in rows] == [one.status for one in verdicts]
+
+
+def test_what_did_not_converge_does_not_pass():
+    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    assert judge_run(replace(good, faults=("did not converge",)))[0].status == "warn"
+    assert judge_run(replace(good, interrupted=True))[0].status == "warn"
+    assert worst_status([Verdict(""), Verdict("", "fail"), Verdict("", "warn")]) == "fail"
