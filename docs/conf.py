@@ -39,6 +39,7 @@ toc_object_entries = (
     False  # the contents of a package are its modules; listing every function would be too long
 )
 html_show_sphinx = False
+smartquotes = False  # options are shown as typed: two hyphens stay two
 html_math_renderer = "mathml"
 pygments_style = "friendly"
 pygments_dark_style = "github-dark"
@@ -56,9 +57,11 @@ default_role = "name"
 nitpicky = True
 nitpick_ignore_regex = [
     # Types of others, which signatures name: without a network there is nothing to link them to.
-    ("py:.*", r"(numpy|np|scipy|pandas|xarray|matplotlib|pydantic|pydantic_core|typer)\..*"),
+    ("py:.*", r"(numpy|np|scipy|pandas|xarray|arviz|matplotlib|pydantic|pydantic_core|typer)\..*"),
     ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp|numba)\..*"),
     ("py:.*", r"(collections|contextlib|pathlib|types|typing)\..*"),
+    # Bounds in the types of keys.
+    ("py:class", r"(annotated_types\.)?(Ge|Gt|Le|Lt|MaxLen|MinLen)|FieldInfo|NoneType"),
     # What begins with an underscore has no entry, even where a signature names it.
     ("py:class", r"(needlefit\.[\w.]+\.)?_\w+"),
     # Type variables: what stands for them is the caller's.

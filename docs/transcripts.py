@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-PAGES = [HERE / "tutorial.md", *sorted((HERE / "howto").glob("*.md"))]
+PAGES = sorted((HERE / "guides").glob("*.md"))
 BLOCK = re.compile(r"(?<=^```console\n).*?(?=^```$)", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"\d+(?:\.(\d+))?")
 LEFT_OUT = "..."

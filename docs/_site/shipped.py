@@ -7,7 +7,7 @@ from pages import keep
 from sphinx.application import Sphinx
 
 from needlefit.project.locate import shipped_folder
-from needlefit.validation.analyses.kinds import ANALYSIS_KINDS
+from needlefit.studies.kind import KINDS
 
 PAGE = "reference/shipped.md"
 FOLDERS = {
@@ -40,7 +40,7 @@ def _write(app: Sphinx) -> None:
 
 
 def _page() -> Iterator[str]:
-    yield OPENING.format(kinds=", ".join(_record(kind) for kind in ANALYSIS_KINDS))
+    yield OPENING.format(kinds=", ".join(_record(kind) for kind in KINDS.names()))
     yield from ("| name | kind | question |", "|---|---|---|")
     for name, record in _files("studies"):
         yield f"| `{name}` | {_cell(record, 'kind')} | {_cell(record, 'question', 'title')} |"
@@ -51,7 +51,7 @@ def _page() -> Iterator[str]:
 
 def _record(kind: str) -> str:
     """Return a kind of study as a link to what its file holds."""
-    record = ANALYSIS_KINDS[kind].record
+    record = KINDS[kind].record
     return f"{{py:obj}}`{kind} <{record.__module__}.{record.__qualname__}>`"
 
 
