@@ -8,7 +8,7 @@ once for each step and kind of fault: killed at the step, the disk full from the
 (EIO). Afterwards the old result or the new one must stand, byte for byte, other files be as they were, and
 going on (`--resume`, or the command again) give the bytes of the first run and leave nothing behind. Figures
 and PDFs are stubs; NEEDLEFIT_FAULTS_DRAW=1 draws them. --every 5 takes every fifth fault; with --out an
-interrupted campaign goes on; --write makes the table of `docs/reliability.md`.
+interrupted campaign goes on; --write makes the table of `benchmarks/README.md`.
 """
 
 import argparse

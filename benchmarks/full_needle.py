@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from needlefit.mechanics import laws, reference
+from needlefit.mechanics import reference
 from needlefit.mechanics.control import Step
+from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import compile_tissue
 from needlefit.mechanics.tissue import Tissue
@@ -52,7 +53,7 @@ class FullNeedle:
         self.places = diagonal * 2 * self.nodes + 2 * self.element[:, None] + columns  # (Q, 10) in the bands
 
     def _read_law(self, tissue: Tissue, layer: NDArray[np.int64]) -> None:
-        coefficients, self.powers = (part[layer] for part in laws.power_terms(tissue.law, tissue.alpha))
+        coefficients, self.powers = (part[layer] for part in compile_law(tissue.law, tissue.alpha))
         self.stiffness = tissue.mu[layer, None] * coefficients  # (Q, P)
         self.thickness = tissue.thickness[layer]
         self.curvature = float(np.max(compile_tissue(tissue).curvature))

@@ -6,7 +6,7 @@ Every reader of what comes from outside (`tests/fuzzing/readers.py`) reads valid
 random. Allowed is a value or a `NeedlefitError`, within 10 s of processor time and 1 GB. An input that does
 anything else (another exception, a crash, control characters in a message) is copied to the folder of --keep,
 with what happened. The same seed gives the same mutants: `--only N` reads one of them again, and with --out
-an interrupted campaign goes on where it was. --write makes the table of `docs/reliability.md`.
+an interrupted campaign goes on where it was. --write makes the table of `benchmarks/README.md`.
 """
 
 import argparse

@@ -1,9 +1,9 @@
-"""A table of figures put into a page of the documentation, between two marks that name it."""
+"""A table of figures put into the page of the benchmarks, between two marks that name it."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parent / "README.md"
 
 
 def write_table(name: str, rows: Sequence[Sequence[str]], note: str) -> None:

@@ -39,12 +39,12 @@ if way == "sandboxed":
     kept = read(path)
 else:
     import numpy as np
-    class Results:
+    class Run:
         arrays = {}
         def new(self, name, shape, dtype):
             self.arrays[name] = np.zeros(shape, dtype)
             return self.arrays[name]
-    kept = Results()
+    kept = Run()
     if path.suffix == ".mat":
         from needlefit.datasets.formats.mat import read_variables
         read_variables(kept, str(path))

@@ -38,7 +38,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import SampleRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.validation.job import Job, Settings, prepare
+from needlefit.studies.job import Job, Settings, prepare
 
 DEFAULT = SampleRecord().moves
 POOL = 2  # processes

@@ -29,8 +29,8 @@ RULES = ModelOptions(tolerance=1e-9)
 
 
 def forward(tissue: Tissue = TISSUE, bevel: Bevel = BEVEL) -> float:
-    """Return the tip's deflection, mm."""
-    return simulate(NEEDLE, tissue, bevel, DEPTH, rules=RULES).deflection
+    """Return the deflection u of the tip, mm."""
+    return float(simulate(NEEDLE, tissue, bevel, DEPTH, rules=RULES).u[-1])
 
 
 def central_differences() -> np.ndarray:

@@ -15,7 +15,7 @@ from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import FitRecord
-from needlefit.validation.job import Settings, metric_recipe, prepare
+from needlefit.studies.job import Settings, metric_recipe, prepare
 
 
 def main(name: str, count: int, jobs: int, starts: int) -> None:

@@ -1,0 +1,160 @@
+"""Whether the moduli and the bevel offset of scanned needles are covered when no modulus is tied to another.
+
+    python benchmarks/measurement.py [--seeds 6] [--first 301] [--shipped] [--keep FOLDER] [--json]
+
+Every seed is another twin: its nine insertions across the four layers of phantom 2 are rendered as CT
+volumes and reconstructed (`needlefit twin ct`, `needlefit reconstruct`), or, with `--shipped`, are those of
+data/twin. mu1 to mu4 and b are fitted free, once with the stored cross-sections (`stored`) and once with the
+points of the centrelines (`points`), from three starts; intervals are Gauss-Newton. A row is a likelihood:
+how many of seeds x 5 parameters the 95 % intervals cover, the rms of errors over their deviations, the median
+deviation of ln mu1, and chi^2 of the residuals at the true parameters over their number.
+"""
+
+import argparse
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+
+from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.read import read
+from needlefit.imaging.assembly import assemble_dataset
+from needlefit.imaging.reconstruct import reconstruct
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.inference.problem import Problem, make_problem
+from needlefit.project.load import load
+from needlefit.project.locate import find_file
+from needlefit.project.processes import run_in_order
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.synthetic.build import describe_dataset
+from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
+from needlefit.synthetic.exposure import WHOLE_BOX_SETUP
+from needlefit.synthetic.insertion import TWIN_SEED
+from needlefit.synthetic.scans import make_recipe, render_insertion, write_layers
+from needlefit.synthetic.truth import draw_specimen
+
+MEDIUM = "phantom2"
+LIKELIHOODS = {"stored": LikelihoodRecord(), "points": LikelihoodRecord(measurement="points")}
+STARTS = (0.0, -0.7, 0.7)
+"""Of the searches, in ln of every parameter from the truth."""
+NORMAL = 1.96
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Values, errors of their logarithms and deviations (P,), and chi^2 per residual at the truth."""
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    errors: np.ndarray
+    sds: np.ndarray
+    chi2: float
+
+
+def scan_needles(folder: Path, seed: int, jobs: int) -> Dataset:
+    """Return the reconstructed four-layer insertions of the twin of `seed`, written into `folder`."""
+    if not (folder / "dataset.toml").exists():
+        plan = [one for one in list_planned_insertions() if one.medium == MEDIUM and one.layers == 4]
+        with TemporaryDirectory() as scratch:
+            write_layers(Path(scratch), plan)
+            found = list(run_in_order(partial(_scan_one, Path(scratch), seed), plan, jobs))
+            assemble_dataset(folder, found, make_recipe([WHOLE_BOX_SETUP]), describe_dataset(seed))
+    return read(folder)
+
+
+def _scan_one(folder: Path, seed: int, planned: PlannedInsertion) -> Reconstruction:
+    scanned = render_insertion(folder, planned, seed)
+    found = reconstruct(scanned.scan, make_recipe([WHOLE_BOX_SETUP]))
+    scanned.scan.volume.unlink()
+    return found
+
+
+def untie(medium: MediumRecord) -> MediumRecord:
+    """Return the medium with a modulus of its own for every layer."""
+    free = medium.parameters["mu1_pa"]
+    moduli = {f"mu{layer}_pa": free for layer in range(1, medium.layers + 1)}
+    return medium.model_copy(update={"parameters": {**medium.parameters, **moduli}})
+
+
+def true_values(seed: int) -> dict[str, float]:
+    """Return the true moduli (Pa) and bevel offset (mm) of the phantom of `seed`."""
+    specimen = draw_specimen(seed, MEDIUM, MEDIUM)
+    moduli = {f"mu{n}_pa": 1e6 * float(mu) for n, mu in enumerate(specimen.mu, start=1)}
+    return {**moduli, "bevel_mm": specimen.bevel}
+
+
+def fit(dataset: Dataset, seed: int, likelihood: LikelihoodRecord) -> Fit:
+    """Return the fit of free moduli and bevel offset to the four-layer insertions."""
+    medium = untie(load(find_file("medium", MEDIUM), MediumRecord))
+    insertions = [one for one in dataset.insertions if one.medium == MEDIUM and one.layers == 4]
+    problem = make_problem(dataset, insertions, medium, WeightsRecord(), likelihood)
+    truth = problem.parameters.theta(true_values(seed))
+    theta = min((_descend(problem, truth + start) for start in STARTS), key=lambda end: end[0])[1]
+    slopes = problem.jacobian(theta)[1]
+    sds = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    residuals = problem.residuals(truth)
+    return Fit(problem.names, np.exp(theta), theta - truth, sds, float(np.mean(residuals**2)))
+
+
+def _descend(problem: Problem, start: np.ndarray) -> tuple[float, np.ndarray]:
+    bounds = (problem.lower, problem.upper)
+    start = np.clip(start, *bounds)
+    found = least_squares(problem.residuals, start, lambda at: problem.jacobian(at)[1], bounds=bounds)
+    return float(found.cost), found.x
+
+
+def tabulate(fits: dict[str, list[Fit]]) -> pd.DataFrame:
+    """Return a row for every likelihood."""
+    rows = []
+    for name, some in fits.items():
+        z = np.array([one.errors / one.sds for one in some])
+        mu1 = [one.sds[0] for one in some]
+        row = {"likelihood": name, "sets": len(some), "covered": int(np.sum(np.abs(z) < NORMAL))}
+        row |= {"of": z.size, "rms_z": np.sqrt(np.mean(z**2)), "sd_ln_mu1": np.median(mu1)}
+        rows.append(row | {"chi2": np.mean([one.chi2 for one in some])})
+    return pd.DataFrame(rows)
+
+
+def describe(one: Fit) -> str:
+    """Return every parameter with its 95 % interval, in Pa and mm."""
+    low, high = one.values * np.exp(-NORMAL * one.sds), one.values * np.exp(NORMAL * one.sds)
+    triples = zip(one.names, one.values, low, high, one.errors / one.sds, strict=True)
+    return "  ".join(f"{name} {at:.3g} [{a:.3g}, {b:.3g}] z {z:+.1f}" for name, at, a, b, z in triples)
+
+
+def main() -> None:
+    """Scan, fit, compare, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=6)
+    parser.add_argument("--first", type=int, default=301)
+    parser.add_argument("--shipped", action="store_true")
+    parser.add_argument("--keep", type=Path, help="write the datasets here, and take what is there already")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    fits: dict[str, list[Fit]] = {name: [] for name in LIKELIHOODS}
+    with TemporaryDirectory() as scratch:
+        home = arguments.keep or Path(scratch)
+        seeds = range(arguments.first, arguments.first + arguments.seeds)
+        for seed in [TWIN_SEED] if arguments.shipped else seeds:
+            shipped = arguments.shipped
+            dataset = (
+                read(find_file("dataset", "twin"))
+                if shipped
+                else scan_needles(home / str(seed), seed, arguments.jobs)
+            )
+            for name, likelihood in LIKELIHOODS.items():
+                fits[name].append(fit(dataset, seed, likelihood))
+                if not arguments.json:
+                    print(seed, name, describe(fits[name][-1]), flush=True)
+    table = tabulate(fits)
+    print(table.to_json(orient="records") if arguments.json else table.round(3).to_string(index=False))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,214 @@
+"""How `needlefit reconstruct` does on volumes of a renderer whose model it does not share.
+
+    python benchmarks/real_scanners.py --cache FOLDER [--part tuning] [--volumes N] [--jobs 1] [--out FILE]
+
+A fixed fraction of a factorial (`real_scanner_scenes.py`): kernel x needle along, oblique or in the slices x
+voxels x material, size and number of the balls x range of HU x accessories x beam x dose. Constants are tuned
+on the part `tuning`; the part `apart` is for what is reported afterwards. Every volume is reconstructed and
+checked as the program does. A row is `wrong` if tip, entry, inserted length, registration or a crossing is
+off by more than 1 mm. Rendered volumes stay in the folder `--cache`, so that a run can be continued.
+
+Errors in mm: `axis` mean distance of the needle's points from the true axis; `tip_along` (negative: short)
+and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true entry and tip, the larger;
+`crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is the error of the
+bevel's side.
+"""
+
+import argparse
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from real_scanner_scenes import (
+    BEVEL_DEG,
+    FACTORS,
+    KNOWN_SD_MM,
+    NEEDLE_LENGTH_MM,
+    NEEDLE_MM,
+    Case,
+    Row,
+    make_case,
+    read_design,
+    render_cached,
+)
+from scipy.spatial import cKDTree
+
+from needlefit.errors import NeedlefitError
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.surfaces import make_sheet, write_surface
+from needlefit.imaging.assembly import DatasetDescription, assemble_checked
+from needlefit.imaging.batch import ReconstructionFailure, try_reconstruct
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.project.processes import run_in_processes
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.synthetic.metal import densify
+
+Floats = NDArray[np.float64]
+
+WRONG_MM = 1.0
+ERRORS = ("tip_along", "tip_across", "entry", "length", "tre", "crossing")
+
+
+def make_recipe(row: Row) -> ReconstructionRecord:
+    """Return the recipe that a careful user would write: needle and balls as they are."""
+    return ReconstructionRecord.model_validate(
+        {
+            "schema": 2,
+            "needle": {"length_mm": NEEDLE_LENGTH_MM, "diameter_mm": NEEDLE_MM, "bevel_deg": BEVEL_DEG},
+            "markers": {"diameter_mm": float(row.levels["ball_mm"]), "reference_sd_mm": KNOWN_SD_MM},
+        }
+    )
+
+
+def write_scan(case: Case, volume: Path, folder: Path) -> Scan:
+    """Write the markers and layers of a case into `folder`; return its scan."""
+    markers = folder / "markers.csv"
+    lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.6f}" for x in place) for place in case.known)]
+    markers.write_text("\n".join(lines) + "\n")
+    sources = []
+    for n, x in enumerate(case.interfaces, start=2):
+        path = folder / f"layer{n}.stl"
+        write_surface(make_sheet(f"layer{n}", (float(x), 0, 0), (1, 0, 0), 60.0, into=n), path)
+        sources.append(LayerSource(path, "sheet", n))
+    return Scan(
+        id=case.row.name,
+        volume=volume,
+        medium="gel",
+        markers=markers,
+        surfaces=tuple(sources),
+        origin="synthetic",
+    )
+
+
+def score(row: Row, cache: Path) -> dict[str, object]:
+    """Render, reconstruct and check the volume of a row; return its line of the table."""
+    start = time.process_time()
+    case = make_case(row)
+    volume = render_cached(case, cache)
+    rendered = time.process_time()
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        found = _reconstruct_checked(write_scan(case, volume, folder), make_recipe(row), folder)
+    line: dict[str, object] = {"id": row.name, **row.levels}
+    line |= {"render_s": rendered - start, "seconds": time.process_time() - rendered}
+    if isinstance(found, NeedlefitError):
+        where = "" if str(volume) in found.where or temporary in found.where else found.where
+        return (
+            line
+            | {"written": False, "wrong": False, "error": type(found).__name__}
+            | {
+                "where": where,
+                "what": found.what,
+            }
+        )
+    return line | {"written": True} | _measure_errors(found, case)
+
+
+def _reconstruct_checked(
+    scan: Scan, recipe: ReconstructionRecord, folder: Path
+) -> Reconstruction | NeedlefitError:
+    found = try_reconstruct(scan, recipe)
+    if isinstance(found, ReconstructionFailure):
+        return found.error
+    _, refused = assemble_checked(folder / "dataset", [found], recipe, DatasetDescription("benchmark"))
+    return refused[0].error if refused else found
+
+
+def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
+    axis = densify(case.axis)
+    tangent = (axis[-1] - axis[-20]) / np.linalg.norm(axis[-1] - axis[-20])
+    # in the world as it lies in the scan: the registration's error is another column
+    local = case.world.to_local(one.needle_axis.points)
+    miss = case.world.to_local(one.needle_axis.tip[None])[0] - axis[-1]
+    along = float(miss @ tangent)
+    across = float(np.linalg.norm(miss - along * tangent))
+    inside = axis[axis[:, 0] >= 0]
+    true_length = float(arc_length(inside)[-1])
+    marked = np.array([inside[0], axis[-1]])
+    moved = one.patient.to_world(case.world.to_world(marked)) - marked
+    entry = float(one.pose.origin[0])
+    bevel = case.world.rotation.T @ one.needle_axis.bevel
+    angle = np.degrees(np.arccos(np.clip(bevel @ case.bevel / np.linalg.norm(bevel), -1, 1)))
+    crossed = np.array([[np.interp(x, axis[:, 0], axis[:, n]) for n in range(3)] for x in case.interfaces])
+    same = len(one.layers.points) == len(crossed)
+    crossings = np.linalg.norm(one.layers.points - crossed, axis=1) if same else np.array([np.nan])
+    errors: dict[str, object] = {
+        "axis": float(_off_axis(local, axis).mean()),
+        "tip_along": along,
+        "tip_along_sd": float(one.needle_axis.tip_sd[0]),
+        "tip_across": across,
+        "tip_across_sd": float(one.needle_axis.tip_sd[1]),
+        "entry": entry,
+        "entry_sd": one.pose.along_sd,
+        "length": one.depth - true_length,
+        "length_sd": one.depth_sd,
+        "tre": float(np.linalg.norm(moved, axis=1).max()),
+        "tre_predicted": float(np.max(one.target_error)),
+        "crossing": float(crossings.max()),
+        "bevel_deg": float(angle),
+        "warnings": len(one.warnings),
+        "what": " | ".join(one.warnings),
+    }
+    off = [name for name in ERRORS if not abs(float(str(errors[name]))) <= WRONG_MM]
+    return errors | {"wrong": bool(off), "where": " ".join(off)}
+
+
+def _off_axis(points: Floats, axis: Floats) -> Floats:
+    """Return how far points (N, 3) lie from the line of `axis` (M, 3), mm."""
+    ways = np.gradient(axis, axis=0)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    nearest = cKDTree(axis).query(points)[1]
+    away = points - axis[nearest]
+    aside: Floats = np.linalg.norm(
+        away - np.einsum("ni,ni->n", away, ways[nearest])[:, None] * ways[nearest], axis=1
+    )
+    return aside
+
+
+def summarize(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return a line for all volumes and one for every level of every factor."""
+    groups = [("all", "", rows)]
+    groups += [(factor, str(level), part) for factor in FACTORS for level, part in rows.groupby(factor)]
+    lines = []
+    for factor, level, part in groups:
+        done = part[part["written"]]
+        line: dict[str, object] = {"factor": factor, "level": level, "n": len(part)}
+        line |= {"refused": len(part) - len(done), "wrong": int(part["wrong"].sum())}
+        for name in ("axis", "tip_along", "tip_across", "entry", "length", "tre", "crossing", "bevel_deg"):
+            line[name] = done[name].abs().median() if len(done) and name in done else np.nan
+        for name in ("tip_along", "length"):
+            if len(done) and name in done:
+                line[f"in_1sd_{name}"] = (done[name].abs() <= done[f"{name}_sd"]).mean()
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def main() -> None:
+    """Run the design's rows and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cache", type=Path, required=True, help="folder of the rendered volumes")
+    parser.add_argument("--part", choices=("tuning", "apart", "all"), default="tuning")
+    parser.add_argument("--volumes", type=int, help="only the first so many")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="write every volume's line to this CSV")
+    arguments = parser.parse_args()
+    design = read_design(arguments.part)[: arguments.volumes]
+    lines: list[dict[str, object]] = []
+    for _, line in run_in_processes(partial(score, cache=arguments.cache), design, arguments.jobs):
+        lines.append(line)
+        print(f"{line['id']} written {line['written']} {line['where']}: {line['what']}", file=sys.stderr)
+        if arguments.out:
+            pd.DataFrame(lines).sort_values("id").to_csv(arguments.out, index=False)
+    rows = pd.DataFrame(lines).sort_values("id")
+    print(summarize(rows).to_string(index=False, float_format=lambda x: f"{x:.3f}", na_rep=""))
+    print("medians of absolute errors, mm, of the volumes written; in_1sd: part within one stated deviation")
+
+
+if __name__ == "__main__":
+    main()
