@@ -156,9 +156,9 @@ class Stub:
         return dataclasses.replace(study(1), name=name, record=record)
 
 
-async def steer(trials, port, ready, until):
+async def steer(page, port, ready, until):
     """Stand for the server: one needle is steered by one step."""
-    trial = trials.open("a")
+    trial = page.trials.open("a")
     trial.act([Change("depth_mm", None, 10.0)])
 
 

@@ -20,6 +20,7 @@ from needlefit.viewer.serving.connections import (
 )
 from needlefit.viewer.serving.messages import read_message as read_message
 from needlefit.viewer.serving.server import serve
+from needlefit.viewer.serving.steering_page import SteeringPage
 from needlefit.viewer.serving.trials import MAX_TRIALS, TrialRegistry
 
 
@@ -66,7 +67,7 @@ async def house(folder, name: str = "study2"):
     trials = TrialRegistry(viewed_scene, folder, lambda insertion: open_target(viewed_scene.name, insertion))
     opened: asyncio.Future = asyncio.get_running_loop().create_future()
     end = asyncio.Event()
-    server = asyncio.create_task(serve(trials, 0, opened.set_result, end.wait))
+    server = asyncio.create_task(serve(SteeringPage(trials), 0, opened.set_result, end.wait))
     async with aiohttp.ClientSession() as client:
         yield House(await opened, client, trials)
     end.set()

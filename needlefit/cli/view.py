@@ -13,10 +13,12 @@ from needlefit.cli import options, screen
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import complete_view_targets
 from needlefit.cli.screen import print_warnings
+from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.project.outputs import require_writable
 
 if TYPE_CHECKING:
     from needlefit.viewer.serving.connections import AccessControl
+    from needlefit.viewer.serving.server import ServedPage
     from needlefit.viewer.serving.trials import TrialRegistry
     from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -26,10 +28,11 @@ def view(
     target: Annotated[
         str | None,
         typer.Argument(
-            metavar="SCENE | RUN[/ID] | DATASET/ID",
+            metavar="SCENE | RUN[/ID] | DATASET/ID | SCAN",
             autocompletion=complete_view_targets,
             show_default=False,
-            help="What to steer: a scene; a run's fit of an insertion, with its band; a measured insertion.",
+            help="What to steer: a scene; a run's fit of an insertion, with its band; a measured insertion. "
+            "Or a scan to examine: a volume, or TABLE.csv[/ID] with a table of scans.",
         ),
     ] = None,
     recording: Annotated[
@@ -40,6 +43,15 @@ def view(
         Literal["new", "same"],
         typer.Option(help="Whether a run's band takes specimens not tuned on for other ones."),
     ] = "new",
+    markers: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Of a scan: known places of its markers.")
+    ] = None,
+    layers: Annotated[
+        list[str] | None, typer.Option(metavar="FILE", help="Of a scan: a surface, or a segmentation.")
+    ] = None,
+    recipe: Annotated[
+        str, typer.Option(metavar="RECIPE", help="Of a scan: configs/reconstruction, or a path.")
+    ] = "default",
     port: Annotated[
         int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: one that is free).")
     ] = 0,
@@ -50,20 +62,60 @@ def view(
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Steer a needle by hand, in real time, in the browser.
+    """Steer a needle by hand, or examine and correct a scan, in the browser.
 
-    The page is served to this machine alone. Everything done there is recorded to OUT/view/, a CSV for each
-    needle, as it happens; `needlefit simulate --recording LOG` replays it. Ctrl-C ends.
+    The page is served to this machine alone. What is steered is recorded to OUT/view/, a CSV for each needle,
+    as it happens; `needlefit simulate --recording LOG` replays it. Of a SCAN the page shows what
+    `needlefit reconstruct` finds; corrections are saved to OUT/scans/ as a table of scans. Ctrl-C ends.
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
-    import asyncio  # here, since every `--help` would wait for it
-    import webbrowser
-
+    if recording is None and target is not None and names_scan(target):
+        _examine(target, markers, layers or [], recipe, out / "scans", port, browser)
+        return
+    if markers is not None or layers:
+        raise typer.BadParameter("only a scan has markers and layers", param_hint="--markers, --layers")
     require_writable(out / "view")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
     trials = _trials(context.find_root().obj, target, recording, out / "view", specimen)
+    from needlefit.viewer.serving.steering_page import SteeringPage
+
+    _serve(serve, SteeringPage(trials), port, browser)
+    for path in trials.written():
+        screen.print_line(f"recorded: {path}")
+        screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
+
+
+def _examine(
+    target: str,
+    markers: Path | None,
+    layers: list[str],
+    recipe: str,
+    folder: Path,
+    port: int,
+    browser: bool,
+) -> None:
+    """Serve the page of a scan."""
+    require_writable(folder)
+    serve = _server()
+    screen.print_note(f"needlefit: examining {target}")
+    session = open_session(target, markers, layers, recipe, folder)
+    from needlefit.viewer.serving.scan_page import ScanPage
+
+    _serve(serve, ScanPage(session), port, browser)
+    if session.corrections.any:
+        path = session.save()
+        screen.print_line(f"corrected: {path}")
+        screen.print_note(f"reconstruct it: {session.command(path)}")
+
+
+def _serve(
+    serve: Callable[..., "Coroutine[None, None, None]"], page: "ServedPage", port: int, browser: bool
+) -> None:
+    """Serve a page until Ctrl-C."""
+    import asyncio  # here, since every `--help` would wait for it
+    import webbrowser
 
     def ready(access: "AccessControl") -> None:
         screen.print_line(access.address)
@@ -71,10 +123,7 @@ def view(
         if browser:  # some browsers hold up whoever calls them
             threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
 
-    asyncio.run(serve(trials, port, ready, _until_stopped))
-    for path in trials.written():
-        screen.print_line(f"recorded: {path}")
-        screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
+    asyncio.run(serve(page, port, ready, _until_stopped))
 
 
 def _server() -> Callable[..., "Coroutine[None, None, None]"]:
@@ -87,7 +136,7 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
         from needlefit.errors import ConfigError
 
         raise ConfigError(
-            "the interactive simulation needs aiohttp, which is not installed",
+            "the page needs aiohttp, which is not installed",
             fix="pip install 'needlefit[view]'",
         ) from None
     return serve

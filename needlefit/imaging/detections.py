@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
@@ -55,16 +55,16 @@ class Detections:
 
 def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detections:
     """Detect needle and markers in a volume."""
-    needle = _find_needle(volume, scan, recipe)
-    needle_axis = trace_needle(volume, needle, recipe)
-    markers = _find_markers(volume, needle, scan, recipe)
+    needle = find_needle(volume, scan, recipe)
+    needle_axis = trace_needle(volume, needle, recipe, scan.tip)
+    markers = find_scan_markers(volume, needle.voxels, scan, recipe)
     registration = None
     if markers is not None and scan.markers is not None:
-        registration = _register_markers(markers, scan.markers, recipe)
-    return Detections(needle_axis, markers, registration, _sample_needle_profile(volume, needle_axis.points))
+        registration = register_scan(markers, scan.markers, recipe)
+    return Detections(needle_axis, markers, registration, sample_needle_profile(volume, needle_axis.points))
 
 
-def _register_markers(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:
+def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:
     """Return the registration of the markers on those of the file `known`; its faults name it."""
     places = read_markers(known)
     try:
@@ -73,7 +73,7 @@ def _register_markers(markers: MarkerResult, known: Path, recipe: Reconstruction
         raise (error.at(str(known)) if error.where == KNOWN_SET else error) from None
 
 
-def _sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
+def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     """Return the brightness along the needle (N, 3), LPS, and on beyond its tip."""
     # over four stations: the last step alone is too noisy a direction
     ahead = needle[-1] - needle[-5]
@@ -83,7 +83,8 @@ def _sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     return sample_profile(volume, points, arc_length(points))
 
 
-def _find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
+def find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
+    """Return the needle: of the scan's mask where there is one, else the tube that is found."""
     return (
         segment_needle(volume, recipe)
         if scan.mask is None
@@ -91,14 +92,14 @@ def _find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Co
     )
 
 
-def _find_markers(
-    volume: Volume, needle: Component, scan: Scan, recipe: ReconstructionRecord
+def find_scan_markers(
+    volume: Volume, needle: Ints | None, scan: Scan, recipe: ReconstructionRecord
 ) -> MarkerResult | None:
-    """Return the markers, placed by hand or found; None where the world needs none."""
+    """Return the markers, placed by hand or found beside the needle (N, 3); None: none are needed."""
     if scan.fiducials is not None:
         given = read_fiducials(scan.fiducials, recipe)
         try:
-            return refine_fiducials(given, volume, recipe, needle.voxels)
+            return refine_fiducials(given, volume, recipe, needle)
         except DataError as error:
             raise error.at(str(scan.fiducials)) from None
-    return None if scan.markers is None else find_markers(volume, recipe, needle.voxels)
+    return None if scan.markers is None else find_markers(volume, recipe, needle)

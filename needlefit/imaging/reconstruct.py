@@ -23,7 +23,7 @@ from needlefit.imaging.reconstruction_checks import (
     refuse_tunnels,
 )
 from needlefit.imaging.registration.register import predict_mean_target_error
-from needlefit.imaging.scan import BEVEL_FIX, Scan
+from needlefit.imaging.scan import BEVEL_FIX, CONTACT_COLUMNS, Scan
 from needlefit.imaging.views import render_views
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.imaging.volume_files import read_volume
@@ -75,8 +75,11 @@ def _locate_tissue(
 ) -> tuple[float, float]:
     """Return where along the whole needle the tissue begins, and how sure that is, mm.
 
-    The tissue's own surface says it where there is one, else the change of brightness around the needle.
+    A first contact placed by hand says it, else the tissue's own surface where there is one, else the
+    change of brightness around the needle.
     """
+    if scan.contact is not None:
+        return _project_contact(detections, scan.contact), recipe.entry.placed_contact_sd_mm
     outer = [surface for surface in surfaces if surface.into == 1]
     hits = (
         np.concatenate([find_surface_hits(detections.world, surface) for surface in outer])
@@ -97,6 +100,22 @@ def _locate_tissue(
             "layers, as FILE=sheet:1 or FILE=solid:1",
         )
     return edge
+
+
+def _project_contact(detections: Detections, contact: Floats) -> float:
+    """Return where along the needle a first contact placed by hand (3,), LPS, lies, mm."""
+    points = detections.needle_axis.points
+    s = arc_length(points)
+    fine = np.arange(0.0, s[-1], 0.05)
+    away = np.linalg.norm(interpolate_at_arc(points, fine) - contact, axis=1)
+    if away.min() > entry.MAX_ENTRY_DISTANCE_MM:
+        raise DataError(
+            f"the first contact that was placed lies {away.min():.1f} mm beside the needle",
+            where=", ".join(CONTACT_COLUMNS),
+            expected=f"a point within {entry.MAX_ENTRY_DISTANCE_MM:g} mm of it, LPS",
+            fix="place it on the needle; RAS has x and y of the other sign",
+        )
+    return float(fine[np.argmin(away)])
 
 
 def _refuse_distant_surface(at: float, edge: tuple[float, float] | None, scan: Scan) -> None:

@@ -36,6 +36,7 @@ def collect_warnings(one: Reconstruction) -> tuple[str, ...]:
     return (
         *found,
         *_registration_warnings(one),
+        *_placed_warnings(one),
         *_entry_warnings(one),
         *_plane_warnings(one),
         *_layer_warnings(one),
@@ -50,6 +51,13 @@ def _registration_warnings(one: Reconstruction) -> list[str]:
         f"the markers miss their places by {known.fre:.2f} mm, {known.expected_fre:.2f} were expected "
         f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
     ]
+
+
+def _placed_warnings(one: Reconstruction) -> list[str]:
+    scan = one.scan
+    placed = {"the tip": scan.tip is not None, "the first contact": scan.contact is not None}
+    by_hand = [name for name, given in placed.items() if given]
+    return [f"placed by hand in the scan: {' and '.join(by_hand)}"] if by_hand else []
 
 
 def _entry_warnings(one: Reconstruction) -> list[str]:

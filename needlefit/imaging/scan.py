@@ -63,6 +63,12 @@ class LayerSource:
     into: int | None = None
     segments: tuple[str, ...] = ()
 
+    def name_file(self, file: str) -> str:
+        """Return the source as a table of scans states it, with `file` for its path."""
+        if self.segments:
+            return f"{file}=segments:{','.join(self.segments)}"
+        return file if self.kind is None else f"{file}={self.kind}:{self.into}"
+
     @property
     def is_segmentation(self) -> bool:
         """Whether the file holds a segmentation rather than triangles: anything but a mesh."""
@@ -97,6 +103,9 @@ class Scan:
         Layers that were met, where somebody counted them; None: as many as are found.
     guide_distance : float or None
         As in `insertions.csv`, mm.
+    contact, tip : (3,) array or None
+        Where the needle enters the tissue, and where it ends, placed by hand in the scan, LPS, mm; None: they
+        are looked for.
     origin : str
         "measured" or "synthetic".
     """
@@ -117,6 +126,8 @@ class Scan:
     layers: int | None = None
     layers_alternative: int | None = None
     guide_distance: float | None = None
+    contact: Floats | None = None
+    tip: Floats | None = None
     origin: Literal["measured", "synthetic"] = "measured"
 
     @property
@@ -128,7 +139,14 @@ class Scan:
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
 COUNT_COLUMNS = ("layers", "layers_alternative")
-NUMBER_COLUMNS = (*STAGE_COLUMNS, *BEVEL_COLUMNS, "bevel_side", *COUNT_COLUMNS, "guide_distance_mm")
+CONTACT_COLUMNS = ("contact_x_mm", "contact_y_mm", "contact_z_mm")
+TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
+PLACED_COLUMNS = (*CONTACT_COLUMNS, *TIP_COLUMNS)
+"""Points placed by hand in the scan, LPS."""
+NUMBER_COLUMNS = (
+    *(*STAGE_COLUMNS, *BEVEL_COLUMNS, "bevel_side", *COUNT_COLUMNS),
+    *("guide_distance_mm", *PLACED_COLUMNS),
+)
 """Columns of numbers."""
 
 SCAN_COLUMNS = (
@@ -243,8 +261,15 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         layers=_parse_count(number["layers"]),
         layers_alternative=_parse_count(number["layers_alternative"]),
         guide_distance=None if math.isnan(number["guide_distance_mm"]) else number["guide_distance_mm"],
+        contact=_parse_point(row, CONTACT_COLUMNS),
+        tip=_parse_point(row, TIP_COLUMNS),
         origin="synthetic" if text["origin"] == "synthetic" else "measured",
     )
+
+
+def _parse_point(row: ScanRow, names: tuple[str, ...]) -> Floats | None:
+    point = row.vector(names)
+    return None if np.isnan(point).any() else point
 
 
 def _parse_stage(row: ScanRow) -> StagePose | None:
@@ -318,7 +343,7 @@ def _relative_path_fix(row: ScanRow) -> str:
 
 
 def _stage_faults(row: ScanRow) -> Iterator[Fault]:
-    for names in (STAGE_COLUMNS, BEVEL_COLUMNS):
+    for names in (STAGE_COLUMNS, BEVEL_COLUMNS, CONTACT_COLUMNS, TIP_COLUMNS):
         empty = [name for name in names if math.isnan(row.number[name])]
         if empty and len(empty) < len(names):
             fix = "fill these, or empty the others"

@@ -1,6 +1,8 @@
-"""Read which scans to reconstruct: from a table, or from volumes named one by one."""
+"""Read which scans to reconstruct, from a table or from volumes named one by one; write such a table."""
 
+import csv
 import difflib
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,13 +10,17 @@ from typing import Literal
 
 import numpy as np
 
-from needlefit.datasets.columns import make_id
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import BEVEL_COLUMNS, make_id
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers, read_table
 from needlefit.imaging.scan import (
+    CONTACT_COLUMNS,
     NUMBER_COLUMNS,
     SCAN_COLUMNS,
     SCANS_DOCUMENT,
+    STAGE_COLUMNS,
+    TIP_COLUMNS,
     Scan,
     ScanRow,
     build_scan,
@@ -195,3 +201,39 @@ def _repeated_id_faults(ids: Iterable[str], places: Iterable[str]) -> Iterator[F
                 "give each an id of its own in a table of scans",
             )
         first.setdefault(id_, place)
+
+
+def write_scan_table(scan: Scan, path: Path) -> None:
+    """Write a table of one scan, from which `read_scans` reads the same; paths are relative to its folder."""
+    folder = path.parent
+    row = {"id": scan.id, "scan": _relative(scan.volume, folder), "medium": scan.medium}
+    row |= {"specimen": scan.specimen, "series": scan.series or "", "surfaces_in": scan.surfaces_in}
+    for name, named in (("mask", scan.mask), ("markers", scan.markers), ("fiducials", scan.fiducials)):
+        row[name] = "" if named is None else _relative(named, folder)
+    row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
+    stage = scan.stage
+    if stage is not None:
+        values = [*stage.entry, *stage.direction, stage.shift_sd, np.degrees(stage.angle_sd)]
+        row |= _format_numbers(STAGE_COLUMNS, values)
+    for names, point in (
+        (BEVEL_COLUMNS, scan.bevel),
+        (CONTACT_COLUMNS, scan.contact),
+        (TIP_COLUMNS, scan.tip),
+    ):
+        row |= {} if point is None else _format_numbers(names, point)
+    row |= {"bevel_side": str(scan.side), "origin": scan.origin}
+    counts = {"layers": scan.layers, "layers_alternative": scan.layers_alternative}
+    row |= {name: "" if count is None else str(count) for name, count in counts.items()}
+    row["guide_distance_mm"] = "" if scan.guide_distance is None else f"{scan.guide_distance:.10g}"
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, list(row), lineterminator="\n")
+        table.writeheader()
+        table.writerow(row)
+
+
+def _format_numbers(names: Sequence[str], values: Sequence[float] | Floats) -> dict[str, str]:
+    return {name: f"{float(value):.10g}" for name, value in zip(names, values, strict=True)}
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

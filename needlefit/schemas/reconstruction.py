@@ -64,6 +64,8 @@ class CenterlineRecord(Record):
     """Distance between the knots of the smoothing spline."""
     entry_direction: tuple[float, float, float] | None = None
     """Direction from base to tip (LPS), where it cannot be derived from the scan."""
+    placed_tip_sd_mm: float = Field(default=0.3, gt=0)
+    """Standard deviation, along the needle, of a tip placed by hand."""
 
     @model_validator(mode="after")
     def _directed(self) -> Self:
@@ -92,6 +94,8 @@ class ReconstructionEntryRecord(Record):
     """Standard deviation of the shift of the needle at the entry against its straight shaft outside."""
     entry_tilt_sd_deg: float = Field(default=2.0, gt=0)
     """Standard deviation of its tilt there."""
+    placed_contact_sd_mm: float = Field(default=0.3, gt=0)
+    """Standard deviation, along the needle, of a first contact placed by hand."""
     plane: Literal["bevel", "shape"] = "shape"
     """Bending plane where no bevel direction is stated: from the bevel or from the shape."""
 

@@ -49,6 +49,9 @@ MIN_SECTIONS = 8
 MAX_EDGE_DISTANCE_MM = 3.0
 """An end this near to the volume's face (mm) has left it."""
 
+MAX_PLACED_TIP_DISTANCE_MM = 2.0
+"""A tip that was placed by hand lies at most so far beside the needle's surface, mm."""
+
 SYSTEMATIC_SD_MM = 0.002
 """Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid."""
 
@@ -90,21 +93,65 @@ class Centerline:
     sections: SplineSections | None = None
 
 
-def trace_needle(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
+def trace_needle(
+    volume: Volume, component: Component, recipe: ReconstructionRecord, tip: Floats | None = None
+) -> Centerline:
     """Trace the axis of the needle whose voxels are `component`.
+
+    Parameters
+    ----------
+    tip : (3,) array, optional
+        Where a person placed the tip, LPS, mm: it says which end is the tip, and how far the needle goes.
 
     Raises
     ------
     DataError
-        If the needle's tip lies outside the volume, or cannot be told from its base.
+        If the needle's tip lies outside the volume or beside the needle, or cannot be told from its base.
     """
-    axis = orient_axis(volume, fit_rough_axis(volume, component, recipe), recipe)
+    rough = fit_rough_axis(volume, component, recipe)
+    axis = orient_axis(volume, rough, recipe) if tip is None else _orient_to(rough, tip)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
+    if tip is not None:
+        axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip, recipe))
+        end = _place_tip(axis, tip, recipe)
+        return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
     axis = refine_axis(volume, axis, recipe, heel)
     end = fit_tip(volume, axis, recipe.needle, axis.length + heel)
     axis = refine_axis(volume, axis, recipe, heel, end.at)
     end = fit_tip(volume, axis, recipe.needle, end.at)
     return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
+
+
+def _orient_to(axis: AxisSpline, tip: Floats) -> AxisSpline:
+    """Return the axis directed toward the end that lies nearer to `tip` (3,)."""
+    base, end = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
+    return axis if end <= base else reverse_axis(axis)
+
+
+def _project_tip(axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> float:
+    """Return where along the axis, or along its tangent beyond it, a placed tip (3,) lies, mm."""
+    s = np.arange(0.0, axis.length, 0.05)
+    at = float(s[np.argmin(np.linalg.norm(axis.spline(s) - tip, axis=1))])
+    frame = axis_frames(axis, np.array([at]))
+    away = tip - frame.origins[0]
+    along = float(away @ frame.tangents[0])
+    beside = float(np.linalg.norm(away - along * frame.tangents[0]))
+    if beside > MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2:
+        raise DataError(
+            f"the tip that was placed lies {beside:.1f} mm beside the needle",
+            where="tip_x_mm, tip_y_mm, tip_z_mm",
+            expected="a point on the needle, LPS, mm",
+            fix="place it on the needle; RAS has x and y of the other sign",
+        )
+    return at + along
+
+
+def _place_tip(axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> TipFit:
+    """Return the tip that a person placed, on the axis; its bevel is not known."""
+    at = _project_tip(axis, tip, recipe)
+    frame = axis_frames(axis, np.array([at]))
+    sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, np.array([at]))[0])])
+    return TipFit(at, frame.origins[0], sd, np.full(3, np.nan))
 
 
 def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:

@@ -1,90 +1,30 @@
-"""The local server: the page, its WebSocket, and files to download."""
+"""The local server of a page: its files, its access control, and the routes that a page adds."""
 
-import asyncio
 import socket
 from collections.abc import Awaitable, Callable
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
+from typing import Protocol
 
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
-from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.viewer.export import EXPORT_TYPES, export
-from needlefit.viewer.overlay.slice import read_slice
-from needlefit.viewer.serving.connections import (
-    HEADERS,
-    LOOPBACK,
-    MAX_MESSAGE_BYTES,
-    AccessControl,
-    Connections,
-)
-from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
-
-
-class FileRoutes:
-    """Creates files during a simulation: exports in a separate process, slices in a thread."""
-
-    def __init__(self, trials: TrialRegistry) -> None:
-        self.trials = trials
-        self._pool: ProcessPoolExecutor | None = None
-
-    async def make(self, request: web.Request) -> web.Response:
-        """Return a file made from a recording, by a process of its own: frames go on meanwhile."""
-        kind = request.match_info["kind"]
-        trial = await self._asked(request)
-        if kind not in EXPORT_TYPES:
-            raise web.HTTPNotFound(text=f"there is no export {kind}; there are {', '.join(EXPORT_TYPES)}")
-        # spawn: a forked child would share the server's sockets and its threads' locks. The pool starts with
-        # the first export, so that a server without exports pays nothing.
-        self._pool = self._pool or ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-        try:
-            trial.recorder.begin()
-            found = await asyncio.get_running_loop().run_in_executor(
-                self._pool, export, trial.recorder.path, kind
-            )
-        except (NeedlefitError, OSError) as error:
-            raise web.HTTPUnprocessableEntity(text=str(error)) from error
-        except BrokenExecutor as error:
-            self._pool = None  # it was killed, perhaps for want of memory; the next one begins anew
-            raise web.HTTPInternalServerError(text="the program that made it was ended; try again") from error
-        return web.Response(body=found, content_type=EXPORT_TYPES[kind])
-
-    async def cut(self, request: web.Request) -> web.Response:
-        """Return the scan's slice in the bending plane."""
-        scanned = (await self._asked(request)).viewed_scene.scanned
-        if scanned is None:
-            raise web.HTTPNotFound(text="there is no scan of this insertion")
-        try:
-            found = await asyncio.to_thread(read_slice, scanned)
-        except (NeedlefitError, OSError) as error:
-            raise web.HTTPUnprocessableEntity(text=str(error)) from error
-        extent = ",".join(f"{edge:.4f}" for edge in found.extent)
-        return web.Response(body=found.png, content_type="image/png", headers={"X-Extent-Mm": extent})
-
-    async def leave(self, _: web.Application) -> None:
-        """Wait for nothing that is still being made."""
-        if self._pool:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-
-    async def _asked(self, request: web.Request) -> InteractiveTrial:
-        """Return the trial that a request is about."""
-        try:
-            content = await request.json()
-            trial = self.trials.known(content["needle"])
-        except (ValueError, LookupError, TypeError):  # no JSON, of no known charset, or about no needle
-            trial = None
-        if trial is None:
-            raise web.HTTPNotFound(text="there is no such needle: reload the page")
-        return trial
-
+from needlefit.errors import ConfigError
+from needlefit.viewer.serving.connections import HEADERS, LOOPBACK, MAX_MESSAGE_BYTES, AccessControl
 
 PAGE = Path(__file__).parent.parent / "page"
 
 
+class ServedPage(Protocol):
+    """A page: its file in `page/`, and what adds the routes that it asks for."""
+
+    index: str
+
+    def add_routes(self, app: web.Application, access: AccessControl) -> None:
+        """Add the page's own routes to its server."""
+
+
 async def serve(
-    trials: TrialRegistry,
+    page: ServedPage,
     port: int,
     ready: Callable[[AccessControl], None],
     stop: Callable[[], Awaitable[None]],
@@ -93,7 +33,7 @@ async def serve(
 
     Parameters
     ----------
-    trials : TrialRegistry
+    page : ServedPage
     port : int
         0: one that is free.
     ready : callable
@@ -109,7 +49,7 @@ async def serve(
     # The socket is opened before the address is made: port 0 gets its number only then.
     listening = _listen(port)
     access = AccessControl(listening.getsockname()[1])
-    runner = web.AppRunner(_application(access, trials), access_log=None, shutdown_timeout=2.0)
+    runner = web.AppRunner(_application(access, page), access_log=None, shutdown_timeout=2.0)
     await runner.setup()
     try:
         await web.SockSite(runner, listening).start()
@@ -119,17 +59,17 @@ async def serve(
         await runner.cleanup()
 
 
-def _application(access: AccessControl, trials: TrialRegistry) -> web.Application:
-    """Return the routes."""
-    connections, files = Connections(access, trials), FileRoutes(trials)
+def _application(access: AccessControl, page: ServedPage) -> web.Application:
+    """Return the routes of every page, and those of this one."""
+
+    async def send_index(_: web.Request) -> web.FileResponse:
+        return web.FileResponse(PAGE / page.index)
+
     app = web.Application(middlewares=[_make_guard(access)], client_max_size=MAX_MESSAGE_BYTES)
-    app.router.add_get("/", _index)
-    app.router.add_get("/ws", connections.attend)
-    app.router.add_post("/export/{kind}", files.make)
-    app.router.add_post("/slice", files.cut)
+    app.router.add_get("/", send_index)
     app.router.add_static("/page", PAGE)
     app.on_response_prepare.append(_add_headers)
-    app.on_shutdown.extend((connections.leave, files.leave))
+    page.add_routes(app, access)
     return app
 
 
@@ -165,7 +105,3 @@ def _listen(port: int) -> socket.socket:
 
 async def _add_headers(_: web.Request, response: web.StreamResponse) -> None:
     response.headers.update(HEADERS)
-
-
-async def _index(_: web.Request) -> web.FileResponse:
-    return web.FileResponse(PAGE / "index.html")

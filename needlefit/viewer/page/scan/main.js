@@ -1,0 +1,132 @@
+/** The page of a scan: its state, its tools, and what follows from a click. */
+
+import { showFault, showLists, showSaved, showVerdict } from "./panel.js";
+import { ask } from "./server.js";
+import { Views } from "./views.js";
+
+const NOTHING = { needle: null, balls: null, contact: null, tip: null };
+const KEYS = { l: "look", n: "needle", e: "contact", t: "tip", b: "ball" };
+
+const byId = (name) => document.getElementById(name);
+const state = {
+  found: null,
+  corrections: { ...NOTHING }, // as they stand on the page
+  history: [],
+  applied: JSON.stringify(NOTHING), // those that the program has used
+  tool: "look",
+  shade: "tissue",
+  cursor: null,
+  busy: true,
+  window: () => state.found.windows[state.shade],
+  place: (kind) => state.corrections[kind] ?? state.found[kind]?.at ?? null,
+  balls: () => state.corrections.balls?.map((at) => ({ at, residual: null })) ?? state.found.balls,
+};
+const views = new Views(byId("views"), state, use);
+
+function use(place) {
+  if (state.busy) return;
+  if (state.tool === "look") look(place);
+  else if (state.tool === "ball") correct({ balls: [...state.balls().map((one) => one.at), place] });
+  else correct({ [state.tool]: place });
+}
+
+function look(place) {
+  state.cursor = place;
+  byId("cursor").textContent = `L, P, S = ${place.map((x) => x.toFixed(1)).join(", ")} mm`;
+  views.show(place);
+}
+
+function correct(change) {
+  state.history.push(state.corrections);
+  state.corrections = { ...state.corrections, ...change };
+  refresh();
+}
+
+function undo() {
+  if (!state.history.length || state.busy) return;
+  state.corrections = state.history.pop();
+  refresh();
+}
+
+const act = {
+  look,
+  correct,
+  remove: (n) => correct({ balls: state.balls().map((one) => one.at).filter((_, m) => m !== n) }),
+};
+
+const isNew = () => JSON.stringify(state.corrections) !== state.applied;
+const isCorrected = () => Object.values(state.corrections).some((one) => one !== null);
+
+function refresh() {
+  byId("undo").disabled = state.busy || !state.history.length;
+  byId("clear").disabled = state.busy || !isCorrected();
+  byId("again").disabled = state.busy || !isNew();
+  byId("save").disabled = state.busy || isNew() || !isCorrected();
+  showLists(state, act);
+  views.draw();
+}
+
+function take(found) {
+  state.found = found;
+  state.corrections = { ...NOTHING, ...found.corrections };
+  state.applied = JSON.stringify(state.corrections);
+  state.busy = false;
+  byId("title").textContent = found.id;
+  byId("where").textContent = found.volume;
+  byId("synthetic").hidden = !found.synthetic;
+  document.title = `${found.id} – needlefit view`;
+  showVerdict(state);
+  views.make();
+  refresh();
+}
+
+async function run(work) {
+  state.busy = true;
+  if (state.found) refresh();
+  try {
+    await work();
+  } catch (reason) {
+    showFault(reason instanceof Error ? { what: reason.message } : reason);
+  } finally {
+    state.busy = false;
+    if (state.found) refresh();
+  }
+}
+
+function again() {
+  byId("verdict").classList.remove("refused");
+  byId("verdict").textContent = "Reconstructing again …";
+  return run(async () => take(await ask("again", state.corrections)));
+}
+
+function choose(tool) {
+  state.tool = tool;
+  for (const one of document.querySelectorAll("[data-tool]")) {
+    one.setAttribute("aria-pressed", String(one.dataset.tool === tool));
+  }
+}
+
+for (const one of document.querySelectorAll("[data-tool]")) {
+  one.addEventListener("click", () => choose(one.dataset.tool));
+}
+for (const one of document.querySelectorAll("[data-window]")) {
+  one.addEventListener("click", () => {
+    state.shade = one.dataset.window;
+    for (const other of document.querySelectorAll("[data-window]")) {
+      other.setAttribute("aria-pressed", String(other === one));
+    }
+    views.load();
+  });
+}
+byId("undo").addEventListener("click", undo);
+byId("clear").addEventListener("click", () => correct({ ...NOTHING }));
+byId("again").addEventListener("click", again);
+byId("save").addEventListener("click", () => run(async () => showSaved(await ask("save"))));
+addEventListener("keydown", (event) => {
+  if (event.target.matches("input, select, textarea")) return;
+  if ((event.ctrlKey || event.metaKey) && event.key === "z") undo();
+  else if (!event.ctrlKey && !event.metaKey && !event.altKey && KEYS[event.key]) choose(KEYS[event.key]);
+});
+addEventListener("resize", () => state.found && views.draw());
+
+run(async () => take(await ask("describe")));

@@ -1,0 +1,135 @@
+"""What a person corrects in a scan."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.errors import DataError
+from needlefit.imaging.needle.picking import pick_component
+from needlefit.imaging.needle.segmentation import Component
+from needlefit.imaging.scan import Scan
+from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.volume_files import write_volume
+from needlefit.schemas.reconstruction import ReconstructionRecord
+
+MAX_BALLS = 64
+"""Balls that may be placed by hand."""
+
+MASK_FILE, BALLS_FILE = "needle.nrrd", "balls.csv"
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """Places that a person gave, LPS, mm; None: as found.
+
+    Attributes
+    ----------
+    needle : (3,) array or None
+        A point of the bright region that is the needle.
+    balls : (M, 3) array or None
+        All balls.
+    contact, tip : (3,) array or None
+        Where the needle enters the tissue, and where it ends.
+    """
+
+    needle: Floats | None = None
+    balls: Floats | None = None
+    contact: Floats | None = None
+    tip: Floats | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether anything was corrected."""
+        return any(part is not None for part in (self.needle, self.balls, self.contact, self.tip))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the places as JSON values."""
+        parts = {"needle": self.needle, "balls": self.balls, "contact": self.contact, "tip": self.tip}
+        return {name: None if part is None else part.tolist() for name, part in parts.items()}
+
+
+def read_corrections(content: object) -> Corrections:
+    """Return the corrections that a page sent.
+
+    Raises
+    ------
+    DataError
+        If they are not places.
+    """
+    if not isinstance(content, Mapping):
+        raise DataError("the corrections are no table", expected="needle, balls, contact, tip")
+    return Corrections(
+        needle=_read_point(content.get("needle"), "needle"),
+        balls=_read_points(content.get("balls")),
+        contact=_read_point(content.get("contact"), "contact"),
+        tip=_read_point(content.get("tip"), "tip"),
+    )
+
+
+def _read_point(given: object, name: str) -> Floats | None:
+    if given is None:
+        return None
+    if not isinstance(given, Sequence) or len(given) != 3 or not all(_is_number(x) for x in given):
+        raise DataError(f"{name} is {json.dumps(given)[:60]}", expected="three numbers, LPS, mm")
+    return np.array(given, dtype=np.float64)
+
+
+def _read_points(given: object) -> Floats | None:
+    if given is None:
+        return None
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) > MAX_BALLS:
+        raise DataError("balls are no list of places", expected=f"at most {MAX_BALLS} places, LPS, mm")
+    points = [_read_point(one, "a ball") for one in given]
+    return np.array([one for one in points if one is not None]).reshape(-1, 3)
+
+
+def _is_number(given: object) -> bool:
+    return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e6
+
+
+def correct_scan(
+    scan: Scan, corrections: Corrections, volume: Volume, recipe: ReconstructionRecord, folder: Path
+) -> Scan:
+    """Return the scan with the corrections; the mask and balls that it then names are written to `folder`.
+
+    Raises
+    ------
+    DataError
+        If no bright region lies where the needle was picked, or balls are given to a scan without markers.
+    """
+    if corrections.balls is not None and scan.markers is None:
+        raise DataError(
+            "balls were placed, but the scan has no known places to lay them on",
+            expected="the markers' known places in the world",
+            fix="start the page with --markers FILE, or with a table of scans that names them",
+        )
+    mask, fiducials = scan.mask, scan.fiducials
+    if corrections.needle is not None:
+        mask = folder / MASK_FILE
+        write_component(volume, pick_component(volume, corrections.needle, recipe), mask)
+    if corrections.balls is not None:
+        fiducials = folder / BALLS_FILE
+        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.3f}" for x in ball) for ball in corrections.balls)]
+        fiducials.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return replace(
+        scan,
+        mask=mask,
+        fiducials=fiducials,
+        contact=scan.contact if corrections.contact is None else corrections.contact,
+        tip=scan.tip if corrections.tip is None else corrections.tip,
+    )
+
+
+def write_component(volume: Volume, part: Component, path: Path) -> None:
+    """Write the voxels of a component as a mask, cropped to them."""
+    low, high = part.voxels.min(axis=0) - 1, part.voxels.max(axis=0) + 1
+    values = np.zeros((high - low + 1)[::-1], dtype=np.float32)
+    i, j, k = (part.voxels - low).T
+    values[k, j, i] = 1.0
+    origin = to_patient(volume, low[None])[0]
+    write_volume(Volume(values, origin, volume.spacing, volume.direction), path, "needle, picked by hand")

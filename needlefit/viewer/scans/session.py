@@ -1,0 +1,218 @@
+"""A scan under examination: what was found, what a person corrected, and what came of it."""
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.errors import DataError, NeedlefitError
+from needlefit.geometry.curves import arc_length
+from needlefit.imaging.examination import Examination, examine
+from needlefit.imaging.needle.picking import draw_line
+from needlefit.imaging.needle.segmentation import is_tube, median_tissue_hu
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.scan import Scan
+from needlefit.imaging.scan_table import write_scan_table
+from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume_files import read_volume
+from needlefit.reporting.figures.scan_views import encode_grey
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.viewer.scans.corrections import Corrections, correct_scan, read_corrections
+from needlefit.viewer.scans.slices import HALF_WIDTH_MM, PIXEL_MM, cut_slice, list_slice_axes, make_course
+
+TABLE_FILE = "scans.csv"
+
+SHOWN_POINTS = 60
+"""Points of a line that are sent to the page."""
+
+TISSUE_WINDOW_HU = 350.0
+"""Half the width of the window that shows tissue, HU."""
+
+MAX_HU = 3071.0
+"""Brightest value of the window that shows metal, HU."""
+
+
+class ScanSession:
+    """A scan, examined once and again after every correction.
+
+    Parameters
+    ----------
+    folder : Path
+        Where corrections are kept: a table of this one scan, and the files that it names.
+    """
+
+    def __init__(self, scan: Scan, recipe: ReconstructionRecord, recipe_name: str, folder: Path) -> None:
+        self.scan, self.recipe, self.recipe_name, self.folder = scan, recipe, recipe_name, folder
+        self.volume: Volume = read_volume(scan.volume, scan.series)
+        self.axes = list_slice_axes(self.volume)
+        self.corrections = Corrections()
+        self.corrected = scan
+        self.found = self._first = examine(self.volume, scan, recipe)
+        self.course = self._make_course()
+
+    def again(self, content: object) -> None:
+        """Examine the scan again, with the corrections that a page sent.
+
+        Raises
+        ------
+        DataError
+            If a correction is no place, or no metal is where the needle was picked.
+        """
+        given = read_corrections(content)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        corrected = correct_scan(self.scan, given, self.volume, self.recipe, self.folder)
+        found = examine(self.volume, corrected, self.recipe) if given.any else self._first
+        self.corrections, self.corrected, self.found = given, corrected, found
+        self.course = self._make_course()
+
+    def save(self) -> Path:
+        """Write the corrected scan as a table of scans; return its path."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / TABLE_FILE
+        write_scan_table(self.corrected, path)
+        return path
+
+    def command(self, table: Path) -> str:
+        """Return the command that repeats what was done."""
+        words = ["needlefit", "reconstruct", str(table), "--out", f"{self.scan.id}_dataset"]
+        return shlex.join([*words, "--recipe", self.recipe_name] if self.recipe_name != "default" else words)
+
+    def cut(self, request: Mapping[str, Any]) -> bytes:
+        """Return a slice as PNG.
+
+        Raises
+        ------
+        DataError
+            If there is no such slice.
+        """
+        try:
+            low, high = float(request["low"]), float(request["high"])
+            if request["view"] == "needle":
+                if self.course is None:
+                    raise DataError("no needle was found: there is no slice along it")
+                values = self.course.cut(self.volume, np.radians(float(request["angle"])))
+            else:
+                axes = next(one for one in self.axes if one.name == request["view"])
+                values = cut_slice(self.volume, axes, int(request["index"]))
+        except (KeyError, ValueError, TypeError, StopIteration, OverflowError):
+            raise DataError("there is no such slice", expected="view, index or angle, low, high") from None
+        return encode_grey(values, low, max(high, low + 1.0))
+
+    def describe(self) -> dict[str, Any]:
+        """Return everything that the page shows, as JSON values; lengths in mm, places LPS."""
+        found, volume = self.found, self.volume
+        tissue = median_tissue_hu(volume)
+        return {
+            "id": self.scan.id,
+            "volume": self.scan.volume.name,
+            "synthetic": self.scan.origin == "synthetic",
+            "grid": {
+                "size": list(volume.grid.size),
+                "origin": volume.origin.tolist(),
+                "spacing": volume.spacing.tolist(),
+                "direction": volume.direction.tolist(),
+            },
+            "views": [vars(one) for one in self.axes],
+            "windows": {
+                "tissue": [tissue - TISSUE_WINDOW_HU, tissue + TISSUE_WINDOW_HU],
+                "metal": [-1000.0, MAX_HU],
+            },
+            "error": _describe_error(found.error),
+            "warnings": [*volume.warnings, *(found.reconstruction.warnings if found.reconstruction else ())],
+            "candidates": self._describe_candidates(),
+            "axis": None if found.needle_axis is None else _thin(found.needle_axis.points).tolist(),
+            "tip": self._describe_tip(),
+            "contact": self._describe_contact(),
+            "balls": self._describe_balls(),
+            "layers": _describe_layers(found),
+            "inserted": _describe_inserted(found.reconstruction),
+            "course": self._describe_course(),
+            "corrections": self.corrections.to_json(),
+            "has_markers": self.scan.markers is not None,
+        }
+
+    def _make_course(self) -> Any:  # noqa: ANN401
+        axis = self.found.needle_axis
+        return None if axis is None else make_course(axis.points)
+
+    def _describe_candidates(self) -> list[dict[str, Any]]:
+        chosen = self.found.needle
+        keys = set() if chosen is None else {tuple(v) for v in chosen.voxels[::7].tolist()}
+        lines = []
+        for part in self.found.candidates:
+            lines.append(
+                {
+                    "length": part.length,
+                    "width": part.width,
+                    "tube": is_tube(part, self.recipe),
+                    "chosen": any(tuple(v) in keys for v in part.voxels.tolist()),
+                    "line": draw_line(self.volume, part).tolist(),
+                }
+            )
+        return lines
+
+    def _describe_tip(self) -> dict[str, Any] | None:
+        axis = self.found.needle_axis
+        if axis is None:
+            return None
+        along, across = axis.tip_sd.tolist()
+        placed = self.corrected.tip is not None
+        return {"at": axis.tip.tolist(), "along_sd": along, "across_sd": across, "placed": placed}
+
+    def _describe_contact(self) -> dict[str, Any] | None:
+        one = self.found.reconstruction
+        if one is None:
+            return None
+        at = one.patient.to_local(one.points[:1])[0]
+        placed = self.corrected.contact is not None
+        return {"at": at.tolist(), "along_sd": one.pose.along_sd, "source": one.pose.source, "placed": placed}
+
+    def _describe_balls(self) -> list[dict[str, Any]]:
+        markers, registration = self.found.markers, self.found.registration
+        if markers is None:
+            return []
+        missed: dict[int, float] = {}
+        if registration is not None:
+            lengths = np.linalg.norm(registration.residuals, axis=1)
+            missed = dict(zip(registration.pairs[:, 0].tolist(), lengths.tolist(), strict=True))
+        return [
+            {"at": center.tolist(), "sd": float(sd), "residual": missed.get(n), "source": markers.source}
+            for n, (center, sd) in enumerate(zip(markers.centers, markers.sd, strict=True))
+        ]
+
+    def _describe_course(self) -> dict[str, Any] | None:
+        course = self.course
+        if course is None:
+            return None
+        rows = len(np.arange(HALF_WIDTH_MM, -HALF_WIDTH_MM - 1e-9, -PIXEL_MM))
+        parts = {name: np.round(getattr(course, name), 4).tolist() for name in ("points", "u", "v")}
+        return {**parts, "rows": rows, "pixel": PIXEL_MM, "half_width": HALF_WIDTH_MM}
+
+
+def _thin(points: Floats) -> Floats:
+    kept = np.unique(np.linspace(0, len(points) - 1, SHOWN_POINTS).round().astype(np.int64))
+    return points[kept]
+
+
+def _describe_error(error: NeedlefitError | None) -> dict[str, str] | None:
+    if error is None:
+        return None
+    return {"what": error.what, "where": error.where, "expected": error.expected, "fix": error.fix}
+
+
+def _describe_layers(found: Examination) -> list[dict[str, Any]]:
+    one = found.reconstruction
+    if one is None:
+        return []
+    places = one.patient.to_local(one.layers.points.reshape(-1, 3))
+    crossed = zip(one.layers.boundaries, one.layers.sd, places, strict=True)
+    return [{"depth": float(depth), "sd": float(sd), "at": at.tolist()} for depth, sd, at in crossed]
+
+
+def _describe_inserted(one: Reconstruction | None) -> dict[str, float] | None:
+    if one is None:
+        return None
+    return {"depth": one.depth, "sd": one.depth_sd, "length": float(arc_length(one.needle_axis.points)[-1])}

@@ -1,0 +1,206 @@
+"""A scan that is examined and corrected: slices, corrections, the session and its server."""
+
+import asyncio
+import dataclasses
+import functools
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import aiohttp
+import numpy as np
+import pytest
+
+from needlefit.cli.view_scan import names_scan, open_session
+from needlefit.errors import ConfigError, DataError
+from needlefit.imaging.scan_table import read_scans, write_scan_table
+from needlefit.imaging.volume import Volume, to_patient
+from needlefit.viewer.scans.corrections import read_corrections
+from needlefit.viewer.scans.session import ScanSession
+from needlefit.viewer.scans.slices import HALF_WIDTH_MM, PIXEL_MM, cut_slice, list_slice_axes, make_course
+from needlefit.viewer.serving.scan_page import ScanPage
+from needlefit.viewer.serving.server import serve
+
+SAMPLE = Path(__file__).parents[1] / "data/sample_scan/scans.csv"
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> ScanSession:
+    return open_session(str(SAMPLE), None, [], "default", tmp_path_factory.mktemp("scans"))
+
+
+def turned(columns) -> Volume:
+    """Return a volume whose voxels hold 100 i + 10 j + k, its axes along columns of LPS."""
+    k, j, i = np.indices((4, 3, 2))
+    values = (100 * i + 10 * j + k).astype(np.float32)
+    return Volume(values, np.zeros(3), np.array([1.0, 2.0, 3.0]), np.array(columns, dtype=float).T)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [np.eye(3), [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], [[0, 1, 0], [0, 0, -1], [1, 0, 0]]],
+    ids=["LPS", "RAS", "permuted"],
+)
+def test_slices_show_the_patient_from_the_same_sides(columns):
+    volume = turned(columns)
+    for axes, (right, down) in zip(
+        list_slice_axes(volume), ([0, 1], [0, -2], [1, -2]), strict=True
+    ):  # patient axes to the right and downwards; -2: S runs upwards
+        plane = cut_slice(volume, axes, 1)
+        shape = [volume.grid.size[axis] for axis in (axes.down, axes.right)]
+        assert plane.shape == tuple(shape)
+        for rows, columns_, patient, sign in (
+            ((0, 0), (0, -1), right, 1),
+            ((0, -1), (0, 0), abs(down), 1 if down > 0 else -1),
+        ):
+            first, last = (float(plane[r, c]) for r, c in zip(rows, columns_, strict=True))
+            ends = [[int(v // 100), int(v % 100 // 10), int(v % 10)] for v in (first, last)]
+            step = np.diff(to_patient(volume, np.array(ends, dtype=float)), axis=0)[0]
+            assert np.sign(step[patient]) == sign
+    assert [one.letters for one in list_slice_axes(volume)] == [
+        ("R", "L", "A", "P"),
+        ("R", "L", "S", "I"),
+        ("A", "P", "S", "I"),
+    ]
+
+
+def test_the_needle_is_drawn_straight():
+    s = np.linspace(0, 20, 41)
+    needle = np.column_stack([s, 0.01 * s**2, np.zeros_like(s)])
+    k, j, i = np.indices((40, 60, 120))
+    away = np.hypot(0.5 * j - 8 - 0.01 * (0.5 * i) ** 2, 0.5 * k - 10)
+    volume = Volume(
+        np.where(away < 1, 1000, 0).astype(np.float32), np.array([0, -8.0, -10]), np.full(3, 0.5), np.eye(3)
+    )
+    course = make_course(needle)
+    for angle in (0.0, 1.2):
+        cut = course.cut(volume, angle)
+        rows = np.arange(len(cut))[:, None]
+        bright = np.nan_to_num(cut[:, 5:60])
+        middle = (rows * bright).sum(axis=0) / bright.sum(axis=0)
+        assert np.abs(middle - HALF_WIDTH_MM / PIXEL_MM).max() < 0.6  # rows of 0.3 mm
+
+
+@pytest.mark.parametrize(
+    "content", [3, {"needle": [1, 2]}, {"tip": ["a", 1, 2]}, {"balls": "x"}, {"contact": [1, 2, True]}]
+)
+def test_corrections_that_are_no_places_are_refused(content):
+    with pytest.raises(DataError):
+        read_corrections(content)
+
+
+def test_a_scan_is_written_as_the_row_from_which_it_is_read(tmp_path):
+    (scan,) = read_scans(SAMPLE)
+    placed = dataclasses.replace(scan, tip=np.array([1.5, -2.25, 3.0]), contact=np.array([0.5, 0.25, 9.0]))
+    write_scan_table(placed, tmp_path / "scans.csv")
+    (again,) = read_scans(tmp_path / "scans.csv")
+    for field in dataclasses.fields(scan):
+        before, after = getattr(placed, field.name), getattr(again, field.name)
+        if field.name == "stage":
+            assert all(np.allclose(getattr(before, f), getattr(after, f)) for f in vars(before))
+        elif isinstance(before, np.ndarray):
+            np.testing.assert_allclose(after, before, rtol=1e-9)
+        elif isinstance(before, Path):
+            assert after.resolve() == before.resolve()
+        elif field.name == "surfaces":
+            assert [(s.kind, s.into, s.path.resolve()) for s in after] == [
+                (s.kind, s.into, s.path.resolve()) for s in before
+            ]
+        else:
+            assert after == before, field.name
+
+
+def test_a_session_says_what_was_found(session):
+    found = session.describe()
+    assert found["error"] is None and len(found["balls"]) == 5 and len(found["layers"]) == 1
+    assert [one["chosen"] for one in found["candidates"]] == [True] + 5 * [False]
+    assert session.cut({"view": "axial", "index": 3, "low": 0, "high": 100}).startswith(b"\x89PNG")
+    assert session.cut({"view": "needle", "angle": 30, "low": 0, "high": 100}).startswith(b"\x89PNG")
+    with pytest.raises(DataError):
+        session.cut({"view": "axial", "index": "x", "low": 0, "high": 1})
+
+
+def test_corrections_are_used_kept_and_repeated(session, tmp_path):
+    found = session.describe()
+    tip = np.array(found["tip"]["at"])
+    back = tip + 0.8 * (np.array(found["axis"][-3]) - tip) / np.linalg.norm(np.array(found["axis"][-3]) - tip)
+    line = found["candidates"][0]["line"]
+    balls = [one["at"] for one in found["balls"]]
+    session.again({"tip": back.tolist(), "needle": line[len(line) // 2], "balls": balls, "contact": None})
+    corrected = session.describe()
+    assert corrected["tip"]["placed"] and corrected["tip"]["along_sd"] == 0.3
+    assert corrected["inserted"]["depth"] == pytest.approx(found["inserted"]["depth"] - 0.8, abs=0.05)
+    table = session.save()
+    repeated = open_session(str(table), None, [], "default", tmp_path).describe()
+    assert repeated["inserted"] == pytest.approx(corrected["inserted"], abs=1e-6)
+    session.again({})
+    assert session.describe()["inserted"] == found["inserted"]
+
+
+def test_a_refused_scan_shows_how_far_it_got(session):
+    session.again({"balls": [[0.0, 0.0, 0.0]]})
+    found = session.describe()
+    session.again({})
+    assert found["error"]["what"] and found["inserted"] is None
+    assert found["tip"] is not None and found["candidates"][0]["chosen"]
+
+
+def test_a_pick_beside_everything_bright_is_refused(session):
+    with pytest.raises(DataError):
+        session.again({"needle": session.volume.origin.tolist()})
+    assert session.describe()["corrections"]["needle"] is None
+
+
+def test_scans_are_told_from_other_targets(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text("")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/run.json").write_text("{}")
+    volume = SAMPLE.parent / "volumes/sample.nrrd"
+    scans = ["sample_scan", str(SAMPLE), f"{SAMPLE}/sample", str(volume), str(volume.parent)]
+    assert [names_scan(one) for one in scans] == 5 * [True]
+    assert [names_scan(one) for one in (None, "phantom2", "a.toml", "run", "twin/x")] == 5 * [False]
+    with pytest.raises(ConfigError):
+        open_session(f"{SAMPLE}/other", None, [], "default", tmp_path)
+    with pytest.raises(ConfigError):
+        open_session(str(SAMPLE), tmp_path / "m.csv", [], "default", tmp_path)
+
+
+@asynccontextmanager
+async def served(session):
+    opened: asyncio.Future = asyncio.get_running_loop().create_future()
+    end = asyncio.Event()
+    server = asyncio.create_task(serve(ScanPage(session), 0, opened.set_result, end.wait))
+    async with aiohttp.ClientSession() as client:
+        yield await opened, client
+    end.set()
+    await server
+
+
+def visit(test):
+    @functools.wraps(test)
+    def run(session):
+        asyncio.run(test(session))
+
+    return run
+
+
+@visit
+async def test_only_the_page_with_its_token_is_answered(session):
+    async with served(session) as (access, client):
+        base = f"http://127.0.0.1:{access.port}"
+        async with client.get(base) as answer:
+            assert answer.status == 200 and "scan/main.js" in await answer.text()
+        async with client.post(f"{base}/scan/describe", json={}) as answer:
+            assert answer.status == 403
+        own = {"Authorization": f"Bearer {access.token}", "Origin": base}
+        async with client.post(f"{base}/scan/describe", json={}, headers=own) as answer:
+            assert answer.status == 200 and (await answer.json())["id"] == "sample"
+        for name, content, status in (
+            ("cut", {"view": "coronal", "index": 5, "low": 0, "high": 9}, 200),
+            ("cut", {"view": "nowhere"}, 422),
+            ("again", {"tip": 3}, 422),
+        ):
+            async with client.post(f"{base}/scan/{name}", json=content, headers=own) as answer:
+                assert answer.status == status
+        async with client.post(f"{base}/scan/cut", data=b"{", headers=own) as answer:
+            assert answer.status == 400
