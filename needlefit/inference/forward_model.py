@@ -6,6 +6,7 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import (
+    Advance,
     BevelRecord,
     ControlsRecord,
     LayerRecord,
@@ -90,7 +92,7 @@ def make_simulation_inputs(
         needle,
         make_tissue(values, layers, depths, medium),
         _make_steps(values, insertion, medium),
-        replace(make_options(medium), tolerance=MAX_TOLERANCE_MM),
+        make_options(medium, MAX_TOLERANCE_MM),
     )
 
 
@@ -189,17 +191,25 @@ def _make_controls(guide_distance: float | None) -> Controls:
     return Controls() if guide_distance is None else Controls(guides=(Guide(-guide_distance),))
 
 
-def make_options(medium: MediumRecord) -> ModelOptions:
+def make_options(medium: MediumRecord, tolerance: float = ModelOptions.tolerance) -> ModelOptions:
     """Return a medium's model options, with a mesh size of at most 1 mm that divides its spacing."""
-    spacing = medium.constraint_spacing_mm
+    spacing, switch, tangent = medium.constraint_spacing_mm, medium.constraint_switch, medium.tangent_part
+    return _make_options(spacing, tolerance, switch, tangent, medium.first_cell_mm, medium.advance)
+
+
+@lru_cache(maxsize=64)  # a fit asks for the same ones over and over
+def _make_options(
+    spacing: float,
+    tolerance: float,
+    switch: float,
+    tangent: float,
+    first_cell: float | None,
+    advance: Advance,
+) -> ModelOptions:
+    # 1e-9: a spacing that is a whole number of mm must not get one more element by rounding
+    element = spacing / math.ceil(spacing / MAX_ELEMENT_MM - 1e-9)
     return ModelOptions(
-        spacing,
-        # 1e-9: a spacing that is a whole number of mm must not get one more element by rounding
-        spacing / math.ceil(spacing / MAX_ELEMENT_MM - 1e-9),
-        switch=medium.constraint_switch,
-        tangent=medium.tangent_part,
-        first_cell=medium.first_cell_mm,
-        advance=medium.advance,
+        spacing, element, tolerance, switch=switch, tangent=tangent, first_cell=first_cell, advance=advance
     )
 
 
@@ -262,9 +272,16 @@ def linearize_insertion(
     medium: MediumRecord,
     needle: Needle,
     insertion: Insertion,
+    slopes: Mapping[str, Floats] | None = None,
 ) -> LinearizedInsertion:
-    """Return the simulated insertion and its derivatives; see `predict_with_derivatives`."""
-    by_parameter = _chain_rule(values, parameters, insertion)
+    """Return the simulated insertion and its derivatives; see `predict_with_derivatives`.
+
+    Parameters
+    ----------
+    slopes : mapping, optional
+        `parameters.slopes(values)`, where it is used for many insertions.
+    """
+    by_parameter = _chain_rule(parameters.slopes(values) if slopes is None else slopes, parameters, insertion)
     shape, jacobian = linearize_steps(
         *make_simulation_inputs(values, medium, needle, insertion), wrt=_select_kinds(parameters)
     )
@@ -275,7 +292,11 @@ def linearize_insertion(
 
 def _select_kinds(parameters: Parameters) -> tuple[str, ...]:
     """Return the kinds of the mechanics' parameters that theta moves."""
-    moving = {name for name in parameters.names if name not in parameters.fixed}
+    return _find_kinds(tuple(name for name in parameters.names if name not in parameters.fixed))
+
+
+@lru_cache(maxsize=64)
+def _find_kinds(moving: tuple[str, ...]) -> tuple[str, ...]:
     starts = (
         ("mu", "mu"),
         ("alpha", "alpha"),
@@ -287,10 +308,10 @@ def _select_kinds(parameters: Parameters) -> tuple[str, ...]:
 
 
 def _chain_rule(
-    values: Mapping[str, float], parameters: Parameters, insertion: Insertion
+    slopes: Mapping[str, Floats], parameters: Parameters, insertion: Insertion
 ) -> dict[str, Floats]:
     """Return the derivatives (P,) by theta of what the mechanics differentiate by, by its name there."""
-    slopes, nothing = parameters.slopes(values), np.zeros(len(parameters.free))
+    nothing = np.zeros(len(parameters.free))
     found = {"guide1_y": nothing, "guide1_slope": nothing}
     found["offset"] = insertion.bevel_factor * slopes.get("bevel_mm", nothing)
     found["cut_angle"] = insertion.bevel_factor * math.radians(1.0) * slopes.get("cut_angle_deg", nothing)

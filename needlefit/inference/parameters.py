@@ -8,6 +8,7 @@ import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
@@ -127,17 +128,17 @@ class Parameters:
             prior=make_prior({name: table[name] for name in names}, ties),
         )
 
-    @property
+    @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of the free parameters, in the order of theta."""
         return tuple(name for name in self.names if name in self.bounds)
 
-    @property
+    @cached_property
     def lower(self) -> Floats:
         """Lower bounds of theta: (P,)."""
         return np.array([_to_coordinate(name, self.bounds[name][0]) for name in self.free])
 
-    @property
+    @cached_property
     def upper(self) -> Floats:
         """Upper bounds of theta: (P,)."""
         return np.array([_to_coordinate(name, self.bounds[name][1]) for name in self.free])

@@ -287,9 +287,10 @@ class PosteriorDensity:
         return self._once(lambda insertion: predict(values, self.medium, self.needle, insertion))
 
     def _linearization(self, values: Values) -> Linearize:
+        slopes = self.parameters.slopes(values)
         return self._once(
             lambda insertion: linearize_insertion(
-                values, self.parameters, self.medium, self.needle, insertion
+                values, self.parameters, self.medium, self.needle, insertion, slopes
             )
         )
 

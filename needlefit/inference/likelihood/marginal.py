@@ -239,12 +239,7 @@ def linear_residual_derivatives(
     `at` are scale and spread; `by_log_spread` (P,) are the derivatives of the latter's logarithm.
     """
     first, slopes = _stack(whites, group, *at)
-    parts = [_stack([one[..., p] for one in by], group, *at) for p in range(len(by_log_spread))]
-    shape = (*slopes.shape, len(by_log_spread))
-    by_first = np.array([part[0] for part in parts]).T.reshape(shape[1:])  # (R, P)
-    by_slopes = np.moveaxis(
-        np.array([part[1] for part in parts]).reshape(shape[2], *shape[:2]), 0, 2
-    )  # (D, R, P)
+    by_first, by_slopes = _stack(by, group, *at)  # (R, P), (D, R, P)
     by_slopes = by_slopes + (_bevel_rows(group)[:, None] * slopes)[..., None] * by_log_spread
     stiff = np.eye(len(slopes)) + slopes @ slopes.T
     best = -np.linalg.solve(stiff, slopes @ first)
@@ -271,22 +266,26 @@ def count_residuals(group: NodeGroup, rows: Sequence[int]) -> list[int]:
 def _stack(whites: Sequence[Floats], group: NodeGroup, scale: float, spread: float) -> tuple[Floats, Floats]:
     """Return all residuals (R,) as measured, and their slopes (D, R) by a deviation of each condition.
 
-    The conditions are each insertion's own depths and bevel, then the surfaces.
+    The conditions are each insertion's own depths and bevel, then the surfaces. Of derivatives (m, R, P) in
+    place of `whites` (m, R) it returns those of both, (R, P) and (D, R, P).
     """
     ends = np.cumsum([0, *(white.shape[1] for white in whites)])
     sizes = np.cumsum([0, *_count_own(group)])
-    first = np.empty(ends[-1])
-    slopes = np.zeros((sizes[-1] + len(group.surfaces), ends[-1]))
+    more = whites[0].shape[2:]
+    first = np.empty((ends[-1], *more))
+    slopes = np.zeros((sizes[-1] + len(group.surfaces), ends[-1], *more))
     members = zip(whites, group.nodes, group.own, group.shared, strict=True)
     for k, (white, nodes, own, shared) in enumerate(members):
-        turned = weigh_linear(nodes, np.array([spread]))[0] @ white / scale  # (1 + d, R)
+        flat = white.reshape(len(white), -1) / scale  # (m, R P)
+        shape = (-1, *white.shape[1:])
+        turned = weigh_linear(nodes, np.array([spread]))[0] @ flat  # (1 + d, R P)
         at, here = slice(ends[k], ends[k + 1]), sizes[k]
-        first[at] = turned[0]
-        slopes[here : here + len(own), at] = own[:, None] * turned[1:]
+        first[at] = turned[0].reshape(white.shape[1:])
+        slopes[here : here + len(own), at] = (own[:, None] * turned[1:]).reshape(shape)
         (loads,) = load_effects(nodes, np.array([spread]))
-        effects = loads[:, None] * (nodes.effects @ white) / scale
-        slopes[here + len(own) : here + len(own) + len(loads), at] = effects
-        slopes[sizes[-1] :, at] = shared.T @ turned[1:]
+        effects = loads[:, None] * (nodes.effects @ flat)
+        slopes[here + len(own) : here + len(own) + len(loads), at] = effects.reshape(shape)
+        slopes[sizes[-1] :, at] = (shared.T @ turned[1:]).reshape(shape)
     return first, slopes
 
 
