@@ -100,20 +100,36 @@ def make_batch(
     sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
 ) -> Batch:
     """Return a batch of one insertion with many parameter sets, for `simulate_batches`; see `predict`."""
-    first = sets[0]
-    guide = np.array([values.get("guide_distance_mm", insertion.guide_distance or 0.0) for values in sets])
-    bevels = [make_bevel(values, medium, factor=insertion.bevel_factor) for values in sets]
-    strength = "cut_angle" if medium.advance == "path_angle" else "offset"
+    return _make_batch(sets[0], _tabulate_sets(sets), medium, needle, insertion)
+
+
+def _tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
+    """Return the values (B,) of each parameter."""
+    return {name: np.array([values[name] for values in sets]) for name in sets[0]}
+
+
+def _make_batch(
+    first: Mapping[str, float],
+    table: Mapping[str, Floats],
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+) -> Batch:
+    guide = table.get("guide_distance_mm")
+    angle = medium.advance == "path_angle"
+    strength = insertion.bevel_factor * table[medium.bevel_parameter]
     return Batch(
         needle,
         make_tissue(first, insertion.sequence, insertion.boundaries, medium),
         _make_steps(first, insertion, medium),
         make_options(medium),
         # files and theta hold Pa, the mechanics N and mm: 1 Pa = 1e-6 MPa
-        mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence] for values in sets]),
-        alpha=np.array([[values[f"alpha{layer}"] for layer in insertion.sequence] for values in sets]),
-        **{strength: np.array([getattr(bevel, strength) for bevel in bevels])},
-        guide_x=-guide if np.ptp(guide) > 0 else None,  # the lanes prefer one place for all
+        mu=np.column_stack([table[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence]),
+        alpha=np.column_stack([table[f"alpha{layer}"] for layer in insertion.sequence]),
+        offset=None if angle else strength,
+        cut_angle=np.radians(strength) if angle else None,
+        # the lanes prefer one place for all
+        guide_x=None if guide is None or np.ptp(guide) == 0 else -guide,
     )
 
 
@@ -144,7 +160,8 @@ def simulate_each(
 ) -> list[NeedleShapes]:
     """Return the shapes of B sets of values in each insertion; one that is listed twice is simulated once."""
     different = {id(insertion): insertion for insertion in insertions}
-    batches = [make_batch(sets, medium, needle, insertion) for insertion in different.values()]
+    table = _tabulate_sets(sets)
+    batches = [_make_batch(sets[0], table, medium, needle, one) for one in different.values()]
     # all go into one call, so that threads stay busy
     shapes = dict(zip(different, simulate_batches(batches, jobs), strict=True))
     return [shapes[id(insertion)] for insertion in insertions]

@@ -5,6 +5,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,7 @@ class _BatchJob:
     valid: Bools  # (B,) which sets are made of numbers that needle and tissue accept
     shared: _SharedTables | None  # None: every set goes alone
 
-    @property
+    @cached_property
     def cost(self) -> float:
         """Nodes to be solved for, about."""
         return sum(stop.tip for stop in self.stops)
@@ -252,10 +253,11 @@ def _make_inputs(
         values = getattr(batch, name)
         return np.full(len(lane), otherwise) if values is None else values[lane]
 
-    bevels = [batch.steps[step].bevel for step in bevel_id]  # of these stops alone: there may be many steps
+    ids, of_stop = np.unique(bevel_id, return_inverse=True)  # few bevels, many stops
+    bevels = [batch.steps[step].bevel for step in ids]
     strengths = [(bevel.side, *batch.rules.bevel_strength(bevel)) for bevel in bevels]
     name = "cut_angle" if batch.rules.path_angle else "offset"
-    turns = [side / length * given(name, strength) for side, strength, length in strengths]
+    turns = np.array([side / length * given(name, strength) for side, strength, length in strengths])
     before = np.repeat(conditions.before[:, :, None], len(lane), axis=2)  # (F, 3, W)
     if batch.guide_x is not None:
         before[0, 0] = batch.guide_x[lane]
@@ -265,7 +267,7 @@ def _make_inputs(
         *tissue,
         np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])]),
         before,
-        np.array(turns),  # (S, W)
+        turns[of_stop],  # (S, W)
     )
 
 
