@@ -1,6 +1,7 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
 from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -31,6 +32,13 @@ MAX_DEFAULT_JOBS = 2
 
 CHECKPOINT_WORK = "each file"
 """In the stamp of the checkpoint: each reconstruction in it has a stamp of what decided it."""
+
+
+class Export(StrEnum):
+    """What `--export` takes."""
+
+    SCENE = "scene"
+    SEG = "seg"
 
 
 def reconstruct(
@@ -78,6 +86,10 @@ def reconstruct(
         ),
     ] = "default",
     title: Annotated[str, typer.Option(help="Title of the dataset.")] = "",
+    export: Annotated[
+        list[Export] | None,
+        typer.Option(help="Write also a scene of 3D Slicer (.mrb), or a DICOM segmentation; repeatable."),
+    ] = None,
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Scans at once (default: 2); changes no result.")
     ] = None,
@@ -108,6 +120,7 @@ def reconstruct(
     ) as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.imaging.assembly import DatasetDescription
         from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
+        from needlefit.imaging.label_export import require_dicom
         from needlefit.project.checkpoint_folder import claim_checkpoint, remove_checkpoint
         from needlefit.project.load import load
         from needlefit.project.locate import find_file
@@ -124,6 +137,10 @@ def reconstruct(
         require_own_checkpoint(keep)
         wanted = _scans(scans, {name: value for name, value in named.items() if value not in (None, [])})
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
+        exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
+        if "seg" in exports:
+            for one in wanted:
+                require_dicom(one)
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         lock = claim_checkpoint(keep, CHECKPOINT_WORK, resume, print_remark)
         with show_progress(invocation.quiet) as report:
@@ -142,7 +159,7 @@ def reconstruct(
             written = None
             if ones:
                 about = DatasetDescription(out.resolve().name, title)
-                written, faulty = write_reconstruction(out, ones, record, about, report)
+                written, faulty = write_reconstruction(out, ones, record, about, report, exports)
                 failed = [*failed, *faulty]
     warnings = warnings_in(out) if written else []
     if written and not json:

@@ -2,7 +2,7 @@
 
 import gzip
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -98,6 +98,18 @@ def write_image(volume: Volume, path: Path, description: str) -> None:
     image.SetDirection(volume.direction.ravel().tolist())
     if description:
         image.SetMetaData("ITK_FileNotes" if ".nii" in path.name.lower() else "description", description)
+    with replace_file(path) as fresh:
+        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
+
+
+def write_labels(values: NDArray[np.uint8], grid: VoxelGrid, entries: Mapping[str, str], path: Path) -> None:
+    """Write labels (K, J, I) as a compressed NRRD file, with entries in its header."""
+    image = sitk.GetImageFromArray(values)
+    image.SetOrigin(grid.origin.tolist())
+    image.SetSpacing(grid.spacing.tolist())
+    image.SetDirection(grid.direction.ravel().tolist())
+    for key, text in entries.items():
+        image.SetMetaData(key, text)
     with replace_file(path) as fresh:
         sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
 

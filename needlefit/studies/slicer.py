@@ -163,7 +163,7 @@ def write_scan(reconstruction: Reconstruction, folder: Path, diameter: float) ->
     name = reconstruction.scan.id
     summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
     curves = folder / f"{name}.mrk.json"
-    write_mrk_json(curves, _scan_markups(reconstruction, summary))
+    write_mrk_json(curves, make_scan_markups(reconstruction))
     files = [curves]
     for body, points, radius in _scan_bodies(reconstruction, diameter):
         files.append(folder / f"{name}.{body}.ply")
@@ -172,7 +172,9 @@ def write_scan(reconstruction: Reconstruction, folder: Path, diameter: float) ->
     return tuple(files)
 
 
-def _scan_markups(reconstruction: Reconstruction, summary: str) -> Iterator[tuple[Markups, CurveStyle]]:
+def make_scan_markups(reconstruction: Reconstruction) -> Iterator[tuple[Markups, CurveStyle]]:
+    """Yield the curves and points of a reconstruction, LPS, and how each is drawn."""
+    summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
     whole, inserted = reconstruction.needle_axis.points, _inserted_needle(reconstruction)
     depth = reconstruction.depth
     half = _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[:, None] * _band_direction(reconstruction)
@@ -194,6 +196,11 @@ def _scan_markups(reconstruction: Reconstruction, summary: str) -> Iterator[tupl
                 _make_markups(reconstruction, f"{name}{summary}", "Fiducial", labels, points),
                 CurveStyle(rgb(colour), POINT_SIZE_MM),
             )
+
+
+def rgb_of_layers() -> tuple[float, float, float]:
+    """Return the colour of what belongs to layers."""
+    return rgb(_SCAN_BAND_COLOUR)
 
 
 def _make_markups(

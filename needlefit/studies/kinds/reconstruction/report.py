@@ -1,6 +1,6 @@
 """Report of a batch of reconstructed scans, written into the folder of their dataset."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from needlefit.datasets.read import check_all
@@ -17,6 +17,7 @@ from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.kinds.reconstruction import KIND
+from needlefit.studies.kinds.reconstruction.exports import ExportKind, export_scan
 from needlefit.studies.kinds.reconstruction.quality import write_quality
 from needlefit.studies.kinds.reconstruction.run import tabulate_batch
 from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
@@ -112,12 +113,14 @@ def write_reconstruction(
     recipe: ReconstructionRecord,
     description: DatasetDescription,
     progress: Progress,
+    exports: Collection[ExportKind] = (),
 ) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
     """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
 
     Where none can be held nothing is written, and what was there stays.
 
-    The dataset, and where its scans lie; `quality/<id>.pdf`; `slicer/`; and the files of every run.
+    The dataset, and where its scans lie; `quality/<id>.pdf`; `slicer/`, with what is exported of each scan;
+    and the files of every run.
 
     Raises
     ------
@@ -136,6 +139,7 @@ def write_reconstruction(
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
+            export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
         title = f"Reconstruction: {description.title or description.name}"
         options = {"title": title, "scans": [one.scan.id for one in kept], "recipe": recipe}
         record = KIND.make_record(**options)

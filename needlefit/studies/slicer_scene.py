@@ -1,0 +1,175 @@
+"""Write a reconstruction as a scene of 3D Slicer (`.mrb`): scan, needle, points, layers, all in place."""
+
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from urllib.parse import quote
+from xml.etree import ElementTree
+
+from needlefit.datasets.columns import make_id
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
+from needlefit.datasets.markups import Markups
+from needlefit.geometry.meshes import write_ply
+from needlefit.imaging.label_export import (
+    MarkedVoxels,
+    layers_in_patient,
+    mark_voxels,
+    write_slicer_segmentation,
+)
+from needlefit.imaging.needle.segmentation import median_tissue_hu
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume_files import write_volume
+from needlefit.project.atomic_write import replace_file
+from needlefit.studies.slicer import make_scan_markups, rgb_of_layers
+
+ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+"""Date of all members, so that the same scene gives the same bytes."""
+
+WINDOW_HU = 700.0
+"""Width of the window in which tissue is shown, HU."""
+
+
+@dataclass
+class _Scene:
+    """The nodes of a scene and the folder of its files."""
+
+    folder: Path
+    root: ElementTree.Element
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def add(self, tag: str, class_: str, name: str, **attributes: str) -> str:
+        """Add a node; return its id."""
+        self.counts[class_] = self.counts.get(class_, 0) + 1
+        id_ = f"{class_}{self.counts[class_]}"
+        ElementTree.SubElement(self.root, tag, {"id": id_, "name": name, **attributes})
+        return id_
+
+    def add_stored(self, node: tuple[str, str], name: str, file: str, parts: "_Parts") -> str:
+        """Add a node with what stores and displays it; return its id."""
+        (storage_tag, storage), stored = parts.storage, {"fileName": quote(f"Data/{file}")}
+        stored |= parts.stored
+        kept = self.add(storage_tag, storage, f"{name} storage", **stored)
+        display_tag, display = parts.display
+        shown = self.add(display_tag, display, f"{name} display", visibility="true", **parts.shown)
+        tag, class_ = node
+        return self.add(tag, class_, name, references=f"display:{shown};storage:{kept};", **parts.own)
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Tag and class of the nodes that store and display one, and further attributes of each."""
+
+    storage: tuple[str, str]
+    display: tuple[str, str]
+    stored: dict[str, str] = field(default_factory=dict)
+    shown: dict[str, str] = field(default_factory=dict)
+    own: dict[str, str] = field(default_factory=dict)
+
+
+def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, path: Path) -> None:
+    """Write a Medical Reality Bundle that shows a scan with what was found in it.
+
+    It holds the volume, curves of the needle, entry, tip, layer crossings and markers, open surfaces of
+    layers as models, closed ones and the needle as a segmentation. The same content gives the same bytes.
+
+    Parameters
+    ----------
+    diameter : float
+        Of the needle, mm.
+    """
+    marked = mark_voxels(one, volume.grid, diameter)
+    with TemporaryDirectory(prefix="needlefit-") as folder:
+        scene = _Scene(Path(folder) / "Data", ElementTree.Element("MRML", version="Slicer5.0.0", userTags=""))
+        scene.folder.mkdir()
+        _add_volume(scene, one, volume)
+        for number, (markups, style) in enumerate(make_scan_markups(one), start=1):
+            _add_markups(scene, markups, style, f"markups{number}.mrk.json")
+        _add_surfaces(scene, one)
+        _add_segmentation(scene, one, volume, marked)
+        ElementTree.indent(scene.root)
+        text = ElementTree.tostring(scene.root, encoding="utf-8", xml_declaration=True)
+        (Path(folder) / f"{one.scan.id}.mrml").write_bytes(text + b"\n")
+        with replace_file(path) as fresh:
+            _bundle(Path(folder), one.scan.id, fresh)
+
+
+def _add_volume(scene: _Scene, one: Reconstruction, volume: Volume) -> None:
+    write_volume(volume, scene.folder / "scan.nrrd")
+    level = median_tissue_hu(volume)
+    shown = {
+        "window": f"{WINDOW_HU:g}",
+        "level": f"{level:g}",
+        "autoWindowLevel": "0",
+        "colorNodeID": "vtkMRMLColorTableNodeGrey",
+    }
+    parts = _Parts(
+        ("VolumeArchetypeStorage", "vtkMRMLVolumeArchetypeStorageNode"),
+        ("VolumeDisplay", "vtkMRMLScalarVolumeDisplayNode"),
+        shown=shown,
+    )
+    volume_id = scene.add_stored(("Volume", "vtkMRMLScalarVolumeNode"), one.scan.id, "scan.nrrd", parts)
+    selected = {"id": "vtkMRMLSelectionNodeSingleton", "name": "Selection", "singletonTag": "Singleton"}
+    ElementTree.SubElement(scene.root, "Selection", {**selected, "references": f"ActiveVolume:{volume_id};"})
+
+
+def _add_markups(scene: _Scene, markups: Markups, style: CurveStyle, file: str) -> None:
+    write_mrk_json(scene.folder / file, [(markups, style)])
+    parts = _Parts(
+        ("MarkupsJsonStorage", "vtkMRMLMarkupsJsonStorageNode"),
+        ("MarkupsDisplay", "vtkMRMLMarkupsDisplayNode"),
+        stored={"coordinateSystem": "LPS"},
+        shown={"color": _format_colour(style.colour), "selectedColor": _format_colour(style.colour)},
+    )
+    kind = f"Markups{markups.kind}"
+    scene.add_stored((kind, f"vtkMRML{kind}Node"), markups.name, file, parts)
+
+
+def _add_surfaces(scene: _Scene, one: Reconstruction) -> None:
+    """Add the open surfaces of the layers; closed ones are segments."""
+    sheets = [surface for surface in layers_in_patient(one) if surface.kind == "sheet"]
+    for number, sheet in enumerate(sheets, start=1):
+        file = f"{number}_{make_id(sheet.name, 'surface')}.ply"
+        write_ply(sheet.mesh, scene.folder / file, ("SPACE=LPS",))
+        parts = _Parts(
+            ("ModelStorage", "vtkMRMLModelStorageNode"),
+            ("ModelDisplay", "vtkMRMLModelDisplayNode"),
+            stored={"coordinateSystem": "LPS"},
+            shown={"color": _format_colour(rgb_of_layers()), "opacity": "0.4"},
+        )
+        name = f"into layer {sheet.into}: {sheet.name}"
+        scene.add_stored(("Model", "vtkMRMLModelNode"), name, file, parts)
+
+
+def _add_segmentation(scene: _Scene, one: Reconstruction, volume: Volume, marked: MarkedVoxels) -> None:
+    write_slicer_segmentation(marked, volume.grid, scene.folder / "segmentation.seg.nrrd")
+    parts = _Parts(
+        ("SegmentationStorage", "vtkMRMLSegmentationStorageNode"),
+        ("SegmentationDisplay", "vtkMRMLSegmentationDisplayNode"),
+    )
+    scene.add_stored(
+        ("Segmentation", "vtkMRMLSegmentationNode"),
+        f"{one.scan.id} needle and layers",
+        "segmentation.seg.nrrd",
+        parts,
+    )
+
+
+def _format_colour(colour: tuple[float, float, float]) -> str:
+    return " ".join(f"{part:.4g}" for part in colour)
+
+
+def _bundle(folder: Path, name: str, path: Path) -> None:
+    """Pack a scene and its files into one archive, in a folder as 3D Slicer has it."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for file in _list_files(folder):
+            member = zipfile.ZipInfo(f"{name}/{file.relative_to(folder).as_posix()}", ZIP_DATE)
+            member.compress_type = zipfile.ZIP_STORED if file.suffix == ".nrrd" else zipfile.ZIP_DEFLATED
+            member.external_attr = 0o644 << 16
+            archive.writestr(member, file.read_bytes())
+
+
+def _list_files(folder: Path) -> Iterator[Path]:
+    yield from sorted(one for one in folder.rglob("*") if one.is_file())

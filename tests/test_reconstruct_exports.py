@@ -1,0 +1,111 @@
+"""What `reconstruct --export` writes for other programs: parsed back by their own rules."""
+
+import json
+import zipfile
+from pathlib import Path
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import slicerio
+import trimesh
+from test_cli import run
+
+from needlefit.datasets.importing.slicer_scene import read_scene
+from needlefit.datasets.read import read
+from needlefit.errors import ConfigError
+from needlefit.imaging.label_export import require_dicom
+from needlefit.imaging.scan import Scan
+from needlefit.imaging.volume_files import read_segments, read_volume
+
+pytestmark = pytest.mark.slow
+BOX_MM = (8, 5, 6)
+BOTH = ("--export", "scene", "--export", "seg", "-q")
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory) -> Path:
+    """A scan in DICOM, reconstructed with both exports: the folder of scans and dataset.
+
+    The closed layer is a box beside the needle, within the scan.
+    """
+    folder = tmp_path_factory.mktemp("exports")
+    assert run("twin", "ct", "sample", "--format", "dicom", "--out", str(folder / "scans"), "-q") == 0
+    box = trimesh.creation.box(BOX_MM, trimesh.transformations.translation_matrix([10, -8, 5]))
+    box.export(folder / "scans/layers/phantom2_cylinder.stl")
+    assert run("reconstruct", str(folder / "scans/scans.csv"), "--out", str(folder / "one"), *BOTH) == 0
+    return folder
+
+
+def test_every_reference_of_the_scene_leads_to_a_node_or_a_file(exported, tmp_path):
+    bundle = exported / "one/slicer/sample.mrb"
+    with zipfile.ZipFile(bundle) as archive:
+        archive.extractall(tmp_path)
+        names = set(archive.namelist())
+    root = ElementTree.parse(tmp_path / "sample/sample.mrml").getroot()
+    nodes = {node.get("id"): node for node in root}
+    assert len(nodes) == len(root)
+    used = {f"sample/{unquote(node.get('fileName'))}" for node in root if node.get("fileName")}
+    assert used | {"sample/sample.mrml"} == names
+    for node in root:
+        for part in filter(None, node.get("references", "").split(";")):
+            role, _, ids = part.partition(":")
+            assert role in ("display", "storage", "ActiveVolume") and set(ids.split()) <= set(nodes)
+    tags = [node.tag for node in root]
+    assert {tag: tags.count(tag) for tag in ("Volume", "Segmentation", "Model", "MarkupsCurve")} == {
+        "Volume": 1,
+        "Segmentation": 1,
+        "Model": 2,
+        "MarkupsCurve": 4,
+    }
+    for file in (tmp_path / "sample/Data").glob("*.mrk.json"):
+        assert len(json.loads(file.read_text())["markups"]) == 1
+
+
+def test_volume_needle_and_surfaces_of_the_scene_lie_where_they_did(exported, tmp_path):
+    bundle = exported / "one/slicer/sample.mrb"
+    with zipfile.ZipFile(bundle) as archive:
+        archive.extractall(tmp_path)
+    scan = read_volume(exported / "scans/volumes/sample")
+    again = read_volume(tmp_path / "sample/Data/scan.nrrd")
+    np.testing.assert_array_equal(again.values, scan.values)
+    np.testing.assert_allclose(again.origin, scan.origin, atol=1e-9)
+    (insertion,) = read(exported / "one").insertions
+    content = read_scene(bundle)
+    (curve,) = [one for one in content.curves if " inserted" in one.name]
+    np.testing.assert_allclose(
+        curve.points.values, insertion.patient.to_local(insertion.centerline), atol=1e-3
+    )
+    assert [one.surface.kind for one in content.surfaces] == ["sheet", "sheet"]
+
+
+def test_both_segmentations_mark_the_needle_and_the_closed_layer(exported, tmp_path):
+    with zipfile.ZipFile(exported / "one/slicer/sample.mrb") as archive:
+        archive.extract("sample/Data/segmentation.seg.nrrd", tmp_path)
+    path = tmp_path / "sample/Data/segmentation.seg.nrrd"
+    found = slicerio.read_segmentation(str(path))
+    names = [segment["name"] for segment in found["segments"]]
+    assert names[-1] == "needle" and names[0].startswith("layer 4")
+    volume = np.asarray(found["voxels"])
+    counts = {s["name"]: int((volume == s["labelValue"]).sum()) for s in found["segments"]}
+    shaft = 38.9  # mm of the needle that the scan shows
+    voxel = float(np.prod(read_volume(exported / "scans/volumes/sample").spacing))
+    assert counts["needle"] * voxel == pytest.approx(np.pi / 4 * 1.27**2 * shaft, rel=0.08)
+    assert counts[names[0]] * voxel == pytest.approx(np.prod(BOX_MM), rel=0.08)
+    labels, segments = read_segments(exported / "one/slicer/sample.seg.dcm", names)
+    assert list(segments) == names
+    for number, name in enumerate(names, start=1):
+        assert int((labels.values == number).sum()) == counts[name]
+
+
+def test_the_same_scan_gives_the_same_bytes(exported):
+    again = exported / "two"
+    assert run("reconstruct", str(exported / "scans/scans.csv"), "--out", str(again), *BOTH) == 0
+    for name in ("sample.mrb", "sample.seg.dcm"):
+        assert (again / "slicer" / name).read_bytes() == (exported / "one/slicer" / name).read_bytes()
+
+
+def test_a_dicom_segmentation_needs_a_dicom_series(tmp_path):
+    with pytest.raises(ConfigError):
+        require_dicom(Scan("a", tmp_path / "a.nrrd", "gel"))
