@@ -13,7 +13,8 @@ from needlefit.imaging.intensity_profile import sample_profile
 from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
 from needlefit.imaging.needle.mask import read_mask_component
-from needlefit.imaging.needle.segmentation import Component, segment_needle
+from needlefit.imaging.needle.segmentation import Component
+from needlefit.imaging.needle.selection import NeedleSelection, select_needle
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult
 from needlefit.imaging.registration.marker_sets import KNOWN_SET
 from needlefit.imaging.registration.register import Registration, register, scan_frame
@@ -41,6 +42,7 @@ class Detections:
     markers: MarkerResult | None
     registration: Registration | None
     profile: IntensityProfile
+    warnings: tuple[str, ...] = ()
 
     @property
     def patient(self) -> Frame:
@@ -55,13 +57,14 @@ class Detections:
 
 def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detections:
     """Detect needle and markers in a volume."""
-    needle = _find_needle(volume, scan, recipe)
-    needle_axis = trace_needle(volume, needle, recipe)
-    markers = _find_markers(volume, needle, scan, recipe)
+    found = _find_needle(volume, scan, recipe)
+    needle_axis = trace_needle(volume, found.needle, recipe)
+    markers = _find_markers(volume, found.needle, scan, recipe)
     registration = None
     if markers is not None and scan.markers is not None:
         registration = _register_markers(markers, scan.markers, recipe)
-    return Detections(needle_axis, markers, registration, _sample_needle_profile(volume, needle_axis.points))
+    profile = _sample_needle_profile(volume, needle_axis.points)
+    return Detections(needle_axis, markers, registration, profile, found.warnings)
 
 
 def _register_markers(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:
@@ -83,12 +86,10 @@ def _sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     return sample_profile(volume, points, arc_length(points))
 
 
-def _find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
-    return (
-        segment_needle(volume, recipe)
-        if scan.mask is None
-        else read_mask_component(volume, scan.mask, recipe)
-    )
+def _find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> NeedleSelection:
+    if scan.mask is None:
+        return select_needle(volume, recipe, scan.needle_at)
+    return NeedleSelection(read_mask_component(volume, scan.mask, recipe))
 
 
 def _find_markers(

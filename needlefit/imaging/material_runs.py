@@ -283,7 +283,7 @@ def merge_levels(values: Floats, changes: list[int], least: float) -> list[int]:
 def _choose_window(runs: tuple[MaterialRun, ...], guess: float) -> tuple[list[int], float, float]:
     """Return the runs that begin near `guess`, and from where to where their edges are fitted, mm.
 
-    No edge stands at the rim of the window: it is fitted, too, or its blur is left out. Metal ends the window.
+    No edge stands at the rim of the window: it is fitted, too, or its blur is left out. Metal ends it.
     """
     reach = EDGE_REACH_MM + EDGE_MARGIN_MM
     metal = [run for run in runs if run.kind == "metal"]
