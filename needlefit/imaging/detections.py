@@ -57,13 +57,13 @@ class Detections:
 
 def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detections:
     """Detect needle and markers in a volume."""
-    found = _find_needle(volume, scan, recipe)
+    found = find_needle(volume, scan, recipe)
     needle_axis = trace_needle(volume, found.needle, recipe)
     markers = _find_markers(volume, found.needle, scan, recipe)
     registration = None
     if markers is not None and scan.markers is not None:
         registration = _register_markers(markers, scan.markers, recipe)
-    profile = _sample_needle_profile(volume, needle_axis.points)
+    profile = sample_needle_profile(volume, needle_axis.points)
     return Detections(needle_axis, markers, registration, profile, found.warnings)
 
 
@@ -76,7 +76,7 @@ def _register_markers(markers: MarkerResult, known: Path, recipe: Reconstruction
         raise (error.at(str(known)) if error.where == KNOWN_SET else error) from None
 
 
-def _sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
+def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     """Return the brightness along the needle (N, 3), LPS, and on beyond its tip."""
     # over four stations: the last step alone is too noisy a direction
     ahead = needle[-1] - needle[-5]
@@ -86,7 +86,8 @@ def _sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     return sample_profile(volume, points, arc_length(points))
 
 
-def _find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> NeedleSelection:
+def find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> NeedleSelection:
+    """Return the needle of a scan, from its mask or among the tubes of the volume."""
     if scan.mask is None:
         return select_needle(volume, recipe, scan.needle_at)
     return NeedleSelection(read_mask_component(volume, scan.mask, recipe))

@@ -27,7 +27,7 @@ from needlefit.imaging.reconstruction_checks import (
 from needlefit.imaging.registration.register import predict_mean_target_error
 from needlefit.imaging.scan import BEVEL_FIX, Scan
 from needlefit.imaging.views import render_views
-from needlefit.imaging.volume import VoxelGrid
+from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -140,7 +140,11 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     ConfigError
         If the packages that read scans are not installed.
     """
-    volume = read_volume(scan.volume, scan.series)
+    return reconstruct_volume(read_volume(scan.volume, scan.series), scan, recipe)
+
+
+def reconstruct_volume(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
+    """Reconstruct the needle of a scan whose volume was read, as `reconstruct`."""
     detections = detect(volume, scan, recipe)
     found = derive_reconstruction(detections, scan, recipe, volume.grid)
     pictures = render_views(volume, detections.patient, found.frame, detections.needle_axis.points)

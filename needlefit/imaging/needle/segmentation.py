@@ -95,11 +95,15 @@ def _grow_tube(
     grown = tube
     for level in levels:
         labels, _ = label(volume.values[box] > level, structure=np.ones((3, 3, 3), dtype=bool))
-        met = np.unique([labels[tuple((np.array(voxel) - low)[::-1])] for voxel in own])
-        found = [np.argwhere(labels == number)[:, ::-1] + low for number in met if number]
-        parts = cut_components(volume, [measure_component(volume, one) for one in found], recipe)
-        parts = [part for part in parts if own & {tuple(voxel) for voxel in part.voxels.tolist()}]
-        longest = max(parts, key=lambda part: part.length, default=tube)
+        found = [
+            np.argwhere(labels[part] == number)[:, ::-1] + [side.start for side in part[::-1]] + low
+            for number, part in enumerate(find_objects(labels), start=1)
+        ]
+        whole = [measure_component(volume, one) for one in found if len(one) >= MIN_COMPONENT_VOXELS]
+        parts = cut_components(volume, whole, recipe)
+        same = [part for part in parts if own & {tuple(voxel) for voxel in part.voxels.tolist()}]
+        longest = max(same, key=lambda part: part.length, default=tube)
+        longest = _join_pieces(volume, longest, [part for part in parts if part is not longest], recipe)
         wide = longest.width > MAX_GROWTH_WIDENING * tube.width
         if is_tube(longest, recipe) and not wide and longest.length > grown.length + MIN_GROWTH_MM:
             grown = longest
@@ -294,7 +298,9 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     far = np.abs(piece[:, 0] - np.clip(piece[:, 0], local[:, 0].min(), local[:, 0].max()))
     near = piece[far <= far.min() + NEAR_END_MM]  # farther off, a parabola that is drawn on says little
     off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
-    allowed = recipe.needle.diameter_mm * (1 + max(gap, 0.0) / recipe.segmentation.min_length_mm)
+    # a needle that crosses slices stands one beside the other
+    thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
+    allowed = thick * (1 + max(gap, 0.0) / recipe.segmentation.min_length_mm)
     if np.linalg.norm(off, axis=1).mean() > allowed:
         return False
     both = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
