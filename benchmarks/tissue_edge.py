@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
-from needlefit.imaging.intensity_profile import find_tissue_edge, sample_profile
+from needlefit.imaging.intensity_profile import sample_profile
+from needlefit.imaging.material_runs import find_tissue_edge
 from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers, VoxelGrid
 from needlefit.synthetic.phantoms import Phantom
 from needlefit.synthetic.render import render_scan
@@ -32,7 +33,7 @@ S = np.linspace(-60.0, 18.0, 157)
 
 def draw_scene(tilt: float, rich: bool, grid: VoxelGrid, rng: np.random.Generator) -> Scene3D:
     """Draw a scene whose needle enters through a face tilted by `tilt` (rad) against it."""
-    way = normalize(grid.direction[:, int(np.argmax(grid.shape))] + 0.15 * rng.normal(size=3))
+    way = normalize(grid.direction[:, int(np.argmax(grid.size))] + 0.15 * rng.normal(size=3))
     side = normalize(np.cross(way, rng.normal(size=3)))
     entry = grid.direction @ rng.uniform(-3, 3, 3)
     into = np.cos(tilt) * way + np.sin(tilt) * side

@@ -41,9 +41,10 @@ class Worked:
     def __init__(self, monkeypatch, one):
         self.done = []
         self.one = one
-        monkeypatch.setattr(batch, "reconstruct", self)
+        monkeypatch.setattr(batch, "read_volume", lambda path, series: None)
+        monkeypatch.setattr(batch, "reconstruct_volume", self)
 
-    def __call__(self, scan, recipe):
+    def __call__(self, volume, scan, recipe):
         self.done.append(scan.id)
         return replace(self.one, scan=scan)
 
@@ -89,10 +90,10 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
 
 
 def test_an_unexpected_error_in_one_scan_is_its_failure(sample, monkeypatch):
-    def breaks(scan, recipe):
+    def breaks(volume, scan, recipe):
         raise ZeroDivisionError("by nought")
 
-    monkeypatch.setattr(batch, "reconstruct", breaks)
+    monkeypatch.setattr(batch, "reconstruct_volume", breaks)
     (one,) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
     assert "ZeroDivisionError: by nought" in str(one.error)
 

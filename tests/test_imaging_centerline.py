@@ -13,7 +13,8 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.needle.axis_spline import SHIFT_PER_TILT_MM, CrossSections, estimate_shared_sd
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.segmentation import find_components, list_thresholds, segment_needle
+from needlefit.imaging.needle.segmentation import find_components, list_thresholds
+from needlefit.imaging.needle.selection import segment_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.load import load
 from needlefit.schemas.reconstruction import ReconstructionRecord

@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
-from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.needle.selection import segment_needle
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.sphere_fit import SphereVoxels, blurred_profile, render_sphere
 from needlefit.imaging.volume import Volume

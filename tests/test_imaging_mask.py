@@ -11,7 +11,7 @@ from reading_here import child_process_reader, read_here  # noqa: F401 - fixture
 from needlefit.errors import DataError
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.mask import read_mask_component
-from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.needle.selection import segment_needle
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import write_volume
 from needlefit.synthetic.ct_scene import Needle3D
@@ -70,7 +70,7 @@ def cropped(mask):
 
 
 def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
-    with pytest.raises(DataError, match="two needles"):
+    with pytest.raises(DataError, match="2 needles"):
         segment_needle(volume, cases.RECIPE)
     line = trace_needle(
         volume, read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE), cases.RECIPE

@@ -112,7 +112,7 @@ def test_a_scan_is_written_as_the_row_from_which_it_is_read(tmp_path):
 def test_a_session_says_what_was_found(session):
     found = session.describe()
     assert found["error"] is None and len(found["balls"]) == 5 and len(found["layers"]) == 1
-    assert [one["chosen"] for one in found["candidates"]] == [True] + 5 * [False]
+    assert [one["chosen"] for one in found["tubes"]] == [True] and len(found["entries"]) >= 1
     assert session.cut({"view": "axial", "index": 3, "low": 0, "high": 100}).startswith(b"\x89PNG")
     assert session.cut({"view": "needle", "angle": 30, "low": 0, "high": 100}).startswith(b"\x89PNG")
     with pytest.raises(DataError):
@@ -123,9 +123,10 @@ def test_corrections_are_used_kept_and_repeated(session, tmp_path):
     found = session.describe()
     tip = np.array(found["tip"]["at"])
     back = tip + 0.8 * (np.array(found["axis"][-3]) - tip) / np.linalg.norm(np.array(found["axis"][-3]) - tip)
-    line = found["candidates"][0]["line"]
     balls = [one["at"] for one in found["balls"]]
-    session.again({"tip": back.tolist(), "needle": line[len(line) // 2], "balls": balls, "contact": None})
+    session.again(
+        {"tip": back.tolist(), "needle": found["tubes"][0]["middle"], "balls": balls, "contact": None}
+    )
     corrected = session.describe()
     assert corrected["tip"]["placed"] and corrected["tip"]["along_sd"] == 0.3
     assert corrected["inserted"]["depth"] == pytest.approx(found["inserted"]["depth"] - 0.8, abs=0.05)
@@ -141,13 +142,14 @@ def test_a_refused_scan_shows_how_far_it_got(session):
     found = session.describe()
     session.again({})
     assert found["error"]["what"] and found["inserted"] is None
-    assert found["tip"] is not None and found["candidates"][0]["chosen"]
+    assert found["tip"] is not None and found["tubes"][0]["chosen"]
 
 
-def test_a_pick_beside_everything_bright_is_refused(session):
-    with pytest.raises(DataError):
-        session.again({"needle": session.volume.origin.tolist()})
-    assert session.describe()["corrections"]["needle"] is None
+def test_a_needle_picked_beside_every_tube_is_an_error_of_the_scan(session):
+    session.again({"needle": session.volume.origin.tolist()})
+    found = session.describe()
+    session.again({})
+    assert found["error"]["where"].startswith("needle_x_mm") and found["axis"] is None
 
 
 def test_scans_are_told_from_other_targets(tmp_path, monkeypatch):

@@ -135,6 +135,7 @@ def reconstruct(
         require_replaceable(out)
         keep = out.resolve().with_name(f"{out.resolve().name}.partial")
         require_own_checkpoint(keep)
+        require_replaceable(out.resolve().with_name(f"{out.resolve().name}.refused"))
         wanted = _scans(scans, {name: value for name, value in named.items() if value not in (None, [])})
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
@@ -159,12 +160,15 @@ def reconstruct(
             written = None
             if ones:
                 about = DatasetDescription(out.resolve().name, title)
-                written, faulty = write_reconstruction(out, ones, record, about, report, exports)
+                written, faulty = write_reconstruction(
+                    out, ones, record, about, report, refused=failed, exports=exports
+                )
                 failed = [*failed, *faulty]
+            pages = out if written else _write_refused(out, failed)
     warnings = warnings_in(out) if written else []
     if written and not json:
         screen.print_text(f"{judge_run(written)[0].sentence}.")
-    _print_failures(written, failed)
+    _print_failures(written, failed, pages)
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if json else None)
     if failed and written:
@@ -225,9 +229,27 @@ def _show(
         screen.print_line(f"written: {out}/ (figures of each scan in {out}/quality/)")
 
 
-def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]") -> None:
+def _write_refused(out: Path, failed: "Sequence[ReconstructionFailure]") -> Path | None:
+    """Write the pages of refused scans beside the dataset that could not be written; return their folder.
+
+    None where no scan could be read.
+    """
+    if not any(one.findings for one in failed):
+        return None
+    from needlefit.studies.kinds.reconstruction.refused import write_refused
+
+    folder = out.resolve().with_name(f"{out.resolve().name}.refused")
+    write_refused(failed, folder)
+    return folder
+
+
+def _print_failures(
+    found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path | None
+) -> None:
     for one in failed:
         screen.print_note(f"needlefit: {_describe_failure(one)}")
+    if failed and pages:
+        screen.print_note(f"needlefit: what was found in refused scans: {pages}/quality/")
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")

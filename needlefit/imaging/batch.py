@@ -10,10 +10,12 @@ from pathlib import Path
 
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
-from needlefit.imaging.reconstruct import reconstruct
+from needlefit.imaging.findings import Findings, collect_findings
+from needlefit.imaging.reconstruct import reconstruct_volume
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import list_series_files
+from needlefit.imaging.volume_files import read_volume
 from needlefit.project.checkpoint_file import (
     CheckpointContent,
     read_checkpoint_file,
@@ -23,6 +25,7 @@ from needlefit.project.checkpoint_file import (
 from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
 from needlefit.project.processes import run_in_processes
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
+from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")
@@ -38,10 +41,11 @@ VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", 
 
 @dataclass(frozen=True)
 class ReconstructionFailure:
-    """A scan that could not be reconstructed, and why."""
+    """A scan that could not be reconstructed, why, and what was found in it, where it could be read."""
 
     scan: Scan
     error: NeedlefitError
+    findings: Findings | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ def reconstruct_all(
             found[n] = finished
     left = [n for n in range(len(scans)) if n not in found]
     batch.progress("reconstructing", len(found), len(scans))
-    work = partial(try_reconstruct, recipe=recipe)
+    work = partial(try_reconstruct, recipe=recipe, collect=True)
     for at, one in run_in_processes(work, [scans[n] for n in left], batch.jobs, batch.stop):
         found[left[at]] = one
         if isinstance(one, Reconstruction):
@@ -92,15 +96,22 @@ def reconstruct_all(
     return tuple(found[n] for n in sorted(found))
 
 
-def try_reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction | ReconstructionFailure:
-    """Return the reconstruction of a scan, or its failure."""
+@one_thread
+def try_reconstruct(
+    scan: Scan, recipe: ReconstructionRecord, collect: bool = False
+) -> Reconstruction | ReconstructionFailure:
+    """Return the reconstruction of a scan, or its failure; `collect`: with what was found in the scan."""
+    volume = None
     try:
-        return reconstruct(scan, recipe)
+        volume = read_volume(scan.volume, scan.series)
+        return reconstruct_volume(volume, scan, recipe)
     except NeedlefitError as error:
-        return ReconstructionFailure(scan, error)
+        failed = error
     except Exception as error:  # an unexpected error in one scan must not lose the others' results
         what = f"unexpected {type(error).__name__}: {error}"
-        return ReconstructionFailure(scan, NeedlefitError(what, where=str(scan.volume)))
+        failed = NeedlefitError(what, where=str(scan.volume))
+    findings = collect_findings(volume, scan, recipe) if collect and volume is not None else None
+    return ReconstructionFailure(scan, failed, findings)
 
 
 def _read_checkpoint(

@@ -13,7 +13,7 @@ from needlefit.imaging.intensity_profile import sample_profile
 from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
 from needlefit.imaging.needle.mask import read_mask_component
-from needlefit.imaging.needle.segmentation import Component, segment_needle
+from needlefit.imaging.needle.selection import NeedleSelection, select_needle
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult
 from needlefit.imaging.registration.marker_sets import KNOWN_SET
 from needlefit.imaging.registration.register import Registration, register, scan_frame
@@ -41,6 +41,7 @@ class Detections:
     markers: MarkerResult | None
     registration: Registration | None
     profile: IntensityProfile
+    warnings: tuple[str, ...] = ()
 
     @property
     def patient(self) -> Frame:
@@ -55,13 +56,14 @@ class Detections:
 
 def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detections:
     """Detect needle and markers in a volume."""
-    needle = find_needle(volume, scan, recipe)
-    needle_axis = trace_needle(volume, needle, recipe, scan.tip)
-    markers = find_scan_markers(volume, needle.voxels, scan, recipe)
+    found = find_needle(volume, scan, recipe)
+    needle_axis = trace_needle(volume, found.needle, recipe, scan.tip)
+    markers = find_scan_markers(volume, found.needle.voxels, scan, recipe)
     registration = None
     if markers is not None and scan.markers is not None:
         registration = register_scan(markers, scan.markers, recipe)
-    return Detections(needle_axis, markers, registration, sample_needle_profile(volume, needle_axis.points))
+    profile = sample_needle_profile(volume, needle_axis.points)
+    return Detections(needle_axis, markers, registration, profile, found.warnings)
 
 
 def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:
@@ -83,13 +85,11 @@ def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     return sample_profile(volume, points, arc_length(points))
 
 
-def find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
-    """Return the needle: of the scan's mask where there is one, else the tube that is found."""
-    return (
-        segment_needle(volume, recipe)
-        if scan.mask is None
-        else read_mask_component(volume, scan.mask, recipe)
-    )
+def find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> NeedleSelection:
+    """Return the needle of a scan, from its mask or among the tubes of the volume."""
+    if scan.mask is None:
+        return select_needle(volume, recipe, scan.needle_at)
+    return NeedleSelection(read_mask_component(volume, scan.mask, recipe))
 
 
 def find_scan_markers(

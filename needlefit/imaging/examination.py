@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from needlefit.errors import NeedlefitError
+from needlefit.geometry.curves import arc_length
 from needlefit.imaging.detections import (
     Detections,
     find_needle,
@@ -12,9 +13,10 @@ from needlefit.imaging.detections import (
     register_scan,
     sample_needle_profile,
 )
+from needlefit.imaging.entry_choice import EntryCandidate, list_candidates
+from needlefit.imaging.findings import TubeFinding, list_tubes
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
-from needlefit.imaging.needle.picking import list_candidates
-from needlefit.imaging.needle.segmentation import Component
+from needlefit.imaging.needle.selection import NeedleSelection
 from needlefit.imaging.reconstruct import derive_reconstruction
 from needlefit.imaging.reconstruction import MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import Registration
@@ -32,15 +34,18 @@ class Examination:
 
     Attributes
     ----------
-    candidates : tuple of Component
-        Bright components, tubes first.
+    tubes : tuple of TubeFinding
+        The needle and what else it might be.
+    entries : tuple of EntryCandidate
+        Places where soft material begins around the needle.
     error : NeedlefitError or None
         Why the scan is refused: of the first step that failed.
     """
 
     scan: Scan
-    candidates: tuple[Component, ...] = ()
-    needle: Component | None = None
+    tubes: tuple[TubeFinding, ...] = ()
+    selection: NeedleSelection | None = None
+    entries: tuple[EntryCandidate, ...] = ()
     needle_axis: Centerline | None = None
     markers: MarkerResult | None = None
     registration: Registration | None = None
@@ -67,20 +72,33 @@ class _Steps:
 def examine(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Examination:
     """Return everything that the steps of `reconstruct` find; a step that fails does not keep others back."""
     steps = _Steps()
-    needle = steps.take(lambda: find_needle(volume, scan, recipe))
-    found = Examination(scan, tuple(steps.take(lambda: list_candidates(volume, recipe)) or ()), needle)
-    if needle is not None:
-        found = replace(found, needle_axis=steps.take(lambda: trace_needle(volume, needle, recipe, scan.tip)))
-    voxels = None if needle is None else needle.voxels
-    markers = steps.take(lambda: find_scan_markers(volume, voxels, scan, recipe))
+    selection = steps.take(lambda: find_needle(volume, scan, recipe))
+    found = Examination(scan, list_tubes(volume, recipe, selection), selection)
+    own = None
+    if selection is not None:
+        needle, own = selection.needle, selection.needle.voxels
+        axis = steps.take(lambda: trace_needle(volume, needle, recipe, scan.tip))
+        found = replace(found, needle_axis=axis)
+    markers = steps.take(lambda: find_scan_markers(volume, own, scan, recipe))
     registration = None
     if markers is not None and scan.markers is not None:
         known = scan.markers
         registration = steps.take(lambda: register_scan(markers, known, recipe))
     found = replace(found, markers=markers, registration=registration)
-    axis = found.needle_axis
-    if axis is not None and (registration is not None or scan.markers is None):
-        detections = Detections(axis, markers, registration, sample_needle_profile(volume, axis.points))
+    if found.needle_axis is not None:
+        found = _follow(found, volume, recipe, steps)
+    return replace(found, error=steps.error)
+
+
+def _follow(found: Examination, volume: Volume, recipe: ReconstructionRecord, steps: _Steps) -> Examination:
+    """Return what is found along the traced needle."""
+    axis, scan = found.needle_axis, found.scan
+    assert axis is not None
+    profile = sample_needle_profile(volume, axis.points)
+    entries = list_candidates(profile, float(arc_length(axis.points)[-1]))
+    if scan.markers is None or found.registration is not None:
+        warnings = found.selection.warnings if found.selection else ()
+        detections = Detections(axis, found.markers, found.registration, profile, warnings)
         done = steps.take(lambda: derive_reconstruction(detections, scan, recipe, volume.grid))
         found = replace(found, reconstruction=done)
-    return replace(found, error=steps.error)
+    return replace(found, entries=entries)

@@ -1,5 +1,6 @@
 """Reconstruct one scan: the needle's centreline in the world, its entry pose, the layers it crosses."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -13,8 +14,9 @@ from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
 from needlefit.imaging.detections import Detections, detect
-from needlefit.imaging.intensity_profile import find_tissue_edge
+from needlefit.imaging.entry_choice import EntryKnowledge, choose_entry
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
+from needlefit.imaging.material_runs import find_rises
 from needlefit.imaging.reconstruction import EntryPose, Reconstruction
 from needlefit.imaging.reconstruction_checks import (
     MAX_DISAGREEMENT_SD,
@@ -25,7 +27,7 @@ from needlefit.imaging.reconstruction_checks import (
 from needlefit.imaging.registration.register import predict_mean_target_error
 from needlefit.imaging.scan import BEVEL_FIX, CONTACT_COLUMNS, Scan
 from needlefit.imaging.views import render_views
-from needlefit.imaging.volume import VoxelGrid
+from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -33,24 +35,24 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 
 def estimate_first_contact(
     detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[EntryPose, EntryPose | None]:
-    """Return the entry pose, and the pose of the shaft outside the tissue where it is visible."""
+) -> tuple[EntryPose, EntryPose | None, tuple[str, ...]]:
+    """Return the entry pose, the pose of the shaft outside the tissue where it is visible, and warnings."""
     if scan.stage is None:
-        at, at_sd = _locate_tissue(detections, scan, surfaces, recipe)
+        at, at_sd, notes = _locate_tissue(detections, scan, surfaces, recipe)
         shaft = entry.move_to_surface(
             entry.pose_from_shaft(_select_outside_shaft(detections, scan, recipe, at), at_sd), surfaces
         )
-        return shaft, shaft
+        return shaft, shaft, notes
     (here,) = detections.patient.to_local(scan.stage.entry[None])
     stage = entry.pose_from_stage(scan.stage, detections.registration, here)
     outside = _select_outside_shaft(
         detections, scan, recipe, entry.find_entry_arc_length(detections.world, stage)
     )
     if entry.usable_length(outside) < entry.MIN_SHAFT_LENGTH_MM:
-        return stage, None
+        return stage, None, ()
     other = entry.pose_from_shaft(outside, stage.along_sd)
     entry.require_agreement(stage, other)
-    return stage, other
+    return stage, other, ()
 
 
 def _select_outside_shaft(
@@ -72,26 +74,23 @@ def _select_outside_shaft(
 
 def _locate_tissue(
     detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[float, float]:
-    """Return where along the whole needle the tissue begins, and how sure that is, mm.
+) -> tuple[float, float, tuple[str, ...]]:
+    """Return where along the whole needle the tissue begins, how sure that is, mm, and warnings.
 
     A first contact placed by hand says it, else the tissue's own surface where there is one, else the
     change of brightness around the needle.
     """
     if scan.contact is not None:
-        return _project_contact(detections, scan.contact), recipe.entry.placed_contact_sd_mm
-    outer = [surface for surface in surfaces if surface.into == 1]
-    hits = (
-        np.concatenate([find_surface_hits(detections.world, surface) for surface in outer])
-        if outer
-        else np.empty(0)
-    )
-    edge = find_tissue_edge(detections.profile)
-    if len(hits):
-        at = float(hits.min())
-        _refuse_distant_surface(at, edge, scan)
-        return at, recipe.layers.surface_sd_mm
-    if edge is None:
+        return _project_contact(detections, scan.contact), recipe.entry.placed_contact_sd_mm, ()
+    own = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into == 1])
+    if len(own):
+        at = float(own.min())
+        _refuse_distant_surface(at, detections, scan)
+        return at, recipe.layers.surface_sd_mm, ()
+    crossed = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into > 1])
+    known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance, crossed)
+    choice = choose_entry(detections.profile, float(arc_length(detections.world)[-1]), known)
+    if choice is None:
         raise DataError(
             "the scan does not show where the needle enters the tissue",
             where=str(scan.volume),
@@ -99,7 +98,7 @@ def _locate_tissue(
             fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the "
             "layers, as FILE=sheet:1 or FILE=solid:1",
         )
-    return edge
+    return choice.chosen.at, choice.chosen.sd, choice.warnings
 
 
 def _project_contact(detections: Detections, contact: Floats) -> float:
@@ -118,13 +117,22 @@ def _project_contact(detections: Detections, contact: Floats) -> float:
     return float(fine[np.argmin(away)])
 
 
-def _refuse_distant_surface(at: float, edge: tuple[float, float] | None, scan: Scan) -> None:
+def _hit_surfaces(needle: Floats, surfaces: Sequence[Surface]) -> Floats:
+    """Return where along a needle (N, 3) it meets surfaces (n,), mm."""
+    return np.concatenate([np.empty(0), *(find_surface_hits(needle, surface) for surface in surfaces)])
+
+
+def _refuse_distant_surface(at: float, detections: Detections, scan: Scan) -> None:
     """Refuse a tissue whose own surface the needle meets (`at`) far from where the scan shows it to begin."""
-    if edge is None or abs(at - edge[0]) <= entry.MAX_ENTRY_DISTANCE_MM + MAX_DISAGREEMENT_SD * edge[1]:
+    rises = find_rises(detections.profile)
+    if not rises:
         return
-    side = "behind" if at > edge[0] else "before"
+    edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda one: abs(one[0] - at))
+    if abs(at - edge) <= entry.MAX_ENTRY_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
+        return
+    side = "behind" if at > edge else "before"
     raise DataError(
-        f"the needle crosses the tissue's own surface {abs(at - edge[0]):.1f} mm {side} the place where the "
+        f"the needle crosses the tissue's own surface {abs(at - edge):.1f} mm {side} the place where the "
         "scan shows tissue to begin",
         where=str(scan.volume),
         expected=f"within {entry.MAX_ENTRY_DISTANCE_MM:g} mm of it",
@@ -151,7 +159,11 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     ConfigError
         If the packages that read scans are not installed.
     """
-    volume = read_volume(scan.volume, scan.series)
+    return reconstruct_volume(read_volume(scan.volume, scan.series), scan, recipe)
+
+
+def reconstruct_volume(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
+    """Reconstruct the needle of a scan whose volume was read, as `reconstruct`."""
     detections = detect(volume, scan, recipe)
     found = derive_reconstruction(detections, scan, recipe, volume.grid)
     pictures = render_views(volume, detections.patient, found.frame, detections.needle_axis.points)
@@ -175,7 +187,7 @@ def derive_reconstruction(
     """
     surfaces = read_layers(scan, detections.patient, grid)
     refuse_tunnels(scan, surfaces, detections.world)
-    pose, shaft = estimate_first_contact(detections, scan, surfaces, recipe)
+    pose, shaft, doubts = estimate_first_contact(detections, scan, surfaces, recipe)
     begin = entry.find_entry_arc_length(detections.world, pose)
     points, sd = _sample_inserted(detections, begin, recipe.centerline.station_spacing_mm)
     frame, plane = _find_bending_frame(detections, scan, pose, points, recipe)
@@ -206,7 +218,7 @@ def derive_reconstruction(
         views=(),
         warnings=(),
     )
-    return replace(found, warnings=(*collect_warnings(found), *notes))
+    return replace(found, warnings=(*doubts, *detections.warnings, *collect_warnings(found), *notes))
 
 
 def _sample_inserted(detections: Detections, begin: float, station: float) -> tuple[Floats, Floats]:

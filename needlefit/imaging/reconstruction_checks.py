@@ -10,7 +10,7 @@ from needlefit.geometry.crossings import find_crossings, find_surface_hits, meas
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.geometry.surfaces import Surface, find_nearest, transform_surface
 from needlefit.imaging.entry import compare_poses
-from needlefit.imaging.intensity_profile import find_tissue_edge
+from needlefit.imaging.material_runs import find_tissue_edge
 from needlefit.imaging.reconstruction import Layers, Reconstruction
 from needlefit.imaging.scan import Scan
 

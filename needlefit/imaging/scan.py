@@ -103,6 +103,10 @@ class Scan:
         Layers that were met, where somebody counted them; None: as many as are found.
     guide_distance : float or None
         As in `insertions.csv`, mm.
+    expected_depth : float or None
+        About how much of the needle is in the tissue, mm: it names the entry among several candidates.
+    needle_at : (3,) array or None
+        A point on the needle that is meant, LPS of the scan, mm.
     contact, tip : (3,) array or None
         Where the needle enters the tissue, and where it ends, placed by hand in the scan, LPS, mm; None: they
         are looked for.
@@ -126,6 +130,8 @@ class Scan:
     layers: int | None = None
     layers_alternative: int | None = None
     guide_distance: float | None = None
+    expected_depth: float | None = None
+    needle_at: Floats | None = None
     contact: Floats | None = None
     tip: Floats | None = None
     origin: Literal["measured", "synthetic"] = "measured"
@@ -139,13 +145,15 @@ class Scan:
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
 COUNT_COLUMNS = ("layers", "layers_alternative")
+NEEDLE_COLUMNS = ("needle_x_mm", "needle_y_mm", "needle_z_mm")
 CONTACT_COLUMNS = ("contact_x_mm", "contact_y_mm", "contact_z_mm")
 TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
-PLACED_COLUMNS = (*CONTACT_COLUMNS, *TIP_COLUMNS)
+PLACED_COLUMNS = (*NEEDLE_COLUMNS, *CONTACT_COLUMNS, *TIP_COLUMNS)
 """Points placed by hand in the scan, LPS."""
+LENGTH_COLUMNS = ("guide_distance_mm", "expected_depth_mm")
 NUMBER_COLUMNS = (
     *(*STAGE_COLUMNS, *BEVEL_COLUMNS, "bevel_side", *COUNT_COLUMNS),
-    *("guide_distance_mm", *PLACED_COLUMNS),
+    *(*LENGTH_COLUMNS, *PLACED_COLUMNS),
 )
 """Columns of numbers."""
 
@@ -260,7 +268,9 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         side=-1 if number["bevel_side"] == -1 else 1,
         layers=_parse_count(number["layers"]),
         layers_alternative=_parse_count(number["layers_alternative"]),
-        guide_distance=None if math.isnan(number["guide_distance_mm"]) else number["guide_distance_mm"],
+        guide_distance=_parse_length(number["guide_distance_mm"]),
+        expected_depth=_parse_length(number["expected_depth_mm"]),
+        needle_at=_parse_point(row, NEEDLE_COLUMNS),
         contact=_parse_point(row, CONTACT_COLUMNS),
         tip=_parse_point(row, TIP_COLUMNS),
         origin="synthetic" if text["origin"] == "synthetic" else "measured",
@@ -283,6 +293,10 @@ def _parse_stage(row: ScanRow) -> StagePose | None:
 
 def _parse_count(value: float) -> int | None:
     return None if math.isnan(value) else int(value)
+
+
+def _parse_length(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
@@ -343,7 +357,7 @@ def _relative_path_fix(row: ScanRow) -> str:
 
 
 def _stage_faults(row: ScanRow) -> Iterator[Fault]:
-    for names in (STAGE_COLUMNS, BEVEL_COLUMNS, CONTACT_COLUMNS, TIP_COLUMNS):
+    for names in (STAGE_COLUMNS, BEVEL_COLUMNS, NEEDLE_COLUMNS, CONTACT_COLUMNS, TIP_COLUMNS):
         empty = [name for name in names if math.isnan(row.number[name])]
         if empty and len(empty) < len(names):
             fix = "fill these, or empty the others"
@@ -382,9 +396,7 @@ def _number_faults(row: ScanRow) -> Iterator[Fault]:
     if math.isnan(number["layers"]) and not math.isnan(number["layers_alternative"]):
         what, fix = "layers_alternative is given without layers", "fill the cell under layers, too"
         yield Fault(row.where, what, "both counts, or none", fix)
-    if number["guide_distance_mm"] <= 0:
-        what, fix = (
-            f"guide_distance_mm is {number['guide_distance_mm']:g}",
-            "leave it empty: held at its base",
-        )
-        yield Fault(row.where, what, "a distance above 0", fix)
+    for name, meaning in zip(LENGTH_COLUMNS, ("held at its base", "the last change from air"), strict=True):
+        if number[name] <= 0:
+            what, fix = f"{name} is {number[name]:g}", f"leave it empty: {meaning}"
+            yield Fault(row.where, what, "a length above 0", fix)

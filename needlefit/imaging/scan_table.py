@@ -16,6 +16,7 @@ from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers, read_table
 from needlefit.imaging.scan import (
     CONTACT_COLUMNS,
+    NEEDLE_COLUMNS,
     NUMBER_COLUMNS,
     SCAN_COLUMNS,
     SCANS_DOCUMENT,
@@ -217,6 +218,7 @@ def write_scan_table(scan: Scan, path: Path) -> None:
         row |= _format_numbers(STAGE_COLUMNS, values)
     for names, point in (
         (BEVEL_COLUMNS, scan.bevel),
+        (NEEDLE_COLUMNS, scan.needle_at),
         (CONTACT_COLUMNS, scan.contact),
         (TIP_COLUMNS, scan.tip),
     ):
@@ -224,7 +226,8 @@ def write_scan_table(scan: Scan, path: Path) -> None:
     row |= {"bevel_side": str(scan.side), "origin": scan.origin}
     counts = {"layers": scan.layers, "layers_alternative": scan.layers_alternative}
     row |= {name: "" if count is None else str(count) for name, count in counts.items()}
-    row["guide_distance_mm"] = "" if scan.guide_distance is None else f"{scan.guide_distance:.10g}"
+    lengths = {"guide_distance_mm": scan.guide_distance, "expected_depth_mm": scan.expected_depth}
+    row |= {name: "" if length is None else f"{length:.10g}" for name, length in lengths.items()}
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.DictWriter(file, list(row), lineterminator="\n")
         table.writeheader()

@@ -100,6 +100,13 @@ class ReconstructionEntryRecord(Record):
     """Bending plane where no bevel direction is stated: from the bevel or from the shape."""
 
 
+class GuideRecord(Record):
+    """A plate, template or wall of soft material through which the needle is guided to the tissue."""
+
+    thickness_mm: float | None = Field(default=None, ge=0)
+    """Its thickness along the needle; 0: there is none. Without it one with air behind it is looked for."""
+
+
 class LayersRecord(Record):
     """Surfaces of the layers."""
 
@@ -124,5 +131,7 @@ class ReconstructionRecord(FileRecord):
     """Radiopaque markers."""
     entry: ReconstructionEntryRecord = ReconstructionEntryRecord()
     """Entry pose and bending plane."""
+    guide: GuideRecord = GuideRecord()
+    """What guides the needle to the tissue."""
     layers: LayersRecord = LayersRecord()
     """Surfaces of the layers."""

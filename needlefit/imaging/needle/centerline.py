@@ -51,6 +51,14 @@ MAX_EDGE_DISTANCE_MM = 3.0
 
 MAX_PLACED_TIP_DISTANCE_MM = 2.0
 """A tip that was placed by hand lies at most so far beside the needle's surface, mm."""
+END_REACH_MM = 4.0
+"""Distance beyond an end of the needle from which on its surroundings are looked at, mm."""
+
+MAX_SOFT_HU = 1000.0
+"""Brighter surroundings are metal, HU."""
+
+CLEAR_SOFT_RATIO = 2.0
+"""With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer."""
 
 SYSTEMATIC_SD_MM = 0.002
 """Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid."""
@@ -217,15 +225,16 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
     elif cut[0] != cut[1]:
         forward = cut[0]
     else:
-        tissue = [_in_tissue(volume, axis, at) for at in (-4.0, axis.length + 4.0)]
-        if tissue[0] == tissue[1] and not all(cut):
+        soft = _soft_lengths(volume, axis)
+        unclear = max(soft) < CLEAR_SOFT_RATIO * min(soft) or max(soft) == 0
+        if unclear and not all(cut):
             raise DataError(
-                "both ends of the needle lie in " + ("tissue" if tissue[0] else "air"),
+                "both ends of the needle lie in " + ("air" if max(soft) == 0 else "tissue"),
                 where=f"ends at L, P, S = {where} mm",
                 expected="one end in tissue or the other beyond the volume",
                 fix="set centerline.entry_direction (LPS, from base to tip) in the recipe",
             )
-        forward = tissue[1]
+        forward = soft[1] > soft[0]
     if cut[1 if forward else 0]:
         raise DataError(
             "the needle leaves the volume with its tip",
@@ -298,9 +307,17 @@ def _is_at_edge(volume: Volume, point: Floats) -> bool:
     return bool(nearest.min() < MAX_EDGE_DISTANCE_MM)
 
 
-def _in_tissue(volume: Volume, axis: AxisSpline, at: float) -> bool:
-    """Whether what surrounds the needle at `at` (mm along it) is denser than air."""
+def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:
+    """Return how far from each end the needle is surrounded by soft material without a break, mm.
+
+    0 where an end stands in air or, held by a hub, in metal.
+    """
+    s = np.arange(-END_REACH_MM, axis.length + END_REACH_MM + 1e-6, 1.0)
     plane = disc_points(5.0)
-    ring = plane[np.hypot(*plane.T) > 3.0]
-    values = sample_planes(volume, axis_frames(axis, np.array([at])), ring)
-    return bool(np.isfinite(values).any() and np.nanmedian(values) > MAX_AIR_HU)
+    values = sample_planes(volume, axis_frames(axis, s), plane[np.hypot(*plane.T) > 3.0])
+    values = np.where(np.isfinite(values).any(axis=1, keepdims=True), values, -np.inf)  # outside is no tissue
+    middle: Floats = np.nanmedian(values, axis=1)
+    hard = [n for n, hu in enumerate(middle.tolist()) if not MAX_AIR_HU < hu < MAX_SOFT_HU]
+    if not hard:
+        return float(len(s)), float(len(s))
+    return float(hard[0]), float(len(s) - 1 - hard[-1])

@@ -1,4 +1,4 @@
-"""Segment the needle: thresholds with hysteresis, then the component that is a tube."""
+"""Find what may be the needle: thresholds with hysteresis, then tubes, cut off from what is wider."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,8 @@ from scipy.ndimage import find_objects, label
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
-from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.needle.wide_parts import cut_wide_parts
+from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 THRESHOLD_FRACTIONS = (0.4, 0.25, 0.15)
@@ -20,14 +21,23 @@ MIN_METAL_CONTRAST_HU = 500.0
 MAX_AIR_HU = -500.0
 """HU."""
 
-MIN_SECOND_NEEDLE_RATIO = 0.6
-"""A second tube of at least this part of the needle's length is another needle."""
-
 MAX_FACE_FRACTION = 0.15
 """A component with more of its voxels than this on the volume's faces is the corner of something larger."""
 
 MIN_COMPONENT_VOXELS = 8
 """Smaller components are noise."""
+
+NEAR_END_MM = 5.0
+"""Length of the end of a piece that must lie on the curve which it goes on, mm."""
+
+MIN_GROWTH_MM = 3.0
+"""At a lower threshold a tube must become longer by so much to be taken from there, mm."""
+
+GROWTH_REACH_MM, GROWTH_MARGIN_MM = 60.0, 5.0
+"""Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm."""
+
+MAX_GROWTH_WIDENING = 1.5
+"""A tube that becomes wider than that at a lower threshold takes in what surrounds it."""
 
 
 @dataclass(frozen=True)
@@ -55,25 +65,95 @@ class Component:
     on_face: float
 
 
-def segment_needle(volume: Volume, recipe: ReconstructionRecord) -> Component:
-    """Return the component that is the needle.
+def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
+    """Return the components that may be the needle, each with the pieces that lie on its curve.
 
     Raises
     ------
     DataError
-        If nothing is as bright as metal, no component is a tube, or two are.
+        If nothing is as bright as metal, or no component is a tube.
     """
-    for low, high in list_thresholds(volume, recipe):
-        parts = find_components(volume, low, high)
-        tubes = [part for part in parts if is_tube(part, recipe)]
-        if tubes:
-            break
-    else:
-        raise _no_tube_error(parts, recipe)
-    tubes.sort(key=lambda part: part.length, reverse=True)
-    needle = _join_pieces(volume, tubes[0], [p for p in parts if p is not tubes[0]], recipe)
-    _refuse_second(volume, needle, tubes[1:])
-    return needle
+    levels = list_thresholds(volume, recipe)
+    for n, (low, high) in enumerate(levels):
+        parts = cut_components(volume, find_components(volume, low, high), recipe)
+        # what a holder cuts in two may be too short on either side
+        seeds = [part for part in parts if is_tube(part, recipe, recipe.segmentation.min_length_mm / 2)]
+        joined = [part for part in _join_tubes(volume, seeds, parts, recipe) if is_tube(part, recipe)]
+        if joined:
+            lower = [low for low, _ in levels[n + 1 :]]
+            return [_grow_tube(volume, joined[0], lower, recipe), *joined[1:]]
+    raise _no_tube_error(parts, recipe)
+
+
+def _grow_tube(
+    volume: Volume, tube: Component, levels: Sequence[float], recipe: ReconstructionRecord
+) -> Component:
+    """Return the tube as far as lower levels (HU) show it: near a hub or in rays it is darker."""
+    low, high = _growth_box(volume, tube)
+    box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+    own = {tuple(voxel) for voxel in tube.voxels[:: max(1, len(tube.voxels) // 1000)].tolist()}
+    grown = tube
+    for level in levels:
+        labels, _ = label(volume.values[box] > level, structure=np.ones((3, 3, 3), dtype=bool))
+        found = [
+            np.argwhere(labels[part] == number)[:, ::-1] + [side.start for side in part[::-1]] + low
+            for number, part in enumerate(find_objects(labels), start=1)
+        ]
+        whole = [measure_component(volume, one) for one in found if len(one) >= MIN_COMPONENT_VOXELS]
+        parts = cut_components(volume, whole, recipe)
+        same = [part for part in parts if own & {tuple(voxel) for voxel in part.voxels.tolist()}]
+        longest = max(same, key=lambda part: part.length, default=tube)
+        longest = _join_pieces(volume, longest, [part for part in parts if part is not longest], recipe)
+        wide = longest.width > MAX_GROWTH_WIDENING * tube.width
+        if is_tube(longest, recipe) and not wide and longest.length > grown.length + MIN_GROWTH_MM:
+            grown = longest
+    return grown
+
+
+def _growth_box(volume: Volume, tube: Component) -> tuple[Ints, Ints]:
+    """Return the first voxel of the box around a tube and beyond its ends, and the one after its last."""
+    points = to_patient(volume, tube.voxels)
+    center, axes = principal_axes(points)
+    along = (points - center) @ axes[0]
+    ends = center + np.outer([along.min() - GROWTH_REACH_MM, along.max() + GROWTH_REACH_MM], axes[0])
+    index = np.vstack([to_index(volume, ends), tube.voxels])
+    margin = GROWTH_MARGIN_MM / volume.spacing
+    size = np.array(volume.grid.size)
+    low = np.clip(np.floor(index.min(axis=0) - margin), 0, size).astype(np.int64)
+    high = np.clip(np.ceil(index.max(axis=0) + margin) + 1, 0, size).astype(np.int64)
+    return low, high
+
+
+def cut_components(
+    volume: Volume, parts: Sequence[Component], recipe: ReconstructionRecord
+) -> list[Component]:
+    """Return the components with what is wider than a needle cut off those that are as long as one."""
+    rules = recipe.segmentation
+    found = []
+    for part in parts:
+        if part.length < rules.min_length_mm:
+            found.append(part)
+            continue
+        pieces = cut_wide_parts(volume, part.voxels, rules.max_widening * recipe.needle.diameter_mm)
+        if len(pieces) == 1 and len(pieces[0]) == len(part.voxels):
+            found.append(part)
+        else:
+            found += [measure_component(volume, one) for one in pieces if len(one) >= MIN_COMPONENT_VOXELS]
+    return found
+
+
+def _join_tubes(
+    volume: Volume, tubes: Sequence[Component], parts: Sequence[Component], recipe: ReconstructionRecord
+) -> list[Component]:
+    """Return the tubes, longest first, without those that are pieces of a longer one."""
+    left = sorted(tubes, key=lambda part: part.length, reverse=True)
+    found = []
+    while left:
+        tube = _join_pieces(volume, left[0], [part for part in parts if part is not left[0]], recipe)
+        kept = {tuple(voxel) for voxel in tube.voxels.tolist()}
+        left = [part for part in left[1:] if tuple(part.voxels[0].tolist()) not in kept]
+        found.append(tube)
+    return sorted(found, key=lambda part: part.length, reverse=True)
 
 
 def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[float, float]]:
@@ -124,11 +204,14 @@ def find_components(volume: Volume, low: float, high: float) -> list[Component]:
     return parts
 
 
-def is_tube(part: Component, recipe: ReconstructionRecord) -> bool:
-    """Return whether a component is long, thin and smooth enough to be the needle."""
+def is_tube(part: Component, recipe: ReconstructionRecord, min_length: float | None = None) -> bool:
+    """Return whether a component is long, thin and smooth enough to be the needle.
+
+    `min_length`: mm; by default that of the recipe.
+    """
     rules, diameter = recipe.segmentation, recipe.needle.diameter_mm
     return (
-        part.length >= rules.min_length_mm
+        part.length >= (rules.min_length_mm if min_length is None else min_length)
         and part.length >= rules.min_elongation * part.width
         and part.width <= rules.max_widening * diameter
         and part.bend <= rules.max_widening * diameter / 2
@@ -212,34 +295,16 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     if gap > recipe.segmentation.join_gap_mm or np.ptp(piece[:, 0]) < 2 * part.width:
         return False
     curve = fit_parabola(local[:, 0], local[:, 1:])
-    off = piece[:, 1:] - np.stack([np.polyval(c, piece[:, 0]) for c in curve.T], axis=1)
-    allowed = recipe.needle.diameter_mm * (1 + max(gap, 0.0) / recipe.segmentation.min_length_mm)
-    return bool(np.linalg.norm(off, axis=1).mean() <= allowed)
-
-
-def _refuse_second(volume: Volume, needle: Component, tubes: Sequence[Component]) -> None:
-    """Raise DataError if a tube as long and as bright as the needle is no part of it."""
-    kept = {tuple(v) for v in needle.voxels[:: max(1, len(needle.voxels) // 5000)].tolist()}
-    level = _mean_hu(volume, needle.voxels)
-    for tube in tubes:
-        if any(tuple(v) in kept for v in tube.voxels.tolist()):
-            continue
-        if (
-            tube.length >= MIN_SECOND_NEEDLE_RATIO * needle.length
-            and _mean_hu(volume, tube.voxels) >= MIN_SECOND_NEEDLE_RATIO * level
-        ):
-            at = to_patient(volume, tube.voxels.mean(axis=0)[None])[0]
-            raise DataError(
-                f"two needles: tubes of {needle.length:.0f} and {tube.length:.0f} mm",
-                where=f"second one at L, P, S = {at[0]:.0f}, {at[1]:.0f}, {at[2]:.0f} mm",
-                expected="one needle",
-                fix="crop the scan, or give a mask of the one meant",
-            )
-
-
-def _mean_hu(volume: Volume, voxels: Ints) -> float:
-    i, j, k = voxels.T
-    return float(np.mean(volume.values[k, j, i]))
+    far = np.abs(piece[:, 0] - np.clip(piece[:, 0], local[:, 0].min(), local[:, 0].max()))
+    near = piece[far <= far.min() + NEAR_END_MM]  # farther off, a parabola that is drawn on says little
+    off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
+    # a needle that crosses slices stands one beside the other
+    thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
+    allowed = thick * (1 + max(gap, 0.0) / recipe.segmentation.min_length_mm)
+    if np.linalg.norm(off, axis=1).mean() > allowed:
+        return False
+    both = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
+    return both.bend <= max(needle.bend, recipe.segmentation.max_widening * recipe.needle.diameter_mm / 2)
 
 
 def _no_tube_error(parts: Sequence[Component], recipe: ReconstructionRecord) -> DataError:

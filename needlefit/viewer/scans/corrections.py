@@ -10,17 +10,12 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.imaging.needle.picking import pick_component
-from needlefit.imaging.needle.segmentation import Component
 from needlefit.imaging.scan import Scan
-from needlefit.imaging.volume import Volume, to_patient
-from needlefit.imaging.volume_files import write_volume
-from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MAX_BALLS = 64
 """Balls that may be placed by hand."""
 
-MASK_FILE, BALLS_FILE = "needle.nrrd", "balls.csv"
+BALLS_FILE = "balls.csv"
 
 
 @dataclass(frozen=True)
@@ -30,7 +25,7 @@ class Corrections:
     Attributes
     ----------
     needle : (3,) array or None
-        A point of the bright region that is the needle.
+        A point on the tube that is the needle.
     balls : (M, 3) array or None
         All balls.
     contact, tip : (3,) array or None
@@ -92,15 +87,13 @@ def _is_number(given: object) -> bool:
     return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e6
 
 
-def correct_scan(
-    scan: Scan, corrections: Corrections, volume: Volume, recipe: ReconstructionRecord, folder: Path
-) -> Scan:
-    """Return the scan with the corrections; the mask and balls that it then names are written to `folder`.
+def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
+    """Return the scan with the corrections; the balls that it then names are written to `folder`.
 
     Raises
     ------
     DataError
-        If no bright region lies where the needle was picked, or balls are given to a scan without markers.
+        If balls are given to a scan without markers.
     """
     if corrections.balls is not None and scan.markers is None:
         raise DataError(
@@ -108,28 +101,16 @@ def correct_scan(
             expected="the markers' known places in the world",
             fix="start the page with --markers FILE, or with a table of scans that names them",
         )
-    mask, fiducials = scan.mask, scan.fiducials
-    if corrections.needle is not None:
-        mask = folder / MASK_FILE
-        write_component(volume, pick_component(volume, corrections.needle, recipe), mask)
+    fiducials = scan.fiducials
     if corrections.balls is not None:
         fiducials = folder / BALLS_FILE
         lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.3f}" for x in ball) for ball in corrections.balls)]
         fiducials.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return replace(
         scan,
-        mask=mask,
+        mask=scan.mask if corrections.needle is None else None,
         fiducials=fiducials,
+        needle_at=scan.needle_at if corrections.needle is None else corrections.needle,
         contact=scan.contact if corrections.contact is None else corrections.contact,
         tip=scan.tip if corrections.tip is None else corrections.tip,
     )
-
-
-def write_component(volume: Volume, part: Component, path: Path) -> None:
-    """Write the voxels of a component as a mask, cropped to them."""
-    low, high = part.voxels.min(axis=0) - 1, part.voxels.max(axis=0) + 1
-    values = np.zeros((high - low + 1)[::-1], dtype=np.float32)
-    i, j, k = (part.voxels - low).T
-    values[k, j, i] = 1.0
-    origin = to_patient(volume, low[None])[0]
-    write_volume(Volume(values, origin, volume.spacing, volume.direction), path, "needle, picked by hand")

@@ -9,10 +9,9 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.geometry.curves import arc_length
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.examination import Examination, examine
-from needlefit.imaging.needle.picking import draw_line
-from needlefit.imaging.needle.segmentation import is_tube, median_tissue_hu
+from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.scan_table import write_scan_table
@@ -59,11 +58,11 @@ class ScanSession:
         Raises
         ------
         DataError
-            If a correction is no place, or no metal is where the needle was picked.
+            If a correction is no place, or balls are given to a scan without markers.
         """
         given = read_corrections(content)
         self.folder.mkdir(parents=True, exist_ok=True)
-        corrected = correct_scan(self.scan, given, self.volume, self.recipe, self.folder)
+        corrected = correct_scan(self.scan, given, self.folder)
         found = examine(self.volume, corrected, self.recipe) if given.any else self._first
         self.corrections, self.corrected, self.found = given, corrected, found
         self.course = self._make_course()
@@ -122,7 +121,8 @@ class ScanSession:
             },
             "error": _describe_error(found.error),
             "warnings": [*volume.warnings, *(found.reconstruction.warnings if found.reconstruction else ())],
-            "candidates": self._describe_candidates(),
+            "tubes": self._describe_tubes(),
+            "entries": self._describe_entries(),
             "axis": None if found.needle_axis is None else _thin(found.needle_axis.points).tolist(),
             "tip": self._describe_tip(),
             "contact": self._describe_contact(),
@@ -138,21 +138,23 @@ class ScanSession:
         axis = self.found.needle_axis
         return None if axis is None else make_course(axis.points)
 
-    def _describe_candidates(self) -> list[dict[str, Any]]:
-        chosen = self.found.needle
-        keys = set() if chosen is None else {tuple(v) for v in chosen.voxels[::7].tolist()}
+    def _describe_tubes(self) -> list[dict[str, Any]]:
         lines = []
-        for part in self.found.candidates:
-            lines.append(
-                {
-                    "length": part.length,
-                    "width": part.width,
-                    "tube": is_tube(part, self.recipe),
-                    "chosen": any(tuple(v) in keys for v in part.voxels.tolist()),
-                    "line": draw_line(self.volume, part).tolist(),
-                }
-            )
+        for one in self.found.tubes:
+            about = {"length": one.length, "width": one.width, "chosen": one.chosen}
+            lines.append({**about, "line": one.ends.tolist(), "middle": one.ends.mean(axis=0).tolist()})
         return lines
+
+    def _describe_entries(self) -> list[dict[str, Any]]:
+        axis = self.found.needle_axis
+        if axis is None:
+            return []
+        along = [one.at for one in self.found.entries]
+        places = interpolate_at_arc(axis.points, np.array(along)).reshape(-1, 3)
+        return [
+            {"depth": one.depth, "sd": one.sd, "change": one.change, "at": at.tolist()}
+            for one, at in zip(self.found.entries, places, strict=True)
+        ]
 
     def _describe_tip(self) -> dict[str, Any] | None:
         axis = self.found.needle_axis

@@ -1,6 +1,7 @@
 """Report of a batch of reconstructed scans, written into the folder of their dataset."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from needlefit.datasets.read import check_all
@@ -19,6 +20,10 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.kinds.reconstruction import KIND
 from needlefit.studies.kinds.reconstruction.exports import ExportKind, export_scan
 from needlefit.studies.kinds.reconstruction.quality import write_quality
+from needlefit.studies.kinds.reconstruction.refused import (
+    tabulate_failures,
+    write_refused_pages,
+)
 from needlefit.studies.kinds.reconstruction.run import tabulate_batch
 from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
 from needlefit.studies.report import FigurePaths, StudyReport, write_files
@@ -92,8 +97,15 @@ def compose_sections(found: Run, figures: FigurePaths) -> list[Block]:
     return [
         document.heading("Scans"),
         document.table(lay_out_reconstructions(found)),
+        *([document.table(lay_out_refused(found))] if "refused" in found.frames else []),
         document.text("The folder quality/ has a page of figures for every scan."),
     ]
+
+
+def lay_out_refused(found: Run) -> TableLayout:
+    """Return why scans were refused."""
+    rows = [{**row, "scan": row["id"]} for row in to_records(found.frames["refused"])]
+    return Table("refused", "Refused scans", rows, ("scan", "note")).lay_out(drop_empty=True)
 
 
 REPORT = StudyReport(
@@ -113,14 +125,15 @@ def write_reconstruction(
     recipe: ReconstructionRecord,
     description: DatasetDescription,
     progress: Progress,
+    refused: Sequence[ReconstructionFailure] = (),
     exports: Collection[ExportKind] = (),
 ) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
     """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
 
     Where none can be held nothing is written, and what was there stays.
 
-    The dataset, and where its scans lie; `quality/<id>.pdf`; `slicer/`, with what is exported of each scan;
-    and the files of every run.
+    The dataset, and where its scans lie; `quality/<id>.pdf`, also of the scans that were `refused`;
+    `slicer/`, with what is exported of each scan; and the files of every run.
 
     Raises
     ------
@@ -133,6 +146,7 @@ def write_reconstruction(
         kept, failures = assemble_checked(fresh, ones, recipe, description)
         if not kept:
             return None, failures
+        refused = (*refused, *failures)
         volumes = {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept}
         write_volumes(fresh, volumes, folder)
         for done, one in enumerate(kept):
@@ -145,5 +159,8 @@ def write_reconstruction(
         record = KIND.make_record(**options)
         assert isinstance(record, ReconstructionBatchRecord)
         found = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
+        if refused:
+            found = replace(found, frames={**found.frames, **tabulate_failures(refused)})
+            write_refused_pages(refused, fresh / "quality")
         write_files(found, fresh)
     return found, failures

@@ -61,20 +61,20 @@ export function showLists(state, act) {
 }
 
 function needles(found, act) {
-  if (!found.candidates.length) return element("p", "Nothing is as bright as metal.", { className: "quiet" });
-  const rows = found.candidates.map((one, n) =>
+  if (!found.tubes.length) return element("p", "Nothing is as bright as metal.", { className: "quiet" });
+  const rows = found.tubes.map((one, n) =>
     row(
       [
-        [one.chosen ? [key("needle"), "chosen"] : one.tube ? "tube" : "no tube"],
+        [one.chosen ? [key("needle"), "needle"] : "not the needle"],
         [shown(one.length, 1), "n"],
         [shown(one.width, 1), "n"],
-        [[button("show", () => act.look(one.line[one.line.length >> 1]), `show region ${n + 1}`),
-          one.chosen ? "" : button("take", () => act.correct({ needle: one.line[one.line.length >> 1] }), `take region ${n + 1} for the needle`)]],
+        [[button("show", () => act.look(one.middle), `show tube ${n + 1}`),
+          one.chosen ? "" : button("take", () => act.correct({ needle: one.middle }), `take tube ${n + 1} for the needle`)]],
       ],
       one.chosen ? "chosen" : "",
     ),
   );
-  return table([["bright region"], ["length", "n"], ["width", "n"], [""]], rows);
+  return table([["tube"], ["length", "n"], ["width", "n"], [""]], rows);
 }
 
 function ends(state, act) {
@@ -93,7 +93,21 @@ function ends(state, act) {
       ]),
     );
   }
-  return table([[""], [""], ["along", "n"], [""]], rows);
+  const parts = [table([[""], [""], ["along", "n"], [""]], rows)];
+  if (found.entries.length > 1) parts.push(element("p", "Places where soft material begins:", { className: "quiet" }), entries(found, act));
+  return element("div", parts);
+}
+
+function entries(found, act) {
+  const rows = found.entries.map((one, n) =>
+    row([
+      [one.change === "rise" ? "from air" : "a step"],
+      [`${shown(one.depth)} ± ${shown(one.sd)}`, "n"],
+      [[button("show", () => act.look(one.at), `show place ${n + 1}`),
+        button("take", () => act.correct({ contact: one.at }), `take place ${n + 1} for the entry`)]],
+    ]),
+  );
+  return table([[""], ["before the tip", "n"], [""]], rows);
 }
 
 function balls(state, act) {

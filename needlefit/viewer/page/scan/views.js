@@ -82,8 +82,8 @@ class View {
     const unit = canvas.width / (canvas.clientWidth || canvas.width); // canvas pixels of one on the screen
     this.paint = paint;
     this.unit = unit;
-    for (const one of state.found.candidates) {
-      if (one.tube && !one.chosen) this.line(one.line, colour("--other"), 1);
+    for (const one of state.found.tubes) {
+      if (!one.chosen) this.line(one.line, colour("--other"), 1);
     }
     if (state.found.axis) this.line(state.found.axis, colour("--needle"), 1.2);
     for (const one of state.found.layers) this.dot(one.at, colour("--layer"), 4);

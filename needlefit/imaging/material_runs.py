@@ -1,0 +1,330 @@
+"""Explain the brightness around a needle as runs of air, soft material and metal, and fit where they begin.
+
+Soft is what lies between air and metal: tissue, a gel, the plastic of a guide or of a hub.
+"""
+
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.special import ndtr
+
+from needlefit.arrays import Floats
+from needlefit.imaging.intensity_profile import MIN_METAL_HU
+from needlefit.imaging.needle.axis_spline import correlation_factor
+from needlefit.imaging.reconstruction import IntensityProfile
+
+MAX_GAP_HU = -250.0
+"""Air, also that of a gap so narrow that blur fills it half, is darker; fat (-120) and water are not, HU."""
+
+MIN_SIDE_LENGTH_MM = 2.0
+"""Soft material must last so long along the needle to be a run, and air before the tissue, mm."""
+
+MIN_GAP_LENGTH_MM = 1.0
+"""Air between two soft runs must last so long, mm."""
+
+METAL_BLUR_MM = 2.0
+"""Soft values this near to a hub or holder are its blur, mm."""
+
+NARROW_GAP_MM = 4.0
+"""In a narrower gap blur hides the level of the air, mm: it is taken as known."""
+
+AIR_HU, AIR_SD_HU = -1000.0, 30.0
+"""That of air, HU, and its deviation in a narrow gap."""
+
+EDGE_REACH_MM = 8.0
+"""Distance to either side of the edge over which the model is fitted, mm."""
+
+EDGE_MARGIN_MM = 3.0
+"""Distance within which the blur of an edge shows, mm."""
+
+MIN_EDGE_STEP_HU = 300.0
+"""An edge from air to tissue rises by more than this, HU."""
+
+MIN_STEP_HU = 25.0
+"""Two soft materials differ by more: rays and a hardened beam leave less in the median of a ring, HU."""
+
+MIN_STEP_LENGTH_MM = 3.0
+"""A soft material lasts so long along the needle, mm."""
+
+BLUR_MM = 1.5
+"""Stations this near to the end of a run show its edge, mm."""
+
+MIN_STEP_NOISE_HU = 5.0
+"""Scatter of the surroundings along a needle in one material, HU: rays leave so much without noise."""
+
+WIDTH_MM = 0.5
+"""A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it."""
+
+SOFT_LOSS_SD = 2.0
+"""Stations that stray by more than so many deviations of the noise count less."""
+
+SYSTEMATIC_SD_MM = 0.03
+"""Deviation of an edge that no scatter along the needle shows, mm."""
+
+
+Kind = Literal["air", "soft", "metal"]
+
+
+@dataclass(frozen=True)
+class MaterialRun:
+    """A part of the needle whose surroundings are of one kind.
+
+    Attributes
+    ----------
+    begin, end : float
+        Along the needle, mm; a first or last run may go on beyond what is seen.
+    level : float
+        Median of the surroundings, HU.
+    """
+
+    kind: Kind
+    begin: float
+    end: float
+    level: float
+
+    @property
+    def length(self) -> float:
+        """Length along the needle, mm."""
+        return self.end - self.begin
+
+
+def find_runs(profile: IntensityProfile) -> tuple[MaterialRun, ...]:
+    """Return the runs of air, soft material and metal around the needle, from its base to its tip.
+
+    What is shorter than blur makes it belongs to its neighbours.
+    """
+    s, values = _known_stations(profile)
+    if len(s) < 8:
+        return ()
+    step = float(np.median(np.diff(s)))
+    kinds = np.where(values > MIN_METAL_HU, 2, np.where(values < MAX_GAP_HU, 0, 1))
+    for at in s[kinds == 2]:
+        kinds[(np.abs(s - at) <= METAL_BLUR_MM) & (kinds == 1)] = 2
+    kinds = _absorb_short_runs(kinds, step)
+    ends = np.flatnonzero(np.diff(kinds)) + 1
+    names: tuple[Kind, ...] = ("air", "soft", "metal")
+    parts = [names[kinds[n]] for n in (0, *ends)]
+    levels = [float(np.median(part)) for part in np.split(values, ends)]
+    bounds = [float(s[0]), *_locate_bounds(s, values, ends, (parts, levels)), float(s[-1])]
+    return tuple(map(MaterialRun, parts, bounds[:-1], bounds[1:], levels))
+
+
+def _locate_bounds(
+    s: Floats, values: Floats, ends: NDArray[np.int_], runs: tuple[list[Kind], list[float]]
+) -> list[float]:
+    """Return where runs meet, mm: half way between their levels, of metal between two stations."""
+    parts, levels = runs
+    bounds = [float(s[at - 1] + s[at]) / 2 for at in ends]
+    known = [AIR_HU if part == "air" else level for part, level in zip(parts, levels, strict=True)]
+    edges = [bounds[0] - EDGE_REACH_MM, *bounds, bounds[-1] + EDGE_REACH_MM] if bounds else []
+    for n, at in enumerate(bounds):
+        if "metal" in parts[n : n + 2]:
+            continue
+        low, high = (edges[n] + at) / 2, (at + edges[n + 2]) / 2
+        half = (known[n] + known[n + 1]) / 2
+        above = values > half
+        crossed = np.flatnonzero(above[1:] != above[:-1])
+        places = s[crossed] + (half - values[crossed]) / (values[crossed + 1] - values[crossed]) * (
+            s[crossed + 1] - s[crossed]
+        )
+        places = places[(places > low) & (places < high)]
+        if len(places):
+            bounds[n] = float(places[np.argmin(np.abs(places - at))])
+    return bounds
+
+
+def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats]:
+    """Return the stations (n,) before the tip whose surroundings are known, and these (n,), HU."""
+    known = np.isfinite(profile.around) & (profile.s <= _find_needle_end(profile) + 1e-6)
+    return profile.s[known], profile.around[known]
+
+
+def _find_needle_end(profile: IntensityProfile) -> float:
+    """Return where the needle itself ends, mm: beyond it nothing is entered by it."""
+    shown = np.isfinite(profile.core)
+    if not shown.any():
+        return np.inf
+    bright = shown & (profile.core > np.nanmedian(profile.core) / 2)
+    return float(profile.s[bright][-1]) if bright.any() else np.inf
+
+
+def _absorb_short_runs(kinds: NDArray[np.int_], step: float) -> NDArray[np.int_]:
+    """Return kinds (n,) in which every run is long enough; the shortest is given to its neighbours first."""
+    kinds = kinds.copy()
+    while True:
+        lengths = [len(list(part)) for _, part in groupby(kinds.tolist())]
+        starts = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
+        between = [0 < n < len(lengths) - 1 for n in range(len(lengths))]
+        least = [
+            (MIN_GAP_LENGTH_MM if inner and kinds[at] == 0 else MIN_SIDE_LENGTH_MM) / step
+            for at, inner in zip(starts, between, strict=True)
+        ]
+        short = [n for n, length in enumerate(lengths) if length < least[n] - 1e-6]
+        if not short or len(lengths) == 1:
+            return kinds
+        n = min(short, key=lambda one: lengths[one])
+        beside = [one for one in (n - 1, n + 1) if 0 <= one < len(lengths)]
+        longer = max(beside, key=lambda one: lengths[one])
+        kinds[starts[n] : starts[n] + lengths[n]] = kinds[starts[longer]]
+
+
+def find_rises(profile: IntensityProfile) -> tuple[tuple[int, float, float], ...]:
+    """Return every place where air turns into soft material: the run that begins, mm and its deviation."""
+    runs = find_runs(profile)
+    found = []
+    for n in range(1, len(runs)):
+        if runs[n - 1].kind == "air" and runs[n].kind == "soft":
+            edge = _fit_edge(profile, runs, n)
+            if edge is not None:
+                found.append((n, *edge))
+    return tuple(found)
+
+
+def find_tissue_edge(profile: IntensityProfile) -> tuple[float, float] | None:
+    """Return where along the needle air changes to tissue, mm, and its deviation; None if there is no edge.
+
+    Of several rises it is the last: a guide is left again, the tissue holds the tip.
+    """
+    rises = find_rises(profile)
+    return rises[-1][1:] if rises else None
+
+
+def _fit_edge(
+    profile: IntensityProfile, runs: tuple[MaterialRun, ...], target: int
+) -> tuple[float, float] | None:
+    """Return where run `target` begins, mm, and its deviation; None if nothing rises there.
+
+    All edges within reach are fitted together.
+    """
+    guess = runs[target].begin
+    near, low, high = _choose_window(runs, guess)
+    s, values = _known_stations(profile)
+    inside = (s >= low) & (s <= high)
+    s, values = s[inside], values[inside]
+    at = np.array([runs[n].begin for n in near])
+    parts = [values[np.searchsorted(at, s) == n] for n in range(len(at) + 1)]
+    levels = np.array([np.median(part) if len(part) else AIR_HU for part in parts])
+    this = near.index(target)
+    if levels[this + 1] - levels[this] < MIN_EDGE_STEP_HU:
+        return None
+    gaps = [n for n, run in enumerate(runs[near[0] - 1 : near[-1] + 1]) if _is_narrow_gap(run)]
+    # median of |difference of neighbours|: 1.05 = 1 / (0.6745 sqrt 2), so a slope hardly counts as noise
+    noise = max(2.0, *(1.05 * float(np.median(np.abs(np.diff(part)))) for part in parts if len(part) > 1))
+    best = _fit_steps(s, values, noise, (at, levels, gaps))
+    # misfit per degree of freedom; neighbouring stations are correlated, which widens it again
+    left, count = best.fun[: len(s)], 2 * len(at) + 3
+    spread = max(1.0, 2 * best.cost / max(1, len(s) - count)) * correlation_factor(left[:, None], count)
+    jacobian = np.asarray(best.jac, dtype=np.float64)
+    variance = float(np.linalg.pinv(jacobian.T @ jacobian)[this, this]) * spread
+    return float(best.x[this]), float(np.hypot(np.sqrt(variance), SYSTEMATIC_SD_MM))
+
+
+def find_soft_steps(profile: IntensityProfile, run: MaterialRun) -> tuple[tuple[float, float], ...]:
+    """Return where in a soft run one material changes to another: mm along the needle, and deviations."""
+    s, values = _known_stations(profile)
+    inside = (s > run.begin + BLUR_MM) & (s < run.end - BLUR_MM)
+    s, values = s[inside], values[inside]
+    if len(s) < 8:
+        return ()
+    noise = max(MIN_STEP_NOISE_HU, 1.05 * float(np.median(np.abs(np.diff(values)))))
+    least = int(np.ceil(MIN_STEP_LENGTH_MM / float(np.median(np.diff(s)))))
+    parts = merge_levels(values, partition(values, noise, least), MIN_STEP_HU)
+    if not parts:
+        return ()
+    at = (s[parts] + s[np.array(parts) - 1]) / 2
+    levels = np.array([np.median(part) for part in np.split(values, parts)])
+    best = _fit_steps(s, values, noise, (at, levels, []))
+    jacobian = np.asarray(best.jac, dtype=np.float64)
+    factor = correlation_factor(best.fun[:, None], len(best.x))
+    variances = np.diag(np.linalg.pinv(jacobian.T @ jacobian))[: len(at)] * factor
+    return tuple(zip(best.x[: len(at)].tolist(), np.sqrt(variances).tolist(), strict=True))
+
+
+def partition(values: Floats, noise: float, least: int) -> list[int]:
+    """Return the indices at which a piecewise constant sequence (n,) changes: optimal partitioning.
+
+    The penalty for a change is 3 ln(n) variances of the noise, and no piece is shorter than `least`.
+    """
+    n = len(values)
+    sums, squares = (np.concatenate([[0.0], np.cumsum(values**power)]) for power in (1, 2))
+    penalty = 3 * np.log(n) * noise**2
+    best, before = np.full(n + 1, np.inf), np.zeros(n + 1, dtype=int)
+    best[0] = -penalty
+    for end in range(least, n + 1):
+        begin = np.arange(end - least + 1)
+        total = sums[end] - sums[begin]
+        cost = best[begin] + squares[end] - squares[begin] - total**2 / (end - begin) + penalty
+        before[end] = int(np.argmin(cost))
+        best[end] = cost[before[end]]
+    changes: list[int] = []
+    end = n
+    while end > 0:
+        end = int(before[end])
+        changes.append(end)
+    return [at for at in reversed(changes) if at > 0]
+
+
+def merge_levels(values: Floats, changes: list[int], least: float) -> list[int]:
+    """Return the changes between pieces whose medians differ by `least`; the smallest are removed first."""
+    changes = list(changes)
+    while changes:
+        heights = np.abs(np.diff([float(np.median(part)) for part in np.split(values, changes)]))
+        smallest = int(np.argmin(heights))
+        if heights[smallest] >= least:
+            break
+        del changes[smallest]
+    return changes
+
+
+def _choose_window(runs: tuple[MaterialRun, ...], guess: float) -> tuple[list[int], float, float]:
+    """Return the runs that begin near `guess`, and from where to where their edges are fitted, mm.
+
+    No edge stands at the rim of the window: it is fitted, too, or its blur is left out. Metal ends it.
+    """
+    reach = EDGE_REACH_MM + EDGE_MARGIN_MM
+    metal = [run for run in runs if run.kind == "metal"]
+    first = max([guess - reach, *(run.end for run in metal if run.end <= guess)])
+    last = min([guess + reach, *(run.begin for run in metal if run.begin >= guess)])
+    near = [n for n in range(1, len(runs)) if first < runs[n].begin < last]
+    low = max([first, *(run.begin + EDGE_MARGIN_MM for run in runs[1:] if run.begin <= first)])
+    high = min([last, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= last)])
+    low = max(first, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
+    return near, low, min(last, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))
+
+
+def _is_narrow_gap(run: MaterialRun) -> bool:
+    return run.kind == "air" and run.length < NARROW_GAP_MM
+
+
+def _fit_steps(
+    s: Floats, values: Floats, noise: float, start: tuple[Floats, Floats, list[int]]
+) -> OptimizeResult:
+    """Fit error functions of one width between levels, with a slope behind the last edge.
+
+    The slope is for what a hardened beam and further layers do. Stations that stray count less.
+
+    Parameters
+    ----------
+    start : tuple
+        Edges (n,), mm; levels (n + 1,), HU; and which of these are air's for certain.
+    """
+    at, levels, gaps = start
+    count = len(at)
+
+    def residuals(theta: Floats) -> Floats:
+        edges, width, level, slope = theta[:count], np.exp(theta[count]), theta[count + 1 : -1], theta[-1]
+        last = slope * np.clip(s - edges[-1], 0, None)
+        steps = np.repeat(np.diff(level)[:, None], len(s), axis=1)
+        steps[-1] += last
+        shown = level[0] + np.sum(steps * ndtr((s - edges[:, None]) / width), axis=0)
+        known = (level[gaps] - AIR_HU) / AIR_SD_HU
+        return np.concatenate([(shown - values) / noise, known, [theta[count] - np.log(WIDTH_MM)]])
+
+    first = np.concatenate([at, [np.log(WIDTH_MM)], levels, [0.0]])
+    first[count + 1 + np.array(gaps, dtype=int)] = AIR_HU
+    scale = np.concatenate([np.full(count, 0.2), [0.3], np.full(count + 1, 50.0), [10.0]])
+    return least_squares(residuals, first, loss="soft_l1", f_scale=SOFT_LOSS_SD, x_scale=scale)
