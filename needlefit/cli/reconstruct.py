@@ -1,5 +1,6 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
+import shlex
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -169,6 +170,9 @@ def reconstruct(
     if written and not json:
         screen.print_text(f"{judge_run(written)[0].sentence}.")
     _print_failures(written, failed, pages)
+    for failure in failed:
+        command = _view_command(scans, failure, recipe)
+        screen.print_note(f"needlefit: look at it and correct it: {command}")
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if json else None)
     if failed and written:
@@ -253,6 +257,20 @@ def _print_failures(
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")
+
+
+def _view_command(scans: list[Path], failure: "ReconstructionFailure", recipe: str) -> str:
+    """Return the command that shows a scan that failed."""
+    scan, words = failure.scan, ["needlefit", "view"]
+    table = scans[0].suffix.lower() == ".csv" or not path_exists(scans[0])  # the latter by its bare name
+    if table:
+        words.append(f"{scans[0]}/{scan.id}")
+    else:
+        words.append(str(scan.volume))
+        words += ["--markers", str(scan.markers)] if scan.markers else []
+        for layer in scan.surfaces:
+            words += ["--layers", layer.name_file(str(layer.path))]
+    return shlex.join([*words, "--recipe", recipe] if recipe != "default" else words)
 
 
 def _describe_failure(failure: "ReconstructionFailure") -> str:

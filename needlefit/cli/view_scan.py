@@ -83,4 +83,6 @@ def _split_table(target: str) -> tuple[Path, str] | None:
         return path, ""
     if path.parent.suffix.lower() == ".csv" and is_file(path.parent):
         return path.parent, path.name
+    if str(path.parent) in list_names("scans"):
+        return find_file("scans", str(path.parent)), path.name
     return None
