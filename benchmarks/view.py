@@ -62,7 +62,7 @@ def opened(address: str) -> Iterator[Page]:
     """Yield the page in a headless browser."""
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-        page = browser.new_page(viewport=SIZE)
+        page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
         page.faults = []
         page.on("pageerror", lambda error: page.faults.append(str(error)))
         page.goto(address)

@@ -64,7 +64,9 @@ def page(server, chromium):
 @contextmanager
 def opened(chromium, server, **settings):
     """Yield a page in a context of its own; a fault of its scripts fails the test."""
-    context = chromium.new_context(**({"viewport": {"width": 1280, "height": 800}} | settings))
+    # a page that is asked for less motion begins at first contact
+    begun = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce"}
+    context = chromium.new_context(**(begun | settings))
     page, faults = context.new_page(), []
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(server.address)
@@ -291,7 +293,7 @@ def test_band_validity_and_pause_messages_are_shown(page) -> None:
 
 
 def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chromium) -> None:
-    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    context = chromium.new_context(viewport={"width": 1280, "height": 800}, reduced_motion="reduce")
     window = context.new_page()
     window.goto(server.address)
     until(window, "state => state && window.needlefit.connected")
@@ -435,3 +437,19 @@ def test_an_export_is_a_file(page) -> None:
     path = download.value.path()
     *_, last = replay(read_recording(path))
     assert last.state.step.depth == 10
+
+
+def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromium) -> None:
+    with opened(chromium, server, reduced_motion="no-preference") as window:
+        page = window
+        state = until(page, "state => state.depth_mm > 5 && !state.moving")
+        depth = page.evaluate("window.needlefit.scene.measured.depth_mm")
+        assert state["depth_mm"] == pytest.approx(0.6 * depth, abs=0.01)
+        page.click("[data-fit=tissue]")
+        sees = "import('/page/view.js').then(({ seesTip, view }) => [seesTip(), view.magnified])"
+        assert page.evaluate(sees)[0] and page.evaluate(sees)[1] > 1
+        drag(page, "tip", 0, -250)
+        page.wait_for_timeout(300)
+        assert page.evaluate(sees)[0]
+        page.click("[data-show=true]")
+        assert page.evaluate(sees)[1] == 1

@@ -9,7 +9,8 @@ import { paintTissue } from "./painters/tissue.js";
 import { palette, readPalette } from "./palette.js";
 import { slice } from "./slice.js";
 import { listen, now } from "./store.js";
-import { fit, follow, resize, takeChange, touch, view } from "./view.js";
+import { paintArrow, paintInset } from "./painters/inset.js";
+import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
 
 const picture = document.getElementById("picture");
 const background = document.getElementById("background");
@@ -57,6 +58,8 @@ function paintForeground(state) {
     if (shown.measured && now.scene.measured) paintMeasured(before, now.scene.measured);
     paintGuides(before, state);
     paintBase(before, state);
+    if (view.magnified > 1) paintInset(before, state);
+    if (!seesTip()) paintArrow(before, state);
   });
 }
 
@@ -95,5 +98,5 @@ let fitted = null;
 listen("state", () => {
   if (fitted === now.scene.target) return;
   fitted = now.scene.target;
-  fit(view.fit ?? (now.scene.measured ? "tissue" : "whole"));
+  fit(view.fit ?? "tissue");
 });

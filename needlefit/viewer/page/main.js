@@ -8,6 +8,7 @@ import * as frames from "./frames.js";
 import * as guides from "./guides.js";
 import "./keys.js";
 import "./notices.js";
+import "./opening.js";
 import * as panel from "./panel.js";
 import "./pointers.js";
 import * as readouts from "./readouts.js";

@@ -2,7 +2,7 @@
 
 import { invalidate, shown } from "./drawing.js";
 import { listen, now } from "./store.js";
-import { fit, magnify, touch, view, zoom } from "./view.js";
+import { drawTrue, fit, touch, view, zoom } from "./view.js";
 
 const fits = document.querySelectorAll("[data-fit]");
 const shows = document.querySelectorAll("[data-show]");
@@ -15,7 +15,7 @@ export function pressed() {
 function toggle(button) {
   const on = button.getAttribute("aria-pressed") !== "true";
   button.setAttribute("aria-pressed", String(on));
-  if (button.dataset.show === "magnified") return magnify(on);
+  if (button.dataset.show === "true") return drawTrue(on);
   shown[button.dataset.show] = on;
   button.dataset.show === "slice" ? touch() : invalidate();
 }

@@ -1,9 +1,11 @@
-/** Which part of the constraint frame is seen: true millimetres, the same scale along x and y. */
+/** Which part of the constraint frame is seen, in true millimetres; y may be drawn larger than x. */
 
 import { now } from "./store.js";
 
 const GUTTER = { left: 56, right: 10, top: 10, bottom: 38 }; // px, for the axes
-const MAGNIFICATION = 5;
+const MAGNIFICATIONS = [1, 2, 5, 10, 20, 50]; // of y against x
+const VISIBLE = 0.3; // part of the window's height that deflections take at most when y is magnified for them
+const LEAST_SPAN = 0.5; // mm; smaller deflections are not magnified further
 const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
 const TALL = 0.8; // part of the window's height that needles may take
@@ -11,7 +13,7 @@ const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /** The window: its centre (mm), its scale (px per mm), its box on the canvas (px). */
 export const view = {
-  x: 0, y: 0, scale: 5, magnified: 1, fit: null, box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, true: false, fit: null, box: { left: 0, top: 0, width: 1, height: 1 },
 };
 
 let changed = true;
@@ -46,15 +48,17 @@ export function fit(which) {
   if (!now.scene || !now.state || !which) return;
   if (which === "tip") {
     view.scale = limited(view.box.width / TIP_WINDOW);
+    view.magnified = 1;
     view.x = now.state.tip.x;
     view.y = now.state.tip.y;
     return;
   }
   const [low, high, before, after] = which === "whole" ? wholeSpan() : tissueSpan();
   const room = view.box.width - before - after;
-  const [bottom, top] = heights();
-  const [along, across] = [room / (high - low), (TALL * view.box.height) / (top - bottom) / view.magnified];
+  const [bottom, top] = heights(which);
+  const [along, across] = [room / (high - low), (TALL * view.box.height) / (top - bottom)];
   view.scale = limited(Math.min(along, across));
+  view.magnified = which === "whole" ? 1 : magnification(top - bottom);
   view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
   view.y = midHeight(bottom, top);
 }
@@ -74,10 +78,19 @@ function deepest() {
   return Math.max(depth, now.state.depth_mm, (tops.at(-1) ?? 0) + 5, measured?.depth_mm ?? 0);
 }
 
-/** Between which y all lies that must be seen. */
-function heights() {
-  const all = [...now.state.y, ...(now.scene.measured?.y ?? []), 0];
+/** Between which y all lies that must be seen: of the tissue alone what is in it. */
+function heights(which) {
+  const { x, y } = now.state;
+  const seen = which === "whole" ? y : y.filter((_, i) => x[i] >= 0);
+  const all = [...seen, ...(now.scene.measured?.y ?? []), 0];
   return [Math.min(...all), Math.max(...all)];
+}
+
+/** How many times as large as x the y axis is drawn, so that deflections over `span` mm can be seen. */
+function magnification(span) {
+  if (view.true) return 1;
+  const room = (VISIBLE * view.box.height) / view.scale / Math.max(span, LEAST_SPAN);
+  return MAGNIFICATIONS.filter((one) => one <= room).at(-1) ?? 1;
 }
 
 /** The middle of what must be seen; the axis stays in the middle while that is seen anyway. */
@@ -86,8 +99,21 @@ function midHeight(low, high) {
   return high < half && low > -half ? 0 : (low + high) / 2;
 }
 
-/** While the tip is followed: jump ahead once it nears the edge; the tissue is not drawn anew each time. */
+/** Whether the tip is in the window. */
+export function seesTip() {
+  const { left, top, width, height } = view.box;
+  const [px, py] = [toPx(now.state.tip.x) - left, toPy(now.state.tip.y) - top];
+  return px >= 0 && px <= width && py >= 0 && py <= height;
+}
+
+/** Keep the tip in sight: fit again once it leaves the window or the magnification does not suit it. */
 export function follow() {
+  if (view.fit && view.fit !== "tip") {
+    const [bottom, top] = heights(view.fit);
+    const tall = (top - bottom) * view.scale * view.magnified > TALL * view.box.height;
+    if (tall || !seesTip()) fit(view.fit);
+    return;
+  }
   if (view.fit !== "tip") return;
   const { x, y } = now.state.tip;
   const across = (x - view.x) * view.scale / view.box.width;
@@ -116,9 +142,11 @@ export function pan(px, py) {
   changed = true;
 }
 
-/** Draw y as large as x, or five times as large. */
-export function magnify(on) {
-  view.magnified = on ? MAGNIFICATION : 1;
+/** Draw y as large as x, or as large as it takes to see deflections. */
+export function drawTrue(on) {
+  view.true = on;
+  if (on) view.magnified = 1;
+  changed = true;
   fit(view.fit);
 }
 
