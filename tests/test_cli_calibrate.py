@@ -44,7 +44,6 @@ def calibrated(*words):
 def test_an_interrupted_run_resumes_to_the_same_bytes(reports):
     whole = calibrated("--jobs", "1")
     assert whole.returncode == 5, whole.stderr  # too few
-    assert whole.stdout.count("2 replicates") == 1
     folder = reports / "calibrate-study2"
     assert {path.name for path in folder.iterdir()} == FILES
     rows = pd.read_csv(folder / "replicates.csv")

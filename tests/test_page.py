@@ -453,3 +453,13 @@ def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromi
         assert page.evaluate(sees)[0]
         page.click("[data-show=true]")
         assert page.evaluate(sees)[1] == 1
+
+
+def test_a_readout_is_defined_on_hover_and_focus(page) -> None:
+    until(page, "state => true")
+    page.hover("#readouts .term >> nth=1")
+    shown(page, "Distance of the tip from the entry axis")
+    page.mouse.move(5, 5)
+    page.locator("#definition").wait_for(state="hidden")
+    page.focus("#errors .term >> nth=0")
+    assert page.inner_text("#definition") == page.evaluate("window.needlefit.scene.measured.metrics[0][3]")

@@ -1,5 +1,6 @@
 /** The numbers below the picture, refreshed often enough to read and no more. */
 
+import { define, DEFINITIONS } from "./definitions.js";
 import { signed, toDegrees } from "./numbers.js";
 import { listen, now } from "./store.js";
 import { exceeded } from "./validity.js";
@@ -21,7 +22,10 @@ let errors = [];
 
 function listErrors(metrics) {
   const digits = (unit) => (unit === "%" ? 2 : 3);
-  const each = metrics.map(([name, label, unit]) => [label, unit, (e) => e[name]?.toFixed(digits(unit)) ?? "–"]);
+  const each = metrics.map(([name, label, unit, text]) => {
+    DEFINITIONS[label] = text;
+    return [label, unit, (e) => e[name]?.toFixed(digits(unit)) ?? "–"];
+  });
   const list = document.getElementById("errors");
   list.replaceChildren();
   compared = [...each, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]];
@@ -36,7 +40,7 @@ function fill(list, readouts) {
   return readouts.map(([name, unit, , remark]) => {
     const tags = ["div", "dt", "dd", "span", "small"];
     const [row, term, value, number, small] = tags.map((tag) => document.createElement(tag));
-    term.textContent = name;
+    term.append(define(name));
     small.textContent = unit;
     number.textContent = "–";
     value.append(number, " ", small);

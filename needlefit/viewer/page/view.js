@@ -4,7 +4,7 @@ import { now } from "./store.js";
 
 const GUTTER = { left: 56, right: 10, top: 10, bottom: 38 }; // px, for the axes
 const MAGNIFICATIONS = [1, 2, 5, 10, 20, 50]; // of y against x
-const VISIBLE = 0.3; // part of the window's height that deflections take at most when y is magnified for them
+const VISIBLE = 0.45; // part of the window's height that deflections take at most when y is magnified for them
 const LEAST_SPAN = 0.5; // mm; smaller deflections are not magnified further
 const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far

@@ -59,7 +59,7 @@ def scene_message(trial: InteractiveTrial) -> dict[str, Any]:
             "x": _round_lengths(measured.points[:, 0]),
             "y": _round_lengths(measured.points[:, 1]),
             "depth_mm": measured.depth,
-            "metrics": [[one.name, one.label, one.unit] for one in list_metrics()],
+            "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
         },
         "band": viewed_scene.spread is not None,
         "slice": viewed_scene.scanned is not None,

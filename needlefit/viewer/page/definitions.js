@@ -1,0 +1,35 @@
+/** What the words of the page mean, shown on hover, focus and tap. */
+
+/** One sentence each; those of error metrics come with the scene. */
+export const DEFINITIONS = {
+  "depth": "Length of the needle behind the entry, along x.",
+  "tip deflection": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
+  "tip slope": "Angle of the needle at its tip against the entry axis.",
+  "tip force": "Lateral force of the tissue on the part of the shaft at the last constraint point.",
+  "base force": "Lateral force that holds the base.",
+  "base moment": "Moment that holds the base.",
+  "steepest slope": "Largest slope dy/dx of the needle; the model takes it for small.",
+  "noise floor": "Mean error that the stated measurement noise alone would cause.",
+};
+
+const shown = Object.assign(document.createElement("div"), { id: "definition", role: "tooltip", popover: "auto" });
+document.body.append(shown);
+
+/** A term that shows its definition; plain text where there is none. */
+export function define(name) {
+  if (!(name in DEFINITIONS)) return name;
+  const term = document.createElement("button");
+  Object.assign(term, { type: "button", className: "term", textContent: name });
+  term.setAttribute("aria-describedby", shown.id);
+  const show = () => {
+    const { left, top } = term.getBoundingClientRect();
+    shown.textContent = DEFINITIONS[name];
+    shown.style.left = `${Math.max(8, Math.min(left, innerWidth - 296))}px`;
+    shown.style.bottom = `${innerHeight - top + 6}px`;
+    if (!shown.matches(":popover-open")) shown.showPopover();
+  };
+  const hide = () => shown.matches(":popover-open") && shown.hidePopover();
+  for (const kind of ["pointerenter", "focus", "click"]) term.addEventListener(kind, show);
+  for (const kind of ["pointerleave", "blur"]) term.addEventListener(kind, hide);
+  return term;
+}
