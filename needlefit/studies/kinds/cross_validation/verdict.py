@@ -8,7 +8,7 @@ import pandas as pd
 
 from needlefit.datasets.select import group_independent
 from needlefit.inference.baselines import BASELINES
-from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.result_warnings import ResultWarning, read_warnings
 from needlefit.reporting.labels import layers_name, medium_name
 from needlefit.reporting.number_format import format_symbol, join_words
 from needlefit.reporting.table_files import to_records
@@ -58,9 +58,13 @@ def _judge_held_out(results: Run, group: ScoredGroup, named_layers: bool) -> Ver
     if error is None:
         return Verdict(f"Not scored: no simulation on {name} converged", "fail", name, numbers)
     best = _compare_best(results, group)
-    found = replace(judge_errors(name, error, group.over_floor(_TE), best), group=name, numbers=numbers)
+    found = judge_errors(name, error, group.over_floor(_TE), best, int(group.head["insertions"]))
+    found = replace(found, group=name, numbers=numbers)
     missed = _describe_missed(_select_group(results.frames["predictive"], group))
-    return qualify(found, f"{found.sentence}; {missed}") if missed else found
+    found = qualify(found, f"{found.sentence}; {missed}") if missed else found
+    if any(one.kind == "noise_too_large" for one in read_warnings(results.run)):
+        found = qualify(found, f"{found.sentence}; the stated noise is too large")
+    return found
 
 
 def _compare_best(results: Run, group: ScoredGroup) -> BestBaseline | None:
