@@ -238,6 +238,14 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
 
 
+def test_insertions_of_one_specimen_are_left_out_one_by_one(tmp_path):
+    file, out = write_plain(tmp_path, CURVES), tmp_path / "gel"
+    assert run("import", file, "--out", out, "--specimen", "block", "--yes") == 0
+    study = load_study(out / "gel_study.toml")
+    assert (study.leave_out, study.same_specimen) == ("insertion", True)
+    assert run("check", out / "gel_study.toml") == 0
+
+
 def test_a_bundle_of_slicer_becomes_a_dataset(tmp_path):
     write_scene(tmp_path / "s", CURVES, "tfm")
     write_bundle(tmp_path / "s.mrb", tmp_path / "s")

@@ -118,7 +118,7 @@ def import_data(
     study_file = name_study_file(dataset.name)
     if (out / study_file).is_file():
         study = shlex.join(("needlefit", "validate", f"{path}/{study_file}"))
-        screen.print_note(f"a first study, which leaves out one specimen at a time: {study}")
+        screen.print_note(f"a first study, by cross-validation: {study}")
 
 
 def _ask(question: "Question", guess: str, reason: str) -> str:
