@@ -78,7 +78,7 @@ def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
 
 
 def _format_point(point: Floats) -> str:
-    return ", ".join(f"{value + 0.0:.1f}" for value in point)
+    return ", ".join(f"{value:z.1f}" for value in point)
 
 
 def tabulate_decisions(decisions: Decisions) -> pd.DataFrame:
@@ -159,7 +159,7 @@ def _name_axis(axis: Floats) -> str:
     """Return the name of a direction: of a world axis its letter, of another one its components."""
     nearest = int(np.argmax(np.abs(axis)))
     if abs(axis[nearest]) < 1.0:
-        return "along (" + ", ".join(f"{value + 0.0:.2f}" for value in axis) + ")"
+        return "along (" + ", ".join(f"{value:z.2f}" for value in axis) + ")"
     return ("" if axis[nearest] > 0 else "minus ") + "xyz"[nearest]
 
 
