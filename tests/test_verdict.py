@@ -1,5 +1,6 @@
 """Verdicts of runs: status and numbers, from stored tables alone."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from reporting_results import study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.studies.kinds.cross_validation.verdict import describe_evidence
 from needlefit.studies.report import run_to_json
 from needlefit.studies.run import Run
 from needlefit.studies.verdict import (
@@ -97,6 +99,17 @@ def test_noise_that_is_too_large_is_no_pass():
     good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
     noisy = {**good.run, **warnings_entry([ResultWarning("noise_too_large", "")])}
     assert [one.status for one in judge_run(replace(good, run=noisy))] == ["warn"]
+
+
+def test_the_evidence_has_counts_and_coverage():
+    results = with_predictions(with_tip_errors(study(4), **CURVES))
+    folds = [{"tune": ["a", "b"], "validate": ["c"]}, {"tune": ["a", "b", "c"], "validate": ["d"]}]
+    words = describe_evidence(replace(results, run={**results.run, "folds": folds}))
+    predicted = results.frames["predictive"]
+    tips, count = int(predicted["tip_in_95"].sum()), len(predicted)
+    numbers = [int(one) for one in re.findall(r"\d+", words)]
+    assert numbers[:4] == [2, 3, 2, 2] and f"{tips} of {count}" in words
+    assert re.findall(r"\d+", describe_evidence(replace(results, run={})))[0] == "95"
 
 
 def test_one_verdict_for_each_group_and_in_json():

@@ -138,6 +138,25 @@ def warn_of_coverage(results: Run) -> Iterator[ResultWarning]:
             )
 
 
+def describe_evidence(results: Run) -> str:
+    """Return what a verdict rests on: insertions fitted to and held out, coverage of the 95 % intervals."""
+    folds = results.run.get("folds", ())
+    fitted = sorted({len(fold["tune"]) for fold in folds})
+    counts = " to ".join(dict.fromkeys(str(count) for count in (*fitted[:1], *fitted[-1:])))
+    each = f" in each of {len(folds)} folds" if len(folds) > 1 else ""
+    held_out = sum(len(fold["validate"]) for fold in folds)
+    parts = [f"Fitted: n = {counts}{each}"] if folds else []
+    parts += [f"Held out: n = {held_out}"] if held_out else []
+    covered = [
+        f"{100 * found.hits / found.trials:.0f} % of {'tips' if what == 'tip' else 'whole shapes'} "
+        f"({found.hits} of {found.trials})"
+        for what, level, found in list_coverages(results.frames["predictive"])
+        if level == 95 and found.trials
+    ]
+    parts += [f"The 95 % predictive intervals cover {join_words(covered)}"] if covered else []
+    return "".join(f"{one}. " for one in parts).strip()
+
+
 def describe_wide_intervals(results: Run) -> list[str]:
     """Return a sentence for each interval that covers significantly more insertions than its level."""
     return [
