@@ -14,18 +14,35 @@ import pytest
 
 from needlefit.cli import screen
 from needlefit.cli.exit_codes import STOP_SIGNALS, Invocation, catch_interrupts
-from needlefit.cli.progress import report_lines, show_progress
+from needlefit.cli.progress import RemainingTime, format_remaining, report_lines, show_progress
 
 
 def test_a_pipe_gets_one_line_a_minute():
-    stream, times = io.StringIO(), iter([0.0, 1.0, 59.0, 60.0, 60.0, 61.0, 119.0, 120.0, 120.0])
+    stream, times = io.StringIO(), iter([0.0, 1.0, 59.0, 60.0, 61.0, 119.0, 120.0])
     report = report_lines(stream, lambda: next(times))
     for done in range(6):
         report("study3: starts", done, 16)
     lines = stream.getvalue().splitlines()
     assert [line.split(": ") for line in lines] == [
-        ["needlefit", "study3", "starts", f"{done} of 16"] for done in (2, 5)
+        ["needlefit", "study3", "starts", f"{done} of 16, about {left} left"]
+        for done, left in ((2, "7 min"), (5, "4 min"))
     ]
+
+
+def test_the_remaining_time_follows_from_the_steps_so_far():
+    times = iter([0.0, 5.0, 20.0, 40.0, 41.0, 60.0])
+    remaining = RemainingTime(lambda: next(times))
+    assert remaining.estimate(10, 100) is None  # what was resumed took no time
+    assert remaining.estimate(20, 100) is None
+    assert remaining.estimate(20, 100) == pytest.approx(160.0)
+    assert remaining.estimate(0, 5) is None  # of other steps
+    assert remaining.estimate(5, 100) is None  # begins again
+    assert remaining.estimate(10, 100) == pytest.approx(19.0 * 90 / 5)
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(None, ""), (3.0, "10 s"), (95.0, "2 min"), (7300.0, "2 h")])
+def test_the_remaining_time_is_rounded(seconds, words):
+    assert words in format_remaining(seconds)
 
 
 def test_quiet_prints_nothing(capsys):

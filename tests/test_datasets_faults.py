@@ -102,12 +102,28 @@ def test_layers_that_are_not_met(folder, layers):
     for column in ("layers", "layers_alternative"):
         cell(folder / "insertions.csv", 2, column, layers)
     fault = the_fault(folder)
-    assert "a meets 4 layers (1 > 2 > 3 > 2" in fault.what and layers in fault.expected
+    assert "a meets 4 layers (1 > 2 > 3 > 2" in fault.what and "4" in fault.expected
+    assert "layers = 4" in fault.fix
 
 
 def test_the_alternative_reading_is_enough(folder):
     cell(folder / "insertions.csv", 2, "layers", "3")
     assert check(folder) == []
+
+
+@pytest.mark.parametrize(("boundary", "layers"), [(-0.3, "1"), (0.3, "2")])
+@pytest.mark.parametrize(("sd", "near"), [("0.2", True), ("0.1", False)])
+def test_a_tip_near_a_boundary_has_a_proposed_alternative(folder, boundary, layers, sd, near):
+    dataset = read(folder)
+    (tip,) = (one.planar[-1, 0] for one in dataset.insertions if one.id == "a")
+    text = (folder / "dataset.toml").read_text()
+    (folder / "dataset.toml").write_text(f"{text}\n[media.cut]\nboundaries_mm = [{tip + boundary:.4f}]\n")
+    met = "2" if boundary < 0 else "1"
+    for column, value in {"medium": "cut", "layers_alternative": layers, "boundary_sd_mm": sd}.items():
+        cell(folder / "insertions.csv", 2, column, value)
+    cell(folder / "insertions.csv", 2, "layers", layers)
+    fault = the_fault(folder)
+    assert ("layers_alternative" in fault.fix) == near and met in fault.fix
 
 
 def test_a_missing_column_is_named_with_those_there(folder):

@@ -17,7 +17,12 @@ from needlefit.inference.parameters import Parameters
 from needlefit.project.load import load
 from needlefit.project.result_warnings import read_warnings, warnings_entry
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.fit_warnings import analysis_bound_warnings, baseline_warnings, bound_warnings
+from needlefit.studies.fit_warnings import (
+    analysis_bound_warnings,
+    baseline_warnings,
+    bound_warnings,
+    noise_floor_warnings,
+)
 from needlefit.studies.folds import make_folds, warn_shared_specimens
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kinds.cross_validation.run import run as run_fit
@@ -110,6 +115,26 @@ def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):
     found = list(baseline_warnings(scored(role, errors, floor)))
     assert [one.kind for one in found] == ["worse_than_baseline"] * count
     assert all("arc" in one.what for one in found)
+
+
+@pytest.mark.parametrize(
+    ("errors", "floor", "kinds"),
+    [
+        ([0.05] * 5, 0.25, ["noise_too_large"]),
+        ([0.05] * 2, 0.25, []),  # by chance
+        ([0.05] * 5, 0.06, []),
+        ([0.25] * 5, 0.05, ["noise_too_small"]),
+        ([0.12], 0.05, []),
+        ([0.25] * 5, np.nan, []),
+    ],
+)
+def test_in_sample_errors_far_from_the_noise_floor_are_named(errors, floor, kinds):
+    results = scored("tune", {"fitted": errors}, floor)
+    found = list(noise_floor_warnings(results))
+    assert [one.kind for one in found] == kinds
+    assert all(f"n = {len(errors)}" in one.what for one in found)
+    held_out = results.frames["errors"].assign(role="validate")
+    assert list(noise_floor_warnings(results.with_frames(errors=held_out))) == []
 
 
 def test_the_closest_curve_is_named_and_the_report_shows_it():

@@ -73,7 +73,7 @@ def test_ras_and_lps_are_tried_against_the_surfaces(tmp_path):
     plan, made = understood([tmp_path])
     assert made["surfaces frame"] == ("RAS", "guess") and made["frame"] == ("LPS", "file")
     assert plan.insertions[0].row.layers == 3
-    assert [one.into for one in plan.surfaces] == [2, 3]
+    assert [one.into for one in plan.layers.surfaces] == [2, 3]
     assert understood([tmp_path], surfaces_frame="LPS")[0].insertions[0].row.layers == 1
 
 
@@ -95,7 +95,7 @@ def test_a_needle_is_cut_at_the_tissue_and_its_shaft_gives_the_pose(tmp_path):
     np.testing.assert_allclose(row.entry, [0.0, 3.0, 0.0], atol=0.01)
     np.testing.assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
     assert (row.pose_source, row.layers) == ("shaft", 3)
-    assert len(understood([tmp_path], tissue_surface="none", pose="tangent")[0].surfaces) == 3
+    assert len(understood([tmp_path], tissue_surface="none", pose="tangent")[0].layers.surfaces) == 3
 
 
 def test_the_first_solid_entered_from_outside_is_the_tissue(tmp_path):
@@ -106,7 +106,72 @@ def test_the_first_solid_entered_from_outside_is_the_tissue(tmp_path):
     write_plain(tmp_path, [with_shaft(one)[::-1] for one in CURVES])
     plan, made = understood([tmp_path])
     assert made["entry"] == ("last", "guess") and made["tissue surface"] == ("a", "guess")
-    assert [(one.name, one.kind, one.into) for one in plan.surfaces] == [("b", "solid", 2)]
+    assert [(one.name, one.kind, one.into) for one in plan.layers.surfaces] == [("b", "solid", 2)]
+
+
+def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_path):
+    file = write_plain(tmp_path, CURVES)
+    plan, made = understood([file], pose="1,0,0", point_sd="0.03")
+    assert made["entry point"] == ("first", "assumption") and made["pose shift sd"] == ("0.03", "guess")
+    assert made["pose angle sd"] == ("0.5", "assumption")
+    row = plan.insertions[1].row
+    np.testing.assert_allclose(row.entry, CURVES[1][0], atol=1e-6)
+    assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.03, pytest.approx(0.5))
+    stated = {"entry_point": "0,0,0", "pose_shift_sd": "0", "pose_angle_sd": "0,2"}
+    plan, made = understood([file], pose="2,0,0", **stated)
+    row = plan.insertions[1].row
+    np.testing.assert_array_equal(row.entry, np.zeros(3))
+    assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.0, pytest.approx(0.2))
+    assert {made[name][1] for name in ("entry point", "pose shift sd", "pose angle sd")} == {"option"}
+    assert understood([file], pose="1,0,0", entry_point="0,0,0")[1]["pose shift sd"] == ("0.1", "assumption")
+
+
+def test_the_error_of_a_shaft_is_that_of_its_points(tmp_path):
+    write_surface(make_sheet("skin", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 90.0, 2), tmp_path / "skin.stl")
+    write_plain(tmp_path, [with_shaft(one) for one in CURVES])
+    plan, made = understood([tmp_path], point_sd="0.1")
+    assert made["pose angle sd"] == ("shaft", "guess") and made["entry point"] == ("first", "guess")
+    x = np.linspace(-18.0, -3.0, 6)
+    assert plan.insertions[0].row.pose_angle_sd == pytest.approx(0.1 / np.linalg.norm(x - x.mean()))
+    plan, _ = understood([tmp_path], pose_angle_sd="1")
+    assert np.degrees(plan.insertions[0].row.pose_angle_sd) == pytest.approx(1.0)
+
+
+def test_boundaries_are_stated_as_depths(tmp_path):
+    file = write_plain(tmp_path, CURVES)
+    plan, _ = understood([file], pose="1,0,0", boundaries="15,5;52,0", boundary_sd="0.3")
+    assert plan.layers.depths_mm == (15.5, 52.0)
+    assert [one.row.layers for one in plan.insertions] == [3, 3, 2]
+    assert {one.row.boundary_sd for one in plan.insertions} == {0.3}
+    assert understood([file], boundaries="15,52")[1]["boundary sd"] == ("0.5", "assumption")
+    assert understood([file])[1]["boundaries"] == ("none", "guess")
+    write_layers(tmp_path)
+    with pytest.raises(ConfigError) as error:
+        understood([tmp_path], boundaries="15")
+    assert "--boundaries" in error.value.fix
+
+
+def test_bevel_sides_of_a_table_need_a_direction(tmp_path):
+    turned = [CURVES[0], CURVES[0] * [1, -1, 1]]
+    rows = [
+        f"n{n},{side},gel,block{n}," + ",".join(f"{v:.6f}" for v in p)
+        for n, (side, one) in enumerate(zip((1, -1), turned, strict=True))
+        for p in one
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["id,bevel side,medium,specimen,x,y,z", *rows]))
+    with pytest.raises(ConfigError) as error:
+        understood([tmp_path / "a.csv"], pose="1,0,0")
+    assert "--bevel" in error.value.fix
+    out = tmp_path / "gel"
+    assert (
+        run("import", tmp_path / "a.csv", "--out", out, "--pose", "1,0,0", "--bevel", "0,1,0", "--yes") == 0
+    )
+    dataset = read(out)
+    assert [one.side for one in dataset.insertions] == [1, -1]
+    assert [one.specimen for one in dataset.insertions] == ["block0", "block1"]
+    assert [one.deflection for one in dataset.insertions] == pytest.approx([1.44, 1.44])
+    decided = {one["what"]: one for one in read_toml(out / "dataset.toml")["import"]["decisions"]}
+    assert decided["medium"]["source"] == decided["specimen"]["source"] == "file"
 
 
 @pytest.mark.parametrize(
@@ -114,6 +179,9 @@ def test_the_first_solid_entered_from_outside_is_the_tissue(tmp_path):
     [
         *(({"pose": "1,2"}, "--pose"), ({"entry": "middle"}, "--entry"), ({"modulus": "wood"}, "--modulus")),
         *(({"diameter": "99G"}, "--diameter"), ({"inner_diameter": "2"}, "--inner-diameter")),
+        *(({"boundaries": "30,15"}, "--boundaries"), ({"boundaries": "deep"}, "--boundaries")),
+        ({"pose": "1,0,0", "pose_angle_sd": "-1"}, "--pose-angle-sd"),
+        ({"pose": "1,0,0", "entry_point": "last"}, "--entry-point"),
     ],
 )
 def test_options_that_mean_nothing_are_refused(tmp_path, options, reason):
@@ -168,6 +236,14 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     assert run("import", tmp_path / "six.csv", "--out", tmp_path / "again", "--modulus", "steel") == 0
     one, other = (sorted((tmp_path / name).rglob("*.[cp]*")) for name in ("gel", "again"))
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+
+
+def test_insertions_of_one_specimen_are_left_out_one_by_one(tmp_path):
+    file, out = write_plain(tmp_path, CURVES), tmp_path / "gel"
+    assert run("import", file, "--out", out, "--specimen", "block", "--yes") == 0
+    study = load_study(out / "gel_study.toml")
+    assert (study.leave_out, study.same_specimen) == ("insertion", True)
+    assert run("check", out / "gel_study.toml") == 0
 
 
 def test_a_bundle_of_slicer_becomes_a_dataset(tmp_path):

@@ -26,6 +26,7 @@ from needlefit.studies.kinds.cross_validation.detail_tables import (
     lay_out_contradictions,
     lay_out_insertions,
     lay_out_parameters,
+    lay_out_values,
 )
 from needlefit.studies.kinds.cross_validation.parameter_table import (
     NOT_DETERMINED,
@@ -45,6 +46,7 @@ from needlefit.studies.kinds.cross_validation.sentences import (
     summarize_errors,
 )
 from needlefit.studies.kinds.cross_validation.tables import list_groups, tabulate_tuning, tabulate_validation
+from needlefit.studies.parameter_intervals import NO_INTERVAL
 from needlefit.studies.report import describe_run
 from needlefit.studies.run import Run, restore_run, store_run
 from needlefit.studies.summary import aggregate, compare_methods
@@ -412,3 +414,26 @@ def test_latex_escapes():
     assert format_cell("1 × 10⁵ to 3 × 10⁵") == r"\numrange{1e5}{3e5}"
     assert escape_latex("a\\b") == r"a\textbackslash{}b"
     assert format_latex(lay_out_contradictions(paper.find_contradictions()), synthetic=False).isascii()
+
+
+def test_of_several_folds_values_and_intervals_are_enveloped():
+    results = study(1)
+    row = (
+        results.frames["parameters"].query("method == 'fitted' and parameter == 'bevel_mm'").iloc[0].to_dict()
+    )
+    row |= {"status": "free", "determined": True, "bound_low": 1e-3, "bound_high": 1.0}
+    folds = [
+        {**row, "fold": "one", "value": 0.1, "interval_low": 0.08, "interval_high": 0.12},
+        {**row, "fold": "two", "value": 0.2, "interval_low": 0.15, "interval_high": 0.25},
+    ]
+    table = lay_out_values(results.with_frames(parameters=pd.DataFrame(folds)))
+    (cells,) = table.rows
+    assert "0.1 to 0.2" in cells[1] and "0.08 to 0.25" in cells[2]
+    wide = [{**folds[0], "interval_low": 1.1e-3, "interval_high": 0.9}, folds[1]]
+    (cells,) = lay_out_values(results.with_frames(parameters=pd.DataFrame(wide))).rows
+    assert cells[2] == NO_INTERVAL
+
+
+@pytest.mark.parametrize("value", [-0.0, -0.001])
+def test_zero_has_no_sign(value):
+    assert "-" not in format_mm(value) + format_number(value * 0.0) and float(format_mm(value)) == 0

@@ -1,5 +1,6 @@
 """Verdicts of runs: status and numbers, from stored tables alone."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +8,18 @@ import pandas as pd
 import pytest
 from reporting_results import study, with_predictions
 
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.studies.kinds.cross_validation.verdict import describe_evidence
 from needlefit.studies.report import run_to_json
 from needlefit.studies.run import Run
-from needlefit.studies.verdict import VERDICTS_KEY, Verdict, judge_run, worst_status
+from needlefit.studies.verdict import (
+    VERDICTS_KEY,
+    BestBaseline,
+    Verdict,
+    judge_errors,
+    judge_run,
+    worst_status,
+)
 
 
 def with_tip_errors(results: Run, **mm: tuple[float, float]) -> Run:
@@ -28,7 +38,11 @@ CURVES = dict.fromkeys(("straight", "constant_curvature", "linear_curvature"), (
 @pytest.mark.parametrize(
     ("fitted", "straight", "status"),
     [
-        ((0.1, 0.0), (0.01, 0.0), "pass"),  # below the floor no difference is significant
+        ((0.1, 0.0), (0.2, 0.0), "pass"),
+        ((0.1, 0.0), (0.01, 0.0), "warn"),  # a curve is closer, but below the floor that is not significant
+        ((0.1, 0.05), (0.11, 0.0), "pass"),  # within the floor, and no curve is closer
+        ((0.3, 0.2), (0.29, 0.0), "warn"),
+        ((0.3, 0.2), (0.31, 0.0), "warn"),
         ((0.3, 0.01), (2.0, 0.01), "pass"),
         ((1.0, 0.01), (2.0, 0.01), "warn"),  # better than any curve, but far above the floor
         ((1.0, 0.5), (0.99, 0.0), "warn"),  # no significant difference
@@ -52,6 +66,50 @@ def test_intervals_that_cover_too_few_insertions_are_no_pass():
     assert [one.status for one in judge_run(with_predictions(good))] == ["pass"]
     missed = with_predictions(good, levels=(0.9999,))
     assert [one.status for one in judge_run(missed)] == ["warn"]
+
+
+@pytest.mark.parametrize(
+    ("insertions", "baseline", "status"),
+    [
+        (1, "worse", "warn"),
+        (2, "worse", "warn"),
+        (3, "worse", "pass"),
+        (2, "tie", "warn"),
+        (2, "better", "fail"),
+    ],
+)
+def test_one_or_two_insertions_do_not_pass(insertions, baseline, status):
+    best = BestBaseline("an arc", {"worse": 9.0, "tie": 0.6, "better": 0.1}[baseline], baseline)
+    verdict = judge_errors("gel", 0.5, 1.5, best, insertions)
+    assert verdict.status == status and f"n = {insertions}" in verdict.sentence
+    assert judge_errors("gel", 0.5, 0.5, None, insertions).status == ("pass" if insertions > 2 else "warn")
+
+
+def test_a_preliminary_recipe_is_named():
+    results = study(4)
+    quick = replace(results, run={**results.run, "recipe": {"preliminary": True}})
+    added = [
+        one.sentence.removeprefix(old.sentence)
+        for one, old in zip(judge_run(quick), judge_run(results), strict=True)
+    ]
+    assert all("preliminary" in one for one in added)
+
+
+def test_noise_that_is_too_large_is_no_pass():
+    good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    noisy = {**good.run, **warnings_entry([ResultWarning("noise_too_large", "")])}
+    assert [one.status for one in judge_run(replace(good, run=noisy))] == ["warn"]
+
+
+def test_the_evidence_has_counts_and_coverage():
+    results = with_predictions(with_tip_errors(study(4), **CURVES))
+    folds = [{"tune": ["a", "b"], "validate": ["c"]}, {"tune": ["a", "b", "c"], "validate": ["d"]}]
+    words = describe_evidence(replace(results, run={**results.run, "folds": folds}))
+    predicted = results.frames["predictive"]
+    tips, count = int(predicted["tip_in_95"].sum()), len(predicted)
+    numbers = [int(one) for one in re.findall(r"\d+", words)]
+    assert numbers[:4] == [2, 3, 2, 2] and f"{tips} of {count}" in words
+    assert re.findall(r"\d+", describe_evidence(replace(results, run={})))[0] == "95"
 
 
 def test_one_verdict_for_each_group_and_in_json():

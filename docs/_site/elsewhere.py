@@ -1,12 +1,20 @@
 """Pages that lie outside this folder, where a reader of the repository looks for them.
 
-Links name them by where they lie, `../data/README.md`; in the site they are pages of their own, each a file
-that includes one.
+Links name them by where they lie, `../data/README.md`; in the site they are pages of their own. What the site
+generates from code, a link names by the code.
 """
+
+import re
 
 from sphinx.application import Sphinx
 
-PAGES = {"../data/README.md": "datasets.md", "../benchmarks/README.md": "benchmarks.md"}
+PAGES = {
+    "../data/README.md": "datasets.md",
+    "../benchmarks/README.md": "benchmarks.md",
+    "../needlefit/cli/application.py": "reference/commands.md",
+    "../needlefit/api.py": "reference/api/index.md",
+    "../studies": "reference/shipped.md",
+}
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -18,4 +26,5 @@ def setup(app: Sphinx) -> dict[str, bool]:
 def _redirect(app: Sphinx, name: str, source: list[str]) -> None:
     up = "../" * name.count("/")
     for there, here in PAGES.items():
-        source[0] = source[0].replace(f"]({up}{there}", f"]({up}{here}")
+        link = re.escape(f"]({up}{there}")
+        source[0] = re.sub(rf"{link}(?=[)#])", f"]({up}{here}", source[0])

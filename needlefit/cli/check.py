@@ -1,13 +1,15 @@
-"""`needlefit check`: list every fault of a dataset, where it is and how to fix it."""
+"""`needlefit check`: list every fault of a dataset or a study, where it is and how to fix it."""
 
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.options import complete_datasets
-from needlefit.cli.screen import print_warnings
+from needlefit.cli.exit_codes import Invocation
+from needlefit.cli.options import complete_checked
 from needlefit.errors import DataError
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
@@ -17,26 +19,75 @@ if TYPE_CHECKING:
 
 def check(
     context: typer.Context,
-    dataset: Annotated[
+    name: Annotated[
         str,
         typer.Argument(
-            metavar="DATASET", autocompletion=complete_datasets, help="data/<name>/dataset.toml or a path."
+            metavar="DATASET|STUDY",
+            autocompletion=complete_checked,
+            help="data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
         ),
     ],
     strict: options.Strict = False,
     json: options.Json = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Check a DATASET: list every fault and how to fix it, and every warning.
+    """Check a dataset or a study: list every fault and how to fix it, and every warning.
 
-    Looks at files, ids, units, centrelines, surfaces, bevel sides and checksums. Every fit checks the same.
-    Faults end in exit code 3; warnings do not, unless with --strict in 5.
+    Of a dataset it looks at files, ids, units, centrelines, surfaces, bevel sides and checksums; of a study
+    at its keys and at everything that it names. Every fit checks the same. Faults end in exit code 3;
+    warnings do not, unless with --strict in 5. Example: needlefit check ./gel
     """
+    from needlefit.project.locate import find_dataset_or_study
+
+    kind, path = find_dataset_or_study(name)
+    invocation = context.find_root().obj
+    if kind == "dataset":
+        _check_dataset(invocation, path, json)
+    else:
+        _check_study(invocation, kind, (name, path), json)
+
+
+def _check_study(
+    invocation: Invocation, kind: Literal["study", "fit"], named: tuple[str, Path], json: bool
+) -> None:
+    from needlefit.project.locate import file_label
+    from needlefit.studies.study_check import check_study_file
+
+    name, path = named
+    found = check_study_file(kind, path)
+    if json:
+        folds = [{"tune": tune, "validate": held_out} for tune, held_out in found.folds]
+        rows = to_rows(found.warnings)
+        screen.show_json(
+            {"study": str(path), "ok": True, "kind": found.kind, "folds": folds, WARNINGS_KEY: rows}
+        )
+    else:
+        screen.print_text(f"No faults: {file_label(path)}, {found.kind}{_describe_folds(found.folds)}.")
+    screen.print_warnings(invocation, found.warnings)
+    if not json:
+        command = "tune" if kind == "fit" else "validate"
+        screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
+
+
+def _describe_folds(folds: Sequence[tuple[int, int]]) -> str:
+    """Return how many insertions are fitted to and held out."""
+    if not folds:
+        return ""
+    tune, held_out = (sorted(set(counts)) for counts in zip(*folds, strict=True))
+    counts = f": n = {_join_range(tune)} fitted"
+    if any(held_out):
+        counts += f", {_join_range(held_out)} held out"
+    return counts if len(folds) == 1 else f"{counts}, in each of {len(folds)} folds"
+
+
+def _join_range(counts: Sequence[int]) -> str:
+    return f"{counts[0]}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
+
+
+def _check_dataset(invocation: Invocation, path: Path, json: bool) -> None:
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
-    from needlefit.project.locate import find_file
 
-    path = find_file("dataset", dataset)
     found = inspect(path)
     faults, warnings = found.faults, found.warnings
     measured = "" if found.dataset is None else describe_measurement(found.dataset)
@@ -58,7 +109,7 @@ def check(
             screen.print_line(
                 str(DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix))
             )
-    print_warnings(context.find_root().obj, warnings)
+    screen.print_warnings(invocation, warnings)
     if found.dataset is not None and not faults and not json:
         _show(found.dataset, measured)
     if faults:

@@ -41,8 +41,23 @@ def import_data(
         Text, typer.Option(metavar="NAME", help="Surface where needles enter; none: there is none.")
     ] = None,
     pose: Annotated[Text, typer.Option(help="Entry direction: free, tangent, shaft, or X,Y,Z.")] = None,
+    entry_point: Annotated[
+        Text, typer.Option(help="Where the tips first touched the tissue: first (point), or X,Y,Z.")
+    ] = None,
+    pose_shift_sd: Annotated[
+        Text, typer.Option(metavar="MM", help="Standard deviation of the entry point.")
+    ] = None,
+    pose_angle_sd: Annotated[
+        Text, typer.Option(metavar="DEG", help="Standard deviation of the entry direction.")
+    ] = None,
     bevel: Annotated[
-        Text, typer.Option(help="Direction toward which bevels deflect, X,Y,Z; or bend.")
+        Text, typer.Option(help="Direction toward which bevels of side 1 deflect, X,Y,Z; or bend.")
+    ] = None,
+    boundaries: Annotated[
+        Text, typer.Option(metavar="MM,MM", help="Depths of the boundaries between layers along the needle.")
+    ] = None,
+    boundary_sd: Annotated[
+        Text, typer.Option(metavar="MM", help="Standard deviation of the depths of the boundaries.")
     ] = None,
     medium: Annotated[Text, typer.Option(help="Name of what was punctured.")] = None,
     specimen: Annotated[
@@ -81,14 +96,13 @@ def import_data(
     require_new(out)
     require_file_name(out.resolve().name, str(out))
     require_no_inputs_within(out, files)
-    stated = {
-        **{"units": units, "frame": frame, "surfaces frame": surfaces_frame, "entry": entry, "pose": pose},
-        **{"tissue surface": tissue_surface, "bevel": bevel, "medium": medium, "specimen": specimen},
-        **{"needle length": needle_length, "diameter": diameter, "inner diameter": inner_diameter},
-        **{"modulus": modulus, "point sd": point_sd, "title": title, "source": source, "license": license_},
+    questions = {
+        name.removesuffix("_").replace("_", " "): value
+        for name, value in context.params.items()
+        if isinstance(value, str) and name != "columns"
     }
     asks = not yes and not json and sys.stdin.isatty() and sys.stderr.isatty()
-    decisions = Decisions({key: text for key, text in stated.items() if text}, _ask if asks else None)
+    decisions = Decisions(questions, _ask if asks else None)
     content, plan = plan_import(
         files, decisions, [name.strip() for name in columns.split(",")] if columns else ()
     )
@@ -104,7 +118,7 @@ def import_data(
     study_file = name_study_file(dataset.name)
     if (out / study_file).is_file():
         study = shlex.join(("needlefit", "validate", f"{path}/{study_file}"))
-        screen.print_note(f"a first study, which leaves out one specimen at a time: {study}")
+        screen.print_note(f"a first study, by cross-validation: {study}")
 
 
 def _ask(question: "Question", guess: str, reason: str) -> str:

@@ -93,9 +93,9 @@ def complete_runs(incomplete: str) -> list[str]:
     return [name for name in list_runs() if name.startswith(incomplete)]
 
 
-def complete_datasets(incomplete: str) -> list[str]:
-    """Return the datasets whose names begin so."""
-    return _with_prefix(list_names("dataset"), incomplete)
+def complete_checked(incomplete: str) -> list[str]:
+    """Return the datasets, studies and fits whose names begin so."""
+    return _with_prefix(list_names("dataset"), incomplete) + complete_targets(incomplete)
 
 
 def complete_scans(incomplete: str) -> list[str]:

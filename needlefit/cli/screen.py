@@ -24,20 +24,31 @@ def print_line(text: str = "") -> None:
     print(without_controls(text))
 
 
+SCREEN_COLUMNS = 100
+"""Width of sentences and tables in a pipe or file."""
+
+
 def print_text(text: str) -> None:
-    """Print sentences, wrapped between words to the width of a terminal; in a pipe each is one line."""
-    print_line(_wrap(text, sys.stdout))
+    """Print sentences, wrapped between words to the width of the terminal, or to `SCREEN_COLUMNS`."""
+    print_line(_wrap(text, sys.stdout, SCREEN_COLUMNS))
 
 
-def _wrap(text: str, stream: TextIO) -> str:
-    if not stream.isatty():
+def _wrap(text: str, stream: TextIO, piped_width: int | None = None) -> str:
+    """Return text wrapped to the width of a terminal, elsewhere to `piped_width` (None: as it is)."""
+    width = shutil.get_terminal_size().columns if stream.isatty() else piped_width
+    if width is None:
         return text
-    width = shutil.get_terminal_size().columns
-    return "\n".join(textwrap.fill(line, width, break_on_hyphens=False) for line in text.splitlines())
+    return "\n".join(
+        textwrap.fill(line, width, break_on_hyphens=False, break_long_words=False)
+        for line in text.splitlines()
+    )
 
 
 def print_note(text: str) -> None:
-    """Print a line that is no result to stderr, behind all that stdout was given before."""
+    """Print a line that is no result to stderr, behind all that stdout was given before.
+
+    It is wrapped on a terminal only: programs read warnings line by line.
+    """
     sys.stdout.flush()  # else, where both go to one file, it stands before the result
     print(_wrap(without_controls(text), sys.stderr), file=sys.stderr)
 
@@ -76,18 +87,14 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
     _show(columns, [[text for text, _ in row] for row in rows])
 
 
-SCREEN_COLUMNS = 100
-"""Width that tables keep to where their words can be wrapped."""
+MAX_MEASURED_COLUMNS = 10_000
 
 
 def show_display(table: "TableLayout", notes: bool = True) -> None:
-    """Print a table that is ready to be set: its caption, its cells, its notes if wanted.
-
-    Without notes it keeps to `SCREEN_COLUMNS` in a pipe too.
-    """
+    """Print a table that is ready to be set: its caption, its cells, its notes if wanted."""
     columns = [(f"{column.label} {column.unit}", column.align == "right") for column in table.columns]
     print_text(table.caption)
-    _show(columns, table.rows, table.breaks, table.strong, None if notes else SCREEN_COLUMNS)
+    _show(columns, table.rows, table.breaks, table.strong)
     for line in table.notes if notes else ():
         print_text(line)
 
@@ -97,14 +104,16 @@ def _show(
     rows: Sequence[Sequence[str]],
     breaks: Sequence[int] = (),
     strong: Sequence[int] = (),
-    wanted_width: int | None = None,
 ) -> None:
     """Print cells under (head, whether it stands at the right).
 
-    To keep to the width of a terminal, or a wanted one, words are wrapped, not numbers; nothing is cut off.
+    To keep to the width of a terminal, or to `SCREEN_COLUMNS`, words are wrapped, not numbers; in a pipe a
+    table whose numbers and longest words need more is wider.
     """
     from rich import box
+    from rich.align import Align
     from rich.console import Console
+    from rich.measure import Measurement
     from rich.table import Table
     from rich.text import Text
 
@@ -113,17 +122,23 @@ def _show(
         for head, is_right in columns:
             text = "\n".join(head.split()) if is_right else head.strip()
             side: Literal["left", "right"] = "right" if is_right else "left"
-            table.add_column(Text(text), justify=side, no_wrap=is_right, vertical="bottom", overflow="fold")
+            heading = Align(Text(text, justify=side), side, vertical="bottom")
+            table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")
         for number, row in enumerate(rows):
             style = "bold" if number in strong else None
             table.add_row(*map(Text, row), style=style, end_section=number + 1 in breaks)
         return table
 
-    console = Console(width=None if sys.stdout.isatty() else 1000)
-    wide = build(1)
-    if wanted_width is not None and console.measure(wide).minimum <= wanted_width < console.width:
-        console.width = wanted_width
-    console.print(wide if console.measure(wide).maximum <= console.width else build(0))
+    console, spaced, close = (
+        Console(width=None if sys.stdout.isatty() else SCREEN_COLUMNS),
+        build(1),
+        build(0),
+    )
+    unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
+    if not sys.stdout.isatty():
+        console.width = max(SCREEN_COLUMNS, Measurement.get(console, unlimited, close).minimum)
+    fits = Measurement.get(console, unlimited, spaced).maximum <= console.width
+    console.print(spaced if fits else close)
     print_line()
 
 
@@ -133,7 +148,7 @@ def _cell(value: object) -> tuple[str, bool]:
         return "", False
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value), _is_number_as_text(value)
-    return (f"{value:.4g}" if isinstance(value, float) else str(value)), True
+    return (f"{value:z.4g}" if isinstance(value, float) else str(value)), True
 
 
 def _is_number_as_text(value: object) -> bool:

@@ -15,7 +15,7 @@ from needlefit.datasets.layers import select_layers
 from needlefit.datasets.points import Points
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.frames import RAS_TO_LPS
+from needlefit.geometry.frames import RAS_TO_LPS, normalize
 from needlefit.geometry.surfaces import Surface, transform_surface
 from needlefit.project.toml_lines import locate_key
 from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
@@ -41,6 +41,9 @@ MAX_START_DISTANCE_MM = 5.0
 
 MAX_HEADING_DEG = 45.0
 """Greatest angle between the entry direction and the chord of the centreline."""
+
+NEAR_BOUNDARY_SD = 2
+"""Standard deviations of a boundary within which a tip may lie before or behind it."""
 
 UNIT_TOLERANCE = 0.25
 """Relative difference of a curve's span from the depth at which another unit explains their ratio."""
@@ -225,7 +228,7 @@ def find_layer_faults(
                 "export the surfaces again in the frame of the centrelines (3D Slicer asks: LPS or RAS)",
             )
         else:
-            yield from (fault for one in group for fault in _find_count_fault(one))
+            yield from (fault for one in group for fault in _find_count_fault(one, record))
 
 
 def _find_boundary_unit(group: Sequence[ListedInsertion], boundaries: Sequence[float]) -> str:
@@ -279,18 +282,46 @@ def _meets_flipped_surfaces(insertion: Insertion) -> bool:
     return len(find_crossings(insertion.centerline, flipped).sequence) > 1
 
 
-def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
-    insertion, layer_count = one.insertion, len(one.insertion.sequence)
+def _find_count_fault(one: ListedInsertion, record: DatasetRecord) -> Iterator[Fault]:
+    insertion, met = one.insertion, len(one.insertion.sequence)
     allowed = {insertion.layers, insertion.layers_alternative}
-    if layer_count in allowed:
+    if met in allowed:
         return
     listed = " or ".join(map(str, sorted(allowed)))
     depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
     order = " > ".join(map(str, insertion.sequence))
     yield Fault(
         one.where,
-        f"{insertion.id} meets {layer_count} layers ({order}; interfaces at {depths} mm), but {listed} are "
-        f"listed",
-        f"{listed} layers",
-        f"correct layers or layers_alternative, or the boundaries of medium {insertion.medium}",
+        f"{insertion.id} meets {_name_count(met)} ({order}; boundaries at {depths} mm), but {listed} "
+        f"{'is' if len(allowed) == 1 else 'are'} listed",
+        f"{met} in `layers` or in `layers_alternative`: the layers that the centreline meets",
+        _propose_count(insertion, record),
     )
+
+
+def _name_count(count: int) -> str:
+    return f"{count} layer{'' if count == 1 else 's'}"
+
+
+def _propose_count(insertion: Insertion, record: DatasetRecord) -> str:
+    """Return how to correct a listed number of layers; a tip near to a boundary may have either number."""
+    met, limit = len(insertion.sequence), NEAR_BOUNDARY_SD * insertion.boundary_sd
+    depths = record.media[insertion.medium].boundaries_mm
+    otherwise = f"or correct the boundaries of medium {insertion.medium}"
+    if limit and insertion.layers in {_count_layers_within(insertion, depths, by) for by in (-limit, limit)}:
+        return (
+            f"write layers_alternative = {met}, as the tip lies within {NEAR_BOUNDARY_SD} boundary_sd_mm "
+            f"({limit:.2g} mm) of a boundary; {otherwise}"
+        )
+    return f"write layers = {met}, {otherwise}"
+
+
+def _count_layers_within(insertion: Insertion, depths: Sequence[float] | None, by: float) -> int:
+    """Return the number of layers that the needle would meet if its tip lay deeper by a length, mm."""
+    if depths is not None:
+        return len(select_layers(np.array(depths), _find_reach(insertion) + by)[1])
+    if by < 0:
+        return len(select_layers(insertion.boundaries, _find_reach(insertion) + by)[1])
+    curve = insertion.centerline
+    deeper = curve[-1] + by * normalize(curve[-1] - curve[-2])
+    return len(find_crossings(np.vstack([curve, deeper]), insertion.surfaces).sequence)

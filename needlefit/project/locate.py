@@ -122,6 +122,38 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
     return kind, find_file(kind, name)
 
 
+_DATASET_KEYS = {"origin", "needle", "insertions", "centerlines", "tip_tracks"}
+
+
+def find_dataset_or_study(name: str) -> tuple[Literal["dataset", "study", "fit"], Path]:
+    """Return the dataset, or else the study or fit, that `name` means.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    if is_path(name):
+        path = find_file("dataset", name)
+        keys = read_toml(path, where=file_label(path)).keys()
+        if path.name == "dataset.toml" or keys & _DATASET_KEYS:
+            return "dataset", path
+        if _is_study(path) or {"dataset", "medium"} <= keys:
+            return ("study" if _is_study(path) else "fit"), path
+        raise ConfigError(
+            "is neither a dataset nor a study",
+            where=name,
+            expected="a dataset, a study or a fit",
+            fix="check the study that names it: its tissue model and its recipe are checked, too",
+        )
+    kinds: tuple[Literal["dataset", "study", "fit"], ...] = ("dataset", "study", "fit")
+    known = {kind: list_names(kind) for kind in kinds}
+    for kind in kinds:
+        if name in known[kind]:
+            return kind, find_file(kind, name)
+    raise unknown_name_error("dataset or study", name, [one for names in known.values() for one in names])
+
+
 def find_studies(name: str) -> list[tuple[str, Path]]:
     """Return the names and files of the studies that `name` means; `all` is the paper's five.
 

@@ -69,7 +69,7 @@ def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
         "insertion": one.id,
         "points": len(one.centerline),
         "depth (mm)": round(one.depth, 2),
-        "deflection (mm)": round(float(one.planar[-1, 1]), 2),
+        "deflection (mm)": round(one.deflection, 2),
         "entry x, y, z (mm)": _format_point(entry),
         "tip x, y, z (mm)": _format_point(tip),
         "layers": " > ".join(map(str, one.sequence)) + (f" at {depths} mm" if depths else ""),
@@ -78,7 +78,7 @@ def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
 
 
 def _format_point(point: Floats) -> str:
-    return ", ".join(f"{value + 0.0:.1f}" for value in point)
+    return ", ".join(f"{value:z.1f}" for value in point)
 
 
 def tabulate_decisions(decisions: Decisions) -> pd.DataFrame:
@@ -98,7 +98,7 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     """Draw the needles with the surfaces as they lie in the world, and each one in its own frame."""
     figure = Figure(figsize=(6.7, 2.9))
     left, right = figure.subplots(1, 2)
-    _draw_world(left, dataset.insertions, [*plan.surfaces, *([plan.tissue] if plan.tissue else [])])
+    _draw_world(left, dataset.insertions, [*plan.layers.surfaces, *([plan.tissue] if plan.tissue else [])])
     _draw_shapes(right, dataset, "bevel" if plan.insertions[0].row.bevel is not None else "bend")
     return figure
 
@@ -159,7 +159,7 @@ def _name_axis(axis: Floats) -> str:
     """Return the name of a direction: of a world axis its letter, of another one its components."""
     nearest = int(np.argmax(np.abs(axis)))
     if abs(axis[nearest]) < 1.0:
-        return "along (" + ", ".join(f"{value + 0.0:.2f}" for value in axis) + ")"
+        return "along (" + ", ".join(f"{value:z.2f}" for value in axis) + ")"
     return ("" if axis[nearest] > 0 else "minus ") + "xyz"[nearest]
 
 

@@ -18,7 +18,7 @@ _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 def format_mm(value: float | None, digits: int = 2) -> str:
     """Return a length in mm as text, with the paper's precision."""
-    return f"{value:.{digits}f}" if _is_known(value) else MISSING
+    return f"{value:z.{digits}f}" if _is_known(value) else MISSING
 
 
 def format_signed_mm(value: float | None, digits: int = 2) -> str:
@@ -35,7 +35,7 @@ def format_percent(value: float | None) -> str:
         return MISSING
     assert value is not None
     digits = 2 if abs(value) < 9.995 else 1 if abs(value) < 99.95 else 0
-    return f"{value:.{digits}f}"
+    return f"{value:z.{digits}f}"
 
 
 def format_metric(metric: Metric, value: float | None, digits: int = 2) -> str:
@@ -68,7 +68,7 @@ def format_number(value: float | None) -> str:
     power = int(exponent)
     if -3 <= power < 4:
         digits = max(0, 2 - power)
-        plain = f"{float(f'{value:.2e}'):.{digits}f}"
+        plain = f"{float(f'{value:.2e}'):z.{digits}f}"
         return plain.rstrip("0").rstrip(".") if digits else plain
     return f"{mantissa.rstrip('0').rstrip('.')}e{power}"
 

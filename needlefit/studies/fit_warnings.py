@@ -1,4 +1,4 @@
-"""Warn about a finished fit: parameters at bounds, or a baseline curve that is closer than the fit."""
+"""Warn about a finished fit: parameters at bounds, a closer baseline, errors far from the noise floor."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.special import chdtr, chdtrc
 
+from needlefit.arrays import Floats
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.identify import BOUND_FRACTION
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
+from needlefit.reporting.labels import medium_name
 from needlefit.studies.job import Job
 from needlefit.studies.run import Run
 from needlefit.studies.summary import beats_fit, compare_methods
@@ -25,7 +28,12 @@ def add_warnings(results: Run, job: Job) -> Run:
     """Return results whose `run` also has the warnings about data, study and fit."""
     found = [*read_warnings(results.run), *job.warnings]
     found += validity_warnings(results.run)
-    found += [] if results.interrupted else [*bound_warnings(results), *baseline_warnings(results)]
+    if not results.interrupted:
+        found += [
+            *bound_warnings(results),
+            *baseline_warnings(results),
+            *noise_floor_warnings(results),
+        ]
     return replace(results, run={**results.run, **warnings_entry(found)})
 
 
@@ -112,6 +120,48 @@ def baseline_warnings(results: Run) -> Iterator[ResultWarning]:
             f"{BASELINES[str(best['method'])].description} is closer to the {which} than the fitted model "
             f"(mean in-plane error {error:.3f} mm against {fit:.3f} mm)",
             fix="do not rely on this model there; check bevel sides, layers and needle of the data",
+        )
+
+
+FAR_FROM_FLOOR = 2.0
+"""Factor between in-sample errors and their noise floor, either way, below which no warning is given."""
+
+CHANCE = 1e-3
+"""Probability of such a factor by chance, below which it is one."""
+
+
+def noise_floor_warnings(results: Run) -> Iterator[ResultWarning]:
+    """Yield, by medium, that in-sample errors lie far below or far above their noise floor.
+
+    The floor f is the mean error that the stated noise gives. If one error of the pose made up all of it,
+    errors would be half-normal, e = f sqrt(pi / 2) |z|, and the sum of 2/pi (e / f)^2 over n insertions
+    chi-square with n degrees of freedom. Noise of the points varies less, so that the test is conservative.
+    """
+    errors = results.frames["errors"].query(
+        "role == 'tune' and method == 'fitted' and boundaries == 'measured'"
+    )
+    errors = errors[errors["floor_ipe_mean_mm"] > 0]
+    squares = (errors["ipe_mean_mm"] / errors["floor_ipe_mean_mm"]) ** 2
+    means = errors.assign(square=squares).groupby(["medium", "insertion"])["square"].mean()
+    for medium, some in means.groupby("medium"):
+        yield from _compare_with_floor(str(medium), some.to_numpy(np.float64))
+
+
+def _compare_with_floor(medium: str, squares: Floats) -> Iterator[ResultWarning]:
+    """Yield the warning about the squared ratios (n,) of errors and floor on a medium, if there is one."""
+    count, rms, total = len(squares), float(np.sqrt(squares.mean())), 2 / np.pi * float(squares.sum())
+    found = f"in-sample errors on {medium_name(medium)} (n = {count}) are {rms:.2g} × their noise floor"
+    if rms < 1 / FAR_FROM_FLOOR and chdtr(count, total) < CHANCE:
+        yield ResultWarning(
+            "noise_too_large",
+            f"{found}: the stated noise is too large",
+            fix="measure point_sd_mm, pose_shift_sd_mm and pose_angle_sd_deg again",
+        )
+    if rms > FAR_FROM_FLOOR and chdtrc(count, total) < CHANCE:
+        yield ResultWarning(
+            "noise_too_small",
+            f"{found}: the model misses something, or the stated noise is too small",
+            fix="check bevel sides, layers and specimens of the data; intervals are too narrow",
         )
 
 

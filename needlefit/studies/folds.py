@@ -88,9 +88,14 @@ def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
     """
     held = group_insertions(insertions, what)
     if len(held) < 2:
+        within = what == "specimen" and len(insertions) > 1
         raise ConfigError(
             f"there is only one {what}: none can be left out",
-            fix="select more, or give [[validate]]",
+            expected=f"insertions into two {what}s or more" if within else f"two {what}s or more",
+            fix='write leave_out = "insertion" and same_specimen = true to predict insertions into this '
+            "specimen, or add insertions into another one"
+            if within
+            else "select more insertions",
             key="leave_out",
         )
     return tuple(

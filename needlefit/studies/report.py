@@ -88,7 +88,10 @@ def warn_of_nothing(result: Run) -> tuple[ResultWarning, ...]:
     return ()
 
 
-QUALIFYING_WARNINGS = ("worse_than_baseline", "parameter_at_bound", "coverage")
+QUALIFYING_WARNINGS = (
+    *("worse_than_baseline", "parameter_at_bound", "coverage"),
+    *("noise_too_large", "noise_too_small"),
+)
 """Kinds of warnings that qualify the verdict; they come first."""
 
 

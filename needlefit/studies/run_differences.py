@@ -88,10 +88,10 @@ def compare_means(
     if not np.any(gap):
         return
     mean, error = float(np.mean(gap)), math.nan
-    words = f"{mean:+.4f} {unit} on 1 insertion"
+    words = f"{mean:+z.4f} {unit} on 1 insertion"
     if gap.size > 1:
         error = float(np.std(gap, ddof=1) / math.sqrt(gap.size))
-        words = f"{mean:+.4f} ± {error:.4f} {unit} on {gap.size} insertions"
+        words = f"{mean:+z.4f} ± {error:.4f} {unit} on {gap.size} insertions"
     printed = VISIBLE_ERROR_MM if unit == "mm" else VISIBLE_ERROR_PERCENT
     matters = (
         abs(mean) > (printed if visible is None else visible) and not abs(mean) <= SIGNIFICANT_SE * error

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from needlefit.reporting.number_format import format_mm
@@ -42,11 +43,16 @@ class Verdict:
 def judge_run(result: "Run") -> tuple[Verdict, ...]:
     """Return the verdicts of a run, one for each group, from its stored tables alone.
 
-    A run that was interrupted, or in which something did not converge, passes nowhere.
+    A run that was interrupted, or in which something did not converge, passes nowhere. Those of a
+    preliminary recipe say so.
     """
     from needlefit.studies.kind import find_kind  # late: kinds import this module
 
     verdicts = find_kind(result.kind).report.judge(result)
+    if (result.run.get("recipe") or {}).get("preliminary"):
+        recipe = Path(str(getattr(result.record, "recipe", ""))).stem
+        mark = f"; preliminary (recipe {recipe})" if recipe else "; preliminary"
+        verdicts = [replace(one, sentence=f"{one.sentence}{mark}") for one in verdicts]
     if result.interrupted:
         return tuple(qualify(one, f"INTERRUPTED: the best found so far. {one.sentence}") for one in verdicts)
     if result.faults:
@@ -56,6 +62,10 @@ def judge_run(result: "Run") -> tuple[Verdict, ...]:
 
 MAX_FLOOR_RATIO = 2.0
 """Tip error over its noise floor up to which predictions are as exact as the measurements."""
+
+
+MIN_INSERTIONS = 3
+"""Held-out insertions with which a verdict can pass: the mean of one or two says little about others."""
 
 
 @dataclass(frozen=True)
@@ -71,25 +81,48 @@ class BestBaseline:
 
 
 def judge_errors(
-    where: str, error_mm: float, floor_ratio: float | None, best: BestBaseline | None
+    where: str, error_mm: float, floor_ratio: float | None, best: BestBaseline | None, insertions: int
 ) -> Verdict:
     """Judge the mean tip error of predictions on `where` beside the noise floor and the best baseline.
 
-    Errors within the noise floor pass: below it differences between predictions are not significant.
+    Only `MIN_INSERTIONS` held out, with no baseline closer, can pass.
     """
-    status: Status
-    errors = f"TE {format_tip_error(error_mm)} on {where}{format_floor_ratio(floor_ratio)}"
-    if best is None or (floor_ratio is not None and floor_ratio <= 1) or best.verdict == "worse":
-        accurate = floor_ratio is None or floor_ratio <= MAX_FLOOR_RATIO
-        opening, status = ("Generalises", "pass") if accurate else ("Generalises in part", "warn")
-        compared = f"; best baseline: {best.description}, {format_tip_error(best.error_mm)}" if best else ""
-    elif best.verdict == "better":
-        opening, status = "Does not generalise", "fail"
-        compared = f"; {best.description} does better ({format_tip_error(best.error_mm)})"
-    else:
-        opening, status = "Not shown to generalise", "warn"
-        compared = f"; no significant difference from {best.description} ({format_tip_error(best.error_mm)})"
-    return Verdict(f"{opening}: {errors}{compared}", status)
+    few = insertions < MIN_INSERTIONS
+    opening, compared = _open_prediction(error_mm, floor_ratio, best)
+    if few and opening != _FAILS:
+        opening = _NOT_SHOWN
+    errors = f"TE {format_tip_error(error_mm)} on {where} (n = {insertions}{', too few' if few else ''})"
+    return Verdict(f"{opening}: {errors}{format_floor_ratio(floor_ratio)}{compared}", _STATUS[opening])
+
+
+_PASSES, _IN_PART, _NOT_SHOWN, _FAILS = (
+    *("Generalises", "Generalises in part"),
+    *("Not shown to generalise", "Does not generalise"),
+)
+_STATUS: Mapping[str, Status] = {_PASSES: "pass", _IN_PART: "warn", _NOT_SHOWN: "warn", _FAILS: "fail"}
+
+
+def _open_prediction(
+    error_mm: float, floor_ratio: float | None, best: BestBaseline | None
+) -> tuple[str, str]:
+    """Return the first words of a verdict, and its clause about the best baseline.
+
+    Within the noise floor a difference is not significant, whatever its standard error.
+    """
+    accurate = floor_ratio is None or floor_ratio <= MAX_FLOOR_RATIO
+    better_than_all = _PASSES if accurate else _IN_PART
+    if best is None:
+        return better_than_all, ""
+    within_floor = floor_ratio is not None and floor_ratio <= 1
+    closer = best.error_mm is not None and best.error_mm < error_mm
+    error = format_tip_error(best.error_mm)
+    if best.verdict == "better" and not within_floor:
+        return _FAILS, f"; {best.description} does better ({error})"
+    if closer:
+        return _NOT_SHOWN, f"; {best.description} is closer ({error}), but not significantly"
+    if best.verdict == "worse" or within_floor:
+        return better_than_all, f"; best baseline: {best.description}, {error}"
+    return _NOT_SHOWN, f"; no significant difference from {best.description} ({error})"
 
 
 def format_tip_error(error_mm: float | None) -> str:

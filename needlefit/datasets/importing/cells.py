@@ -177,12 +177,15 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _score(lines: Sequence[str], separator: str, decimal: str) -> int:
-    """Return how well a layout explains lines: numbers in rows with two of them, less cells that are none."""
+    """Return how well a layout explains lines: numbers in rows with two of them, less cells that are none.
+
+    Three coordinates beside four columns of names still count as a table.
+    """
     total = 0
     for line in lines[-SAMPLE_ROWS:]:  # a header may be long, the numbers stand at the end
         cells = [cell for cell in _split(line, separator) if not is_missing(cell)]
         numbers = sum(parse_number(cell, decimal) is not None for cell in cells)
-        total += 3 * numbers - 2 * len(cells) if numbers > 1 else 0
+        total += 5 * numbers - 2 * len(cells) if numbers > 1 else 0
     return total
 
 

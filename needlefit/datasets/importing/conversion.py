@@ -8,6 +8,7 @@ from pathlib import Path
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.decisions import Decisions
 from needlefit.datasets.importing.files import ImportContent, read_content
+from needlefit.datasets.importing.tissue import ImportedLayers
 from needlefit.datasets.importing.understanding import ImportPlan, understand
 from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
@@ -41,12 +42,12 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions
     """
     names = {
         surface.name: f"{SURFACE_FOLDER}/{_file_name(surface.name, n)}.stl"
-        for n, surface in enumerate(plan.surfaces, 1)
+        for n, surface in enumerate(plan.layers.surfaces, 1)
     }
     record = _make_record(folder.name, content, plan, decisions, names)
     rows = [one.row for one in plan.insertions]
     curves = {one.row.id: one.points.to_columns() for one in plan.insertions}
-    surfaces = {names[surface.name]: surface for surface in plan.surfaces}
+    surfaces = {names[surface.name]: surface for surface in plan.layers.surfaces}
     file = write_dataset(folder, record, rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
     faults = check(file)
@@ -63,9 +64,7 @@ def _file_name(name: str, number: int) -> str:
 def _make_record(
     name: str, content: ImportContent, plan: ImportPlan, decisions: Decisions, names: Mapping[str, str]
 ) -> DatasetRecord:
-    listed = [{"file": names[one.name], "kind": one.kind, "into": one.into} for one in plan.surfaces]
-    medium = {"surfaces": listed} if listed else {"note": "no boundaries of layers were imported"}
-    media = dict.fromkeys((one.row.medium for one in plan.insertions), medium)
+    media = dict.fromkeys((one.row.medium for one in plan.insertions), _make_medium(plan.layers, names))
     made = ImportRecord(
         files={path.name: sha256(path) for path in content.files}, decisions=tuple(decisions.made)
     )
@@ -93,6 +92,15 @@ def _make_record(
         DatasetRecord,
         str(content.files[0]),
     )
+
+
+def _make_medium(layers: ImportedLayers, names: Mapping[str, str]) -> dict[str, object]:
+    if layers.surfaces:
+        listed = [{"file": names[one.name], "kind": one.kind, "into": one.into} for one in layers.surfaces]
+        return {"surfaces": listed}
+    if layers.depths_mm:
+        return {"boundaries_mm": list(layers.depths_mm)}
+    return {"note": "no boundaries of layers were imported"}
 
 
 def _trace(fault: Fault, plan: ImportPlan, folder: Path) -> Fault:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 from needlefit.errors import ConfigError
@@ -106,31 +107,57 @@ def require_choice(what: str, value: str, choices: Sequence[str]) -> None:
         )
 
 
-def parse_vector(what: str, text: str) -> tuple[float, float, float]:
-    """Return the direction in a text such as `0,0,1`; ConfigError if it is none."""
+def parse_vector(what: str, text: str, may_be_zero: bool = False) -> tuple[float, float, float]:
+    """Return the vector in a text such as `0,0,1`; ConfigError if it is none."""
     try:
         x, y, z = (float(part) for part in text.replace(";", ",").split(","))
     except ValueError:
         x = y = z = float("nan")
-    if not 0 < x * x + y * y + z * z < 1e12:
+    size = x * x + y * y + z * z
+    if not (size < 1e12 and (size > 0 or may_be_zero)):
         raise ConfigError(
             f"{what} is {text[:60]!r}",
             expected="three numbers, such as 0,0,1",
-            fix=f"state a direction with {option_name(what)}",
+            fix=f"state them with {option_name(what)}",
         )
     return x, y, z
 
 
 def parse_positive(what: str, text: str) -> float:
     """Return the number above 0 in a text; ConfigError if it is none."""
-    try:
-        value = float(text.replace(",", "."))
-    except ValueError:
-        value = float("nan")
+    value = _parse_number(text)
     if not 0 < value < 1e6:
-        raise ConfigError(
-            f"{what} is {text[:60]!r}",
-            expected="a number above 0",
-            fix=f"state it with {option_name(what)}",
-        )
+        raise _make_number_error(what, text, "a number above 0")
     return value
+
+
+def parse_not_negative(what: str, text: str) -> float:
+    """Return the number of at least 0 in a text; ConfigError if it is none."""
+    value = _parse_number(text)
+    if not 0 <= value < 1e6:
+        raise _make_number_error(what, text, "0 or a number above 0")
+    return value
+
+
+def parse_depths(what: str, text: str) -> tuple[float, ...]:
+    """Return the increasing depths in a text such as `15,30`, mm; ConfigError if it holds others.
+
+    Between numbers with decimal commas stand semicolons: `15,5;30`.
+    """
+    depths = tuple(_parse_number(part) for part in text.split(";" if ";" in text else ","))
+    if not all(low < high < 1e6 for low, high in pairwise((0.0, *depths))):
+        raise _make_number_error(what, text, "depths above 0 that increase, such as 15,30")
+    return depths
+
+
+def _parse_number(text: str) -> float:
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return float("nan")
+
+
+def _make_number_error(what: str, text: str, expected: str) -> ConfigError:
+    return ConfigError(
+        f"{what} is {text[:60]!r}", expected=expected, fix=f"state it with {option_name(what)}"
+    )

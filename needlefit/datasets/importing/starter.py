@@ -23,15 +23,16 @@ def name_study_file(name: str) -> str:
 def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
     """Write a study and its `tissue.toml` into `folder`; return False if there are too few insertions.
 
-    The study leaves out one specimen at a time. The tissue model has as many layers as the deepest insertion
-    meets; the exponents alpha are fixed at 1, as shapes hardly depend on them.
+    The study leaves out one specimen at a time, or, of a single specimen, one insertion. The tissue model has
+    as many layers as the deepest insertion meets; the exponents alpha are fixed at 1, as shapes hardly depend
+    on them.
 
     Parameters
     ----------
     home : str
         The folder as it will be named by the study, relative to the working folder.
     """
-    if len({one.specimen for one in dataset.insertions}) < 2:
+    if len(dataset.insertions) < 2:
         return False
     layers = max(max(one.sequence) for one in dataset.insertions)
     numbers = range(1, layers + 1)
@@ -45,14 +46,18 @@ def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
             "bevel_mm": {"bounds": BEVEL_BOUNDS_MM},
         },
     }
+    several = len({one.specimen for one in dataset.insertions}) > 1
+    unit = "specimen" if several else "insertion"
+    where = "those into a new specimen" if several else "another one into the same specimen"
     study = {
         "schema": 2,
-        "title": f"{dataset.name}: leave one specimen out",
-        "question": "Does a model fitted to all other insertions predict those into a new specimen?",
+        "title": f"{dataset.name}: leave one {unit} out",
+        "question": f"Does a model fitted to all other insertions predict {where}?",
         "dataset": home,
         "medium": f"{home}/{TISSUE_FILE}",
         "recipe": "default",
-        "leave_out": "specimen",
+        "leave_out": unit,
+        **({} if several else {"same_specimen": True}),
     }
     check(tissue, MediumRecord, TISSUE_FILE)
     check(study, StudyRecord, name_study_file(dataset.name))

@@ -183,7 +183,7 @@ def _name_guide(guide: Guide) -> str:
 
 
 def _format_signed(value: float) -> str:
-    text = f"{value:+.2f}".rstrip("0").rstrip(".").replace("-", "−")
+    text = f"{value:+z.2f}".rstrip("0").rstrip(".").replace("-", "−")
     return "0" if text in ("+0", "−0") else text
 
 

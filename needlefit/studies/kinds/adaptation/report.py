@@ -116,7 +116,7 @@ def _describe_gains(result: Run) -> str:
     """Return by how much the old posterior reduces the error after the first insertions."""
     gains = [row for row in _select_rows(result, "gains", metric="te_mm", baseline="new") if row["n"]]
     parts = [
-        f"{row['difference']:+.3f} mm after {row['n']} (95 % CI {row['low']:+.3f} to {row['high']:+.3f})"
+        f"{row['difference']:+z.3f} mm after {row['n']} (95 % CI {row['low']:+z.3f} to {row['high']:+z.3f})"
         for row in gains[:3]
     ]
     return (

@@ -197,7 +197,7 @@ def _format_difference(row: Row) -> str:
     if row["difference"] is None:
         return "no density"
     digits = 1 if abs(row["difference"]) < 1000 else 0
-    return f"{row['difference']:+.{digits}f} ± {row['difference_se']:.{digits}f}".replace("-", "−")
+    return f"{row['difference']:+z.{digits}f} ± {row['difference_se']:.{digits}f}".replace("-", "−")
 
 
 def lay_out_tables(result: Run) -> list[TableLayout]:

@@ -103,7 +103,11 @@ def lay_out_values(results: Run) -> TableLayout:
     ]
     columns = ("parameter", "fitted", "interval_95", "hand_tuned", "note")
     folds = results.frames["parameters"]["fold"].nunique()
-    of = f", range over {folds} folds" if folds > 1 else ""
+    of = (
+        f": range of {folds} folds, and from the least to the greatest end of their intervals"
+        if folds > 1
+        else ""
+    )
     return Table("values", f"Parameters{of}.", cells, columns).lay_out(drop_empty=True)
 
 
@@ -112,9 +116,11 @@ def _describe_parameter(name: str, rows: list[Row], published: Mapping[str, floa
     row, values = rows[0], [row["value"] for row in rows if row["value"] is not None]
     fixed = row["status"] == "fixed"
     fitted = format_quantity_range(name, min(values), max(values)) if values else ""
-    interval = format_interval(row) if len(rows) == 1 and not fixed else ""
-    if interval and interval != NO_INTERVAL:
-        interval = format_quantity_range(name, row["interval_low"], row["interval_high"])
+    interval = ""
+    if not fixed:
+        known = all(format_interval(one) not in ("", NO_INTERVAL) for one in rows)
+        lows, highs = ([one[f"interval_{end}"] for one in rows] for end in ("low", "high"))
+        interval = format_quantity_range(name, min(lows), max(highs)) if known else format_interval(row)
     return {
         "parameter": format_symbol(name).split(" (")[0],
         "fitted": fitted if fixed or all(one["determined"] for one in rows) else NOT_DETERMINED,

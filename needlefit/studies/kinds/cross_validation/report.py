@@ -33,18 +33,20 @@ from needlefit.studies.kinds.cross_validation.tables import (
     list_groups,
     tabulate_tuning,
 )
-from needlefit.studies.kinds.cross_validation.verdict import judge, warn_of_coverage
+from needlefit.studies.kinds.cross_validation.verdict import describe_evidence, judge, warn_of_coverage
 from needlefit.studies.report import FigurePaths, StudyReport, verdict_blocks, warning_blocks
 from needlefit.studies.run import Run
 
 
 def compose_sections(results: Run, figures: FigurePaths) -> list[Block]:
-    """Return the report below its verdicts: schematic and summary, errors, coverage, parameters, insertions,
-    methods; diagnostics last.
+    """Return the report below its verdicts: evidence, schematic, errors and parameters in short; then errors,
+    coverage, parameters, insertions, methods; diagnostics last.
     """
     return [
+        document.text(describe_evidence(results)),
         *figure_blocks(figures, "schematic", labels.SCHEMATIC_CAPTION),
         document.table(score_tables.lay_out_summary([results])),
+        document.table(detail_tables.lay_out_values(results)),
         *_error_blocks(results, figures),
         *_parameter_blocks(results, figures),
         *_insertion_blocks(results, figures),

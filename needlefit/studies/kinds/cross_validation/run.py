@@ -64,8 +64,10 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     scorer = Scorer(job.dataset, job.record.layer_count_rule, floors, tables.counts)
     needles: dict[str, NeedleInScan] = {}
     for number, fold in enumerate(job.folds):
-        fits = _run_searches(job, fold, number, settings, checkpoint)
+        steps = _FoldSteps(job, fold, number, settings)
+        fits = _run_searches(job, fold, steps, checkpoint)
         interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
+        steps.report_searched()
         examination = None if interrupted else _examine(job, fold, fits, settings)
         interrupted = interrupted or settings.stop()
         tabulate_fold(job, fold, fits, scorer, tables, examination)
@@ -128,20 +130,52 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
     return tuple(faults)
 
 
-def _run_searches(
-    job: Job, fold: Fold, number: int, settings: Settings, checkpoint: Checkpoint
-) -> dict[str, Fit]:
+@dataclass(frozen=True)
+class _FoldSteps:
+    """Where one fold lies among the steps of a run.
+
+    The steps of a fold are its starts, and as many again as one search has for its posterior draws and
+    predictions; their true share of the time varies, and differs little between folds.
+    """
+
+    job: Job
+    fold: Fold
+    number: int
+    settings: Settings
+
+    @property
+    def label(self) -> str:
+        """The run, and of several folds which one."""
+        folds = len(self.job.folds)
+        return (
+            f"{self.job.name}: {self.fold.name} (fold {self.number + 1} of {folds})"
+            if folds > 1
+            else self.job.name
+        )
+
+    def report(self, what: str, done: int) -> None:
+        """Report so many steps of this fold as done."""
+        per_fold = (len(self.job.searches) + 1) * self.job.recipe.starts
+        self.settings.progress(
+            f"{self.label}: {what}", self.number * per_fold + done, len(self.job.folds) * per_fold
+        )
+
+    def report_searched(self) -> None:
+        """Report that all searches of the fold are done."""
+        self.report("posterior draws and predictions", len(self.job.searches) * self.job.recipe.starts)
+
+
+def _run_searches(job: Job, fold: Fold, steps: _FoldSteps, checkpoint: Checkpoint) -> dict[str, Fit]:
     """Return the fit of everything free, by the metric too if asked, and of b alone about the paper's."""
-    fits = {}
-    total = len(job.folds) * len(job.searches) * job.recipe.starts
+    fits, settings = {}, steps.settings
     for order, search in enumerate(job.searches):
         if settings.stop():
             break
-        done = (number * len(job.searches) + order) * job.recipe.starts
-        label = f"{job.name}: {search.replace('_', ' ')}" + (f" {fold.name}" if len(job.folds) > 1 else "")
         key = f"{fold.name}/{search}"
         kept = checkpoint.finished(key)
-        counter = _StartCounter(settings, label, done + len(kept), total, key, checkpoint)
+        counter = _StartCounter(
+            steps, search.replace("_", " "), order * job.recipe.starts + len(kept), key, checkpoint
+        )
         callbacks = Callbacks(kept, counter.report, settings.stop, counter.approach, settings.jobs)
         rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
         fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
@@ -152,27 +186,25 @@ def _run_searches(
 class _StartCounter:
     """Keeps each finished start and says how far the run is."""
 
-    settings: Settings
-    label: str
+    steps: _FoldSteps
+    search: str
     done: int
-    total: int
     key: str
     checkpoint: Checkpoint
 
     def approach(self, done: int, total: int) -> None:
-        self.settings.progress(f"{self.label}: approach", done, total)
+        self.steps.report(f"{self.search}, approach {done} of {total}", self.done)
 
     def report(self, start: Start) -> None:
         self.checkpoint.keep(self.key, start)
         self.done += 1
-        self.settings.progress(self.label, self.done, self.total)
+        self.steps.report(self.search, self.done)
 
 
 def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> FitProfiles | None:
     """Return the profiles of the fit; many folds are scored, not examined."""
     if len(job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
         return None
-    settings.progress(f"{job.name}: profiles", 0, 1)
     return profile_parameters(job.problem(fold), fits["fitted"], settings.jobs, settings.stop)
 
 

@@ -135,7 +135,7 @@ def _format_difference(row: Row) -> str:
         return MISSING
     se = row["difference_se_mm"]
     error = "" if se is None else f" ± {se:.3f}"
-    difference = f"{row['difference_mm']:+.3f}".replace("-", "−")
+    difference = f"{row['difference_mm']:+z.3f}".replace("-", "−")
     return f"{difference}{error} mm mean IPE, the fit better on {row['better']} of {row['insertions']}"
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 
 from needlefit.datasets.select import group_independent
 from needlefit.inference.baselines import BASELINES
-from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.result_warnings import ResultWarning, read_warnings
 from needlefit.reporting.labels import layers_name, medium_name
 from needlefit.reporting.number_format import format_symbol, join_words
 from needlefit.reporting.table_files import to_records
@@ -58,9 +58,13 @@ def _judge_held_out(results: Run, group: ScoredGroup, named_layers: bool) -> Ver
     if error is None:
         return Verdict(f"Not scored: no simulation on {name} converged", "fail", name, numbers)
     best = _compare_best(results, group)
-    found = replace(judge_errors(name, error, group.over_floor(_TE), best), group=name, numbers=numbers)
+    found = judge_errors(name, error, group.over_floor(_TE), best, int(group.head["insertions"]))
+    found = replace(found, group=name, numbers=numbers)
     missed = _describe_missed(_select_group(results.frames["predictive"], group))
-    return qualify(found, f"{found.sentence}; {missed}") if missed else found
+    found = qualify(found, f"{found.sentence}; {missed}") if missed else found
+    if any(one.kind == "noise_too_large" for one in read_warnings(results.run)):
+        found = qualify(found, f"{found.sentence}; the stated noise is too large")
+    return found
 
 
 def _compare_best(results: Run, group: ScoredGroup) -> BestBaseline | None:
@@ -132,6 +136,25 @@ def warn_of_coverage(results: Run) -> Iterator[ResultWarning]:
                 f"the {level} % predictive interval covers {_describe_share(found, what, group)}",
                 fix=_TOO_NARROW if what in narrow else _CENTRE_OFF,
             )
+
+
+def describe_evidence(results: Run) -> str:
+    """Return what a verdict rests on: insertions fitted to and held out, coverage of the 95 % intervals."""
+    folds = results.run.get("folds", ())
+    fitted = sorted({len(fold["tune"]) for fold in folds})
+    counts = " to ".join(dict.fromkeys(str(count) for count in (*fitted[:1], *fitted[-1:])))
+    each = f" in each of {len(folds)} folds" if len(folds) > 1 else ""
+    held_out = sum(len(fold["validate"]) for fold in folds)
+    parts = [f"Fitted: n = {counts}{each}"] if folds else []
+    parts += [f"Held out: n = {held_out}"] if held_out else []
+    covered = [
+        f"{100 * found.hits / found.trials:.0f} % of {'tips' if what == 'tip' else 'whole shapes'} "
+        f"({found.hits} of {found.trials})"
+        for what, level, found in list_coverages(results.frames["predictive"])
+        if level == 95 and found.trials
+    ]
+    parts += [f"The 95 % predictive intervals cover {join_words(covered)}"] if covered else []
+    return "".join(f"{one}. " for one in parts).strip()
 
 
 def describe_wide_intervals(results: Run) -> list[str]:
