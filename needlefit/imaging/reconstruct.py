@@ -15,6 +15,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
 from needlefit.imaging.detections import Detections, detect
 from needlefit.imaging.entry_choice import EntryKnowledge, choose_entry
+from needlefit.imaging.layer_proposal import propose_layers
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.material_runs import find_rises
 from needlefit.imaging.reconstruction import EntryPose, Reconstruction
@@ -148,7 +149,12 @@ def reconstruct_volume(volume: Volume, scan: Scan, recipe: ReconstructionRecord)
     detections = detect(volume, scan, recipe)
     found = derive_reconstruction(detections, scan, recipe, volume.grid)
     pictures = render_views(volume, detections.patient, found.frame, detections.needle_axis.points)
-    return replace(found, views=pictures, warnings=(*volume.warnings, *found.warnings))
+    proposals = None
+    if scan.propose_layers:
+        points = detections.needle_axis.points
+        proposals = propose_layers(volume, points, float(arc_length(points)[-1]) - found.depth)
+    warnings = (*volume.warnings, *found.warnings)
+    return replace(found, views=pictures, warnings=warnings, proposals=proposals)
 
 
 def derive_reconstruction(

@@ -101,6 +101,8 @@ class Scan:
         About how much of the needle is in the tissue, mm: it names the entry among several candidates.
     needle_at : (3,) array or None
         A point on the needle that is meant, LPS of the scan, mm.
+    propose_layers : bool
+        Whether interfaces that the scan shows are proposed, beside `surfaces`.
     origin : str
         "measured" or "synthetic".
     """
@@ -123,6 +125,7 @@ class Scan:
     guide_distance: float | None = None
     expected_depth: float | None = None
     needle_at: Floats | None = None
+    propose_layers: bool = False
     origin: Literal["measured", "synthetic"] = "measured"
 
     @property
@@ -154,6 +157,9 @@ SCANS_DOCUMENT = "docs/reconstruction.md"
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 """What fixes a bevel that fixes no plane."""
 
+PROPOSE_LAYERS = "auto"
+"""In place of a file of layers: propose those that the scan shows."""
+
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 
 CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
@@ -182,8 +188,16 @@ class ScanRow:
 
     def layers(self) -> list[LayerSource | Fault]:
         """Return the files of the layers, or the fault of each."""
-        parts = [part.strip() for part in self.text["surfaces"].split(";")]
-        return [parse_layer_source(part, self.folder, self.where) for part in parts if part]
+        parts = [part for part in self._parts() if part != PROPOSE_LAYERS]
+        return [parse_layer_source(part, self.folder, self.where) for part in parts]
+
+    @property
+    def proposes_layers(self) -> bool:
+        """Whether layers are to be proposed."""
+        return PROPOSE_LAYERS in self._parts()
+
+    def _parts(self) -> list[str]:
+        return [part.strip() for part in self.text["surfaces"].split(";") if part.strip()]
 
 
 def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
@@ -256,6 +270,7 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         guide_distance=_parse_length(number["guide_distance_mm"]),
         expected_depth=_parse_length(number["expected_depth_mm"]),
         needle_at=None if np.isnan(row.vector(NEEDLE_COLUMNS)).any() else row.vector(NEEDLE_COLUMNS),
+        propose_layers=row.proposes_layers,
         origin="synthetic" if text["origin"] == "synthetic" else "measured",
     )
 
