@@ -43,6 +43,7 @@ class Detections:
     registration: Registration | None
     profile: IntensityProfile
     warnings: tuple[str, ...] = ()
+    frame_of_reference: str = ""
 
     @property
     def patient(self) -> Frame:
@@ -64,7 +65,8 @@ def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detectio
     if markers is not None and scan.markers is not None:
         registration = _register_markers(markers, scan.markers, recipe)
     profile = sample_needle_profile(volume, needle_axis.points)
-    return Detections(needle_axis, markers, registration, profile, found.warnings)
+    frame = volume.frame_of_reference
+    return Detections(needle_axis, markers, registration, profile, found.warnings, frame)
 
 
 def _register_markers(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:

@@ -27,6 +27,7 @@ from needlefit.imaging.reconstruction_checks import (
 )
 from needlefit.imaging.registration.register import predict_mean_target_error
 from needlefit.imaging.scan import BEVEL_FIX, Scan
+from needlefit.imaging.value_checks import require_hounsfield
 from needlefit.imaging.views import render_views
 from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.imaging.volume_files import read_volume
@@ -146,6 +147,8 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
 
 def reconstruct_volume(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     """Reconstruct the needle of a scan whose volume was read, as `reconstruct`."""
+    if scan.mask is None:
+        require_hounsfield(volume, str(scan.volume))
     detections = detect(volume, scan, recipe)
     found = derive_reconstruction(detections, scan, recipe, volume.grid)
     pictures = render_views(volume, detections.patient, found.frame, detections.needle_axis.points)
@@ -172,7 +175,7 @@ def derive_reconstruction(
     DataError
         As `reconstruct`.
     """
-    surfaces = read_layers(scan, detections.patient, grid)
+    surfaces = read_layers(scan, detections.patient, grid, detections.frame_of_reference)
     refuse_tunnels(scan, surfaces, detections.world)
     pose, shaft, doubts = estimate_first_contact(detections, scan, surfaces, recipe)
     begin = entry.find_entry_arc_length(detections.world, pose)
