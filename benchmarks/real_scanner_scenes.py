@@ -256,6 +256,14 @@ def _list_accessories(name: str, world: Frame, axis: Floats) -> tuple[list[Solid
             return [Box(world, *block((-24, -8, -6), (-16, 8, 6)), materials.ALUMINIUM)], []
         case "plate":  # a guide of PMMA, and 11 mm of air behind it
             return [Box(world, *block((-19, -24, -24), (-11, 24, 24)), materials.PMMA)], []
+        case "flush":  # these four are of `guides.py`: a plate that lies on the tissue
+            return [Box(world, *block((-8, -24, -24), (0, 24, 24)), materials.PMMA)], []
+        case "gap":  # 2 mm of air behind it
+            return [Box(world, *block((-10, -24, -24), (-2, 24, 24)), materials.PMMA)], []
+        case "aluminium":  # a guide whose hole the needle fills
+            return [Box(world, *block((-16, -20, -20), (-10, 20, 20)), materials.ALUMINIUM)], []
+        case "plastic":  # a hub of PMMA
+            return [Box(world, *block((-26, -7, -7), (-17, 7, 7)), materials.PMMA)], []
         case "second":  # half as long as what shows of the first
             points = world.to_world(np.array([[-14.0, -2, 11], [3, -2, 11], [20, -2, 11]]))
             return [], list(make_needle(points, NEEDLE_MM, BEVEL_DEG, world.rotation[:, 1], materials.STEEL))

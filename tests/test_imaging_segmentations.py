@@ -3,7 +3,7 @@
 import highdicom
 import numpy as np
 import pytest
-from dicom_series import a_slice, save
+from dicom_series import FRAME, a_slice, save
 from highdicom.seg import Segmentation, SegmentDescription
 from layer_cases import labelled, save_segments
 from pydicom.dataset import Dataset, FileMetaDataset
@@ -108,6 +108,18 @@ def test_the_surfaces_of_segments_are_solids_in_place(tmp_path):
     assert [one.mesh.bounds[1, 2] for one in surfaces] == pytest.approx([high] * 3, abs=0.05)
 
 
+def test_a_segmentation_of_another_frame_of_reference_is_refused(tmp_path):
+    path = write_seg(tmp_path / "s.dcm", boxes())
+    own = read_labels(path).volume.frame_of_reference
+    assert own == slices()[0].FrameOfReferenceUID
+    assert len(extract_label_surfaces(path, ("fat",), own)) == 1
+    with pytest.raises(DataError) as error:
+        extract_label_surfaces(path, ("fat",), "1.2.3")
+    assert "1.2.3" in error.value.what and error.value.where == str(path)
+    body = {"Body": [circle(20.0, z) for z in HEIGHTS]}
+    assert read_labels(write_contours(tmp_path / "rt.dcm", body)).volume.frame_of_reference == own
+
+
 def test_segments_are_chosen_by_name_in_any_file(tmp_path):
     path = write_seg(tmp_path / "s.dcm", boxes())
     labels = read_labels(path, ("muscle", "Fat"))
@@ -164,6 +176,7 @@ def write_contours(path, regions, kinds=None, turn=None):
     for number, (name, contours) in enumerate(regions.items(), 1):
         listed, drawn = Dataset(), Dataset()
         listed.ROINumber, listed.ROIName, drawn.ReferencedROINumber = number, name, number
+        listed.ReferencedFrameOfReferenceUID = FRAME
         drawn.ContourSequence = []
         for points in contours:
             one = Dataset()

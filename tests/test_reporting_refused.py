@@ -10,11 +10,14 @@ import pytest
 import reconstruction_cases as cases
 
 from needlefit.errors import DataError
+from needlefit.imaging.assembly import DatasetDescription
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.findings import collect_findings
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import Volume
+from needlefit.project.progress import no_progress
 from needlefit.studies.kinds.reconstruction.refused import list_finding_facts, write_refused
+from needlefit.studies.kinds.reconstruction.report import write_reconstruction
 
 SCAN = Scan("one", Path("scans/one.nrrd"), "gel", origin="synthetic")
 ERROR = DataError("no markers", where="here", expected="some", fix="add them")
@@ -64,3 +67,17 @@ def test_one_voxel_thick_projections_need_no_needle():
     empty = Volume(np.full((5, 6, 7), -1000, np.float32), np.zeros(3), np.ones(3), np.eye(3))
     nothing = collect_findings(empty, SCAN, ct_cases.RECIPE)
     assert (nothing.tubes, len(nothing.balls), nothing.entries) == ((), 0, ())
+
+
+@pytest.mark.slow
+def test_a_dataset_holds_the_pages_of_its_refused_scans_too(found, tmp_path):
+    one = cases.small()
+    about = DatasetDescription("data")
+    failure = ReconstructionFailure(SCAN, ERROR, found)
+    out = tmp_path / "data"
+    written, faulty = write_reconstruction(out, [one], ct_cases.RECIPE, about, no_progress, [failure])
+    assert written is not None and faulty == ()
+    assert {path.name for path in (out / "quality").iterdir()} == {"one.pdf", f"{one.scan.id}.pdf"}
+    assert pd.read_csv(out / "refused.csv")["id"].tolist() == ["one"]
+    assert set(pd.read_csv(out / "candidates.csv")["kind"]) == {"tube", "entry"}
+    assert (out / "refused.csv").read_text() != "" and "no markers" in (out / "report.html").read_text()

@@ -65,7 +65,10 @@ def reconstruct(
     ] = None,
     layers: Annotated[
         list[str] | None,
-        typer.Option(metavar="FILES...", help="STL, PLY or OBJ, from the entry inwards; or a segmentation."),
+        typer.Option(
+            metavar="FILES...",
+            help="STL, PLY, OBJ from the entry inwards; or a segmentation; auto proposes some.",
+        ),
     ] = None,
     layers_in: Annotated[
         Literal["world", "scan"] | None, typer.Option(help="Frame of the surfaces (default: world).")

@@ -42,6 +42,7 @@ class Detections:
     registration: Registration | None
     profile: IntensityProfile
     warnings: tuple[str, ...] = ()
+    frame_of_reference: str = ""
 
     @property
     def patient(self) -> Frame:
@@ -63,7 +64,8 @@ def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detectio
     if markers is not None and scan.markers is not None:
         registration = register_scan(markers, scan.markers, recipe)
     profile = sample_needle_profile(volume, needle_axis.points)
-    return Detections(needle_axis, markers, registration, profile, found.warnings)
+    frame = volume.frame_of_reference
+    return Detections(needle_axis, markers, registration, profile, found.warnings, frame)
 
 
 def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:

@@ -21,6 +21,7 @@ from needlefit.imaging.reconstruct import derive_reconstruction
 from needlefit.imaging.reconstruction import MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import Registration
 from needlefit.imaging.scan import Scan
+from needlefit.imaging.value_checks import require_hounsfield
 from needlefit.imaging.volume import Volume
 from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -72,6 +73,8 @@ class _Steps:
 def examine(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Examination:
     """Return everything that the steps of `reconstruct` find; a step that fails does not keep others back."""
     steps = _Steps()
+    if scan.mask is None:
+        steps.take(lambda: require_hounsfield(volume, str(scan.volume)))
     selection = steps.take(lambda: find_needle(volume, scan, recipe))
     found = Examination(scan, list_tubes(volume, recipe, selection), selection)
     own = None
@@ -98,7 +101,9 @@ def _follow(found: Examination, volume: Volume, recipe: ReconstructionRecord, st
     entries = list_candidates(profile, float(arc_length(axis.points)[-1]))
     if scan.markers is None or found.registration is not None:
         warnings = found.selection.warnings if found.selection else ()
-        detections = Detections(axis, found.markers, found.registration, profile, warnings)
+        detections = Detections(
+            axis, found.markers, found.registration, profile, warnings, volume.frame_of_reference
+        )
         done = steps.take(lambda: derive_reconstruction(detections, scan, recipe, volume.grid))
         found = replace(found, reconstruction=done)
     return replace(found, entries=entries)

@@ -30,7 +30,7 @@ from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.header_checks import MAX_SEGMENTS, choose_segments, parse_count
 from needlefit.imaging.image_headers import check_image_header
-from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, to_patient
+from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, require_same_frame, to_patient
 from needlefit.imaging.volume_files import open_member, read_planes, read_segments, read_volume
 from needlefit.project.input_files import path_exists
 
@@ -215,10 +215,12 @@ MARGIN_CELLS = 3
 """Cells around the labels: what leaves the volume is closed there."""
 
 
-def extract_label_surfaces(path: Path, names: Sequence[str] = ()) -> tuple[Surface, ...]:
+def extract_label_surfaces(
+    path: Path, names: Sequence[str] = (), frame_of_reference: str = ""
+) -> tuple[Surface, ...]:
     """Return the surfaces of a segmentation, LPS, mm: one solid per layer, in order, `into` from 1.
 
-    `names` as in `read_labels`.
+    `names` as in `read_labels`; `frame_of_reference`: that of the scan, in which it must have been drawn.
 
     Raises
     ------
@@ -226,6 +228,7 @@ def extract_label_surfaces(path: Path, names: Sequence[str] = ()) -> tuple[Surfa
         If the segmentation has a fault, or a layer and those beyond it fall apart.
     """
     labels = read_labels(path, names)
+    require_same_frame(labels.volume, frame_of_reference, str(path))
     order = np.zeros(int(labels.volume.values.max()) + 1, dtype=np.uint8)
     order[[segment.value for segment in labels.segments]] = np.arange(1, len(labels.segments) + 1)
     low, layers = _crop(order[labels.volume.values.astype(np.uint16)])  # (K, J, I), 0 outside

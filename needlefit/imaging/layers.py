@@ -84,7 +84,9 @@ MIN_CROSSING_COSINE = 0.02
 """Least cosine between needle and normal: a needle that lies in a surface crosses it anywhere."""
 
 
-def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tuple[Surface, ...]:
+def read_layers(
+    scan: Scan, patient: Frame, grid: VoxelGrid | None = None, frame_of_reference: str = ""
+) -> tuple[Surface, ...]:
     """Return the surfaces of the layers in the world.
 
     A mesh leads into layer 2, 3, ... by its place in the list, unless it says otherwise; it is a solid where
@@ -96,6 +98,8 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
         The scan's LPS axes and origin in the world.
     grid : VoxelGrid, optional
         Where the scan's voxels stand: surfaces of its own must not lie elsewhere.
+    frame_of_reference : str
+        UID of the scan's; a DICOM segmentation must state the same.
 
     Raises
     ------
@@ -105,7 +109,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     found: list[Fault] = []
     segmentations = [source for source in scan.surfaces if source.is_segmentation]
     if segmentations:
-        surfaces = _read_segmentation(segmentations, scan, found)
+        surfaces = _read_segmentation(segmentations, (scan, frame_of_reference), found)
     else:
         numbers = _number_layers(scan.surfaces)
         read = [read_mesh(one, into, found) for one, into in zip(scan.surfaces, numbers, strict=True)]
@@ -124,7 +128,8 @@ def layers_in_scan(scan: Scan) -> bool:
     return scan.surfaces_in == "scan" or any(source.is_segmentation for source in scan.surfaces)
 
 
-def _read_segmentation(sources: list[LayerSource], scan: Scan, found: list[Fault]) -> list[Surface]:
+def _read_segmentation(sources: list[LayerSource], of: tuple[Scan, str], found: list[Fault]) -> list[Surface]:
+    scan, frame_of_reference = of
     if len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
         expected = "meshes, or one segmentation of all layers"
@@ -137,7 +142,8 @@ def _read_segmentation(sources: list[LayerSource], scan: Scan, found: list[Fault
                 extract_label_surfaces,  # skimage takes its time to load
             )
 
-            return list(extract_label_surfaces(sources[0].path, sources[0].segments))
+            one = sources[0]
+            return list(extract_label_surfaces(one.path, one.segments, frame_of_reference))
     except DataError as error:
         found.append(from_error(error))
         return []

@@ -15,6 +15,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
 from needlefit.imaging.detections import Detections, detect
 from needlefit.imaging.entry_choice import EntryKnowledge, choose_entry
+from needlefit.imaging.layer_proposal import propose_layers
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.material_runs import find_rises
 from needlefit.imaging.reconstruction import EntryPose, Reconstruction
@@ -26,6 +27,7 @@ from needlefit.imaging.reconstruction_checks import (
 )
 from needlefit.imaging.registration.register import predict_mean_target_error
 from needlefit.imaging.scan import BEVEL_FIX, CONTACT_COLUMNS, Scan
+from needlefit.imaging.value_checks import require_hounsfield
 from needlefit.imaging.views import render_views
 from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.imaging.volume_files import read_volume
@@ -164,10 +166,17 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
 
 def reconstruct_volume(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     """Reconstruct the needle of a scan whose volume was read, as `reconstruct`."""
+    if scan.mask is None:
+        require_hounsfield(volume, str(scan.volume))
     detections = detect(volume, scan, recipe)
     found = derive_reconstruction(detections, scan, recipe, volume.grid)
     pictures = render_views(volume, detections.patient, found.frame, detections.needle_axis.points)
-    return replace(found, views=pictures, warnings=(*volume.warnings, *found.warnings))
+    proposals = None
+    if scan.propose_layers:
+        points = detections.needle_axis.points
+        proposals = propose_layers(volume, points, float(arc_length(points)[-1]) - found.depth)
+    warnings = (*volume.warnings, *found.warnings)
+    return replace(found, views=pictures, warnings=warnings, proposals=proposals)
 
 
 def derive_reconstruction(
@@ -185,7 +194,7 @@ def derive_reconstruction(
     DataError
         As `reconstruct`.
     """
-    surfaces = read_layers(scan, detections.patient, grid)
+    surfaces = read_layers(scan, detections.patient, grid, detections.frame_of_reference)
     refuse_tunnels(scan, surfaces, detections.world)
     pose, shaft, doubts = estimate_first_contact(detections, scan, surfaces, recipe)
     begin = entry.find_entry_arc_length(detections.world, pose)

@@ -121,6 +121,29 @@ class Layers:
 
 
 @dataclass(frozen=True)
+class ProposedInterface:
+    """An interface between soft materials that the scan shows; a proposal, never used by itself.
+
+    Attributes
+    ----------
+    surface : Surface
+        A sheet around the needle, LPS of the scan.
+    at, sd : float
+        Where the needle crosses it, mm along the needle from the entry, and its deviation.
+    step : float
+        Change of brightness, HU.
+    tilt : float
+        Angle between its normal and the needle, rad.
+    """
+
+    surface: Surface
+    at: float
+    sd: float
+    step: float
+    tilt: float
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """The complete reconstruction of one scan.
 
@@ -154,6 +177,8 @@ class Reconstruction:
     sections : SplineSections or None
         What the centreline was drawn through, world, arc lengths from first contact, the shaft outside
         included; None where no scan was traced.
+    proposals : tuple of ProposedInterface or None
+        Interfaces that the scan shows; None where nobody asked.
     """
 
     scan: Scan
@@ -176,6 +201,7 @@ class Reconstruction:
     views: tuple[ScanView, ...]
     warnings: tuple[str, ...]
     sections: SplineSections | None = None
+    proposals: tuple[ProposedInterface, ...] | None = None
 
     @property
     def local(self) -> Floats:

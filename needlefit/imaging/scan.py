@@ -110,6 +110,8 @@ class Scan:
     contact, tip : (3,) array or None
         Where the needle enters the tissue, and where it ends, placed by hand in the scan, LPS, mm; None: they
         are looked for.
+    propose_layers : bool
+        Whether interfaces that the scan shows are proposed, beside `surfaces`.
     origin : str
         "measured" or "synthetic".
     """
@@ -134,6 +136,7 @@ class Scan:
     needle_at: Floats | None = None
     contact: Floats | None = None
     tip: Floats | None = None
+    propose_layers: bool = False
     origin: Literal["measured", "synthetic"] = "measured"
 
     @property
@@ -169,6 +172,9 @@ SCANS_DOCUMENT = "docs/reconstruction.md"
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 """What fixes a bevel that fixes no plane."""
 
+PROPOSE_LAYERS = "auto"
+"""In place of a file of layers: propose those that the scan shows."""
+
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 
 CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
@@ -197,8 +203,16 @@ class ScanRow:
 
     def layers(self) -> list[LayerSource | Fault]:
         """Return the files of the layers, or the fault of each."""
-        parts = [part.strip() for part in self.text["surfaces"].split(";")]
-        return [parse_layer_source(part, self.folder, self.where) for part in parts if part]
+        parts = [part for part in self._parts() if part != PROPOSE_LAYERS]
+        return [parse_layer_source(part, self.folder, self.where) for part in parts]
+
+    @property
+    def proposes_layers(self) -> bool:
+        """Whether layers are to be proposed."""
+        return PROPOSE_LAYERS in self._parts()
+
+    def _parts(self) -> list[str]:
+        return [part.strip() for part in self.text["surfaces"].split(";") if part.strip()]
 
 
 def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
@@ -273,6 +287,7 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         needle_at=_parse_point(row, NEEDLE_COLUMNS),
         contact=_parse_point(row, CONTACT_COLUMNS),
         tip=_parse_point(row, TIP_COLUMNS),
+        propose_layers=row.proposes_layers,
         origin="synthetic" if text["origin"] == "synthetic" else "measured",
     )
 

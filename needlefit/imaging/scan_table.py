@@ -18,6 +18,7 @@ from needlefit.imaging.scan import (
     CONTACT_COLUMNS,
     NEEDLE_COLUMNS,
     NUMBER_COLUMNS,
+    PROPOSE_LAYERS,
     SCAN_COLUMNS,
     SCANS_DOCUMENT,
     STAGE_COLUMNS,
@@ -80,7 +81,7 @@ def make_scans(
     Parameters
     ----------
     layers : sequence of str
-        Files, each as in a table of scans: `file` or `file=kind:into`.
+        Files, each as in a table of scans: `file` or `file=kind:into`; "auto" proposes layers.
     fiducials, mask, series : optional
         Of one scan: no two have them in common.
 
@@ -106,7 +107,7 @@ def make_scans(
     once = fiducials or mask or series
     if len(volumes) > 1 and once:
         found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
-    sources = [parse_layer_source(text, Path()) for text in layers]
+    sources = [parse_layer_source(text, Path()) for text in layers if text != PROPOSE_LAYERS]
     found += [source for source in sources if isinstance(source, Fault)]
     found += name_faults("medium", medium, "medium")
     for volume in volumes:
@@ -127,6 +128,7 @@ def make_scans(
             fiducials=fiducials,
             surfaces=surfaces,
             surfaces_in=surfaces_in,
+            propose_layers=PROPOSE_LAYERS in layers,
         )
         for id_, volume in zip(ids, volumes, strict=True)
     )

@@ -185,6 +185,8 @@ class Volume:
         Its columns are the LPS unit vectors of i, j, k; either handedness.
     warnings : tuple of str
         What a person should know of its files.
+    frame_of_reference : str
+        UID of its DICOM frame of reference; empty for files that have none.
 
     Raises
     ------
@@ -197,6 +199,7 @@ class Volume:
     spacing: Floats
     direction: Floats
     warnings: tuple[str, ...] = ()
+    frame_of_reference: str = ""
 
     def __post_init__(self) -> None:
         """Refuse what no file could hold."""
@@ -211,6 +214,24 @@ class Volume:
         """The grid of the voxels."""
         slices, rows, columns = self.values.shape
         return VoxelGrid((columns, rows, slices), self.origin, self.spacing, self.direction)
+
+
+def require_same_frame(part: Volume, frame_of_reference: str, where: str) -> None:
+    """Refuse what was drawn in another DICOM frame of reference than that of its scan, where both are stated.
+
+    Raises
+    ------
+    DataError
+    """
+    own = part.frame_of_reference
+    if own and frame_of_reference and own != frame_of_reference:
+        raise DataError(
+            f"stands in another frame of reference than the scan: {own}, not {frame_of_reference}",
+            where=where,
+            expected="a segmentation that was drawn in this scan",
+            fix="name the one that belongs to the scan; if both are in one place, though the identifiers "
+            "differ, save it as .seg.nrrd or NIfTI, which have none",
+        )
 
 
 def to_patient(volume: Volume, ijk: ArrayLike) -> Floats:

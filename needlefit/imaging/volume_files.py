@@ -245,6 +245,7 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
             np.array(parts[name], np.float64) for name in ("origin", "spacing", "direction")
         )
         values, warnings = arrays["values"], tuple(map(str, parts.get("warnings", ())))
+        frame = str(parts.get("frame_of_reference", ""))
         if values.shape != tuple(parts["size"])[::-1] or direction.shape != (3, 3):
             raise ValueError
     except (AttributeError, KeyError, TypeError, ValueError):
@@ -254,7 +255,7 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
             expected=READABLE_VOLUMES,
             fix="read it again",
         ) from None
-    return Volume(values, origin, spacing, direction, warnings)
+    return Volume(values, origin, spacing, direction, warnings, frame)
 
 
 def _require_packages(*more: str) -> None:

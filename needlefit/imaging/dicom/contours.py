@@ -42,6 +42,19 @@ class ContouredRegion:
     others: bool = False
 
 
+def find_frame_of_reference(data: pydicom.Dataset) -> str:
+    """Return the UID of the frame of reference of a structure set; empty if it states none, or several."""
+    stated = {
+        str(one.get(name, ""))
+        for sequence, name in (
+            ("StructureSetROISequence", "ReferencedFrameOfReferenceUID"),
+            ("ReferencedFrameOfReferenceSequence", "FrameOfReferenceUID"),
+        )
+        for one in data.get(sequence) or ()
+    } - {""}
+    return stated.pop() if len(stated) == 1 else ""
+
+
 def parse_regions(data: pydicom.Dataset, where: str) -> list[ContouredRegion]:
     """Return the regions of a structure set, in its order."""
     listed = list(data.StructureSetROISequence)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydicom.uid import RTStructureSetStorage, SegmentationStorage
 
 from needlefit.errors import DataError
-from needlefit.imaging.dicom.contours import mark_regions, parse_regions
+from needlefit.imaging.dicom.contours import find_frame_of_reference, mark_regions, parse_regions
 from needlefit.imaging.header_checks import choose_segments
 from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json, orthogonalize
 from needlefit.project.input_files import is_file, list_files, open_regular
@@ -96,7 +96,8 @@ def _storage(file: Path) -> str:
 
 def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
     with open_regular(file, sys.maxsize) as content:
-        regions = parse_regions(pydicom.dcmread(content), str(file))
+        data = pydicom.dcmread(content)
+    regions = parse_regions(data, str(file))
     if not names:  # points and lines mark places, such as the isocentre
         regions = [one for one in regions if one.contours]
     regions = [regions[n] for n in choose_segments([one.name for one in regions], names, file)]
@@ -110,7 +111,12 @@ def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> 
         )
     planes = mark_regions(regions, str(file))
     results.new("values", planes.values.shape, "float32")[...] = planes.values
-    return {**grid_to_json(planes.grid), "names": [one.name for one in regions]}
+    frame = find_frame_of_reference(data)
+    return {
+        **grid_to_json(planes.grid),
+        "names": [one.name for one in regions],
+        "frame_of_reference": frame,
+    }
 
 
 def _read_segments(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
@@ -136,7 +142,8 @@ def _read_segments(results: SandboxArrays, file: Path, names: Sequence[str]) -> 
             )
         values[inside] = label
     grid_parts = grid_to_json(VoxelGrid(grid.size, grid.origin, grid.spacing, orthogonalize(grid.direction)))
-    return {**grid_parts, "names": [labels[n] for n in chosen]}
+    frame = str(segmentation.get("FrameOfReferenceUID", ""))
+    return {**grid_parts, "names": [labels[n] for n in chosen], "frame_of_reference": frame}
 
 
 def _find_grid(segmentation: "Segmentation", file: Path) -> VoxelGrid:

@@ -201,7 +201,8 @@ def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[s
         stored = _read_voxels(reader, item) if item.frame is None else next(frames)
         plane[...] = _blank_padding(stored, item)
     _fill_padding(values, slices)
-    return {**grid_to_json(grid), "warnings": notes}
+    frame = slices[0].frame_of_reference
+    return {**grid_to_json(grid), "warnings": notes, "frame_of_reference": frame}
 
 
 def describe_missing_files(path: Path, slices: Sequence[DicomSlice]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation
 from needlefit.arrays import Ints
 from needlefit.errors import DataError
 from needlefit.imaging.needle.segmentation import MIN_COMPONENT_VOXELS, Component, measure_component
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_patient
 from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -39,6 +39,7 @@ def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord
         If the mask marks nothing, lies elsewhere than the scan's needle, or cannot be a needle.
     """
     mask = read_mask(path)
+    require_same_frame(mask, volume.frame_of_reference, str(path))
     _require_marked(int(np.count_nonzero(mask.values > 0)), path)
     marked = _resample_mask(volume, mask, path)
     _require_marked(int(np.count_nonzero(marked)), path)

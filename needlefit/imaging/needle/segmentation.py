@@ -27,6 +27,9 @@ MAX_FACE_FRACTION = 0.15
 MIN_COMPONENT_VOXELS = 8
 """Smaller components are noise."""
 
+MIN_DISTINCT_CHECK = 100
+"""Points of a component of which three must differ along it to fit a parabola."""
+
 NEAR_END_MM = 5.0
 """Length of the end of a piece that must lie on the curve which it goes on, mm."""
 
@@ -221,7 +224,8 @@ def is_tube(part: Component, recipe: ReconstructionRecord, min_length: float | N
 
 def fit_parabola(along: Floats, across: Floats) -> Floats:
     """Return the coefficients (3, d) of the least-squares parabola across(along), highest power first."""
-    return np.polyfit(along, across, 2 if np.ptp(along) > 0 else 0)
+    some = np.round(along[:MIN_DISTINCT_CHECK], 6)
+    return np.polyfit(along, across, min(2, len(np.unique(some)) - 1))
 
 
 def principal_axes(points: Floats) -> tuple[Floats, Floats]:

@@ -63,7 +63,14 @@ def list_facts(reconstruction: Reconstruction) -> list[list[Fact]]:
         _placement_facts(reconstruction),
     ]
     return [
-        group for group in [*groups, _needle_facts(reconstruction), _layer_facts(reconstruction)] if group
+        group
+        for group in [
+            *groups,
+            _needle_facts(reconstruction),
+            _layer_facts(reconstruction),
+            _proposal_facts(reconstruction),
+        ]
+        if group
     ]
 
 
@@ -151,6 +158,20 @@ def _layer_facts(reconstruction: Reconstruction) -> list[Fact]:
         )
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ] or [("layers", "no boundary crossed")]
+
+
+def _proposal_facts(reconstruction: Reconstruction) -> list[Fact]:
+    """Return the interfaces that the scan shows, by their place along the needle."""
+    found = reconstruction.proposals
+    if found is None:
+        return []
+    return [
+        (
+            f"proposed {n}",
+            f"{n} → {n + 1} at {_format_with_sd(one.at, one.sd)} along the needle, {one.step:+.0f} HU",
+        )
+        for n, one in enumerate(found, start=1)
+    ] or [("proposed", "no interface shows")]
 
 
 def _format_with_sd(value: float, sd: float) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
+from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.reconstruction import Reconstruction
@@ -154,6 +155,7 @@ def write_reconstruction(
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
             export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
+            _write_proposals(one, fresh / "proposed")
         title = f"Reconstruction: {description.title or description.name}"
         options = {"title": title, "scans": [one.scan.id for one in kept], "recipe": recipe}
         record = KIND.make_record(**options)
@@ -164,3 +166,11 @@ def write_reconstruction(
             write_refused_pages(refused, fresh / "quality")
         write_files(found, fresh)
     return found, failures
+
+
+def _write_proposals(one: Reconstruction, folder: Path) -> None:
+    """Write the proposed layers of a scan as `<id>_proposed<layer>.stl`, in its frame (LPS)."""
+    for found in one.proposals or ():
+        # 3D Slicer reads the frame from the name that the file states
+        named = replace(found.surface, name=f"{found.surface.name} SPACE=LPS")
+        write_surface(named, folder / f"{one.scan.id}_{found.surface.name}.stl")

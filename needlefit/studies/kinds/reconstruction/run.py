@@ -5,9 +5,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pandas as pd
 
+from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
+from needlefit.geometry.curves import interpolate_at_arc
 from needlefit.imaging.batch import VERSIONED_PACKAGES
-from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.reconstruction import ProposedInterface, Reconstruction
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
@@ -54,6 +56,7 @@ def tabulate_batch(
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
             "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
+            **tabulate_proposals(ones),
         },
         run={
             "name": name,
@@ -88,6 +91,14 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
     """Return a row per crossing: depth along C's x and its deviation, layers, position in the world."""
     rows = [row for one in reconstructions for row in _crossing_rows(one)]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
+
+
+def tabulate_proposals(reconstructions: Sequence[Reconstruction]) -> dict[str, pd.DataFrame]:
+    """Return a table of proposed interfaces, as `tabulate_crossings`; none where nobody asked for any."""
+    asked = [one for one in reconstructions if one.proposals is not None]
+    rows = [row for one in asked for row in _proposal_rows(one)]
+    columns = [*_CROSSING_COLUMNS, "note"]
+    return {"proposed_layers": pd.DataFrame(rows, columns=columns)} if asked else {}
 
 
 def _scan_values(one: Reconstruction) -> Row:
@@ -164,3 +175,30 @@ def _crossing_rows(one: Reconstruction) -> list[Row]:
         values = (one.scan.id, n + 1, *layers.sequence[n : n + 2], depth, sd, *layers.points[n])
         rows.append(dict(zip(_CROSSING_COLUMNS, values, strict=True)))
     return rows
+
+
+def _proposal_rows(one: Reconstruction) -> list[Row]:
+    rows = []
+    for n, found in enumerate(one.proposals or (), start=1):
+        point = locate_proposal(one, found)
+        depth = float(one.frame.to_local(point[None])[0, 0])
+        note = f"{found.step:+.0f} HU, tilted by {np.degrees(found.tilt):.0f} degrees; {find_own(one, depth)}"
+        values = (one.scan.id, n, n, n + 1, depth, found.sd, *point, note)
+        rows.append(dict(zip((*_CROSSING_COLUMNS, "note"), values, strict=True)))
+    return rows
+
+
+def locate_proposal(one: Reconstruction, found: ProposedInterface) -> Floats:
+    """Return where the needle crosses a proposed interface (3,), world, mm."""
+    point: Floats = interpolate_at_arc(one.points, np.array([found.at]))[0]
+    return point
+
+
+def find_own(one: Reconstruction, depth: float) -> str:
+    """Return in words how far the nearest stated layer lies from a depth (mm)."""
+    own = one.layers.boundaries
+    if not len(own):
+        return "no layer is stated"
+    return (
+        f"the nearest stated layer is crossed {own[np.argmin(np.abs(own - depth))] - depth:+.2f} mm from it"
+    )
