@@ -87,8 +87,8 @@ def search_once(patch):
 
         return found
 
-    for function in (trace_needle, find_markers):
-        patch.setattr(f"needlefit.imaging.detections.{function.__name__}", remembered(function))
+    for user, function in (("reconstruct", trace_needle), ("detections", find_markers)):
+        patch.setattr(f"needlefit.imaging.{user}.{function.__name__}", remembered(function))
 
 
 def test_a_scan_becomes_a_checked_dataset(done):

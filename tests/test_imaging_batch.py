@@ -12,6 +12,7 @@ from needlefit.imaging import batch
 from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
 from needlefit.imaging.header_checks import ImageHeader
 from needlefit.imaging.image_headers import check_nrrd
+from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.scan_table import read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.locate import shipped_folder
@@ -42,11 +43,11 @@ class Worked:
         self.done = []
         self.one = one
         monkeypatch.setattr(batch, "read_volume", lambda path, series: None)
-        monkeypatch.setattr(batch, "reconstruct_volume", self)
+        monkeypatch.setattr(batch, "examine", self)
 
     def __call__(self, volume, scan, recipe):
         self.done.append(scan.id)
-        return replace(self.one, scan=scan)
+        return Examination(scan, reconstruction=replace(self.one, scan=scan))
 
 
 @pytest.fixture
@@ -93,7 +94,7 @@ def test_an_unexpected_error_in_one_scan_is_its_failure(sample, monkeypatch):
     def breaks(volume, scan, recipe):
         raise ZeroDivisionError("by nought")
 
-    monkeypatch.setattr(batch, "reconstruct_volume", breaks)
+    monkeypatch.setattr(batch, "examine", breaks)
     (one,) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
     assert "ZeroDivisionError: by nought" in str(one.error)
 

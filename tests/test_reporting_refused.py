@@ -13,6 +13,7 @@ from needlefit.errors import DataError
 from needlefit.imaging.assembly import DatasetDescription
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.findings import collect_findings
+from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import Volume
 from needlefit.project.progress import no_progress
@@ -23,9 +24,13 @@ SCAN = Scan("one", Path("scans/one.nrrd"), "gel", origin="synthetic")
 ERROR = DataError("no markers", where="here", expected="some", fix="add them")
 
 
+def findings(volume):
+    return collect_findings(volume, examine(volume, SCAN, ct_cases.RECIPE), ct_cases.RECIPE)
+
+
 @pytest.fixture(scope="module")
 def found():
-    return collect_findings(cases.small_scan(), SCAN, ct_cases.RECIPE)
+    return findings(cases.small_scan())
 
 
 def test_a_scan_that_is_refused_shows_what_is_in_it(found):
@@ -41,7 +46,7 @@ def test_a_scan_that_is_refused_shows_what_is_in_it(found):
 def test_steps_that_fail_leave_the_others():
     plain = cases.small_scan()
     values = np.where(plain.values > 300, 40, plain.values).astype(np.float32)
-    nothing = collect_findings(replace(plain, values=values), SCAN, ct_cases.RECIPE)
+    nothing = findings(replace(plain, values=values))
     assert nothing.tubes == ()
     assert nothing.needle is None and nothing.profile is None
     assert nothing.projections[0].shape == plain.values.shape[1:]
@@ -65,7 +70,7 @@ def test_the_page_is_one_and_the_tables_hold_the_candidates(found, tmp_path, rea
 def test_one_voxel_thick_projections_need_no_needle():
     """A volume without anything in it still has its page."""
     empty = Volume(np.full((5, 6, 7), -1000, np.float32), np.zeros(3), np.ones(3), np.eye(3))
-    nothing = collect_findings(empty, SCAN, ct_cases.RECIPE)
+    nothing = findings(empty)
     assert (nothing.tubes, len(nothing.balls), nothing.entries) == ((), 0, ())
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.findings import Findings, collect_findings
-from needlefit.imaging.reconstruct import reconstruct_volume
+from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import list_series_files
@@ -101,17 +101,19 @@ def try_reconstruct(
     scan: Scan, recipe: ReconstructionRecord, collect: bool = False
 ) -> Reconstruction | ReconstructionFailure:
     """Return the reconstruction of a scan, or its failure; `collect`: with what was found in the scan."""
-    volume = None
     try:
         volume = read_volume(scan.volume, scan.series)
-        return reconstruct_volume(volume, scan, recipe)
+        found = examine(volume, scan, recipe)
+        if found.error is None and found.reconstruction is not None:
+            return found.reconstruction
+        failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
+        findings = collect_findings(volume, found, recipe) if collect else None
+        return ReconstructionFailure(scan, failed, findings)
     except NeedlefitError as error:
-        failed = error
+        return ReconstructionFailure(scan, error)
     except Exception as error:  # an unexpected error in one scan must not lose the others' results
         what = f"unexpected {type(error).__name__}: {error}"
-        failed = NeedlefitError(what, where=str(scan.volume))
-    findings = collect_findings(volume, scan, recipe) if collect and volume is not None else None
-    return ReconstructionFailure(scan, failed, findings)
+        return ReconstructionFailure(scan, NeedlefitError(what, where=str(scan.volume)))
 
 
 def _read_checkpoint(

@@ -11,7 +11,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.imaging.intensity_profile import sample_profile
 from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
-from needlefit.imaging.needle.centerline import Centerline, trace_needle
+from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.needle.mask import read_mask_component
 from needlefit.imaging.needle.selection import NeedleSelection, select_needle
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult
@@ -53,19 +53,6 @@ class Detections:
     def world(self) -> Floats:
         """The whole needle in the world (N, 3), mm."""
         return self.patient.to_world(self.needle_axis.points)
-
-
-def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detections:
-    """Detect needle and markers in a volume."""
-    found = find_needle(volume, scan, recipe)
-    needle_axis = trace_needle(volume, found.needle, recipe, scan.tip)
-    markers = find_scan_markers(volume, found.needle.voxels, scan, recipe)
-    registration = None
-    if markers is not None and scan.markers is not None:
-        registration = register_scan(markers, scan.markers, recipe)
-    profile = sample_needle_profile(volume, needle_axis.points)
-    frame = volume.frame_of_reference
-    return Detections(needle_axis, markers, registration, profile, found.warnings, frame)
 
 
 def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:

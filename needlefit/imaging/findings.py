@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.detections import find_needle, sample_needle_profile
 from needlefit.imaging.entry_choice import EntryCandidate, list_candidates
 from needlefit.imaging.marker_blobs import Blob, find_blobs
 from needlefit.imaging.markers import find_markers
-from needlefit.imaging.needle.centerline import trace_needle
+from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.needle.segmentation import (
     Component,
     cut_components,
@@ -23,8 +22,8 @@ from needlefit.imaging.needle.segmentation import (
     list_thresholds,
 )
 from needlefit.imaging.needle.selection import NeedleSelection, find_ends
+from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.reconstruction import IntensityProfile
-from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -79,24 +78,30 @@ class Findings:
     entries: tuple[EntryCandidate, ...] = ()
 
 
-def collect_findings(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Findings:
-    """Return what the scan shows; each step is left out where it fails: the scan's error says why."""
+def collect_findings(volume: Volume, examined: Examination, recipe: ReconstructionRecord) -> Findings:
+    """Return what a scan shows, for its page."""
     projections = (volume.values.max(axis=0), volume.values.max(axis=1), volume.values.max(axis=2))
-    found = _try(lambda: find_needle(volume, scan, recipe))
-    tubes = list_tubes(volume, recipe, found)
-    needle = None if found is None else found.needle
-    own = None if needle is None else needle.voxels
-    rules = recipe.markers
-    markers = _try(lambda: find_markers(volume, recipe, own).centers)
+    selection, axis, profile = examined.selection, examined.needle_axis, examined.profile
+    own, rules = None if selection is None else selection.needle.voxels, recipe.markers
+    markers = examined.markers or _try(lambda: find_markers(volume, recipe, own))
     blobs = _try(lambda: find_blobs(volume, rules.diameter_mm, rules.threshold_hu, own))
-    centers, diameters = _list_balls(volume, blobs or [], rules.diameter_mm)
-    axis = None if needle is None else _try(lambda: trace_needle(volume, needle, recipe).points)
-    profile = None if axis is None else _try(lambda: sample_needle_profile(volume, axis))
-    entries: tuple[EntryCandidate, ...] = ()
-    if axis is not None and profile is not None:
-        tip = float(arc_length(axis)[-1])
-        entries = _try(lambda: list_candidates(profile, tip)) or ()
-    return Findings(volume.grid, projections, tubes, markers, centers, diameters, axis, profile, entries)
+    return Findings(
+        volume.grid,
+        projections,
+        list_tubes(volume, recipe, selection),
+        None if markers is None else markers.centers,
+        *_list_balls(volume, blobs or [], rules.diameter_mm),
+        None if axis is None else axis.points,
+        profile,
+        list_entries(axis, profile),
+    )
+
+
+def list_entries(axis: Centerline | None, profile: IntensityProfile | None) -> tuple[EntryCandidate, ...]:
+    """Return the places where soft material begins around a needle; none without one."""
+    if axis is None or profile is None:
+        return ()
+    return _try(lambda: list_candidates(profile, float(arc_length(axis.points)[-1]))) or ()
 
 
 def _try(step: Callable[[], T]) -> T | None:

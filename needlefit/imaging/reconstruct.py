@@ -1,152 +1,57 @@
-"""Reconstruct one scan: the needle's centreline in the world, its entry pose, the layers it crosses."""
+"""Reconstruct one scan step by step; what was found is kept, also where a step fails."""
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
-import numpy as np
-
-from needlefit.arrays import Floats
-from needlefit.errors import DataError
-from needlefit.geometry.crossings import find_surface_hits
-from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
-from needlefit.geometry.frames import Frame, make_entry_frame
-from needlefit.geometry.surfaces import Surface
-from needlefit.imaging import entry
-from needlefit.imaging.detections import Detections, detect
-from needlefit.imaging.entry_choice import EntryKnowledge, choose_entry
-from needlefit.imaging.layer_proposal import propose_layers
-from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
-from needlefit.imaging.material_runs import find_rises
-from needlefit.imaging.reconstruction import EntryPose, Reconstruction
-from needlefit.imaging.reconstruction_checks import (
-    MAX_DISAGREEMENT_SD,
-    check_layer_count,
-    collect_warnings,
-    refuse_tunnels,
+from needlefit.errors import NeedlefitError
+from needlefit.geometry.curves import arc_length
+from needlefit.imaging.derivation import derive_reconstruction
+from needlefit.imaging.detections import (
+    Detections,
+    find_needle,
+    find_scan_markers,
+    register_scan,
+    sample_needle_profile,
 )
-from needlefit.imaging.registration.register import predict_mean_target_error
-from needlefit.imaging.scan import BEVEL_FIX, CONTACT_COLUMNS, Scan
+from needlefit.imaging.layer_proposal import propose_layers
+from needlefit.imaging.needle.centerline import Centerline, trace_needle
+from needlefit.imaging.needle.selection import NeedleSelection
+from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
+from needlefit.imaging.registration.register import Registration
+from needlefit.imaging.scan import Scan
 from needlefit.imaging.value_checks import require_hounsfield
 from needlefit.imaging.views import render_views
-from needlefit.imaging.volume import Volume, VoxelGrid
+from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-
-def estimate_first_contact(
-    detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[EntryPose, EntryPose | None, tuple[str, ...]]:
-    """Return the entry pose, the pose of the shaft outside the tissue where it is visible, and warnings."""
-    if scan.stage is None:
-        at, at_sd, notes = _locate_tissue(detections, scan, surfaces, recipe)
-        shaft = entry.move_to_surface(
-            entry.pose_from_shaft(_select_outside_shaft(detections, scan, recipe, at), at_sd), surfaces
-        )
-        return shaft, shaft, notes
-    (here,) = detections.patient.to_local(scan.stage.entry[None])
-    stage = entry.pose_from_stage(scan.stage, detections.registration, here)
-    outside = _select_outside_shaft(
-        detections, scan, recipe, entry.find_entry_arc_length(detections.world, stage)
-    )
-    if entry.usable_length(outside) < entry.MIN_SHAFT_LENGTH_MM:
-        return stage, None, ()
-    other = entry.pose_from_shaft(outside, stage.along_sd)
-    entry.require_agreement(stage, other)
-    return stage, other, ()
+T = TypeVar("T")
 
 
-def _select_outside_shaft(
-    detections: Detections, scan: Scan, recipe: ReconstructionRecord, at: float
-) -> entry.OutsideShaft:
-    """Return the needle before `at` (mm along it), where it enters the tissue."""
-    world = detections.world
-    s = arc_length(world)
-    base = recipe.needle.length_mm - (s[-1] - at)
-    return entry.OutsideShaft(
-        points=world[s < at],
-        sd=detections.needle_axis.sd[s < at],
-        s=s[s < at] - at,
-        free=base if scan.guide_distance is None else scan.guide_distance,
-        bend=recipe.entry.entry_shift_sd_mm,
-        turn=np.radians(recipe.entry.entry_tilt_sd_deg),
-    )
+@dataclass(frozen=True)
+class Examination:
+    """What the steps of a reconstruction found in a scan; None: the step failed, or was not reached.
 
-
-def _locate_tissue(
-    detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[float, float, tuple[str, ...]]:
-    """Return where along the whole needle the tissue begins, how sure that is, mm, and warnings.
-
-    A first contact placed by hand says it, else the tissue's own surface where there is one, else the
-    change of brightness around the needle.
+    Attributes
+    ----------
+    profile : IntensityProfile or None
+        Along the whole needle, s from its first point.
+    error : NeedlefitError or None
+        Why the scan is refused: of the first step that failed.
     """
-    if scan.contact is not None:
-        return _project_contact(detections, scan.contact), recipe.entry.placed_contact_sd_mm, ()
-    own = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into == 1])
-    if len(own):
-        at = float(own.min())
-        _refuse_distant_surface(at, detections, scan)
-        return at, recipe.layers.surface_sd_mm, ()
-    crossed = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into > 1])
-    known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance, crossed)
-    choice = choose_entry(detections.profile, float(arc_length(detections.world)[-1]), known)
-    if choice is None:
-        raise DataError(
-            "the scan does not show where the needle enters the tissue",
-            where=str(scan.volume),
-            expected="air before the tissue along the needle, the tissue's surface (into = 1), or the stage",
-            fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the "
-            "layers, as FILE=sheet:1 or FILE=solid:1",
-        )
-    return choice.chosen.at, choice.chosen.sd, choice.warnings
+
+    scan: Scan
+    selection: NeedleSelection | None = None
+    needle_axis: Centerline | None = None
+    markers: MarkerResult | None = None
+    registration: Registration | None = None
+    profile: IntensityProfile | None = None
+    reconstruction: Reconstruction | None = None
+    error: NeedlefitError | None = None
 
 
-def _project_contact(detections: Detections, contact: Floats) -> float:
-    """Return where along the needle a first contact placed by hand (3,), LPS, lies, mm."""
-    points = detections.needle_axis.points
-    s = arc_length(points)
-    fine = np.arange(0.0, s[-1], 0.05)
-    away = np.linalg.norm(interpolate_at_arc(points, fine) - contact, axis=1)
-    if away.min() > entry.MAX_ENTRY_DISTANCE_MM:
-        raise DataError(
-            f"the first contact that was placed lies {away.min():.1f} mm beside the needle",
-            where=", ".join(CONTACT_COLUMNS),
-            expected=f"a point within {entry.MAX_ENTRY_DISTANCE_MM:g} mm of it, LPS",
-            fix="place it on the needle; RAS has x and y of the other sign",
-        )
-    return float(fine[np.argmin(away)])
-
-
-def _hit_surfaces(needle: Floats, surfaces: Sequence[Surface]) -> Floats:
-    """Return where along a needle (N, 3) it meets surfaces (n,), mm."""
-    return np.concatenate([np.empty(0), *(find_surface_hits(needle, surface) for surface in surfaces)])
-
-
-def _refuse_distant_surface(at: float, detections: Detections, scan: Scan) -> None:
-    """Refuse a tissue whose own surface the needle meets (`at`) far from where the scan shows it to begin."""
-    rises = find_rises(detections.profile)
-    if not rises:
-        return
-    edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda one: abs(one[0] - at))
-    if abs(at - edge) <= entry.MAX_ENTRY_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
-        return
-    side = "behind" if at > edge else "before"
-    raise DataError(
-        f"the needle crosses the tissue's own surface {abs(at - edge):.1f} mm {side} the place where the "
-        "scan shows tissue to begin",
-        where=str(scan.volume),
-        expected=f"within {entry.MAX_ENTRY_DISTANCE_MM:g} mm of it",
-        fix="see both in 3D Slicer: label the needle's voxels as the tissue around them, check the frame of "
-        "the surfaces; if they are right, state the stage (entry_x_mm ... pose_angle_sd_deg)",
-    )
-
-
-PlaneSource = Literal["stated", "bevel", "shape"]
-
-
-@one_thread
 def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     """Reconstruct the needle of a scan.
 
@@ -161,110 +66,62 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     ConfigError
         If the packages that read scans are not installed.
     """
-    return reconstruct_volume(read_volume(scan.volume, scan.series), scan, recipe)
+    found = examine(read_volume(scan.volume, scan.series), scan, recipe)
+    if found.error is not None:
+        raise found.error
+    assert found.reconstruction is not None
+    return found.reconstruction
 
 
-def reconstruct_volume(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
-    """Reconstruct the needle of a scan whose volume was read, as `reconstruct`."""
+@one_thread
+def examine(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Examination:
+    """Return everything that the steps of a reconstruction find in a volume that was read."""
+    steps = _Steps()
     if scan.mask is None:
-        require_hounsfield(volume, str(scan.volume))
-    detections = detect(volume, scan, recipe)
-    found = derive_reconstruction(detections, scan, recipe, volume.grid)
-    pictures = render_views(volume, detections.patient, found.frame, detections.needle_axis.points)
+        steps.take(lambda: require_hounsfield(volume, str(scan.volume)))
+    selection = steps.take(lambda: find_needle(volume, scan, recipe))
+    axis = voxels = None
+    if selection is not None:
+        needle, voxels = selection.needle, selection.needle.voxels
+        axis = steps.take(lambda: trace_needle(volume, needle, recipe, scan.tip))
+    markers = steps.take(lambda: find_scan_markers(volume, voxels, scan, recipe))
+    registration = None
+    if markers is not None and scan.markers is not None:
+        known = scan.markers
+        registration = steps.take(lambda: register_scan(markers, known, recipe))
+    profile = None if axis is None else sample_needle_profile(volume, axis.points)
+    found = Examination(scan, selection, axis, markers, registration, profile)
+    if steps.error is None:
+        found = replace(found, reconstruction=steps.take(lambda: _complete(found, volume, recipe)))
+    return replace(found, error=steps.error)
+
+
+class _Steps:
+    """Runs steps; remembers the first error."""
+
+    def __init__(self) -> None:
+        self.error: NeedlefitError | None = None
+
+    def take(self, step: Callable[[], T]) -> T | None:
+        """Return what a step found; None if it failed."""
+        try:
+            return step()
+        except NeedlefitError as error:
+            self.error = self.error or error
+            return None
+
+
+def _complete(found: Examination, volume: Volume, recipe: ReconstructionRecord) -> Reconstruction:
+    """Return the reconstruction that follows from what was found, with its views."""
+    axis, profile, selection, scan = found.needle_axis, found.profile, found.selection, found.scan
+    assert axis is not None and profile is not None and selection is not None
+    frame_of_reference = volume.frame_of_reference
+    detections = Detections(
+        axis, found.markers, found.registration, profile, selection.warnings, frame_of_reference
+    )
+    one = derive_reconstruction(detections, scan, recipe, volume.grid)
+    views = render_views(volume, detections.patient, one.frame, axis.points)
     proposals = None
     if scan.propose_layers:
-        points = detections.needle_axis.points
-        proposals = propose_layers(volume, points, float(arc_length(points)[-1]) - found.depth)
-    warnings = (*volume.warnings, *found.warnings)
-    return replace(found, views=pictures, warnings=warnings, proposals=proposals)
-
-
-def derive_reconstruction(
-    detections: Detections, scan: Scan, recipe: ReconstructionRecord, grid: VoxelGrid
-) -> Reconstruction:
-    """Derive the reconstruction from the detections in the volume; without views.
-
-    Parameters
-    ----------
-    grid : VoxelGrid
-        Where the scan's voxels stand.
-
-    Raises
-    ------
-    DataError
-        As `reconstruct`.
-    """
-    surfaces = read_layers(scan, detections.patient, grid, detections.frame_of_reference)
-    refuse_tunnels(scan, surfaces, detections.world)
-    pose, shaft, doubts = estimate_first_contact(detections, scan, surfaces, recipe)
-    begin = entry.find_entry_arc_length(detections.world, pose)
-    points, sd = _sample_inserted(detections, begin, recipe.centerline.station_spacing_mm)
-    frame, plane = _find_bending_frame(detections, scan, pose, points, recipe)
-    layers = find_crossed_layers(
-        points, frame, surfaces, estimate_layer_errors(scan, recipe, sd, pose, detections.registration)
-    )
-    drawn = detections.needle_axis.sections
-    notes = check_layer_count(scan, layers, points, detections.patient)
-    found = Reconstruction(
-        scan=scan,
-        spacing=grid.spacing,
-        needle_axis=detections.needle_axis,
-        markers=detections.markers,
-        registration=detections.registration,
-        patient=detections.patient,
-        pose=pose,
-        shaft=shaft,
-        frame=frame,
-        plane=plane,
-        points=points,
-        sd=sd,
-        sections=None if drawn is None else drawn.seen_from(detections.patient, begin),
-        depth=float(arc_length(points)[-1]),
-        depth_sd=float(np.hypot(detections.needle_axis.tip_sd[0], pose.along_sd)),
-        target_error=_predict_target_error(detections, points),
-        layers=layers,
-        profile=replace(detections.profile, s=detections.profile.s - begin),
-        views=(),
-        warnings=(),
-    )
-    return replace(found, warnings=(*doubts, *detections.warnings, *collect_warnings(found), *notes))
-
-
-def _sample_inserted(detections: Detections, begin: float, station: float) -> tuple[Floats, Floats]:
-    """Return the needle from `begin` (mm along it) to its tip: points (N, 3), world, and deviations (N,)."""
-    along = arc_length(detections.world)
-    count = int(np.ceil((along[-1] - begin) / station)) + 1
-    s = np.linspace(begin, along[-1], count)
-    return interpolate_at_arc(detections.world, s), np.interp(s, along, detections.needle_axis.sd)
-
-
-def _predict_target_error(detections: Detections, points: Floats) -> Floats:
-    """Return the mean error (2,) that the registration leaves at the entry and at the tip, predicted, mm."""
-    if detections.registration is None:
-        return np.zeros(2)
-    return predict_mean_target_error(detections.registration, detections.patient.to_local(points[[0, -1]]))
-
-
-def _find_bending_frame(
-    detections: Detections, scan: Scan, pose: EntryPose, points: Floats, recipe: ReconstructionRecord
-) -> tuple[Frame, PlaneSource]:
-    """Return the constraint frame, and what fixes its plane."""
-    plane: PlaneSource
-    if scan.bevel is None and scan.side < 0:
-        raise DataError(
-            "bevel_side is -1, but no bevel direction is stated",
-            where=f"scan {scan.id}",
-            expected="bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went",
-            fix="state the bevel's direction, or leave bevel_side empty",
-        )
-    bevel = detections.patient.rotation @ detections.needle_axis.bevel
-    if scan.bevel is not None:
-        toward, plane = scan.bevel, "stated"
-    elif recipe.entry.plane == "bevel" and np.isfinite(bevel).all():
-        toward, plane = bevel, "bevel"
-    else:
-        toward, plane = find_bending_direction(points, pose.direction), "shape"
-    try:
-        return make_entry_frame(pose.origin, pose.direction, toward), plane
-    except DataError as error:
-        raise DataError(error.what, where=str(scan.volume), expected=error.expected, fix=BEVEL_FIX) from None
+        proposals = propose_layers(volume, axis.points, float(arc_length(axis.points)[-1]) - one.depth)
+    return replace(one, views=views, warnings=(*volume.warnings, *one.warnings), proposals=proposals)

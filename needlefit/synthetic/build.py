@@ -21,9 +21,10 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
+from needlefit.imaging.derivation import derive_reconstruction
 from needlefit.imaging.detections import Detections
 from needlefit.imaging.needle.centerline import Centerline
-from needlefit.imaging.reconstruct import derive_reconstruction, reconstruct
+from needlefit.imaging.reconstruct import reconstruct
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import register
 from needlefit.project.processes import run_in_order

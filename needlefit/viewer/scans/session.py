@@ -10,8 +10,9 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.imaging.examination import Examination, examine
+from needlefit.imaging.findings import list_entries, list_tubes
 from needlefit.imaging.needle.segmentation import median_tissue_hu
+from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.scan_table import write_scan_table
@@ -120,7 +121,7 @@ class ScanSession:
                 "metal": [-1000.0, MAX_HU],
             },
             "error": _describe_error(found.error),
-            "warnings": [*volume.warnings, *(found.reconstruction.warnings if found.reconstruction else ())],
+            "warnings": list(found.reconstruction.warnings if found.reconstruction else volume.warnings),
             "tubes": self._describe_tubes(),
             "entries": self._describe_entries(),
             "axis": None if found.needle_axis is None else _thin(found.needle_axis.points).tolist(),
@@ -140,7 +141,7 @@ class ScanSession:
 
     def _describe_tubes(self) -> list[dict[str, Any]]:
         lines = []
-        for one in self.found.tubes:
+        for one in list_tubes(self.volume, self.recipe, self.found.selection):
             about = {"length": one.length, "width": one.width, "chosen": one.chosen}
             lines.append({**about, "line": one.ends.tolist(), "middle": one.ends.mean(axis=0).tolist()})
         return lines
@@ -149,11 +150,12 @@ class ScanSession:
         axis = self.found.needle_axis
         if axis is None:
             return []
-        along = [one.at for one in self.found.entries]
+        entries = list_entries(axis, self.found.profile)
+        along = [one.at for one in entries]
         places = interpolate_at_arc(axis.points, np.array(along)).reshape(-1, 3)
         return [
             {"depth": one.depth, "sd": one.sd, "change": one.change, "at": at.tolist()}
-            for one, at in zip(self.found.entries, places, strict=True)
+            for one, at in zip(entries, places, strict=True)
         ]
 
     def _describe_tip(self) -> dict[str, Any] | None:
