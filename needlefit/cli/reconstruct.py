@@ -79,7 +79,7 @@ def reconstruct(
     ] = "default",
     title: Annotated[str, typer.Option(help="Title of the dataset.")] = "",
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Scans at once (default: 2); changes no result.")
+        int | None, typer.Option(min=1, help="Scans at once (default: 2); it does not change the result.")
     ] = None,
     resume: options.Resume = False,
     strict: options.Strict = False,

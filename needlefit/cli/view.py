@@ -29,19 +29,22 @@ def view(
             metavar="SCENE | RUN[/ID] | DATASET/ID",
             autocompletion=complete_view_targets,
             show_default=False,
-            help="What to steer: a scene; a run's fit of an insertion, with its band; a measured insertion.",
+            help="What to steer: a scene, a run's fitted insertion with its predictive band, or a measured "
+            "insertion.",
         ),
     ] = None,
     recording: Annotated[
         Path | None,
-        typer.Option(metavar="LOG", help="A recording to replay and to continue from; no TARGET."),
+        typer.Option(
+            metavar="LOG", help="Replay this recording, and continue from its end; it replaces SCENE."
+        ),
     ] = None,
     specimen: Annotated[
         Literal["new", "same"],
-        typer.Option(help="Whether a run's band takes specimens not tuned on for other ones."),
+        typer.Option(help="Predictive band of a run: for a new specimen, or for the specimens fitted."),
     ] = "new",
     port: Annotated[
-        int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: one that is free).")
+        int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: any free one).")
     ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page, or only print its address.")
@@ -52,8 +55,8 @@ def view(
 ) -> None:
     """Steer a needle by hand, in real time, in the browser.
 
-    The page is served to this machine alone. Everything done there is recorded to OUT/view/, a CSV for each
-    needle, as it happens; `needlefit simulate --recording LOG` replays it. Ctrl-C ends.
+    Only this machine can open the page. Each needle is recorded to a CSV in OUT/view/;
+    `needlefit simulate --recording LOG` replays it. Ctrl-C ends.
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
