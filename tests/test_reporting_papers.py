@@ -80,6 +80,20 @@ def test_a_macro_holds_what_the_table_prints(results):
     assert all(re.fullmatch(r"[\w.-]+", key) for key in defined)
 
 
+def test_moduli_are_in_the_unit_of_the_tables():
+    results = study(5)
+    parameters = results.frames["parameters"]
+    chosen = (parameters["parameter"] == "mu1_pa") & (parameters["method"] == "fitted")
+    row = {"value": 2.5e5, "determined": True, "status": "free"}
+    row |= {"interval_low": 1e5, "interval_high": 4e6}
+    for name, value in row.items():
+        parameters = parameters.assign(**{name: parameters[name].astype(object).mask(chosen, value)})
+    text = format_macros([results.with_frames(parameters=parameters)])
+    found = dict(re.findall(r"^\\nf(?:num|text)\{[^}]*-(mu1[a-z-]*)\}\{(.*)\}$", text, re.M))
+    wanted = {"mu1": "250", "mu1-unit": "kPa", "mu1-low": "100", "mu1-high": "4000"}
+    assert {key: words for key, words in found.items() if key in wanted} == wanted
+
+
 def test_a_length_is_printed_to_a_hundredth_and_missing_cells_are_dashes():
     text = format_macros([study(5)])
     assert re.search(r"^\\nfnum\{study5-chicken-1-te\}\{\d+\.\d\d\}$", text, re.M)

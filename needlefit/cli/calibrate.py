@@ -27,25 +27,28 @@ def calibrate(
         typer.Option(
             min=1,
             max=MAX_REPLICATES,
-            help="How many truths are drawn (default: 500; with --sample 100; synthetic ones 50).",
+            help="Number of simulated datasets (default: 500; with --sample 100; with --truth synthetic 50).",
         ),
     ] = None,
     sample: Annotated[
         bool,
-        typer.Option("--sample", help="Draw every posterior with the sampler, of three insertions at most."),
+        typer.Option(
+            "--sample", help="Sample every posterior by MCMC; of the design, three insertions at most."
+        ),
     ] = False,
     control: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="A likelihood wrong on purpose: sigma, prior, pose, shuffled, or all of them.",
+            help="Use a wrong likelihood, which the test must detect: sigma, prior, pose, shuffled, or all.",
         ),
     ] = None,
     truth: Annotated[
         str,
         typer.Option(
             metavar="SOURCE",
-            help="Where truths come from: the prior, or synthetic, another model than the fitted one.",
+            help="True parameters: drawn from the prior, or synthetic (simulated by another model than the "
+            "fitted one).",
         ),
     ] = "prior",
     ct: Annotated[
@@ -61,15 +64,18 @@ def calibrate(
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Test the uncertainties of a TARGET by simulation-based calibration on its own design.
+    """Test whether the intervals of a TARGET are right (simulation-based calibration).
 
-    Parameters are drawn from their prior; the needles of the design are simulated, measured with the stated
-    errors, and fitted as `tune` does. The ranks of the true values among the draws must be uniform. This
-    tests the computation, not the model. With --truth synthetic each truth is another synthetic dataset,
-    whose friction, layers and needle the fitted model does not contain, and held-out tips are predicted:
-    this tests the model. Results go to OUT/calibrate-TARGET/ (or -CONTROL, -synthetic, -synthetic-ct). Exit
-    code 6 if ranks are not uniform or a control is not detected; 5 if a posterior has not converged or there
-    are too few replicates for a verdict.
+    Parameters are drawn from their prior; the needles of TARGET are simulated with them, measured with the
+    stated errors, and fitted as `tune` does. The ranks of the true values among the draws must be uniform.
+    This tests the computation, not the model.
+
+    With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
+    does not have, and held-out tips are predicted. This tests the model.
+
+    Results go to OUT/calibrate-TARGET/ (or -CONTROL, -synthetic, -synthetic-ct). Exit code 6: ranks are not
+    uniform, or a control is not detected. Exit code 5: a posterior has not converged, or there are too few
+    replicates for a verdict.
     """
     given = {"replicates": replicates} if replicates else {}
     source = _check_truth(truth, ct, sample or control is not None)

@@ -35,7 +35,7 @@ def check(
 
     Of a dataset it looks at files, ids, units, centrelines, surfaces, bevel sides and checksums; of a study
     at its keys and at everything that it names. Every fit checks the same. Faults end in exit code 3;
-    warnings do not, unless with --strict in 5. Example: needlefit check ./gel
+    warnings do not, unless with --strict in 5.
     """
     from needlefit.project.locate import find_dataset_or_study
 

@@ -22,7 +22,7 @@ def import_data(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE_OR_FOLDER...",
+            metavar="FILE_OR_FOLDER",
             help="Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, Slicer markups (.mrk.json .fcsv), surfaces "
             "(.stl .ply .obj .vtk), Slicer scenes (.mrml .mrb).",
         ),
@@ -69,7 +69,9 @@ def import_data(
     modulus: Annotated[
         Text, typer.Option(metavar="GPA", help="Young's modulus, or steel, nitinol, titanium, peek.")
     ] = None,
-    point_sd: Annotated[Text, typer.Option(metavar="MM", help="Standard deviation of a point.")] = None,
+    point_sd: Annotated[
+        Text, typer.Option(metavar="MM", help="Standard deviation of a point across the needle.")
+    ] = None,
     title: Annotated[Text, typer.Option(help="What was inserted into what.")] = None,
     source: Annotated[Text, typer.Option(help="Who measured this, when, how.")] = None,
     license_: Annotated[Text, typer.Option("--license", help="Terms of use.")] = None,
@@ -80,9 +82,9 @@ def import_data(
 ) -> None:
     """Make a dataset from files of other programs.
 
-    Shows what it understood (units, frame, entry, layers, bevel against bend) as a table and a picture
-    (DIR/import.png), asks what is not certain when run in a terminal, and writes every decision to
-    [import] of DIR/dataset.toml. Example: needlefit import sheet.xlsx --out gel --diameter 18G
+    In a terminal it asks for whatever the files do not state; options answer beforehand. Then it shows what
+    it understood as a table and a picture (DIR/import.png), and lists every decision under [import] in
+    DIR/dataset.toml.
     """
     from needlefit.datasets.importing.conversion import plan_import
     from needlefit.datasets.importing.decisions import Decisions

@@ -13,7 +13,7 @@ def migrate(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            metavar="PATH...",
+            metavar="PATH",
             help="TOML files, recordings of `view`, runs, or folders that hold any of them.",
         ),
     ],

@@ -47,7 +47,7 @@ Plugins = Annotated[
         metavar="MODULE",
         callback=_use_plugins,
         is_eager=True,
-        help="Also use the tissue laws, file formats, ... of this installed Python module. Repeatable.",
+        help="Installed Python module with further tissue laws, file formats, ...; may be repeated.",
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", callback=_set_quiet, help="No progress on stderr.")]
@@ -58,8 +58,10 @@ Json = Annotated[bool, typer.Option("--json", help="Results as JSON on stdout.")
 Seed = Annotated[
     int | None, typer.Option(min=0, max=MAX_SEED, help="Seed of all randomness (default: the recipe's).")
 ]
-Jobs = Annotated[int | None, typer.Option(min=1, help="Threads (default: all cores); changes no result.")]
-Out = Annotated[Path, typer.Option(help="Folder that takes the folders of results.")]
+Jobs = Annotated[
+    int | None, typer.Option(min=1, help="Threads (default: all cores); they do not change the result.")
+]
+Out = Annotated[Path, typer.Option(help="Folder of all results; each run has a folder in it.")]
 Sample = Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")]
 Strict = Annotated[

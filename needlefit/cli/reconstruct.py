@@ -95,7 +95,7 @@ def reconstruct(
         typer.Option(help="Write also a scene of 3D Slicer (.mrb), or a DICOM segmentation; repeatable."),
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Scans at once (default: 2); changes no result.")
+        int | None, typer.Option(min=1, help="Scans at once (default: 2); it does not change the result.")
     ] = None,
     resume: options.Resume = False,
     strict: options.Strict = False,

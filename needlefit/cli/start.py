@@ -31,16 +31,16 @@ def new_dataset(
         typer.Option(
             "--from",
             metavar="FILE",
-            help="Centrelines to begin with: a CSV with the columns x_mm, y_mm, z_mm and, for more than one "
-            "curve, id (without id the whole table is one curve; other columns are ignored), the N x 3 "
-            "arrays of a .mat file, or the curves and point lists of a .mrk.json or .fcsv of 3D Slicer.",
+            help="Your centrelines: a CSV with columns x_mm, y_mm, z_mm (and id, if it holds several), a "
+            ".mat file of N x 3 arrays, or a .mrk.json or .fcsv of 3D Slicer. For tables of any other "
+            "layout: needlefit import.",
         ),
     ] = None,
     verbose: options.Verbose = False,
 ) -> None:
-    """Write a dataset that passes `check` to DIR.
+    """Write an example dataset to DIR, to be filled with your own measurements.
 
-    It is there to be filled with one's own measurements.
+    It passes `needlefit check`; what you must fill in is marked TO FILL IN.
     """
     from needlefit.datasets.template import write_template
 

@@ -9,7 +9,9 @@ from needlefit.cli import options, screen
 from needlefit.cli.progress import show_progress
 from needlefit.project.threads import count_cores
 
-Jobs = Annotated[int | None, typer.Option(min=1, help="Processes (default: all cores); changes no byte.")]
+Jobs = Annotated[
+    int | None, typer.Option(min=1, help="Processes (default: all cores); they do not change the result.")
+]
 
 
 def twin_build(
@@ -22,11 +24,10 @@ def twin_build(
 ) -> None:
     """Build the synthetic dataset.
 
-    Its insertions have the numbers and depths of the paper's 47; each is rendered as a CT volume and
-    reconstructed from it.
+    It has as many insertions as the paper, 47, to the same depths. Each is simulated, rendered as a CT volume
+    and reconstructed from it. The same seed gives the same bytes.
 
-    The same seed gives the same bytes. DIR is replaced only if it holds a twin, and
-    nothing else.
+    DIR is replaced if it holds nothing but a synthetic dataset.
     """
     from needlefit.project.atomic_write import replace_folder
     from needlefit.synthetic.build import build_dataset
@@ -53,10 +54,10 @@ def twin_ct(
 ) -> None:
     """Render insertions of the synthetic dataset as CT volumes.
 
-    Writes volumes/, markers/, layers/, and scans.csv, which `needlefit reconstruct` takes.
+    Writes volumes/ (20 MB each), markers/, layers/ and scans.csv, the input of `needlefit reconstruct`. The
+    same seed gives the same bytes.
 
-    A volume is some 20 MB. The same seed gives the same bytes. DIR is replaced only if it holds such
-    scans, and nothing else.
+    DIR is replaced if it holds nothing but such scans.
     """
     from needlefit.project.atomic_write import replace_folder
     from needlefit.synthetic.design import select_planned_insertions

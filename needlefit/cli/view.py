@@ -31,17 +31,19 @@ def view(
             metavar="SCENE | RUN[/ID] | DATASET/ID | SCAN",
             autocompletion=complete_view_targets,
             show_default=False,
-            help="What to steer: a scene; a run's fit of an insertion, with its band; a measured insertion. "
-            "Or a scan to examine: a volume, or TABLE.csv[/ID] with a table of scans.",
+            help="What to steer: a scene, a run's fitted insertion with its predictive band, or a measured "
+            "insertion. Or a scan to examine: a volume, or TABLE.csv[/ID] with a table of scans.",
         ),
     ] = None,
     recording: Annotated[
         Path | None,
-        typer.Option(metavar="LOG", help="A recording to replay and to continue from; no TARGET."),
+        typer.Option(
+            metavar="LOG", help="Replay this recording, and continue from its end; it replaces SCENE."
+        ),
     ] = None,
     specimen: Annotated[
         Literal["new", "same"],
-        typer.Option(help="Whether a run's band takes specimens not tuned on for other ones."),
+        typer.Option(help="Predictive band of a run: for a new specimen, or for the specimens fitted."),
     ] = "new",
     markers: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Of a scan: known places of its markers.")
@@ -53,7 +55,7 @@ def view(
         str, typer.Option(metavar="RECIPE", help="Of a scan: configs/reconstruction, or a path.")
     ] = "default",
     port: Annotated[
-        int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: one that is free).")
+        int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: any free one).")
     ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page, or only print its address.")
@@ -64,9 +66,9 @@ def view(
 ) -> None:
     """Steer a needle by hand, or examine and correct a scan, in the browser.
 
-    The page is served to this machine alone. What is steered is recorded to OUT/view/, a CSV for each needle,
-    as it happens; `needlefit simulate --recording LOG` replays it. Of a SCAN the page shows what
-    `needlefit reconstruct` finds; corrections are saved to OUT/scans/ as a table of scans. Ctrl-C ends.
+    Only this machine can open the page. Each needle is recorded to a CSV in OUT/view/;
+    `needlefit simulate --recording LOG` replays it. Of a SCAN the page shows what `needlefit reconstruct`
+    finds; corrections are saved to OUT/scans/ as a table of scans. Ctrl-C ends.
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")

@@ -219,12 +219,12 @@ def _parameter_cells(row: Row) -> Row:
     return {
         "parameter": label,
         "interval_95": typeset_interval(row, unit),
-        **{method: _format_value(row[method], unit) for method in METHODS},
+        **{method: format_in_unit(row[method], unit) for method in METHODS},
         "note": "; ".join(part for part in (_format_status(row), insert_symbols(note)) if part),
     }
 
 
-def _format_value(text: str, unit: float) -> str:
+def format_in_unit(text: str, unit: float) -> str:
     """Return a value of the files in another unit; words stay."""
     return typeset(text if unit == 1 or text in ("", NOT_DETERMINED) else format_number(float(text) / unit))
 
