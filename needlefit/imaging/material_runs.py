@@ -56,6 +56,9 @@ BLUR_MM = 1.5
 MIN_STEP_NOISE_HU = 5.0
 """Scatter of the surroundings along a needle in one material, HU: rays leave so much without noise."""
 
+SYSTEMATIC_WIDTH_RATIO = 0.1
+"""The same in parts of the edge's blur: kernels and slices blur both sides of an edge differently."""
+
 WIDTH_MM = 0.5
 """A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it."""
 
@@ -220,7 +223,9 @@ def _fit_edge(
     spread = max(1.0, 2 * best.cost / max(1, len(s) - count)) * correlation_factor(left[:, None], count)
     jacobian = np.asarray(best.jac, dtype=np.float64)
     variance = float(np.linalg.pinv(jacobian.T @ jacobian)[this, this]) * spread
-    return float(best.x[this]), float(np.hypot(np.sqrt(variance), SYSTEMATIC_SD_MM))
+    width = float(np.exp(best.x[len(at)]))
+    deviation = np.linalg.norm([np.sqrt(variance), SYSTEMATIC_SD_MM, SYSTEMATIC_WIDTH_RATIO * width])
+    return float(best.x[this]), float(deviation)
 
 
 def find_soft_steps(profile: IntensityProfile, run: MaterialRun) -> tuple[tuple[float, float], ...]:
