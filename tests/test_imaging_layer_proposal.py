@@ -61,7 +61,7 @@ def test_layers_are_found_where_they_are(tilt, noise):
     assert_allclose([one.tilt for one in found], tilt, atol=0.08)
 
 
-def test_a_proposed_surface_is_crossed_where_it_says():
+def test_a_proposed_surface_is_crossed_at_its_stated_depth():
     volume = scan(22.0, 36.0, tilt=0.2)
     for one in propose_layers(volume, needle(), 8.0):
         assert_allclose(find_surface_hits(needle(), one.surface) - 8.0, one.at, atol=0.05)

@@ -33,7 +33,7 @@ def test_a_placed_tip_is_used_saved_and_repeated(server, chromium, tmp_path, mon
     faults: list[str] = []
     page = chromium.new_page(viewport={"width": 1400, "height": 1000})
     page.on("pageerror", lambda error: faults.append(str(error)))
-    page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+    page.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
     page.goto(server.address)
     found = inserted(page)
     assert page.locator("#views canvas").count() == 4

@@ -109,7 +109,7 @@ def test_a_scan_is_written_as_the_row_from_which_it_is_read(tmp_path):
             assert after == before, field.name
 
 
-def test_a_session_says_what_was_found(session):
+def test_a_session_describes_its_findings(session):
     found = session.describe()
     assert found["error"] is None and len(found["balls"]) == 5 and len(found["layers"]) == 1
     assert [one["chosen"] for one in found["tubes"]] == [True] and len(found["entries"]) >= 1
@@ -152,7 +152,7 @@ def test_a_needle_picked_beside_every_tube_is_an_error_of_the_scan(session):
     assert found["error"]["where"].startswith("needle_x_mm") and found["axis"] is None
 
 
-def test_scans_are_told_from_other_targets(tmp_path, monkeypatch):
+def test_targets_that_are_scans_are_recognised(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text("")
     (tmp_path / "run").mkdir()
@@ -187,7 +187,7 @@ def visit(test):
 
 
 @visit
-async def test_only_the_page_with_its_token_is_answered(session):
+async def test_requests_without_the_token_are_refused(session):
     async with served(session) as (access, client):
         base = f"http://127.0.0.1:{access.port}"
         async with client.get(base) as answer:

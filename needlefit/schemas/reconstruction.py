@@ -100,7 +100,7 @@ class ReconstructionEntryRecord(Record):
     """Bending plane where no bevel direction is stated: from the bevel or from the shape."""
 
 
-class GuideRecord(Record):
+class GuidePlateRecord(Record):
     """A plate, template or wall of soft material through which the needle is guided to the tissue."""
 
     thickness_mm: float | None = Field(default=None, ge=0)
@@ -131,7 +131,7 @@ class ReconstructionRecord(FileRecord):
     """Radiopaque markers."""
     entry: ReconstructionEntryRecord = ReconstructionEntryRecord()
     """Entry pose and bending plane."""
-    guide: GuideRecord = GuideRecord()
+    guide: GuidePlateRecord = GuidePlateRecord()
     """What guides the needle to the tissue."""
     layers: LayersRecord = LayersRecord()
     """Surfaces of the layers."""

@@ -33,7 +33,7 @@ WINDOW_HU = 700.0
 
 
 @dataclass
-class _Scene:
+class _SlicerScene:
     """The nodes of a scene and the folder of its files."""
 
     folder: Path
@@ -82,7 +82,9 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
     """
     marked = mark_voxels(one, volume.grid, diameter)
     with TemporaryDirectory(prefix="needlefit-") as folder:
-        scene = _Scene(Path(folder) / "Data", ElementTree.Element("MRML", version="Slicer5.0.0", userTags=""))
+        scene = _SlicerScene(
+            Path(folder) / "Data", ElementTree.Element("MRML", version="Slicer5.0.0", userTags="")
+        )
         scene.folder.mkdir()
         _add_volume(scene, one, volume)
         for number, (markups, style) in enumerate(make_scan_markups(one), start=1):
@@ -96,7 +98,7 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
             _bundle(Path(folder), one.scan.id, fresh)
 
 
-def _add_volume(scene: _Scene, one: Reconstruction, volume: Volume) -> None:
+def _add_volume(scene: _SlicerScene, one: Reconstruction, volume: Volume) -> None:
     write_volume(volume, scene.folder / "scan.nrrd")
     level = median_tissue_hu(volume)
     shown = {
@@ -115,7 +117,7 @@ def _add_volume(scene: _Scene, one: Reconstruction, volume: Volume) -> None:
     ElementTree.SubElement(scene.root, "Selection", {**selected, "references": f"ActiveVolume:{volume_id};"})
 
 
-def _add_markups(scene: _Scene, markups: Markups, style: CurveStyle, file: str) -> None:
+def _add_markups(scene: _SlicerScene, markups: Markups, style: CurveStyle, file: str) -> None:
     write_mrk_json(scene.folder / file, [(markups, style)])
     parts = _Parts(
         ("MarkupsJsonStorage", "vtkMRMLMarkupsJsonStorageNode"),
@@ -127,7 +129,7 @@ def _add_markups(scene: _Scene, markups: Markups, style: CurveStyle, file: str) 
     scene.add_stored((kind, f"vtkMRML{kind}Node"), markups.name, file, parts)
 
 
-def _add_surfaces(scene: _Scene, one: Reconstruction) -> None:
+def _add_surfaces(scene: _SlicerScene, one: Reconstruction) -> None:
     """Add the open surfaces of the layers; closed ones are segments."""
     sheets = [surface for surface in layers_in_patient(one) if surface.kind == "sheet"]
     for number, sheet in enumerate(sheets, start=1):
@@ -143,7 +145,7 @@ def _add_surfaces(scene: _Scene, one: Reconstruction) -> None:
         scene.add_stored(("Model", "vtkMRMLModelNode"), name, file, parts)
 
 
-def _add_segmentation(scene: _Scene, one: Reconstruction, volume: Volume, marked: MarkedVoxels) -> None:
+def _add_segmentation(scene: _SlicerScene, one: Reconstruction, volume: Volume, marked: MarkedVoxels) -> None:
     write_slicer_segmentation(marked, volume.grid, scene.folder / "segmentation.seg.nrrd")
     parts = _Parts(
         ("SegmentationStorage", "vtkMRMLSegmentationStorageNode"),

@@ -12,7 +12,7 @@ from needlefit.imaging.needle.segmentation import Component, find_tubes, princip
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MIN_RIVAL_RATIO = 0.6
+MIN_SECOND_NEEDLE_RATIO = 0.6
 """A second tube of at least this part of the needle's length and brightness may be the needle, too."""
 
 CLEAR_WIDTH_RATIO = 1.5
@@ -97,19 +97,19 @@ def _choose_at(volume: Volume, tubes: Sequence[Component], point: Floats) -> Com
 def _choose_longest(volume: Volume, tubes: Sequence[Component], diameter: float) -> Component:
     """Return the longest tube, unless another one of nearly its length is nearer to the diameter."""
     first = tubes[0]
-    level = MIN_RIVAL_RATIO * _mean_hu(volume, first)
-    rivals = [
+    level = MIN_SECOND_NEEDLE_RATIO * _mean_hu(volume, first)
+    alternatives = [
         part
         for part in tubes
-        if part.length >= MIN_RIVAL_RATIO * first.length and _mean_hu(volume, part) >= level
+        if part.length >= MIN_SECOND_NEEDLE_RATIO * first.length and _mean_hu(volume, part) >= level
     ]
-    rivals.sort(key=lambda part: abs(np.log(part.width / diameter)))
-    if len(rivals) == 1:
+    alternatives.sort(key=lambda part: abs(np.log(part.width / diameter)))
+    if len(alternatives) == 1:
         return first
-    if _miss(rivals[1], diameter) >= CLEAR_WIDTH_RATIO * _miss(rivals[0], diameter):
-        return rivals[0]
+    if _miss(alternatives[1], diameter) >= CLEAR_WIDTH_RATIO * _miss(alternatives[0], diameter):
+        return alternatives[0]
     raise DataError(
-        f"{len(rivals)} needles: {'; '.join(describe_tube(volume, part) for part in rivals)}",
+        f"{len(alternatives)} needles: {'; '.join(describe_tube(volume, part) for part in alternatives)}",
         expected="one needle",
         fix=PICK_FIX,
     )

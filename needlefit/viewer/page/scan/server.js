@@ -19,7 +19,7 @@ export async function ask(name, content = {}) {
   try {
     reason = JSON.parse(text);
   } catch {
-    // a plain text says it
+    // the answer is plain text
   }
   throw reason;
 }
