@@ -1,6 +1,6 @@
 """The result of reconstructing one scan."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -16,6 +16,29 @@ from needlefit.imaging.scan import Scan
 
 
 @dataclass(frozen=True)
+class RejectedMarker:
+    """What has about a marker's size and is none.
+
+    Attributes
+    ----------
+    center : (3,) array
+        LPS, mm.
+    diameter : float
+        Of a ball of as many voxels, mm.
+    misfit, max_misfit : float
+        Of a ball's model to it, and the largest allowed, in parts of its brightness.
+    reason : str
+        "misfit", "blur", "moved" (the fit ran away), or "edge" (the volume's face is too near).
+    """
+
+    center: Floats
+    diameter: float
+    misfit: float
+    max_misfit: float
+    reason: Literal["misfit", "blur", "moved", "edge"]
+
+
+@dataclass(frozen=True)
 class MarkerResult:
     """The markers found in the scan.
 
@@ -27,11 +50,17 @@ class MarkerResult:
         Deviation in any one direction, mm.
     source : str
         "volume", or "fiducials": placed by hand.
+    misfits : (M,) array
+        Of the balls' model, in parts of their brightness; empty for fiducials.
+    rejected : tuple of RejectedMarker
+        Other candidates in the volume.
     """
 
     centers: Floats
     sd: Floats
     source: Literal["volume", "fiducials"]
+    misfits: Floats = field(default_factory=lambda: np.empty(0))
+    rejected: tuple[RejectedMarker, ...] = ()
 
 
 @dataclass(frozen=True)
