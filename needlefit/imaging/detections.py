@@ -63,8 +63,8 @@ class Detections:
 def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detections:
     """Detect needle and markers in a volume."""
     needle = _find_needle(volume, scan, recipe)
-    needle_axis = trace_needle(volume, needle, recipe)
     markers = _find_markers(volume, needle, scan, recipe)
+    needle_axis = trace_needle(volume, needle, recipe, None if markers is None else markers.spread)
     registration = None
     if markers is not None and scan.markers is not None:
         registration = _register_markers(markers, scan.markers, recipe)

@@ -14,6 +14,7 @@ from needlefit.imaging.marker_blobs import find_blobs
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.registration.mirror_check import check_axis_signs
 from needlefit.imaging.sphere_fit import MAX_BLUR_MM, SphereFit, fit_sphere
+from needlefit.imaging.sphere_profile import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord
 
@@ -61,13 +62,18 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
         else:
             limit = max_misfit(ball, rules)
             rejected.append(RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason))
-    return MarkerResult(
-        np.array([ball.center for ball in balls]).reshape(-1, 3),
-        np.array([ball.sd for ball in balls]),
-        "volume",
-        np.array([ball.misfit for ball in balls]),
-        tuple(_without_balls(rejected, balls, rules)),
-    )
+    centers = np.array([ball.center for ball in balls]).reshape(-1, 3)
+    sd, misfits = np.array([ball.sd for ball in balls]), np.array([ball.misfit for ball in balls])
+    others = tuple(_without_balls(rejected, balls, rules))
+    return MarkerResult(centers, sd, "volume", misfits, others, _median_spread(balls))
+
+
+def _median_spread(balls: list[SphereFit]) -> PointSpread | None:
+    """Return the point spread that balls show, the median of each quantity; None without balls."""
+    if not balls:
+        return None
+    values = np.array([(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls])
+    return PointSpread(*np.median(values, axis=0).tolist())
 
 
 def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
@@ -161,7 +167,7 @@ def _move_to_balls(given: MarkerResult, balls: MarkerResult, reach: float) -> Ma
         mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)
         centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
         apart[mark], apart[:, ball] = np.inf, np.inf
-    return MarkerResult(centers, sd, given.source)
+    return MarkerResult(centers, sd, given.source, spread=balls.spread)
 
 
 def _refuse_outside(given: MarkerResult, volume: Volume) -> None:
@@ -196,7 +202,7 @@ def _find_fault(
     if np.linalg.norm(ball.center - middle) >= rules.diameter_mm / 2:
         return "moved"
     # a blur at its upper bound means that the fit did not find a ball
-    if ball.blur >= 0.99 * MAX_BLUR_MM:
+    if ball.spread.blur >= 0.99 * MAX_BLUR_MM:
         return "blur"
     return "misfit" if ball.misfit > max_misfit(ball, rules) else None
 

@@ -13,6 +13,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.registration.register import Registration
 from needlefit.imaging.scan import Scan
+from needlefit.imaging.sphere_profile import PointSpread
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class MarkerResult:
         Of the balls' model, in parts of their brightness; empty for fiducials.
     rejected : tuple of RejectedMarker
         Other candidates in the volume.
+    spread : PointSpread or None
+        The scanner's, as the balls show it.
     """
 
     centers: Floats
@@ -61,6 +64,7 @@ class MarkerResult:
     source: Literal["volume", "fiducials"]
     misfits: Floats = field(default_factory=lambda: np.empty(0))
     rejected: tuple[RejectedMarker, ...] = ()
+    spread: PointSpread | None = None
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,9 @@ from needlefit.imaging.sphere_profile import (
     ALONG,
     BALL,
     SHORTFALL,
+    PointSpread,
     SphereTables,
+    expected_slice_blur,
     look_up,
 )
 from needlefit.imaging.volume import Volume, to_patient
@@ -185,12 +187,7 @@ PRIOR_COLUMNS = [HEIGHT, DARK, BLUR, BOOST, SLICE]
 PRIOR_MEANS = np.array([np.log(1e4), -0.1, np.log(0.45), 0.5])
 PRIOR_SD = np.array([1.0, 0.2, 0.3, 1.0, 0.3])
 """What is known before: metal and glass lie between 2 000 and 50 000 HU; scanners' kernels; the slices' blur
-is `SLICE_BLUR_RATIO` of their distance, or as wide as pixels are blurred if that is less."""
-
-SLICE_BLUR_RATIO = 0.35
-"""Deviation of a slice's profile over the slices' distance: a box has 0.29, helical scans more."""
-
-MIN_PRIOR_SLICE_BLUR_MM = 0.25
+is that of `expected_slice_blur`."""
 
 CORRELATION_LENGTH_MM = 1.0
 """Errors of voxels farther apart than this are unrelated, mm."""
@@ -217,8 +214,8 @@ class SphereFit:
         LPS, mm.
     sd : float
         Deviation in any one direction, mm.
-    blur : float
-        Deviation of the blur in the slices, mm.
+    spread : PointSpread
+        With which it is blurred.
     misfit, noise : float
         Root mean square of what the fit leaves in and at the ball, and the deviation of the noise around it,
         in parts of the ball's height as shown.
@@ -226,7 +223,7 @@ class SphereFit:
 
     center: Floats
     sd: float
-    blur: float
+    spread: PointSpread
     misfit: float
     noise: float
 
@@ -249,7 +246,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     return SphereFit(
         center=to_patient(volume, (blob.voxels.mean(axis=0) + theta[CENTER] / volume.spacing)[None])[0],
         sd=float(np.linalg.norm([formal, _systematic_sd(near, radius, misfit, blur), SYSTEMATIC_SD_MM])),
-        blur=blur,
+        spread=PointSpread(blur, float(theta[BOOST]), float(np.exp(theta[SLICE]))),
         misfit=misfit,
         noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
     )
@@ -317,20 +314,19 @@ def _guess_parameters(near: SphereVoxels, radius: float) -> Floats:
     steep = min(2.5 * size / step, 1.7)
     share = float(np.clip((values.mean() - low) / step, 0.02, 0.98))
     face = float(np.quantile(places @ slope / size, 1 - share))
-    begin = [np.log(max(1.5 * peak, 100.0)), *PRIOR_MEANS[1:], _expected_slice_blur(near)]
+    begin = [
+        np.log(max(1.5 * peak, 100.0)),
+        *PRIOR_MEANS[1:],
+        np.log(expected_slice_blur(float(near.spacing[2]))),
+    ]
     return np.array([0.0, 0.0, 0.0, *begin, low, step, *(steep * slope / size), -steep * face])
-
-
-def _expected_slice_blur(near: SphereVoxels) -> float:
-    """Return the logarithm of the blur across the slices that their distance lets one expect, mm."""
-    return float(np.log(max(SLICE_BLUR_RATIO * near.spacing[2], MIN_PRIOR_SLICE_BLUR_MM)))
 
 
 def _minimize(
     near: SphereVoxels, tables: SphereTables, first: Floats, noise: float, *, robust: bool
 ) -> OptimizeResult:
     """Return the least squares from `first`, in deviations of the noise (HU); what is known comes last."""
-    means = np.append(PRIOR_MEANS, _expected_slice_blur(near))
+    means = np.append(PRIOR_MEANS, np.log(expected_slice_blur(float(near.spacing[2]))))
     held = np.zeros((len(PRIOR_COLUMNS), len(first)))
     held[np.arange(len(PRIOR_COLUMNS)), PRIOR_COLUMNS] = 1 / PRIOR_SD
 

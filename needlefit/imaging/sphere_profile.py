@@ -34,6 +34,25 @@ and along, over these distances, 1/mm^2, and by the logarithm of the blur in the
 of the blur across them."""
 
 
+SLICE_BLUR_RATIO, MIN_EXPECTED_SLICE_BLUR_MM = 0.33, 0.2
+"""Deviation of a slice's profile over the slices' distance, and the least: a box has 0.29, helical scans
+more."""
+
+
+def expected_slice_blur(distance: float) -> float:
+    """Return the blur across slices that their `distance` lets one expect, mm."""
+    return max(SLICE_BLUR_RATIO * distance, MIN_EXPECTED_SLICE_BLUR_MM)
+
+
+@dataclass(frozen=True)
+class PointSpread:
+    """A scanner's point spread: deviations `blur` and `slice_blur` (mm) in and across slices, and `boost`."""
+
+    blur: float
+    boost: float
+    slice_blur: float
+
+
 @dataclass(frozen=True)
 class SphereTables:
     """Tables of balls of `radius` out to `reach`, for blurs in and across slices from `min_blur` on; mm."""

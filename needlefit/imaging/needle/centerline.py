@@ -27,7 +27,9 @@ from needlefit.imaging.needle.axis_spline import (
     select_sections,
 )
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.tip import TipFit, bevel_length, fit_tip
+from needlefit.imaging.needle.tip import TipFit, TipSource, fit_tip
+from needlefit.imaging.needle.tip_problem import bevel_length
+from needlefit.imaging.sphere_profile import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -68,10 +70,14 @@ class Centerline:
     tip_sd : (2,) array
         Standard deviation of the tip along the needle, and in any one direction across, mm.
     bevel : (3,) array
-        Unit vector across the needle to the side of the bevel's point; nan for a blunt needle. In half of all
-        synthetic scans within 3 degrees of the truth, in 95 % within 11; with streaks within 9 and, as one in
-        twenty is off by 30 to 90, no bound: prefer a bending plane that is known otherwise
-        (`benchmarks/reconstruction.py`).
+        Unit vector across the needle to the side of the bevel's point; nan for a blunt needle, and where the
+        scan does not show the side.
+    bevel_probability : float
+        That the side seen is right, within 90 degrees; nan for a blunt needle.
+    tip_disagreement : float
+        By how much a threshold sees the needle end later than the fitted model ends, mm.
+    tip_source : str
+        "model", or "threshold" where the model's tip was not to be trusted.
     sections_s : (S,) array
         Where along the needle cross-sections were taken, mm from its first point.
     residuals : (S, 3) array
@@ -88,10 +94,15 @@ class Centerline:
     sections_s: Floats
     residuals: Floats
     sections: SplineSections | None = None
+    bevel_probability: float = np.nan
+    tip_disagreement: float = 0.0
+    tip_source: TipSource = "model"
 
 
-def trace_needle(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
-    """Trace the axis of the needle whose voxels are `component`.
+def trace_needle(
+    volume: Volume, component: Component, recipe: ReconstructionRecord, spread: PointSpread | None = None
+) -> Centerline:
+    """Trace the axis of the needle whose voxels are `component`; `spread` is the scanner's, if it is known.
 
     Raises
     ------
@@ -101,9 +112,9 @@ def trace_needle(volume: Volume, component: Component, recipe: ReconstructionRec
     axis = orient_axis(volume, fit_rough_axis(volume, component, recipe), recipe)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     axis = refine_axis(volume, axis, recipe, heel)
-    end = fit_tip(volume, axis, recipe.needle, axis.length + heel)
+    end = fit_tip(volume, axis, recipe.needle, axis.length + heel, spread, rough=True)
     axis = refine_axis(volume, axis, recipe, heel, end.at)
-    end = fit_tip(volume, axis, recipe.needle, end.at)
+    end = fit_tip(volume, axis, recipe.needle, end.at, spread)
     return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
 
 
@@ -232,7 +243,19 @@ def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionReco
         sigma=float(np.sqrt(axis.variance)),
         shared_sd=float(np.hypot(axis.shared_sd, SYSTEMATIC_SD_MM)),
     )
-    return Centerline(points, sd, points[-1], tip_sd, end.bevel, sections, beside, drawn)
+    return Centerline(
+        points,
+        sd,
+        points[-1],
+        tip_sd,
+        end.bevel,
+        sections,
+        beside,
+        drawn,
+        end.bevel_probability,
+        end.disagreement,
+        end.source,
+    )
 
 
 def _too_few_sections_error(count: int) -> DataError:
