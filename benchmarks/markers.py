@@ -49,7 +49,7 @@ def draw(kind: str, odd: bool, rng: np.random.Generator, shape: tuple[int, int, 
     grid = case.scanner.grid
     if odd:
         spacing = rng.uniform(0.3, 1.0, 3)
-        size = np.ceil(np.array(grid.shape) * grid.spacing / spacing).astype(int)
+        size = np.ceil(np.array(grid.size) * grid.spacing / spacing).astype(int)
         grid = VoxelGrid((int(size[0]), int(size[1]), int(size[2])), grid.origin, spacing, grid.direction)
     balls = SceneMarkers(_centers(case, grid, rng), hu=rng.uniform(GLASS, TUNGSTEN))
     scanner = replace(case.scanner, grid=grid)
@@ -58,7 +58,7 @@ def draw(kind: str, odd: bool, rng: np.random.Generator, shape: tuple[int, int, 
 
 def _centers(case: Case, grid: VoxelGrid, rng: np.random.Generator) -> Floats:
     """Return places in view, clear of needle, table and each other (`BALLS`, 3)."""
-    size = np.array(grid.shape) * grid.spacing
+    size = np.array(grid.size) * grid.spacing
     needle, box, table = cKDTree(densify(case.axis)), case.scene.box, case.scene.table
     found: list[Floats] = []
     while len(found) < BALLS:

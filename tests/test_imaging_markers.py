@@ -6,14 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ct_cases import ENTRY, RECIPE, SHAPE, SPACING, axis, grid, recipe, scan
+from scipy.ndimage import gaussian_filter, uniform_filter1d
 from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
+from needlefit.imaging.markers import (
+    describe_candidates,
+    find_markers,
+    read_fiducials,
+    read_markers,
+    refine_fiducials,
+)
 from needlefit.imaging.needle.selection import segment_needle
 from needlefit.imaging.registration.register import register
-from needlefit.imaging.sphere_fit import SphereVoxels, blurred_profile, render_sphere
+from needlefit.imaging.sphere_fit import SphereVoxels, render_sphere
+from needlefit.imaging.sphere_profile import BALL, BOX_PART, SHORTFALL, SphereTables, look_up
 from needlefit.imaging.volume import Volume
 from needlefit.synthetic.ct_scene import ScannerTable, SceneMarkers
 
@@ -144,6 +152,19 @@ def test_balls_of_another_size_are_none(plain):
     assert len(find_markers(with_balls(radius=0.8), RECIPE).centers) == 0
 
 
+def test_what_is_no_ball_is_listed_with_its_misfit(plain):
+    larger = recipe(markers={"diameter_mm": 4.0})
+    none = find_markers(plain, larger, needle_of(plain))
+    assert len(none.centers) == 0
+    assert [one.reason for one in none.rejected] == ["misfit"] * 4
+    assert all(one.misfit > one.max_misfit for one in none.rejected)
+    seen = describe_candidates(none, larger)
+    assert "4 other" in seen
+    assert f"{min(one.misfit for one in none.rejected):.2f}" in seen
+    lenient = recipe(markers={"diameter_mm": 4.0, "max_misfit": 0.4})
+    assert off(find_markers(plain, lenient, needle_of(plain))).max() < 0.05
+
+
 def test_threshold_of_the_recipe(plain):
     assert off(find_markers(plain, recipe(markers={"threshold_hu": 1500.0}))).max() < 0.03
     with pytest.raises(DataError, match="exceed 5000 HU") as caught:
@@ -162,29 +183,58 @@ def test_nothing_bright_enough_is_an_error():
     assert caught.value.fix
 
 
-def test_profile_of_the_blurred_ball():
-    # by hand: an unblurred ball is 1 inside and 0 outside; a flat face would be half way up
-    r = np.array([0.5, 1.4, 1.6, 3.0])
-    np.testing.assert_allclose(blurred_profile(r, 1.5, 1e-3), [1, 1, 0, 0], atol=1e-12)
-    assert blurred_profile(np.array([50.0]), 50.0, 0.5)[0] == pytest.approx(0.5, abs=0.01)
-    # the blur keeps the volume: 4/3 pi 1.5^3
-    fine = np.arange(0.005, 8, 0.01)
-    volume = np.sum(4 * np.pi * fine**2 * blurred_profile(fine, 1.5, 0.6)) * 0.01
-    assert volume == pytest.approx(4 / 3 * np.pi * 1.5**3, rel=1e-4)
+def fine_image(profile, blur, slice_blur):
+    """A ball's profile on a fine grid, blurred by filters in space: across x along, from its middle."""
+    step = 0.1
+    steps = np.arange(-45, 46) * step
+    r = np.sqrt(sum(x**2 for x in np.meshgrid(steps, steps, steps, indexing="ij")))
+    sigmas = np.array([blur, blur, slice_blur * np.sqrt(1 - BOX_PART)]) / step
+    box = uniform_filter1d(gaussian_filter(profile(r), sigmas), 9, axis=2)
+    return box[45, 45:, 45:], 9 * step / np.sqrt(12 * BOX_PART)
+
+
+def test_tables_show_the_blurred_ball_and_its_shortfall():
+    def soft_ball(r):
+        return np.clip((1.5 - r) / 0.1 + 0.5, 0, 1)
+
+    def shortfall(r):
+        return np.sqrt(np.clip(1 - r**2 / 1.5**2, 0, None))
+
+    slice_blur = 0.9 / np.sqrt(12 * BOX_PART)
+    tables = SphereTables(1.5, 4.0, (0.15, 0.1)).render(-0.3, 0.4, 0.0, slice_blur)
+    places = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
+    for table, profile in ((BALL, soft_ball), (SHORTFALL, shortfall)):
+        expected, width = fine_image(profile, 0.4, slice_blur)
+        assert width == pytest.approx(slice_blur)
+        at = np.rint(places / 0.1).astype(int)
+        np.testing.assert_allclose(look_up(tables[table], places, 0 * places), expected[at, 0], atol=0.01)
+        np.testing.assert_allclose(look_up(tables[table], 0 * places, places), expected[0, at], atol=0.01)
+
+
+def test_a_boosted_kernel_keeps_the_volume_and_undershoots():
+    plain, boosted = (SphereTables(1.5, 5.0, (0.15, 0.1)).render(0.0, 0.4, b, 0.3)[BALL] for b in (0, 3))
+    fine = np.arange(0.005, 4.5, 0.01)
+    across, along = (x.ravel() for x in np.meshgrid(fine, fine, indexing="ij"))
+    masses = [np.sum(2 * np.pi * across * look_up(t, across, along)) * 2e-4 for t in (plain, boosted)]
+    assert masses == pytest.approx([4 / 3 * np.pi * 1.5**3] * 2, rel=0.01)
+    assert look_up(boosted, fine, 0 * fine).min() < -0.05
+    assert look_up(plain, fine, 0 * fine).min() > -0.005
 
 
 def test_derivatives_of_the_model_are_those_of_the_model():
     rng = np.random.default_rng(2)
-    near = SphereVoxels(rng.uniform(-3, 3, (200, 3)), np.zeros(200), np.array([0.4, 0.5, 0.9]), np.inf)
-    theta = np.array([0.1, -0.2, 0.15, 8.0, -0.8, -900.0, 950.0, 0.5, -0.4, 0.9, 0.3])
+    places, spacing = rng.uniform(-3, 3, (200, 3)), np.array([0.4, 0.5, 0.9])
+    near, tables = (
+        SphereVoxels(places, np.zeros(200), spacing, -np.inf, np.inf),
+        SphereTables(1.5, 8, (0.15, 0.1)),
+    )
+    theta = np.array([0.1, -0.2, 0.15, 8.0, -0.2, -0.8, 0.7, -0.9, -900.0, 950.0, 0.5, -0.4, 0.9, 0.3])
     for n in range(len(theta)):
         h = 1e-4 * max(1.0, abs(theta[n]))
         step = np.eye(len(theta))[n] * h
-        difference = (
-            render_sphere(near, 1.5, theta + step)[0] - render_sphere(near, 1.5, theta - step)[0]
-        ) / (2 * h)
-        mine = render_sphere(near, 1.5, theta)[1][:, n]
-        assert np.abs(difference - mine).max() <= 0.01 * np.abs(mine).max()
+        up, down = (render_sphere(near, tables, theta + sign * step)[0] for sign in (1, -1))
+        mine = render_sphere(near, tables, theta)[1][:, n]
+        assert np.abs((up - down) / (2 * h) - mine).max() <= 0.01 * np.abs(mine).max()
 
 
 # files

@@ -10,12 +10,19 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.imaging.intensity_profile import sample_profile
-from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
+from needlefit.imaging.markers import (
+    CANDIDATE_FIX,
+    describe_candidates,
+    find_markers,
+    read_fiducials,
+    read_markers,
+    refine_fiducials,
+)
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.needle.mask import read_mask_component
 from needlefit.imaging.needle.selection import NeedleSelection, select_needle
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult
-from needlefit.imaging.registration.marker_sets import KNOWN_SET
+from needlefit.imaging.registration.marker_sets import FOUND_SET, KNOWN_SET
 from needlefit.imaging.registration.register import Registration, register, scan_frame
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import Volume
@@ -61,6 +68,12 @@ def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionReco
     try:
         return register(markers.centers, places, markers.sd, recipe.markers.reference_sd_mm)
     except DataError as error:
+        if error.where == FOUND_SET:
+            seen = describe_candidates(markers, recipe)
+            fix = f"{error.fix}; {CANDIDATE_FIX}"
+            raise DataError(
+                f"{error.what}: {seen}", where=error.where, expected=error.expected, fix=fix
+            ) from None
         raise (error.at(str(known)) if error.where == KNOWN_SET else error) from None
 
 

@@ -27,8 +27,15 @@ MAX_BRIGHT_VOXELS = 4_000_000
 MIN_DIAMETER_RATIO, MAX_DIAMETER_RATIO = 0.65, 1.45
 """Diameter of a ball of as many voxels, in those of the ball sought: noise, blur and bloom change it."""
 
+MAX_BLOOM_MM = 2.0
+"""By so much a ball far brighter than the level may also look larger, mm: four deviations of a wide blur."""
+
 MAX_ELONGATION = 1.7
 """Longest over shortest extent of what may be a ball, a voxel's own extent included."""
+
+
+BLOOM_EXTENT_MM = 0.25
+"""Extent, as a deviation, mm, by which blur makes a small ball longer in the slices than across them."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +136,7 @@ def _find_blobs_at(
     size = np.bincount(labels[above], minlength=labels.max() + 1)
     low, high = (
         _voxel_count(volume, MIN_DIAMETER_RATIO * diameter),
-        _voxel_count(volume, MAX_DIAMETER_RATIO * diameter),
+        _voxel_count(volume, max(MAX_DIAMETER_RATIO * diameter, diameter + MAX_BLOOM_MM)),
     )
     fits = (size >= low) & (size <= high)
     fits[labels[forbidden & above]] = False
@@ -150,7 +157,7 @@ def _is_round(volume: Volume, blob: Blob) -> bool:
     # thickness
     moments = np.cov(steps.T, bias=True) + np.diag(volume.spacing**2) / 12
     extents = np.sqrt(np.linalg.eigvalsh(moments))
-    return bool(extents[-1] <= MAX_ELONGATION * extents[0])
+    return bool(extents[-1] <= MAX_ELONGATION * extents[0] + BLOOM_EXTENT_MM)
 
 
 def _find_touching_pairs(flat: Ints, shape: tuple[int, ...]) -> Ints:

@@ -1,6 +1,8 @@
 """Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to spheres."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -9,14 +11,15 @@ from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.errors import DataError
 from needlefit.imaging.marker_blobs import find_blobs
-from needlefit.imaging.reconstruction import MarkerResult
+from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.registration.mirror_check import check_axis_signs
 from needlefit.imaging.sphere_fit import MAX_BLUR_MM, SphereFit, fit_sphere
+from needlefit.imaging.sphere_profile import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord
 
-MAX_RELATIVE_MISFIT = 0.15
-"""What fits worse, in parts of its height, is no ball of this size."""
+MAX_MISFIT_NOISE = 1.5
+"""A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`."""
 
 MAX_FIDUCIAL_SD = 2.0
 """A fiducial may be off by so many of its deviations."""
@@ -44,6 +47,7 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
     rules = recipe.markers
     tried: list[Floats] = []
     balls: list[SphereFit] = []
+    rejected: list[RejectedMarker] = []
     for blob in find_blobs(volume, rules.diameter_mm, rules.threshold_hu, exclude):
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
         # the same ball appears at several levels: it is fitted once
@@ -51,12 +55,58 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
             continue
         tried.append(middle)
         ball = fit_sphere(volume, blob, rules.diameter_mm / 2)
-        moved = float(np.linalg.norm(ball.center - middle))
-        if moved < rules.diameter_mm / 2 and _is_marker(volume, ball, rules):
+        reason = _find_fault(volume, ball, middle, rules)
+        if reason is None:
             tried.append(ball.center)
             balls.append(ball)
+        else:
+            limit = max_misfit(ball, rules)
+            rejected.append(RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason))
     centers = np.array([ball.center for ball in balls]).reshape(-1, 3)
-    return MarkerResult(centers, np.array([ball.sd for ball in balls]), "volume")
+    sd, misfits = np.array([ball.sd for ball in balls]), np.array([ball.misfit for ball in balls])
+    others = tuple(_without_balls(rejected, balls, rules))
+    return MarkerResult(centers, sd, "volume", misfits, others, _median_spread(balls))
+
+
+def _median_spread(balls: list[SphereFit]) -> PointSpread | None:
+    """Return the point spread that balls show, the median of each quantity; None without balls."""
+    if not balls:
+        return None
+    values = np.array([(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls])
+    return PointSpread(*np.median(values, axis=0).tolist())
+
+
+def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
+    """Return a sentence about what was seen where balls were looked for."""
+    rules = recipe.markers
+    if found.source == "fiducials":
+        return f"{len(found.centers)} fiducials were placed by hand"
+    what = f"{len(found.centers)} balls of {rules.diameter_mm:g} mm were found"
+    if len(found.misfits):
+        what += f" (misfit {found.misfits.min():.2f} to {found.misfits.max():.2f})"
+    nearest = sorted(found.rejected, key=lambda one: one.misfit / one.max_misfit)[:MAX_CANDIDATES_NAMED]
+    if not found.rejected:
+        return f"{what}, nothing else of about that size"
+    others = "; ".join(
+        f"{one.diameter:.1f} mm wide at L, P, S = {', '.join(f'{x:.0f}' for x in one.center)}: "
+        f"{REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)}"
+        for one in nearest
+    )
+    return f"{what}; {len(found.rejected)} other candidates, the most similar {others}"
+
+
+REASONS = {
+    "misfit": "misfit {misfit:.2f}, at most {limit:.2f} allowed",
+    "blur": "no ball of this size explains it",
+    "moved": "no ball of this size explains it",
+    "edge": "cut by the volume's face",
+}
+MAX_CANDIDATES_NAMED = 3
+
+CANDIDATE_FIX = (
+    "correct markers.diameter_mm, raise markers.max_misfit if the balls named are the markers, or place "
+    "fiducials by hand"
+)
 
 
 def read_markers(path: Path) -> Floats:
@@ -117,7 +167,7 @@ def _move_to_balls(given: MarkerResult, balls: MarkerResult, reach: float) -> Ma
         mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)
         centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
         apart[mark], apart[:, ball] = np.inf, np.inf
-    return MarkerResult(centers, sd, given.source)
+    return MarkerResult(centers, sd, given.source, spread=balls.spread)
 
 
 def _refuse_outside(given: MarkerResult, volume: Volume) -> None:
@@ -135,17 +185,34 @@ def _refuse_outside(given: MarkerResult, volume: Volume) -> None:
     )
 
 
-def _is_marker(volume: Volume, ball: SphereFit, rules: MarkersRecord) -> bool:
-    """Whether a fit shows a ball, the whole of it in the volume."""
+def max_misfit(ball: SphereFit, rules: MarkersRecord) -> float:
+    """Return the misfit up to which a fit shows a ball: the recipe's, and what the noise around it leaves."""
+    return float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
+
+
+def _find_fault(
+    volume: Volume, ball: SphereFit, middle: Floats, rules: MarkersRecord
+) -> Literal["misfit", "blur", "moved", "edge"] | None:
+    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; None if it does."""
     index = to_index(volume, ball.center[None])[0]
     last = np.array(volume.values.shape[::-1]) - 1
     margin = float((np.minimum(index, last - index) * volume.spacing).min())
-    return (
-        ball.misfit <= MAX_RELATIVE_MISFIT
-        # a blur at its upper bound means that the fit did not find a ball
-        and ball.blur < 0.99 * MAX_BLUR_MM
-        and margin >= rules.diameter_mm / 2
-    )
+    if margin < rules.diameter_mm / 2:
+        return "edge"
+    if np.linalg.norm(ball.center - middle) >= rules.diameter_mm / 2:
+        return "moved"
+    # a blur at its upper bound means that the fit did not find a ball
+    if ball.spread.blur >= 0.99 * MAX_BLUR_MM:
+        return "blur"
+    return "misfit" if ball.misfit > max_misfit(ball, rules) else None
+
+
+def _without_balls(
+    rejected: list[RejectedMarker], balls: list[SphereFit], rules: MarkersRecord
+) -> Iterator[RejectedMarker]:
+    """Yield those that are no other view of a ball that was found."""
+    centers = [ball.center for ball in balls]
+    yield from (one for one in rejected if not _is_near(one.center, centers, rules.diameter_mm / 2))
 
 
 def _is_near(point: Floats, others: list[Floats], reach: float) -> bool:

@@ -80,11 +80,12 @@ def examine(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Examina
     if scan.mask is None:
         steps.take(lambda: require_hounsfield(volume, str(scan.volume)))
     selection = steps.take(lambda: find_needle(volume, scan, recipe))
-    axis = voxels = None
-    if selection is not None:
-        needle, voxels = selection.needle, selection.needle.voxels
-        axis = steps.take(lambda: trace_needle(volume, needle, recipe, scan.tip))
+    voxels = None if selection is None else selection.needle.voxels
     markers = steps.take(lambda: find_scan_markers(volume, voxels, scan, recipe))
+    axis = None
+    if selection is not None:
+        needle, spread = selection.needle, None if markers is None else markers.spread
+        axis = steps.take(lambda: trace_needle(volume, needle, recipe, spread, scan.tip))
     registration = None
     if markers is not None and scan.markers is not None:
         known = scan.markers

@@ -1,6 +1,6 @@
 """The result of reconstructing one scan."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,30 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.registration.register import Registration
 from needlefit.imaging.scan import Scan
+from needlefit.imaging.sphere_profile import PointSpread
+
+
+@dataclass(frozen=True)
+class RejectedMarker:
+    """What has about a marker's size and is none.
+
+    Attributes
+    ----------
+    center : (3,) array
+        LPS, mm.
+    diameter : float
+        Of a ball of as many voxels, mm.
+    misfit, max_misfit : float
+        Of a ball's model to it, and the largest allowed, in parts of its brightness.
+    reason : str
+        "misfit", "blur", "moved" (the fit ran away), or "edge" (the volume's face is too near).
+    """
+
+    center: Floats
+    diameter: float
+    misfit: float
+    max_misfit: float
+    reason: Literal["misfit", "blur", "moved", "edge"]
 
 
 @dataclass(frozen=True)
@@ -27,11 +51,20 @@ class MarkerResult:
         Deviation in any one direction, mm.
     source : str
         "volume", or "fiducials": placed by hand.
+    misfits : (M,) array
+        Of the balls' model, in parts of their brightness; empty for fiducials.
+    rejected : tuple of RejectedMarker
+        Other candidates in the volume.
+    spread : PointSpread or None
+        The scanner's, as the balls show it.
     """
 
     centers: Floats
     sd: Floats
     source: Literal["volume", "fiducials"]
+    misfits: Floats = field(default_factory=lambda: np.empty(0))
+    rejected: tuple[RejectedMarker, ...] = ()
+    spread: PointSpread | None = None
 
 
 @dataclass(frozen=True)

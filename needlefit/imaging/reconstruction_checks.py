@@ -26,21 +26,62 @@ MAX_BEVEL_ANGLE_DEG = 30.0
 MAX_PLANE_SD_DEG = 20.0
 """Deviation of the bending plane, degrees, from which on a shape does not tell it."""
 
+MAX_TIP_SD_MM = 0.5
+"""Deviation of the tip along the needle, mm, that is spoken of."""
+
+MAX_DEPTH_SD_MM = 2.0
+"""Deviation of the inserted length, mm, beyond which a scan is refused."""
+
 MAX_LAYER_SD_MM = 0.5
 """Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply."""
 
 
 def collect_warnings(one: Reconstruction) -> tuple[str, ...]:
-    """Return the warnings about a reconstruction, the most important first."""
+    """Return the warnings about a reconstruction, the most important first.
+
+    Raises
+    ------
+    DataError
+        If the inserted length is not known to `MAX_DEPTH_SD_MM`.
+    """
+    _refuse_unknown_depth(one)
     found = () if one.registration is None else one.registration.warnings
     return (
+        *_tip_warnings(one),
         *found,
         *_registration_warnings(one),
         *_placed_warnings(one),
         *_entry_warnings(one),
         *_plane_warnings(one),
         *_layer_warnings(one),
+        *_bevel_warnings(one),
     )
+
+
+def _refuse_unknown_depth(one: Reconstruction) -> None:
+    if one.depth_sd <= MAX_DEPTH_SD_MM:
+        return
+    tip, entry = float(one.needle_axis.tip_sd[0]), one.pose.along_sd
+    raise DataError(
+        f"the inserted length is known to +- {one.depth_sd:.2g} mm only (tip {tip:.2g}, entry {entry:.2g})",
+        where=str(one.scan.volume),
+        expected=f"+- {MAX_DEPTH_SD_MM:g} mm or less",
+        fix="state the stage or the tissue's own surface (into = 1) if the entry is not known; if the tip is "
+        "not, scan it away from other metal, or with thinner slices",
+    )
+
+
+def _tip_warnings(one: Reconstruction) -> list[str]:
+    needle, notes = one.needle_axis, []
+    sd = float(needle.tip_sd[0])
+    if needle.tip_source == "threshold":
+        notes.append(
+            "the model of the needle's end does not explain the scan: the tip is taken where a threshold "
+            f"sees it, {needle.tip_disagreement:+.2f} mm from there, +- {sd:.2f} mm along the needle"
+        )
+    elif sd > MAX_TIP_SD_MM:
+        notes.append(f"the tip is known to +- {sd:.2f} mm only along the needle")
+    return notes
 
 
 def _registration_warnings(one: Reconstruction) -> list[str]:
@@ -112,6 +153,14 @@ def _plane_warnings(one: Reconstruction) -> list[str]:
         if angle > MAX_BEVEL_ANGLE_DEG:
             notes.append(f"the bevel seen at the tip points {angle:.0f} degrees away from the one stated")
     return notes
+
+
+def _bevel_warnings(one: Reconstruction) -> list[str]:
+    needle = one.needle_axis
+    probability = needle.bevel_probability
+    if not np.isfinite(probability) or np.isfinite(needle.bevel).all() or one.plane == "stated":
+        return []
+    return [f"the scan does not show the bevel's side (probability {probability:.2f}): it is left open"]
 
 
 def _layer_warnings(one: Reconstruction) -> list[str]:

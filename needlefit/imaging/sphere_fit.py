@@ -1,11 +1,9 @@
-"""Fit a blurred sphere to the voxels around a marker: its centre, and the standard deviation of the centre.
+"""Fit the image of a ball to the voxels around a marker: its centre, and the centre's standard deviation.
 
-What a scanner shows of a ball beside a face of whatever it sits on.
-
-The ball is convolved with a Gaussian (closed form) and averaged over each voxel; where it is, it takes the
-place of the background. The background is two levels with a soft step between them, as a marker glued on a
-phantom has it: a ramp or one level are steps that are wide or small. All is cut where the scanner's numbers
-end.
+The ball, hardened and blurred as a scanner shows it (`sphere_profile`), takes the place of the background
+where it is. The background is two levels with a soft step between them, as a marker glued on a phantom has
+it: a ramp or one level are steps that are wide or small. All is cut where the scanner's numbers end. What the
+voxels leave open, such as the height of a ball that is cut low, is held by what is known of scanners.
 """
 
 from dataclasses import dataclass
@@ -15,18 +13,38 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
-from scipy.special import erf, ndtr
+from scipy.special import ndtr
 
 from needlefit.arrays import Floats
 from needlefit.imaging.marker_blobs import Blob
+from needlefit.imaging.sphere_profile import (
+    ACROSS,
+    ALONG,
+    BALL,
+    SHORTFALL,
+    PointSpread,
+    SphereTables,
+    expected_slice_blur,
+    look_up,
+)
 from needlefit.imaging.volume import Volume, to_patient
 
-TABLE_SPACING_MM = 0.02
-"""Spacing of the table of the ball's profile, mm."""
-
-CENTER, HEIGHT, BLUR, LEVEL, STEP, FACE, OFFSET = slice(0, 3), 3, 4, 5, 6, slice(7, 10), 10
-"""What the 11 parameters are: centre of the ball, mm; logarithms of its own HU and of its blur, mm; the
-background's lower level and its step, HU; the step's direction over its width, 1/mm, and its offset."""
+CENTER, HEIGHT, DARK, BLUR, BOOST, SLICE, LEVEL, STEP, FACE, OFFSET = (
+    slice(0, 3),
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+    slice(10, 13),
+    13,
+)
+"""What the 14 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened
+beam sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost;
+logarithm of the blur across them; the background's lower level and its step, HU; the step's direction over
+its width, 1/mm, and its offset."""
 
 
 @dataclass(frozen=True)
@@ -41,62 +59,65 @@ class SphereVoxels:
         HU.
     spacing : (3,) array
         Of the grid, mm.
-    ceiling : float
-        Where the scanner's numbers end, HU; inf if they do not.
+    floor, ceiling : float
+        Where the scanner's numbers begin and end, HU; infinite if they do not.
     """
 
     places: Floats
     values: Floats
     spacing: Floats
+    floor: float
     ceiling: float
 
 
-def render_sphere(near: SphereVoxels, radius: float, theta: Floats) -> tuple[Floats, Floats]:
-    """Return the image (N,), HU, of a ball of `radius` (mm), and its derivatives (N, 11)."""
-    part, moved, wider = _render_fraction(near, radius, theta[CENTER], float(np.exp(theta[BLUR])))
+def render_sphere(near: SphereVoxels, tables: SphereTables, theta: Floats) -> tuple[Floats, Floats]:
+    """Return the image (N,), HU, of a ball, and its derivatives (N, 14)."""
+    part, dark, moved, shaped = _render_ball(near, tables, theta)
     around, turned = _render_background(near.places, theta)
     height, void = float(np.exp(theta[HEIGHT])), 1 - part
-    over = height - around
-    shown = around + over * part
+    over = (height - around)[:, None]
+    shown = around + over[:, 0] * part
     slopes = np.column_stack(
-        [moved * over[:, None], part * height, wider * over, void, turned * void[:, None]]
+        [moved * over, height * part, over[:, 0] * dark, shaped * over, void, turned * void[:, None]]
     )
-    slopes[shown > near.ceiling] = 0.0
-    return np.minimum(shown, near.ceiling), slopes
+    slopes[(shown > near.ceiling) | (shown < near.floor)] = 0.0
+    return np.clip(shown, near.floor, near.ceiling), slopes
 
 
-def blurred_profile(r: Floats, radius: float, blur: float) -> Floats:
-    """Return a ball of height 1 convolved with a Gaussian of deviation `blur`, at distances `r` (N,) > 0."""
-    s = np.sqrt(2) * blur
-    inner, outer = (radius - r) / s, (radius + r) / s
-    rim = blur / (np.sqrt(2 * np.pi) * r) * (np.exp(-(inner**2)) - np.exp(-(outer**2)))
-    return np.asarray((erf(inner) + erf(outer)) / 2 - rim)
+def _render_ball(
+    near: SphereVoxels, tables: SphereTables, theta: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the part of each voxel (N,) that is ball, darkened in its middle, and its derivatives.
 
-
-def _render_fraction(
-    near: SphereVoxels, radius: float, center: Floats, blur: float
-) -> tuple[Floats, Floats, Floats]:
-    """Return the part of each voxel that is ball (N,), the mean of its eight Gauss points.
-
-    Also its derivatives by the centre (N, 3), 1/mm, and by the logarithm of the blur (N,).
+    These are by the shortfall (N,), the centre (N, 3), 1/mm, and blur, boost and the slices' blur (N, 3).
     """
-    r = np.arange(
-        TABLE_SPACING_MM / 2, 2 * float(np.linalg.norm(near.places, axis=1).max()) + 1, TABLE_SPACING_MM
+    all_tables = tables.render(
+        theta[DARK], float(np.exp(theta[BLUR])), theta[BOOST], float(np.exp(theta[SLICE]))
     )
-    table = blurred_profile(r, radius, blur)
-    steep, spread = (
-        np.gradient(table, TABLE_SPACING_MM),
-        (blurred_profile(r, radius, 1.001 * blur) - table) / 0.001,
-    )
-    count = len(near.places)
-    part, moved, wider = np.zeros(count), np.zeros((count, 3)), np.zeros(count)
-    for corner in np.ndindex(2, 2, 2):
-        d = near.places - center + (np.array(corner) - 0.5) * near.spacing / np.sqrt(3)
-        far = np.maximum(np.sqrt(np.einsum("ni,ni->n", d, d)), TABLE_SPACING_MM / 2)
-        part += np.interp(far, r, table) / 8
-        moved -= (np.interp(far, r, steep) / far / 8)[:, None] * d
-        wider += np.interp(far, r, spread) / 8
-    return part, moved, wider
+    offsets = _pixel_points(near.spacing)
+    total = np.zeros((len(near.places), 2 + 3 + 3))
+    for offset in offsets:
+        d = near.places - theta[CENTER] + offset
+        across = np.hypot(d[:, 0], d[:, 1])
+        along = np.abs(d[:, 2])
+        seen = [look_up(table, across, along) for table in all_tables]
+        total[:, 0] += seen[BALL]
+        total[:, 1] += seen[SHORTFALL]
+        total[:, 2:4] -= seen[ACROSS][:, None] * d[:, :2]
+        total[:, 4] -= seen[ALONG] * d[:, 2]
+        total[:, 5:] += np.column_stack(seen[ALONG + 1 :])
+    total /= len(offsets)
+    part = total[:, 0] + theta[DARK] * total[:, 1]
+    return part, total[:, 1], total[:, 2:5], total[:, 5:]
+
+
+def _pixel_points(spacing: Floats) -> Floats:
+    """Return points (P, 3), mm, over which a voxel is averaged: pixels are oblong in resampled scans only."""
+    if abs(spacing[0] / spacing[1] - 1) < SQUARE_PIXELS:
+        return np.zeros((1, 3))
+    corners = np.array([[i, j, 0] for i in (-1, 1) for j in (-1, 1)])
+    points: Floats = corners * spacing / np.sqrt(12)
+    return points
 
 
 def _render_background(places: Floats, theta: Floats) -> tuple[Floats, Floats]:
@@ -108,22 +129,65 @@ def _render_background(places: Floats, theta: Floats) -> tuple[Floats, Floats]:
     return theta[LEVEL] + theta[STEP] * beyond, turned
 
 
+SQUARE_PIXELS = 0.02
+"""Relative difference of a pixel's edges below which it counts as square."""
+
 FIT_MARGIN_MM = 1.5
 """How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges."""
 
 GUARD_DISTANCE_MM = 1.0
 """Voxels this near to another bright thing are left out, mm."""
 
+MAX_VOXELS = 4000
+"""Of more voxels, every second, third ... is taken: neighbours in fine voxels say the same."""
+
 SOFT_LOSS_SD = 2.0
 """Residuals beyond so many deviations of the noise count less."""
 
-MIN_BLUR_MM, MAX_BLUR_MM = 0.1, 1.2
-"""Deviation of the Gaussian, mm; a fit that ends at the latter shows no ball."""
+FIRST_NOISE_PART = 0.05
+"""Noise before it is known, in parts of the ball's brightness."""
 
-LOWER_BOUNDS = np.array([*3 * [-np.inf], np.log(10.0), np.log(MIN_BLUR_MM), -5e3, 0.0, *3 * [-3.0], -10.0])
-UPPER_BOUNDS = np.array([*3 * [np.inf], np.log(1e5), np.log(MAX_BLUR_MM), 1e4, 3e3, *3 * [3.0], 10.0])
-PARAMETER_SCALES = np.array([0.2, 0.2, 0.2, 0.2, 0.2, 100.0, 100.0, 0.3, 0.3, 0.3, 0.5])
+MIN_BLUR_MM, MAX_BLUR_MM = 0.15, 1.2
+"""Deviation of the blur in the slices, mm; a fit that ends at the latter shows no ball."""
+
+MIN_SLICE_BLUR_MM, MAX_SLICE_BLUR_MM = 0.1, 2.0
+
+LOWER_BOUNDS = np.array(
+    [
+        *3 * [-np.inf],
+        np.log(10.0),
+        -0.7,
+        np.log(MIN_BLUR_MM),
+        -0.2,
+        np.log(MIN_SLICE_BLUR_MM),
+        -5e3,
+        0.0,
+        *3 * [-3.0],
+        -10.0,
+    ]
+)
+UPPER_BOUNDS = np.array(
+    [
+        *3 * [np.inf],
+        np.log(1e5),
+        0.1,
+        np.log(MAX_BLUR_MM),
+        5.0,
+        np.log(MAX_SLICE_BLUR_MM),
+        1e4,
+        3e3,
+        *3 * [3.0],
+        10.0,
+    ]
+)
+PARAMETER_SCALES = np.array([0.2, 0.2, 0.2, 0.3, 0.2, 0.2, 0.5, 0.3, 100.0, 100.0, 0.3, 0.3, 0.3, 0.5])
 """Bounds and typical changes of the model's parameters."""
+
+PRIOR_COLUMNS = [HEIGHT, DARK, BLUR, BOOST, SLICE]
+PRIOR_MEANS = np.array([np.log(1e4), -0.1, np.log(0.45), 0.5])
+PRIOR_SD = np.array([1.0, 0.2, 0.3, 1.0, 0.3])
+"""What is known before: metal and glass lie between 2 000 and 50 000 HU; scanners' kernels; the slices' blur
+is that of `expected_slice_blur`."""
 
 CORRELATION_LENGTH_MM = 1.0
 """Errors of voxels farther apart than this are unrelated, mm."""
@@ -131,6 +195,13 @@ CORRELATION_LENGTH_MM = 1.0
 FORMAL_SD_FACTOR, SYSTEMATIC_SD_MM = 0.9, 0.003
 """What the formal deviation is multiplied by, and what no scatter shows, mm. Set on other scans than those of
 `benchmarks/markers.py`."""
+
+SLICE_ERROR = 0.02
+"""Deviation by thick slices, in squares of their distance over the ball's radius."""
+
+MISFIT_ERROR = 0.35
+"""Deviation by what the model does not explain, in misfits times the blur. Both set on the part `tuning` of
+`benchmarks/real_scanners.py`."""
 
 
 @dataclass(frozen=True)
@@ -143,34 +214,65 @@ class SphereFit:
         LPS, mm.
     sd : float
         Deviation in any one direction, mm.
-    blur : float
-        Deviation of the Gaussian, mm.
-    misfit : float
-        Root mean square of what the fit leaves in and at the ball, in parts of its height as shown.
+    spread : PointSpread
+        With which it is blurred.
+    misfit, noise : float
+        Root mean square of what the fit leaves in and at the ball, and the deviation of the noise around it,
+        in parts of the ball's height as shown.
     """
 
     center: Floats
     sd: float
-    blur: float
+    spread: PointSpread
     misfit: float
+    noise: float
 
 
 def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     """Fit a ball of `radius` (mm) to the voxels around `blob`."""
     near = select_voxels(volume, blob, radius)
-    best = _minimize(near, radius, _guess_parameters(near, radius), np.inf)
-    noise = max(1.0, 1.48 * float(np.median(np.abs(best.fun))))
-    best = _minimize(near, radius, best.x, noise)
-    theta, residuals = best.x, best.fun
-    height = float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL])
+    tables = _make_tables(near, radius)
+    first = _guess_parameters(near, radius)
+    noise = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
+    best = _minimize(near, tables, first, noise, robust=False)
+    noise = max(1.0, noise * _spread(_residuals(best, near)))
+    best = _minimize(near, tables, best.x, noise, robust=True)
+    theta, residuals = best.x, noise * _residuals(best, near)
+    height = max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
     inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < radius + near.spacing.max()
     left = residuals[inside] if inside.any() else residuals
+    misfit, blur = float(np.sqrt(np.mean(left**2))) / height, float(np.exp(theta[BLUR]))
+    formal = FORMAL_SD_FACTOR * _sandwich_sd(near, tables, theta, residuals, noise)
     return SphereFit(
         center=to_patient(volume, (blob.voxels.mean(axis=0) + theta[CENTER] / volume.spacing)[None])[0],
-        sd=float(np.hypot(FORMAL_SD_FACTOR * _sandwich_sd(near, radius, theta, residuals), SYSTEMATIC_SD_MM)),
-        blur=float(np.exp(theta[BLUR])),
-        misfit=float(np.sqrt(np.mean(left**2))) / max(height, 1.0),
+        sd=float(np.linalg.norm([formal, _systematic_sd(near, radius, misfit, blur), SYSTEMATIC_SD_MM])),
+        spread=PointSpread(blur, float(theta[BOOST]), float(np.exp(theta[SLICE]))),
+        misfit=misfit,
+        noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
     )
+
+
+def _systematic_sd(near: SphereVoxels, radius: float, misfit: float, blur: float) -> float:
+    """Return the deviation, mm, by misfit, and by thick slices: they average rays before the logarithm."""
+    return float(np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / radius, MISFIT_ERROR * misfit * blur))
+
+
+def _spread(values: Floats) -> float:
+    """Return the deviation of a Gaussian with this median of absolute values."""
+    return 1.48 * float(np.median(np.abs(values)))
+
+
+def _residuals(best: OptimizeResult, near: SphereVoxels) -> Floats:
+    return np.asarray(best.fun[: len(near.values)])
+
+
+@lru_cache(maxsize=8)
+def _tables_for(radius: float, reach: float) -> SphereTables:
+    return SphereTables(radius, reach, (MIN_BLUR_MM, MIN_SLICE_BLUR_MM))
+
+
+def _make_tables(near: SphereVoxels, radius: float) -> SphereTables:
+    return _tables_for(radius, float(np.ceil(np.linalg.norm(near.places, axis=1).max() + radius)))
 
 
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
@@ -189,9 +291,13 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     use = np.linalg.norm(places, axis=-1) <= reach
     if others.any():
         use &= distance_transform_edt(~others, sampling=volume.spacing) > GUARD_DISTANCE_MM
-    top = float(values.max())
+    top, bottom = float(values.max()), float(values.min())
     ceiling = top if np.count_nonzero(values == top) > 3 else np.inf
-    return SphereVoxels(places[use], values[use].astype(np.float64), volume.spacing, ceiling)
+    floor = bottom if np.count_nonzero(values == bottom) > 3 else -np.inf
+    every = int(np.ceil(np.count_nonzero(use) / MAX_VOXELS))
+    return SphereVoxels(
+        places[use][::every], values[use][::every].astype(np.float64), volume.spacing, floor, ceiling
+    )
 
 
 def _guess_parameters(near: SphereVoxels, radius: float) -> Floats:
@@ -208,23 +314,32 @@ def _guess_parameters(near: SphereVoxels, radius: float) -> Floats:
     steep = min(2.5 * size / step, 1.7)
     share = float(np.clip((values.mean() - low) / step, 0.02, 0.98))
     face = float(np.quantile(places @ slope / size, 1 - share))
-    begin = [np.log(max(peak, 100.0)), np.log(0.45), low, step, *(steep * slope / size), -steep * face]
-    return np.array([0.0, 0.0, 0.0, *begin])
+    begin = [
+        np.log(max(1.5 * peak, 100.0)),
+        *PRIOR_MEANS[1:],
+        np.log(expected_slice_blur(float(near.spacing[2]))),
+    ]
+    return np.array([0.0, 0.0, 0.0, *begin, low, step, *(steep * slope / size), -steep * face])
 
 
-def _minimize(near: SphereVoxels, radius: float, first: Floats, noise: float) -> OptimizeResult:
-    """Return the least squares from `first`, robust against what `noise` (HU; inf: all) does not explain."""
-    robust = np.isfinite(noise)
+def _minimize(
+    near: SphereVoxels, tables: SphereTables, first: Floats, noise: float, *, robust: bool
+) -> OptimizeResult:
+    """Return the least squares from `first`, in deviations of the noise (HU); what is known comes last."""
+    means = np.append(PRIOR_MEANS, np.log(expected_slice_blur(float(near.spacing[2]))))
+    held = np.zeros((len(PRIOR_COLUMNS), len(first)))
+    held[np.arange(len(PRIOR_COLUMNS)), PRIOR_COLUMNS] = 1 / PRIOR_SD
 
     @lru_cache(maxsize=1)  # the derivatives are asked for where the residuals were
     def seen(theta: tuple[float, ...]) -> tuple[Floats, Floats]:
-        return render_sphere(near, radius, np.array(theta))
+        return render_sphere(near, tables, np.array(theta))
 
     def residuals(theta: Floats) -> Floats:
-        return seen(tuple(theta.tolist()))[0] - near.values
+        left = (seen(tuple(theta.tolist()))[0] - near.values) / noise
+        return np.append(left, (theta[PRIOR_COLUMNS] - means) / PRIOR_SD)
 
     def slopes(theta: Floats) -> Floats:
-        return seen(tuple(theta.tolist()))[1].copy()  # scipy scales it in place
+        return np.vstack([seen(tuple(theta.tolist()))[1] / noise, held])
 
     best: OptimizeResult = least_squares(
         residuals,
@@ -232,25 +347,30 @@ def _minimize(near: SphereVoxels, radius: float, first: Floats, noise: float) ->
         jac=slopes,
         bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
         loss="soft_l1" if robust else "linear",
-        f_scale=SOFT_LOSS_SD * noise if robust else 1.0,
+        f_scale=SOFT_LOSS_SD,
         x_scale=PARAMETER_SCALES,
         max_nfev=40,
     )
     return best
 
 
-def _sandwich_sd(near: SphereVoxels, radius: float, theta: Floats, residuals: Floats) -> float:
+def _sandwich_sd(
+    near: SphereVoxels, tables: SphereTables, theta: Floats, residuals: Floats, noise: float
+) -> float:
     """Return the deviation of the centre in one direction, mm, from residuals that neighbours share.
 
-    The sandwich: the residuals' own products, of voxels nearer than `CORRELATION_LENGTH_MM` and the less the
-    farther apart, between the inverses of the normal matrix.
+    The sandwich: the residuals' own products, of voxels nearer than `CORRELATION_LENGTH_MM`, or a
+    voxel's longest edge, and the less the farther apart, between the inverses of the normal matrix.
     """
-    slopes = render_sphere(near, radius, theta)[1]
+    slopes = render_sphere(near, tables, theta)[1]
     scores = slopes * residuals[:, None]
-    bread = np.linalg.pinv(slopes.T @ slopes, hermitian=True)
+    normal = slopes.T @ slopes
+    normal[PRIOR_COLUMNS, PRIOR_COLUMNS] += (noise / PRIOR_SD) ** 2
+    bread = np.linalg.pinv(normal, hermitian=True)
+    length = max(CORRELATION_LENGTH_MM, float(near.spacing.max()))
     tree = cKDTree(near.places)
-    apart = tree.sparse_distance_matrix(tree, CORRELATION_LENGTH_MM, output_type="ndarray")
-    weight = (1 - apart["v"] / CORRELATION_LENGTH_MM)[:, None]
+    apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
+    weight = (1 - apart["v"] / length)[:, None]
     meat = scores[apart["i"]].T @ (weight * scores[apart["j"]])
     variance = float(np.trace((bread @ meat @ bread)[CENTER, CENTER])) / 3
     return float(np.sqrt(max(variance, 0.0)))

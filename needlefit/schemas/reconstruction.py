@@ -81,6 +81,8 @@ class MarkersRecord(Record):
     """Diameter of the marker spheres."""
     threshold_hu: float | None = None
     """Threshold; without it, taken from the volume."""
+    max_misfit: float = Field(default=0.15, gt=0, le=1)
+    """Largest misfit of the model of a ball, besides noise, in parts of the ball's brightness."""
     reference_sd_mm: float = Field(default=0.1, gt=0)
     """Standard deviation of the markers' stated positions."""
     fiducial_sd_mm: float = Field(default=0.3, gt=0)

@@ -27,7 +27,9 @@ from needlefit.imaging.needle.axis_spline import (
     select_sections,
 )
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.tip import TipFit, bevel_length, fit_tip
+from needlefit.imaging.needle.tip import TipFit, TipSource, fit_tip
+from needlefit.imaging.needle.tip_problem import bevel_length
+from needlefit.imaging.sphere_profile import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -79,10 +81,14 @@ class Centerline:
     tip_sd : (2,) array
         Standard deviation of the tip along the needle, and in any one direction across, mm.
     bevel : (3,) array
-        Unit vector across the needle to the side of the bevel's point; nan for a blunt needle. In half of all
-        synthetic scans within 3 degrees of the truth, in 95 % within 11; with streaks within 9 and, as one in
-        twenty is off by 30 to 90, no bound: prefer a bending plane that is known otherwise
-        (`benchmarks/reconstruction.py`).
+        Unit vector across the needle to the side of the bevel's point; nan for a blunt needle, and where the
+        scan does not show the side.
+    bevel_probability : float
+        That the side seen is right, within 90 degrees; nan for a blunt needle.
+    tip_disagreement : float
+        By how much a threshold sees the needle end later than the fitted model ends, mm.
+    tip_source : str
+        "model", or "threshold" where the model's tip was not to be trusted.
     sections_s : (S,) array
         Where along the needle cross-sections were taken, mm from its first point.
     residuals : (S, 3) array
@@ -99,12 +105,19 @@ class Centerline:
     sections_s: Floats
     residuals: Floats
     sections: SplineSections | None = None
+    bevel_probability: float = np.nan
+    tip_disagreement: float = 0.0
+    tip_source: TipSource = "model"
 
 
 def trace_needle(
-    volume: Volume, component: Component, recipe: ReconstructionRecord, tip: Floats | None = None
+    volume: Volume,
+    component: Component,
+    recipe: ReconstructionRecord,
+    spread: PointSpread | None = None,
+    tip: Floats | None = None,
 ) -> Centerline:
-    """Trace the axis of the needle whose voxels are `component`.
+    """Trace the axis of the needle whose voxels are `component`; `spread` is the scanner's, if it is known.
 
     Parameters
     ----------
@@ -124,9 +137,9 @@ def trace_needle(
         end = _place_tip(axis, tip, recipe)
         return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
     axis = refine_axis(volume, axis, recipe, heel)
-    end = fit_tip(volume, axis, recipe.needle, axis.length + heel)
+    end = fit_tip(volume, axis, recipe.needle, axis.length + heel, spread, rough=True)
     axis = refine_axis(volume, axis, recipe, heel, end.at)
-    end = fit_tip(volume, axis, recipe.needle, end.at)
+    end = fit_tip(volume, axis, recipe.needle, end.at, spread)
     return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
 
 
@@ -159,7 +172,7 @@ def _place_tip(axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> T
     at = _project_tip(axis, tip, recipe)
     frame = axis_frames(axis, np.array([at]))
     sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, np.array([at]))[0])])
-    return TipFit(at, frame.origins[0], sd, np.full(3, np.nan))
+    return TipFit(at, frame.origins[0], sd, np.full(3, np.nan), float("nan"), 0.0, "hand")
 
 
 def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
@@ -288,7 +301,19 @@ def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionReco
         sigma=float(np.sqrt(axis.variance)),
         shared_sd=float(np.hypot(axis.shared_sd, SYSTEMATIC_SD_MM)),
     )
-    return Centerline(points, sd, points[-1], tip_sd, end.bevel, sections, beside, drawn)
+    return Centerline(
+        points,
+        sd,
+        points[-1],
+        tip_sd,
+        end.bevel,
+        sections,
+        beside,
+        drawn,
+        end.bevel_probability,
+        end.disagreement,
+        end.source,
+    )
 
 
 def _too_few_sections_error(count: int) -> DataError:

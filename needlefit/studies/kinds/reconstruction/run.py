@@ -23,7 +23,8 @@ _SCAN_COLUMNS = (
     *("fre_p_value", "wrong_pairing_probability", "target_error_entry_mm", "target_error_tip_mm"),
     *("entry_pose_from", "entry_along_sd_mm", "entry_shift_sd_mm", "entry_angle_sd_deg"),
     *("bending_plane_from", "out_of_plane_rms_mm", "out_of_plane_max_mm", "depth_mm", "depth_sd_mm"),
-    *("deflection_mm", "tip_along_sd_mm", "tip_across_sd_mm", "centerline_sd_rms_mm", "layers", "warnings"),
+    *("deflection_mm", "tip_along_sd_mm", "tip_across_sd_mm"),
+    *("bevel_probability", "centerline_sd_rms_mm", "layers", "warnings"),
 )
 _MARKER_COLUMNS = (
     *("id", "found", "known", "found_x_mm", "found_y_mm", "found_z_mm", "found_sd_mm", "residual_x_mm"),
@@ -148,6 +149,7 @@ def _needle_values(one: Reconstruction) -> Row:
         "deflection_mm": one.local[-1, 1],
         "tip_along_sd_mm": along_sd,
         "tip_across_sd_mm": across_sd,
+        "bevel_probability": one.needle_axis.bevel_probability,
         "centerline_sd_rms_mm": np.sqrt(np.mean(one.sd**2)),
         "layers": " ".join(map(str, one.layers.sequence)),
     }
