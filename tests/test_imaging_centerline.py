@@ -231,10 +231,13 @@ def test_recipes_that_contradict_themselves(table):
 @pytest.mark.slow
 @pytest.mark.parametrize("angle", [20.0, 45.0])
 def test_a_bevel_unlike_the_recipe_s_does_not_move_the_tip(angle):
-    """Taken at its word, the recipe's angle of 30 degrees would misplace the tip by 0.4 to 0.6 mm."""
+    """Taken at its word, the recipe's angle of 30 degrees would misplace the tip by 0.4 to 0.6 mm.
+
+    20 and 45 degrees are three and five stated deviations off.
+    """
     truth = cases.axis(tip=(1.0, 2.0, 28.0))
     line = found(cases.scan(truth, bevel_deg=angle))
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+    assert np.linalg.norm(line.tip - truth[-1]) < 0.2
 
 
 def test_a_blunt_needle_has_no_side():
