@@ -54,6 +54,13 @@ def test_an_edge_is_found_where_it_is(at, width):
     assert 0.02 < sd < 0.04 + 0.12 * width  # kernels and slices blur both sides differently
 
 
+@pytest.mark.parametrize("at", [0.05, 0.25, 0.45])
+def test_an_edge_sharper_than_the_stations_lies_between_two_of_them(at):
+    place, sd = found(edge(at, width=0.02, noise=0.5))
+    assert abs(place - at) < 0.5
+    assert sd < 0.2
+
+
 def test_neither_cupping_nor_a_layer_near_by_nor_rays_move_the_edge():
     around = edge(2.3)
     around += np.where(S > 2.3, -6 * np.clip(S - 2.3, 0, 20), 0)  # a slope

@@ -224,7 +224,10 @@ def _fit_edge(
     jacobian = np.asarray(best.jac, dtype=np.float64)
     variance = float(np.linalg.pinv(jacobian.T @ jacobian)[this, this]) * spread
     width = float(np.exp(best.x[len(at)]))
-    deviation = np.linalg.norm([np.sqrt(variance), SYSTEMATIC_SD_MM, SYSTEMATIC_WIDTH_RATIO * width])
+    # an edge sharper than the stations are dense leaves no slope, but lies between two of them: uniform there
+    between = max(float(np.median(np.diff(s))), 2 * width) / np.sqrt(12)
+    scatter = min(np.sqrt(variance), between)
+    deviation = np.linalg.norm([scatter, SYSTEMATIC_SD_MM, SYSTEMATIC_WIDTH_RATIO * width])
     return float(best.x[this]), float(deviation)
 
 
