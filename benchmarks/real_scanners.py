@@ -11,8 +11,8 @@ off by more than 1 mm. Rendered volumes stay in the folder `--cache`, so that a 
 Errors in mm: `axis` mean distance of the needle's points from the true axis; `tip_along` (negative: short)
 and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true entry and tip, the larger;
 `crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is the error of the
-bevel's side; `bevel_told` says whether one is stated. `--large` times one row's volume, padded with noisy air
-to 512 x 512 x 400 voxels, and measures the memory of the process that reconstructs it.
+bevel's side; `bevel_stated`: whether one is stated. `--large` times one row's volume, padded with noisy air to
+512 x 512 x 400 voxels, and measures the memory of the process that reconstructs it.
 """
 
 import argparse
@@ -159,7 +159,7 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
         "tre_predicted": float(np.max(one.target_error)),
         "crossing": float(crossings.max()),
         "bevel_deg": float(angle),
-        "bevel_told": bool(np.isfinite(angle)),
+        "bevel_stated": bool(np.isfinite(angle)),
         "bevel_probability": one.needle_axis.bevel_probability,
         "warnings": len(one.warnings),
         "what": " | ".join(one.warnings),

@@ -90,7 +90,7 @@ def test_the_bevel_s_side_is_left_open_where_noise_hides_it():
     assert np.isnan(hidden.bevel).all()
 
 
-def test_an_unknown_length_is_refused_and_an_unsure_tip_is_said():
+def test_an_unknown_length_is_refused_and_an_unsure_tip_is_a_warning():
     one = small()
     with pytest.raises(DataError, match="inserted length"):
         collect_warnings(replace(one, depth_sd=1.01 * MAX_DEPTH_SD_MM))

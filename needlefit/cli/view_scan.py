@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needlefit.errors import ConfigError
-from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES
 from needlefit.project.input_files import is_dir, is_file
 from needlefit.project.locate import find_file, list_names
 
@@ -25,7 +24,7 @@ def names_scan(target: str | None) -> bool:
         return not any(is_file(path / name) for name in ("run.json", "dataset.toml"))
     if not is_file(path):
         return False
-    from needlefit.imaging.volume import begins_as_dicom
+    from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, begins_as_dicom
 
     return path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)) or begins_as_dicom(path)
 
