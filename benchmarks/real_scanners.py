@@ -11,7 +11,7 @@ off by more than 1 mm. Rendered volumes stay in the folder `--cache`, so that a 
 Errors in mm: `axis` mean distance of the needle's points from the true axis; `tip_along` (negative: short)
 and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true entry and tip, the larger;
 `crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is the error of the
-bevel's side; `bevel_stated`: whether one is stated. `--large` times one row's volume, padded with noisy air to
+bevel's side; `bevel_stated`: whether one is stated. `--large` times one row's volume, padded with air to
 512 x 512 x 400 voxels, and measures the memory of the process that reconstructs it.
 """
 
