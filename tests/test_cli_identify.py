@@ -45,6 +45,7 @@ def designed(tmp_path_factory):
         return Path.cwd() / "reports" / "identify-study2", printed.getvalue()
 
 
+@pytest.mark.slow
 def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     folder, out = designed
     assert "1 insertion, 24 mm deep" in out and "study2" in out
@@ -94,6 +95,7 @@ def test_a_fit_adds_its_stage_beside_the_design(folder, capsys):
     assert_made_again(folder.parent / "identify-one")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("blank_figures")
 def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
     """Bent by 5 mm, the measured centreline changes nothing that the design says."""

@@ -163,6 +163,7 @@ def test_the_report_is_written_again_and_the_dataset_stays(done, tmp_path, capsy
     assert json.loads(capsys.readouterr().out) == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("searched_once")
 def test_layers_take_all_words_up_to_the_next_option_and_dicom_is_read_alike(tmp_path, capsys):
     series = tmp_path / "series"

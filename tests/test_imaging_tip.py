@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from needlefit.errors import DataError
 from needlefit.imaging.needle import tip
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.needle.selection import segment_needle
 from needlefit.imaging.needle.tip_model import RodModel
 from needlefit.imaging.reconstruction_checks import MAX_DEPTH_SD_MM, collect_warnings
 from needlefit.imaging.sphere_profile import PointSpread

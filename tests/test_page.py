@@ -439,6 +439,7 @@ def test_an_export_is_a_file(page) -> None:
     assert last.state.step.depth == 10
 
 
+@pytest.mark.slow
 def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromium) -> None:
     with opened(chromium, server, reduced_motion="no-preference") as window:
         page = window

@@ -127,14 +127,16 @@ def _reconstruct_once() -> None:
     from faults.commands import SCANS
     from needlefit.imaging import batch
     from needlefit.imaging.scan_table import read_scans
+    from needlefit.imaging.volume_files import read_volume
     from needlefit.project.load import load
     from needlefit.project.locate import find_file
     from needlefit.schemas.reconstruction import ReconstructionRecord
 
-    found = _once(batch.reconstruct)
-    batch.reconstruct = lambda scan, recipe: found(scan.id, scan, recipe)
+    found = _once(batch.examine)
+    batch.examine = lambda volume, scan, recipe: found(scan.id, volume, scan, recipe)
+    recipe = load(find_file("reconstruction", "default"), ReconstructionRecord)
     for scan in read_scans(SCANS):
-        batch.reconstruct(scan, load(find_file("reconstruction", "default"), ReconstructionRecord))
+        batch.examine(read_volume(scan.volume, scan.series), scan, recipe)
 
 
 _PREPARE: dict[str, Callable[[], None]] = {"twin": _make_small_twin, "reconstruct": _reconstruct_once}

@@ -10,6 +10,7 @@ whose effect is taken as linear. The insertions of a `NodeGroup` share errors of
 that failed is NaN, and so is what comes of it.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -276,16 +277,16 @@ def _stack(whites: Sequence[Floats], group: NodeGroup, scale: float, spread: flo
     slopes = np.zeros((sizes[-1] + len(group.surfaces), ends[-1], *more))
     members = zip(whites, group.nodes, group.own, group.shared, strict=True)
     for k, (white, nodes, own, shared) in enumerate(members):
-        flat = white.reshape(len(white), -1) / scale  # (m, R P)
-        shape = (-1, *white.shape[1:])
+        rest = white.shape[1:]  # (R,) or (R, P)
+        flat = white.reshape(len(white), math.prod(rest)) / scale  # (m, R P)
         turned = weigh_linear(nodes, np.array([spread]))[0] @ flat  # (1 + d, R P)
         at, here = slice(ends[k], ends[k + 1]), sizes[k]
-        first[at] = turned[0].reshape(white.shape[1:])
-        slopes[here : here + len(own), at] = (own[:, None] * turned[1:]).reshape(shape)
+        first[at] = turned[0].reshape(rest)
+        slopes[here : here + len(own), at] = (own[:, None] * turned[1:]).reshape(len(own), *rest)
         (loads,) = load_effects(nodes, np.array([spread]))
         effects = loads[:, None] * (nodes.effects @ flat)
-        slopes[here + len(own) : here + len(own) + len(loads), at] = effects.reshape(shape)
-        slopes[sizes[-1] :, at] = (shared.T @ turned[1:]).reshape(shape)
+        slopes[here + len(own) : here + len(own) + len(loads), at] = effects.reshape(len(loads), *rest)
+        slopes[sizes[-1] :, at] = (shared.T @ turned[1:]).reshape(shared.shape[1], *rest)
     return first, slopes
 
 
