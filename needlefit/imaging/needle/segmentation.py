@@ -33,6 +33,9 @@ MIN_DISTINCT_CHECK = 100
 NEAR_END_MM = 5.0
 """Length of the end of a piece that must lie on the curve which it goes on, mm."""
 
+MIN_GROWTH_NOISE_SD = 4.0
+"""A needle is followed to levels that lie above the tissue by more than so many deviations of its noise."""
+
 MIN_GROWTH_MM = 3.0
 """At a lower threshold a tube must become longer by so much to be taken from there, mm."""
 
@@ -83,7 +86,8 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
         seeds = [part for part in parts if is_tube(part, recipe, recipe.segmentation.min_length_mm / 2)]
         joined = [part for part in _join_tubes(volume, seeds, parts, recipe) if is_tube(part, recipe)]
         if joined:
-            lower = [low for low, _ in levels[n + 1 :]]
+            floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * tissue_noise_hu(volume)
+            lower = [low for low, _ in levels[n + 1 :] if low > floor]
             return [_grow_tube(volume, joined[0], lower, recipe), *joined[1:]]
     raise _no_tube_error(parts, recipe)
 
@@ -256,6 +260,13 @@ def median_tissue_hu(volume: Volume) -> float:
     some = volume.values[::3, ::3, ::3]
     dense = some[some > MAX_AIR_HU]
     return float(np.median(dense if dense.size > some.size / 100 else some))
+
+
+def tissue_noise_hu(volume: Volume) -> float:
+    """Return the standard deviation of what is neither air nor metal (HU), by its median deviation."""
+    some = volume.values[::3, ::3, ::3]
+    dense = some[some > MAX_AIR_HU]
+    return 0.0 if not dense.size else 1.4826 * float(np.median(np.abs(dense - np.median(dense))))
 
 
 def _metal_hu(volume: Volume, tissue: float, recipe: ReconstructionRecord) -> float:
