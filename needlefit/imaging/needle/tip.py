@@ -74,7 +74,8 @@ def fit_tip(
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
-    along = float(np.linalg.norm([np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away]))
+    hidden = HIDDEN_END_SD_MM * _part_in_slices(volume, axis)
+    along = float(np.linalg.norm([np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, hidden]))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
     across = float(np.hypot(np.sqrt(variance[[U, V]].mean()), heel))
     at = float(best.x[TIP])
@@ -88,6 +89,12 @@ def fit_tip(
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
     return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source)
+
+
+def _part_in_slices(volume: Volume, axis: AxisSpline) -> float:
+    """Return the length of the part within the slices of the needle's unit vector at its end."""
+    tangent = axis_frames(axis, np.array([axis.length])).tangents[0]
+    return float(np.sqrt(max(0.0, 1.0 - float(tangent @ volume.direction[:, 2]) ** 2)))
 
 
 def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, float, TipSource]:
@@ -108,6 +115,10 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
     sd = np.linalg.norm([MAX_MODEL_SD_MM, DISAGREEMENT_SD * away, float(volume.spacing.max()) / 2])
     return at + away, float(sd), "threshold"
 
+
+HIDDEN_END_SD_MM = 0.15
+"""Deviation of the place along of a needle that lies in the slices, mm: rays along it harden most, and darken
+its end. Set on the part `tuning` of `benchmarks/real_scanners.py`."""
 
 DISAGREEMENT_SD = 0.5
 """Deviation of the place along, in parts of the disagreement with a threshold."""
