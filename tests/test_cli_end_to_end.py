@@ -100,6 +100,7 @@ def test_ctrl_c_resume_and_other_jobs_change_no_byte(project, once):
     assert contents(project / "again/small") == once
 
 
+@pytest.mark.slow
 def test_a_report_is_rebuilt_from_stored_results(project, once, monkeypatch, capsys):
     monkeypatch.chdir(project)
     again = project / "reports/small-again"

@@ -105,6 +105,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_draws")
 def test_runs_are_predicted_scored_and_printed(project, capsys):
     assert run("validate", "mine", "--jobs", "1", "--sample", "-q") == 5  # forty steps

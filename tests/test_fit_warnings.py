@@ -209,6 +209,7 @@ def flipped(tmp_path, monkeypatch):
 CAUSE_AND_EFFECT = {"bevel_side", "parameter_at_bound", "worse_than_baseline"}
 
 
+@pytest.mark.slow
 def test_a_fit_to_flipped_bevels_warns_of_cause_and_effect(flipped):
     results = run_fit("fit", load(flipped / "fit.toml", FitRecord), Settings())
     assert {one["kind"] for one in results.run["warnings"]} >= CAUSE_AND_EFFECT

@@ -143,6 +143,7 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
     assert np.std(ends) == pytest.approx(0.4, rel=0.15)  # the entry's place moves along
 
 
+@pytest.mark.slow
 def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     job = small_job()
     thetas = [simulate_experiment(job, np.random.default_rng(4)).theta for _ in range(2)]

@@ -127,6 +127,7 @@ def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
     assert np.isnan(find_true_value(job, "bevel_spread", 7))
 
 
+@pytest.mark.slow
 def test_two_replicates_are_reported(small, capsys):
     command = ("calibrate", "small", "--truth", "synthetic", "--jobs", "1", "-q")
     assert run(*command, "--replicates", "2", "--json") == 5  # too few
