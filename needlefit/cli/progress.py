@@ -32,7 +32,7 @@ def show_progress(quiet: bool = False) -> Iterator[Report]:
 class RemainingTime:
     """Estimates the remaining time of a run from the time that its steps took so far.
 
-    Steps are told apart by their total: a run that counts two things, such as starts and steps of a sampler,
+    Steps are identified by their total: a run that counts two things, such as starts and steps of a sampler,
     has two estimates.
     """
 

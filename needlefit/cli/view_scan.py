@@ -18,7 +18,7 @@ def names_scan(target: str | None) -> bool:
     if target is None:
         return False
     path = Path(target)
-    if target in list_names("scans") or _split_table(target) is not None:
+    if _split_table(target) is not None:
         return True
     if is_dir(path):
         return not any(is_file(path / name) for name in ("run.json", "dataset.toml"))
@@ -51,9 +51,7 @@ def open_session(
 def _find_scan(target: str, markers: Path | None, layers: Sequence[str]) -> "Scan":
     from needlefit.imaging.scan_table import make_scans, read_scans
 
-    table = _split_table(target) or (
-        (find_file("scans", target), "") if target in list_names("scans") else None
-    )
+    table = _split_table(target)
     if table is None:
         return make_scans([Path(target)], markers=markers, layers=layers)[0]
     if markers is not None or layers:
@@ -76,8 +74,10 @@ def _find_scan(target: str, markers: Path | None, layers: Sequence[str]) -> "Sca
 
 
 def _split_table(target: str) -> tuple[Path, str] | None:
-    """Return the table of scans and the id that `TABLE.csv` or `TABLE.csv/ID` means."""
+    """Return the table of scans and the id that a path or bare name means, with or without `/ID`."""
     path = Path(target)
+    if target in list_names("scans"):
+        return find_file("scans", target), ""
     if path.suffix.lower() == ".csv" and is_file(path):
         return path, ""
     if path.parent.suffix.lower() == ".csv" and is_file(path.parent):

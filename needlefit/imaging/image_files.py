@@ -92,18 +92,16 @@ def _open_readable(file: Path, header: str) -> Iterator[Path]:
 
 def write_image(volume: Volume, path: Path, description: str) -> None:
     """Write a volume as NRRD, NIfTI or MetaImage, compressed unless it is .nii."""
-    image = sitk.GetImageFromArray(to_int16_if_exact(volume.values))
-    image.SetOrigin(volume.origin.tolist())
-    image.SetSpacing(volume.spacing.tolist())
-    image.SetDirection(volume.direction.ravel().tolist())
-    if description:
-        image.SetMetaData("ITK_FileNotes" if ".nii" in path.name.lower() else "description", description)
-    with replace_file(path) as fresh:
-        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
+    key = "ITK_FileNotes" if ".nii" in path.name.lower() else "description"
+    _write(to_int16_if_exact(volume.values), volume.grid, {key: description} if description else {}, path)
 
 
 def write_labels(values: NDArray[np.uint8], grid: VoxelGrid, entries: Mapping[str, str], path: Path) -> None:
     """Write labels (K, J, I) as a compressed NRRD file, with entries in its header."""
+    _write(values, grid, entries, path)
+
+
+def _write(values: NDArray[Any], grid: VoxelGrid, entries: Mapping[str, str], path: Path) -> None:
     image = sitk.GetImageFromArray(values)
     image.SetOrigin(grid.origin.tolist())
     image.SetSpacing(grid.spacing.tolist())

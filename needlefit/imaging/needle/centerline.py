@@ -127,7 +127,7 @@ def trace_needle(
     Raises
     ------
     DataError
-        If the needle's tip lies outside the volume or beside the needle, or cannot be told from its base.
+        If the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
     rough = fit_rough_axis(volume, component, recipe)
     axis = orient_axis(volume, rough, recipe) if tip is None else _orient_to(rough, tip)

@@ -16,12 +16,19 @@ from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.scan_table import write_scan_table
-from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume import Volume, grid_to_json
 from needlefit.imaging.volume_files import read_volume
 from needlefit.reporting.figures.scan_views import encode_grey
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.viewer.scans.corrections import Corrections, correct_scan, read_corrections
-from needlefit.viewer.scans.slices import HALF_WIDTH_MM, PIXEL_MM, cut_slice, list_slice_axes, make_course
+from needlefit.viewer.scans.slices import (
+    HALF_WIDTH_MM,
+    PIXEL_MM,
+    NeedleCourse,
+    cut_slice,
+    list_slice_axes,
+    make_course,
+)
 
 TABLE_FILE = "scans.csv"
 
@@ -109,12 +116,7 @@ class ScanSession:
             "id": self.scan.id,
             "volume": self.scan.volume.name,
             "synthetic": self.scan.origin == "synthetic",
-            "grid": {
-                "size": list(volume.grid.size),
-                "origin": volume.origin.tolist(),
-                "spacing": volume.spacing.tolist(),
-                "direction": volume.direction.tolist(),
-            },
+            "grid": grid_to_json(volume.grid),
             "views": [vars(one) for one in self.axes],
             "windows": {
                 "tissue": [tissue - TISSUE_WINDOW_HU, tissue + TISSUE_WINDOW_HU],
@@ -135,7 +137,7 @@ class ScanSession:
             "has_markers": self.scan.markers is not None,
         }
 
-    def _make_course(self) -> Any:  # noqa: ANN401
+    def _make_course(self) -> NeedleCourse | None:
         axis = self.found.needle_axis
         return None if axis is None else make_course(axis.points)
 
@@ -191,9 +193,8 @@ class ScanSession:
         course = self.course
         if course is None:
             return None
-        rows = len(np.arange(HALF_WIDTH_MM, -HALF_WIDTH_MM - 1e-9, -PIXEL_MM))
         parts = {name: np.round(getattr(course, name), 4).tolist() for name in ("points", "u", "v")}
-        return {**parts, "rows": rows, "pixel": PIXEL_MM, "half_width": HALF_WIDTH_MM}
+        return {**parts, "rows": len(course.aside), "pixel": PIXEL_MM, "half_width": HALF_WIDTH_MM}
 
 
 def _thin(points: Floats) -> Floats:

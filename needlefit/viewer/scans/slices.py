@@ -90,14 +90,18 @@ class NeedleCourse:
     u: Floats
     v: Floats
 
+    @property
+    def aside(self) -> Floats:
+        """Distance of each row from the needle, mm, the top row first."""
+        return np.arange(HALF_WIDTH_MM, -HALF_WIDTH_MM - 1e-9, -PIXEL_MM)
+
     def cut(self, volume: Volume, angle: float) -> NDArray[np.float32]:
         """Return the slice (rows, N) through the needle, turned about it by `angle` (rad); nan outside."""
-        aside = np.arange(HALF_WIDTH_MM, -HALF_WIDTH_MM - 1e-9, -PIXEL_MM)
         across = np.cos(angle) * self.u + np.sin(angle) * self.v
-        places = self.points[None] + aside[:, None, None] * across[None]
+        places = self.points[None] + self.aside[:, None, None] * across[None]
         index = to_index(volume, places.reshape(-1, 3))[:, ::-1].T
         values: NDArray[Any] = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float32)
-        return values.reshape(len(aside), len(self.points))
+        return values.reshape(len(self.aside), len(self.points))
 
 
 def make_course(needle: Floats) -> NeedleCourse:

@@ -2,7 +2,7 @@
 
 The error in sample flatters a model, for it was made small by the fit itself; the error on what was left
 out does not. Their difference is what a reader of a tuning table should add to it. A medium of which there
-is only one specimen says nothing of a further specimen, and is told so instead of given a number.
+is only one specimen shows nothing of a further specimen: it gets a message in place of a number.
 """
 
 from collections.abc import Iterator, Mapping

@@ -1,6 +1,8 @@
 """The quality page of a reconstructed scan: one page for a quick visual check."""
 
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +36,10 @@ _PLANE_SOURCES = {
 _MARKER_SOURCES = {"volume": "found in the scan", "fiducials": "placed by hand"}
 
 
+DrawPicture = Callable[[Path], Path]
+"""Draws a picture into a file, which it returns."""
+
+
 def write_quality(reconstruction: Reconstruction, path: Path) -> Path:
     """Write the quality page (A4, PDF), completely or not at all; equal reconstructions give equal bytes.
 
@@ -42,14 +48,21 @@ def write_quality(reconstruction: Reconstruction, path: Path) -> Path:
     ConfigError
         If nothing can be written there.
     """
+    along, across = (partial(draw, reconstruction) for draw in (draw_needle_section, draw_tip_section))
+    return write_scan_page(path, _payload(reconstruction), along, across)
+
+
+def write_scan_page(path: Path, payload: document.Block, along: DrawPicture, across: DrawPicture) -> Path:
+    """Write a page with two pictures of a scan (A4, PDF), completely or not at all.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written there.
+    """
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
-        pictures = [
-            draw_needle_section(reconstruction, Path(name, "along.pdf")),
-            draw_tip_section(reconstruction, Path(name, "across.pdf")),
-        ]
-        page = document.compile_template(
-            "quality.typ", _payload(reconstruction), document.key_by_file_name(pictures)
-        )
+        pictures = [along(Path(name, "along.pdf")), across(Path(name, "across.pdf"))]
+        page = document.compile_template("quality.typ", payload, document.key_by_file_name(pictures))
     with replace_file(path) as new:
         new.write_bytes(page)
     return path

@@ -1,6 +1,5 @@
 """What a refused scan leaves: a page with everything that was found in it, and its candidates as tables."""
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,12 +9,12 @@ from needlefit.arrays import Floats
 from needlefit.errors import NeedlefitError
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.findings import Findings
-from needlefit.project.atomic_write import replace_file, replace_folder
+from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting import document
 from needlefit.reporting.figures.style import draw
 from needlefit.reporting.labels import medium_name
 from needlefit.reporting.table_files import write_csv
-from needlefit.studies.kinds.reconstruction.quality import Fact
+from needlefit.studies.kinds.reconstruction.quality import Fact, write_scan_page
 from needlefit.studies.kinds.reconstruction.refused_figures import (
     find_entry_points,
     is_marker,
@@ -106,17 +105,13 @@ def write_refused_page(failure: ReconstructionFailure, path: Path) -> Path:
     ConfigError
         If nothing can be written there.
     """
-    with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
-        pictures = [
-            draw(Path(name, "along.pdf"), lambda: paint_along(failure.findings)),
-            draw(Path(name, "across.pdf"), lambda: paint_across(failure.findings)),
-        ]
-        page = document.compile_template(
-            "quality.typ", _payload(failure), document.key_by_file_name(pictures)
-        )
-    with replace_file(path) as new:
-        new.write_bytes(page)
-    return path
+    found = failure.findings
+    return write_scan_page(
+        path,
+        _payload(failure),
+        lambda picture: draw(picture, lambda: paint_along(found)),
+        lambda picture: draw(picture, lambda: paint_across(found)),
+    )
 
 
 def _payload(failure: ReconstructionFailure) -> document.Block:
