@@ -28,7 +28,7 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.project.processes import run_in_order
+from needlefit.project.tasks import LocalPool, run_in_order
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.synthetic.build import describe_dataset
@@ -62,7 +62,7 @@ def scan_needles(folder: Path, seed: int, jobs: int) -> Dataset:
         plan = [one for one in list_planned_insertions() if one.medium == MEDIUM and one.layers == 4]
         with TemporaryDirectory() as scratch:
             write_layers(Path(scratch), plan)
-            found = list(run_in_order(partial(_scan_one, Path(scratch), seed), plan, jobs))
+            found = list(run_in_order(partial(_scan_one, Path(scratch), seed), plan, LocalPool(jobs)))
             assemble_dataset(folder, found, make_recipe([WHOLE_BOX_SETUP]), describe_dataset(seed))
     return read(folder)
 

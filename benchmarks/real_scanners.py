@@ -52,7 +52,7 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import LayerSource, Scan
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume
-from needlefit.project.processes import run_in_processes
+from needlefit.project.tasks import LocalPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.metal import densify
 
@@ -258,7 +258,7 @@ def main() -> None:
         return
     design = read_design(arguments.part)[: arguments.volumes]
     lines: list[dict[str, object]] = []
-    for _, line in run_in_processes(partial(score, cache=arguments.cache), design, arguments.jobs):
+    for _, line in LocalPool(arguments.jobs).run(partial(score, cache=arguments.cache), design):
         lines.append(line)
         print(f"{line['id']} written {line['written']} {line['where']}: {line['what']}", file=sys.stderr)
         if arguments.out:

@@ -23,7 +23,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.reconstruct import reconstruct
-from needlefit.project.processes import run_in_processes
+from needlefit.project.tasks import LocalPool
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
 from needlefit.synthetic.exposure import WHOLE_BOX_SETUP
 from needlefit.synthetic.phantoms import PHANTOMS, make_surfaces
@@ -115,7 +115,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         for seed in range(arguments.first, arguments.first + arguments.seeds):
             write_layers(Path(folder) / f"{seed}", plan)
-        for n, found in run_in_processes(partial(rows_of, folder=Path(folder)), tasks, arguments.jobs):
+        for n, found in LocalPool(arguments.jobs).run(partial(rows_of, folder=Path(folder)), tasks):
             rows += found
             if not n % 47:
                 print(f"scan {n + 1} of {len(tasks)}", file=sys.stderr)

@@ -22,6 +22,7 @@ from pydantic.fields import FieldInfo
 from needlefit.project.load import read_toml
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.base import FileRecord
+from needlefit.schemas.cluster import SlurmRecord
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord, TrackDatasetRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
@@ -71,6 +72,7 @@ SHIPPED: Mapping[str, tuple[type[FileRecord], str, tuple[str, ...]]] = {
     "tracks_dataset": (TrackDatasetRecord, "Dataset of tip tracks", ("data/guided_tips/dataset.toml",)),
     "scene": (SceneRecord, "Scene", ("configs/scenes/phantom1.toml", "configs/scenes/figure1.toml")),
     "reconstruction": (ReconstructionRecord, "Reconstruction", ()),
+    "cluster": (SlurmRecord, "Slurm cluster", ()),
     "statements": (CredibilityStatementsRecord, "Credibility statements", ()),
     "tracks_study": (TrackStudyRecord, "Study of tip tracks", ("studies/guided_tip.toml",)),
 }

@@ -25,6 +25,7 @@ from needlefit.project.json_values import to_json_values
 from needlefit.project.load import check, load
 from needlefit.project.locate import FileKind, find_file, find_run, find_studies, is_path
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
+from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.project.threads import count_cores
 from needlefit.project.toml_lines import add_file_context
 from needlefit.schemas.base import FileRecord
@@ -59,6 +60,9 @@ class RunOptions(TypedDict, total=False):
         Of all random numbers, in place of the recipe's.
     jobs : int
         Threads; by default as many as there are cores.
+    pool : TaskPool
+        Where tasks of analyses run; by default in this process. `LocalPool(N)` starts N processes: the script
+        then needs `if __name__ == "__main__"`.
     progress : bool or callable
         True prints to stderr; a callable is given what is being done, how much is done, and of how much.
     checkpoint : str or Path
@@ -68,6 +72,7 @@ class RunOptions(TypedDict, total=False):
     name: str
     seed: int
     jobs: int
+    pool: TaskPool
     progress: bool | Progress
     checkpoint: Name
 
@@ -415,6 +420,7 @@ def _run(record: FileRecord, name: str, settings: Settings, options: RunOptions)
             settings,
             seed=options.get("seed"),
             jobs=options.get("jobs", count_cores()),
+            pool=options.get("pool", THIS_PROCESS),
             checkpoint=checkpoint,
             resume=checkpoint is not None and is_dir(checkpoint),
             progress=progress,

@@ -16,6 +16,7 @@ from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.scan_table import read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.locate import shipped_folder
+from needlefit.project.tasks import LocalPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
@@ -84,7 +85,7 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
 
     monkeypatch.setattr("needlefit.imaging.image_headers.check_nrrd", passes)
     scans = [replace(sample, id="crashing", volume=crashing), sample]
-    found = reconstruct_all(scans, RECIPE, ReconstructionBatch(jobs=jobs))
+    found = reconstruct_all(scans, RECIPE, ReconstructionBatch(LocalPool(jobs)))
     assert isinstance(found[0], ReconstructionFailure) and str(crashing) in str(found[0].error)
     assert ("SIG" in str(found[0].error)) == (jobs == 1)  # another process has its own check
     assert found[1].depth == pytest.approx(25.0, abs=0.3)

@@ -16,6 +16,7 @@ import pytest
 from needlefit.mechanics.kernel.cache import CACHE_DIR_VARIABLE, find_cache_folder
 from needlefit.project.locate import find_file
 from needlefit.project.threads import THREAD_VARIABLES as THREADS
+from tests.cluster_processes import start_scheduler, start_worker
 
 STUDY = """\
 schema = 1
@@ -185,12 +186,17 @@ def test_programs_that_compile_at_the_same_time_are_as_one_that_loads(new_projec
     assert [one.splitlines() for one in found] == [warm.splitlines()] * 2
 
 
-def kill_when(running: "subprocess.Popen[str]", pattern: str, place: Path) -> None:
-    """Kill a command as soon as it has kept something of its work."""
+def wait_for(running: "subprocess.Popen[str]", pattern: str, place: Path) -> None:
+    """Wait until a command has kept something of its work."""
     deadline = time.monotonic() + 600
     while not any(path.stat().st_size for path in place.glob(pattern)):
         assert running.poll() is None and time.monotonic() < deadline
         time.sleep(0.005)
+
+
+def kill_when(running: "subprocess.Popen[str]", pattern: str, place: Path) -> None:
+    """Kill a command as soon as it has kept something of its work."""
+    wait_for(running, pattern, place)
     running.send_signal(signal.SIGKILL)
     running.communicate()
     assert running.returncode == -signal.SIGKILL
@@ -205,6 +211,41 @@ def test_validate_killed_and_resumed_is_the_same(new_project, validated):
 
 
 SAMPLE = ["tune", "small", "--sample", "--out", "out"]
+
+
+LEFT_OUT = """\
+schema = 1
+kind = "left_out"
+fits = ["one_layer"]
+groups = ["insertion"]
+same_specimen = true
+"""
+ONE_LAYER = """\
+schema = 1
+dataset = "twin"
+medium = "phantom2"
+recipe = "small"
+tune = { layers = [2], insertions = ["phantom2-10", "phantom2-11", "phantom2-12"] }
+"""
+
+
+@pytest.mark.slow
+def test_an_analysis_is_the_same_in_one_process_in_two_and_on_a_cluster_that_loses_a_worker(new_project):
+    place, outs = new_project("analysis"), ["one", "two", "cluster"]
+    (place / "studies/left.toml").write_text(LEFT_OUT, encoding="utf-8")
+    (place / "configs/fits").mkdir()
+    (place / "configs/fits/one_layer.toml").write_text(ONE_LAYER, encoding="utf-8")
+    with start_scheduler(place) as (address, _), start_worker(address) as doomed, start_worker(address):
+        where = [("--jobs", "1"), ("--jobs", "2"), ("--scheduler", address)]
+        for out, how in zip(outs, where, strict=True):
+            running = begin(COMMAND, ["validate", "left", *how, "--out", out], place)
+            if how[-1] == address:
+                wait_for(running, f"{out}/left.partial/*.jsonl", place)
+                os.killpg(doomed.pid, signal.SIGKILL)
+            output(running)
+    found = [contents(place / out) for out in outs]
+    for one in found[1:]:
+        assert_same(one, found[0])
 
 
 @pytest.mark.slow

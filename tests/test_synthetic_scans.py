@@ -20,7 +20,7 @@ from needlefit.imaging.volume import to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
-from needlefit.project.processes import run_in_order
+from needlefit.project.tasks import THIS_PROCESS, LocalPool, run_in_order
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
 from needlefit.synthetic.design import list_planned_insertions, select_planned_insertions
@@ -211,7 +211,7 @@ def test_the_field_holds_box_markers_and_shaft_and_little_else(name):
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path):
     paths = [tmp_path / name for name in "abc"]
     for path, seed in zip(paths, (1, 1, 2), strict=True):
-        write_scans(path, [design.SAMPLE_INSERTION], seed, "nrrd", 1, quiet)
+        write_scans(path, [design.SAMPLE_INSERTION], seed, "nrrd", THIS_PROCESS, quiet)
     first, again, other = ({p.relative_to(d): p.read_bytes() for p in files(d)} for d in paths)
     assert first == again and first.keys() == other.keys()
     changed = {name.as_posix() for name in first if first[name] != other[name]}
@@ -224,7 +224,7 @@ def files(folder):
 
 def test_the_shipped_sample_is_a_rebuild(tmp_path):
     """On the machine that built it to the last byte; elsewhere rounding may turn a voxel by 1 HU."""
-    write_scans(tmp_path, [design.SAMPLE_INSERTION], TWIN_SEED, "nrrd", 1, quiet)
+    write_scans(tmp_path, [design.SAMPLE_INSERTION], TWIN_SEED, "nrrd", THIS_PROCESS, quiet)
     ours = [path.relative_to(SHIPPED) for path in files(SHIPPED) if path.name != "needlefit.json"]
     assert ours == [path.relative_to(tmp_path) for path in files(tmp_path)]
     assert sum((SHIPPED / name).stat().st_size for name in ours) < 2_000_000
@@ -250,7 +250,9 @@ def test_nrrd_and_dicom_hold_the_same_voxels(tmp_path):
 
 
 def test_scans_csv_states_the_plan_and_not_the_truth(tmp_path):
-    table = write_scans(tmp_path, [PLAN["chicken-07"], design.SAMPLE_INSERTION], 1, "nrrd", 1, quiet)
+    table = write_scans(
+        tmp_path, [PLAN["chicken-07"], design.SAMPLE_INSERTION], 1, "nrrd", THIS_PROCESS, quiet
+    )
     with table.open(newline="") as file:
         chicken, sample = csv.DictReader(file)
     assert sample["id"] == "sample" and sample["scan"] == "volumes/sample.nrrd"
@@ -334,14 +336,18 @@ def test_scans_replace_scans_and_nothing_else(tmp_path):
 
 def test_results_are_in_task_order_for_any_number_of_processes():
     tasks = [-3, 1, -2]
-    assert list(run_in_order(abs, tasks, 1)) == list(run_in_order(abs, tasks, 2)) == [3, 1, 2]
+    assert (
+        list(run_in_order(abs, tasks, LocalPool()))
+        == list(run_in_order(abs, tasks, LocalPool(2)))
+        == [3, 1, 2]
+    )
 
 
 def test_the_error_of_a_task_reaches_the_caller():
     with pytest.raises(TypeError, match="bad operand"):
-        list(run_in_order(abs, [1, "one", 2], 2))
+        list(run_in_order(abs, [1, "one", 2], LocalPool(2)))
 
 
 def test_a_killed_process_is_reported():
     with pytest.raises(ConfigError, match="ended from outside"):
-        list(run_in_order(os._exit, [1, 1], 2))
+        list(run_in_order(os._exit, [1, 1], LocalPool(2)))

@@ -11,6 +11,7 @@ import needlefit
 from needlefit.datasets.read import check, read
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.project.locate import shipped_folder
+from needlefit.project.tasks import LocalPool
 from needlefit.synthetic.build import build_dataset
 from needlefit.synthetic.design import select_planned_insertions
 from needlefit.synthetic.insertion import TWIN_SEED
@@ -53,7 +54,11 @@ def rebuilt(names, tmp_path_factory):
     """Insertions of the shipped twin, made again from the seed, through their scans."""
     folder, steps = tmp_path_factory.mktemp("rebuilt"), []
     build_dataset(
-        folder, TWIN_SEED, select_planned_insertions(names), jobs=2, progress=lambda *step: steps.append(step)
+        folder,
+        TWIN_SEED,
+        select_planned_insertions(names),
+        LocalPool(2),
+        progress=lambda *step: steps.append(step),
     )
     assert steps[0] == ("reconstructing", 0, len(names))
     assert steps[-1] == (f"reconstructed {names[-1]}", len(names), len(names))

@@ -1,14 +1,16 @@
 """`needlefit calibrate`: test whether the computed uncertainties are correct."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.execution import Execution
+from needlefit.cli.execution import Execution, open_pool
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.show_results import show_run, show_warnings
+from needlefit.project.threads import count_cores
 from needlefit.schemas.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
@@ -56,6 +58,8 @@ def calibrate(
     ] = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
     out: options.Out = Path("reports"),
     resume: options.Resume = False,
     strict: options.Strict = False,
@@ -89,11 +93,13 @@ def calibrate(
         runs = {f"calibrate-{name}{ending}{f'-{one}' if one else ''}": one for one in _controls(control)}
         execution.prepare(runs)
         found = {}
-        for folder, one in runs.items():
-            options_ = {"target": target, "control": one, "sampled": sample, **source, **given}
-            record = find_kind("calibration").make_record(**options_)
-            found[str(execution.folder(folder))] = execution.run_and_write(folder, record)
-            execution.remove_checkpoint(folder)
+        with open_pool(jobs or count_cores(), scheduler, insecure) as pool:
+            execution = replace(execution, pool=pool)
+            for folder, one in runs.items():
+                options_ = {"target": target, "control": one, "sampled": sample, **source, **given}
+                record = find_kind("calibration").make_record(**options_)
+                found[str(execution.folder(folder))] = execution.run_and_write(folder, record)
+                execution.remove_checkpoint(folder)
     _end(execution.invocation, found, json)
 
 

@@ -1,6 +1,7 @@
 """Settings of a run: options, progress, and the folders of results and checkpoints."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from needlefit.project.threads import count_cores
 
 if TYPE_CHECKING:
     from needlefit.project.progress import Progress
+    from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
     from needlefit.studies.job import Settings
     from needlefit.studies.run import Run
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 class Execution:
     """What the options say about a run; results go to `out/<name>/`, checkpoints to `out/<name>.partial/`.
 
-    `file` is the study's, where it is known: warnings name it.
+    `file` is the study's, where it is known: warnings name it. `pool` is where tasks run.
     """
 
     invocation: Invocation
@@ -35,6 +37,7 @@ class Execution:
     stop: Callable[[], bool]
     sample: bool = False
     file: Path | None = None
+    pool: "TaskPool | None" = None
 
     def prepare(self, names: Iterable[str], replaces_posterior: bool = False) -> None:
         """Make sure, before hours of work, that the results can be written.
@@ -88,6 +91,7 @@ class Execution:
         return Settings(
             seed=self.seed,
             jobs=self.jobs or count_cores(),
+            pool=self.pool,
             checkpoint=self.checkpoint(name),
             resume=self.resume,
             sample=self.sample,
@@ -113,6 +117,20 @@ class Execution:
         """Say how to go on; return the exit to raise."""
         screen.print_note(self.invocation.interrupt_message())
         return typer.Exit(exit_codes.INTERRUPTED)
+
+
+@contextmanager
+def open_pool(jobs: int, scheduler: str | None, insecure: bool) -> "Iterator[TaskPool]":
+    """Open the pool that the options name: `jobs` processes of this machine, or the workers of a cluster."""
+    from needlefit.project.tasks import LocalPool
+
+    if scheduler is None:
+        yield LocalPool(jobs)
+        return
+    from needlefit.project.cluster import connect
+
+    with connect(scheduler, insecure, print_remark) as pool:
+        yield pool
 
 
 def print_remark(line: str) -> None:

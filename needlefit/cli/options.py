@@ -61,6 +61,16 @@ Seed = Annotated[
 Jobs = Annotated[
     int | None, typer.Option(min=1, help="Threads (default: all cores); they do not change the result.")
 ]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Run tasks on a Dask cluster: tls://HOST:PORT, or slurm:FILE.toml (docs/scale.md).",
+    ),
+]
+Insecure = Annotated[
+    bool, typer.Option("--insecure", help="Accept a scheduler on another machine without encryption.")
+]
 Out = Annotated[Path, typer.Option(help="Folder of all results; each run has a folder in it.")]
 Sample = Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")]

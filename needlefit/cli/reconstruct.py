@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperCommand
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.execution import print_remark
+from needlefit.cli.execution import open_pool, print_remark
 from needlefit.cli.exit_codes import catch_interrupts
 from needlefit.cli.options import complete_reconstructions
 from needlefit.cli.options import complete_scans as complete_scans
@@ -97,6 +97,8 @@ def reconstruct(
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Scans at once (default: 2); it does not change the result.")
     ] = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -149,13 +151,9 @@ def reconstruct(
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         lock = claim_checkpoint(keep, CHECKPOINT_WORK, resume, print_remark)
         with show_progress(invocation.quiet) as report:
-            found = reconstruct_all(
-                wanted,
-                record,
-                ReconstructionBatch(
-                    jobs or min(MAX_DEFAULT_JOBS, count_cores()), keep, resume, report, stop, print_remark
-                ),
-            )
+            with open_pool(jobs or min(MAX_DEFAULT_JOBS, count_cores()), scheduler, insecure) as pool:
+                batch = ReconstructionBatch(pool, keep, resume, report, stop, print_remark)
+                found = reconstruct_all(wanted, record, batch)
             if len(found) < len(wanted):
                 screen.print_note(invocation.interrupt_message())
                 raise typer.Exit(exit_codes.INTERRUPTED)

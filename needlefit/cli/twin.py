@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from needlefit.cli import options, screen
+from needlefit.cli.execution import open_pool
 from needlefit.cli.progress import show_progress
 from needlefit.project.threads import count_cores
 
@@ -19,6 +20,8 @@ def twin_build(
     seed: Annotated[int | None, typer.Option(min=0, help="Seed (default: the shipped twin's).")] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the dataset.")] = Path("data/twin"),
     jobs: Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
@@ -35,8 +38,12 @@ def twin_build(
 
     seed = TWIN_SEED if seed is None else seed
     screen.compile_ahead(quiet=quiet)
-    with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
-        build_dataset(fresh, seed, jobs=jobs or count_cores(), progress=report)
+    with (
+        replace_folder(out) as fresh,
+        show_progress(context.find_root().obj.quiet) as report,
+        open_pool(jobs or count_cores(), scheduler, insecure) as pool,
+    ):
+        build_dataset(fresh, seed, pool=pool, progress=report)
     screen.print_line(f"{out}: synthetic dataset, seed {seed}")
 
 
@@ -60,6 +67,7 @@ def twin_ct(
     DIR is replaced if it holds nothing but such scans.
     """
     from needlefit.project.atomic_write import replace_folder
+    from needlefit.project.tasks import LocalPool
     from needlefit.synthetic.design import select_planned_insertions
     from needlefit.synthetic.insertion import TWIN_SEED
     from needlefit.synthetic.scans import write_scans
@@ -67,5 +75,5 @@ def twin_ct(
     seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
     screen.compile_ahead(quiet=quiet)
     with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
-        write_scans(fresh, plan, seed, form, jobs or count_cores(), report)
+        write_scans(fresh, plan, seed, form, LocalPool(jobs or count_cores()), report)
     screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

@@ -1,14 +1,16 @@
 """`needlefit validate`: tune on these insertions, score on those, stand beside the paper."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import Execution, require_no_faults
+from needlefit.cli.execution import Execution, open_pool, require_no_faults
 from needlefit.cli.exit_codes import catch_interrupts
 from needlefit.cli.options import complete_studies
+from needlefit.project.threads import count_cores
 
 if TYPE_CHECKING:
     from needlefit.cli.run_study import StudyOutcomes
@@ -27,6 +29,8 @@ def validate(
     sample: options.Sample = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
     out: options.Out = Path("reports"),
     reference: Annotated[
         bool,
@@ -59,7 +63,8 @@ def validate(
         execution.prepare([*(work.name for work in todo), *_combined_report_names(study)])
         if reference:
             execution.prepare([f"reference/{work.name}" for work in todo], replaces_posterior=True)
-        done = run_studies(execution, todo, json)
+        with open_pool(jobs or count_cores(), scheduler, insecure) as pool:
+            done = run_studies(replace(execution, pool=pool), todo, json)
         if _combined_report_names(study):
             _write_combined_report(execution, study, done, json)
         if reference:

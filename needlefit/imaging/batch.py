@@ -23,8 +23,8 @@ from needlefit.project.checkpoint_file import (
     write_checkpoint_file,
 )
 from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
-from needlefit.project.processes import run_in_processes
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
+from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -50,12 +50,12 @@ class ReconstructionFailure:
 
 @dataclass(frozen=True)
 class ReconstructionBatch:
-    """Options of a batch: processes, checkpoints and callbacks.
+    """Options of a batch: where it runs, checkpoints and callbacks.
 
     Attributes
     ----------
-    jobs : int
-        At once; each takes as much memory as its volume, several times.
+    pool : TaskPool
+        Where scans are reconstructed; each takes as much memory as its volume, several times.
     checkpoint_folder : Path or None
         A folder for what is finished.
     resume : bool
@@ -68,7 +68,7 @@ class ReconstructionBatch:
         Given a line about what is kept and damaged.
     """
 
-    jobs: int = 1
+    pool: TaskPool = THIS_PROCESS
     checkpoint_folder: Path | None = None
     resume: bool = False
     progress: Progress = no_progress
@@ -88,7 +88,7 @@ def reconstruct_all(
     left = [n for n in range(len(scans)) if n not in found]
     batch.progress("reconstructing", len(found), len(scans))
     work = partial(try_reconstruct, recipe=recipe, collect=True)
-    for at, one in run_in_processes(work, [scans[n] for n in left], batch.jobs, batch.stop):
+    for at, one in batch.pool.run(work, [scans[n] for n in left], batch.stop):
         found[left[at]] = one
         if isinstance(one, Reconstruction):
             _write_checkpoint(one, recipe, batch)

@@ -1,6 +1,6 @@
 """Load a study or fit with everything that it names: dataset, medium, recipe, hand-tuned method and folds."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from needlefit.project.locate import FileKind, find_file
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.tasks import LocalPool, TaskPool, stop_requested, threads_of_task
 from needlefit.project.toml_lines import add_file_context, add_key_context, locate_key
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
@@ -62,12 +63,16 @@ class Inputs:
 class Settings:
     """How a run is executed; only `seed`, `sample` and `inputs` change its result.
 
+    In another process it has these, and of the rest what that process has: its request to stop, its threads.
+
     Attributes
     ----------
     seed : int or None
         Replaces the recipe's.
     jobs : int
-        Threads.
+        Threads, or processes where the work falls into tasks.
+    pool : TaskPool or None
+        Where tasks run; None: in processes of this machine.
     checkpoint : Path or None
         Folder that keeps finished starts.
     resume : bool
@@ -88,6 +93,7 @@ class Settings:
 
     seed: int | None = None
     jobs: int = 1
+    pool: TaskPool | None = None
     checkpoint: Path | None = None
     resume: bool = False
     sample: bool = False
@@ -100,6 +106,20 @@ class Settings:
     def place(self, key: str) -> str:
         """Return the name of a key of the study's file for messages; "" where it is not known."""
         return "" if self.file is None else locate_key(self.file, key)
+
+    def task_pool(self) -> TaskPool:
+        """Return where tasks run."""
+        return self.pool or LocalPool(self.jobs)
+
+    def __reduce__(self) -> tuple[Callable[..., "Settings"], tuple[object, ...]]:
+        return _settings_of_task, (self.seed, self.sample, self.file, self.inputs)
+
+
+def _settings_of_task(seed: int | None, sample: bool, file: Path | None, inputs: Inputs) -> Settings:
+    """Return the settings of a task in a process of a pool."""
+    return Settings(
+        seed=seed, jobs=threads_of_task(), sample=sample, stop=stop_requested, file=file, inputs=inputs
+    )
 
 
 @dataclass(frozen=True)

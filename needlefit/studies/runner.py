@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pandas as pd
 
 from needlefit.inference.parameters import Parameters
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.tasks import THIS_PROCESS
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies import provenance
@@ -39,20 +40,22 @@ def run_tasks(
     finished: dict[str, FrameRows] = {
         row["task"]: row["rows"] for row in checkpoint.rows(_CHECKPOINT_ROWS, ("task", "rows"))
     }
-    done = len(finished.keys() & tasks.keys())
-    for key, task in tasks.items():
-        if key in finished:
-            continue
-        settings.progress(f"{label}: {key}", done, len(tasks))
-        # through JSON and back, so that fresh rows are the same as rows read from a checkpoint
-        rows = None if settings.stop() else json.loads(json.dumps(task(), default=to_json_value))
-        if rows is None or settings.stop():
-            break
-        checkpoint.keep_row(_CHECKPOINT_ROWS, {"task": key, "rows": rows})
-        finished[key] = rows
-        done += 1
+    left = [key for key in tasks if key not in finished]
+    done = len(tasks) - len(left)
     settings.progress(label, done, len(tasks))
+    for n, text in settings.task_pool().run(_compute_rows, [tasks[key] for key in left], settings.stop):
+        if settings.stop():
+            break
+        finished[left[n]] = json.loads(text)
+        checkpoint.keep_row(_CHECKPOINT_ROWS, {"task": left[n], "rows": finished[left[n]]})
+        done += 1
+        settings.progress(f"{label}: {left[n]}", done, len(tasks))
     return join_rows([finished[key] for key in tasks if key in finished]), done < len(tasks)
+
+
+def _compute_rows(task: AnalysisTask) -> str:
+    """Return the rows of a task as JSON: fresh ones are the same as rows read from a checkpoint."""
+    return json.dumps(task(), default=to_json_value)
 
 
 def join_rows(parts: Iterable[FrameRows]) -> FrameRows:
@@ -89,6 +92,8 @@ class AnalysisPlan:
         What is held out besides the jobs' own folds.
     parameters : mapping
         Those of the fits in the frame `fits`, by its first column, if values at bounds are to be named.
+    in_this_process : bool
+        Whether the tasks share what the first of them computes, and cannot run apart.
     """
 
     jobs: Sequence[Job]
@@ -98,6 +103,7 @@ class AnalysisPlan:
     also: Mapping[str, Any] | None = None
     folds: Sequence[Fold] = ()
     parameters: Mapping[str, Parameters] = field(default_factory=dict)
+    in_this_process: bool = False
 
 
 def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> Run:
@@ -110,7 +116,8 @@ def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: An
     """
     work = _describe_configuration(name, record, plan)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
-    rows, interrupted = run_tasks(plan.tasks, name, settings, checkpoint)
+    where = replace(settings, pool=THIS_PROCESS) if plan.in_this_process else settings
+    rows, interrupted = run_tasks(plan.tasks, name, where, checkpoint)
     frames = {frame: _make_frame(rows.get(frame, []), columns) for frame, columns in plan.columns.items()}
     faults = () if interrupted else plan.conclude(frames)
     at_bounds = analysis_bound_warnings(frames["fits"], plan.parameters) if plan.parameters else ()

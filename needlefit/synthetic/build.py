@@ -27,9 +27,9 @@ from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import register
-from needlefit.project.processes import run_in_order
 from needlefit.project.progress import Progress, no_progress
 from needlefit.project.random_streams import random_stream
+from needlefit.project.tasks import THIS_PROCESS, TaskPool, run_in_order
 from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
@@ -76,7 +76,7 @@ def build_dataset(
     folder: Path,
     seed: int = TWIN_SEED,
     plan: Sequence[PlannedInsertion] = list_planned_insertions(),
-    jobs: int = 1,
+    pool: TaskPool = THIS_PROCESS,
     progress: Progress = no_progress,
 ) -> Path:
     """Write the twin of `seed` into `folder`; return its `dataset.toml`. The same seed gives the same bytes.
@@ -85,26 +85,32 @@ def build_dataset(
     ----------
     plan : sequence of PlannedInsertion
         The insertions; each comes out the same whatever the others are.
-    jobs : int
-        Processes; changes no byte.
+    pool : TaskPool
+        Where insertions are made; changes no byte.
     progress : callable
         Told what is being done, how many insertions are done, and of how many.
     """
     recipe, built = make_recipe([WHOLE_BOX_SETUP]), list[ReconstructedInsertion]()
-    with TemporaryDirectory() as scratch:
-        write_layers(Path(scratch), plan)
-        progress("reconstructing", 0, len(plan))
-        for one in run_in_order(partial(_build_insertion, Path(scratch), seed, recipe), plan, jobs):
-            built.append(one)
-            progress(f"reconstructed {one.insertion.planned.id}", len(built), len(plan))
-        write_truth(folder / "truth.toml", seed, built)
-        return assemble_dataset(folder, [one.reconstruction for one in built], recipe, describe_dataset(seed))
+    progress("reconstructing", 0, len(plan))
+    for one in run_in_order(partial(_build_insertion, seed, recipe), plan, pool):
+        built.append(one)
+        progress(f"reconstructed {one.insertion.planned.id}", len(built), len(plan))
+    write_truth(folder / "truth.toml", seed, built)
+    return assemble_dataset(folder, [one.reconstruction for one in built], recipe, describe_dataset(seed))
 
 
 def _build_insertion(
-    scratch: Path, seed: int, recipe: ReconstructionRecord, planned: PlannedInsertion
+    seed: int, recipe: ReconstructionRecord, planned: PlannedInsertion
 ) -> ReconstructedInsertion:
     """Render an insertion, reconstruct it from what was written, and keep no volume."""
+    with TemporaryDirectory() as scratch:
+        write_layers(Path(scratch), [planned])
+        return _reconstruct_insertion(Path(scratch), seed, recipe, planned)
+
+
+def _reconstruct_insertion(
+    scratch: Path, seed: int, recipe: ReconstructionRecord, planned: PlannedInsertion
+) -> ReconstructedInsertion:
     scanned = render_insertion(scratch, planned, seed)
     reconstruction = reconstruct(scanned.scan, recipe)
     # volumes are large: each process keeps one at a time

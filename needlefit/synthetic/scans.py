@@ -14,8 +14,8 @@ from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_C
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scan import LayerSource, Scan, StagePose
 from needlefit.imaging.volume_files import write_volume
-from needlefit.project.processes import run_in_order
 from needlefit.project.progress import Progress
+from needlefit.project.tasks import TaskPool, run_in_order
 from needlefit.project.threads import one_thread
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
@@ -106,20 +106,22 @@ def write_scans(
     plan: Sequence[PlannedInsertion],
     seed: int,
     form: VolumeFormat,
-    jobs: int,
+    pool: TaskPool,
     progress: Progress,
 ) -> Path:
     """Render `plan` into the empty `folder`; return its `scans.csv`. The same seed gives the same bytes.
 
     Parameters
     ----------
+    pool : TaskPool
+        Where they are rendered: on this machine, whose folder they write.
     progress : callable
         Told what is being done, how many insertions are done, and of how many.
     """
     write_layers(folder, plan)
     scans = []
     progress("rendering", 0, len(plan))
-    for done in run_in_order(partial(_render_scan, folder, seed, form), plan, jobs):
+    for done in run_in_order(partial(_render_scan, folder, seed, form), plan, pool):
         scans.append(done)
         progress(f"rendered {done.id}", len(scans), len(plan))
     recipe = make_recipe([choose_setup(planned) for planned in plan])

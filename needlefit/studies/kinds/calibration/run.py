@@ -15,7 +15,6 @@ import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError, FitError
-from needlefit.project.processes import run_in_processes
 from needlefit.project.toml_lines import locate_key
 from needlefit.studies.checkpoint import open_checkpoint
 from needlefit.studies.folds import Fold
@@ -108,7 +107,7 @@ def _run_replicates(
     left = [number for number in range(count) if number not in known]
     label = f"{job.name}: replicates"
     settings.progress(label, len(known), count)
-    for _, row in run_in_processes(task, left, settings.jobs, settings.stop):
+    for _, row in settings.task_pool().run(task, left, settings.stop):
         known[row["replicate"]] = row
         checkpoint.keep_row(CHECKPOINT_ROWS, row)
         settings.progress(label, len(known), count)

@@ -148,7 +148,8 @@ def run(name: str, record: NextInsertionRecord, settings: Settings) -> Run:
     deepest = max(job.folds[0].tune, key=lambda one: one.depth)
     where = dict(zip(_WHERE, ("repeat", deepest.id, 0.0, deepest.depth), strict=True))
     tasks["repeat"] = partial(_run_task, now, where, names, partial(_predict_repeat, deepest))
-    return run_analysis(name, record, settings, AnalysisPlan([job], tasks, FRAMES, _conclude))
+    plan = AnalysisPlan([job], tasks, FRAMES, _conclude, in_this_process=True)
+    return run_analysis(name, record, settings, plan)
 
 
 def _largest_depths(record: NextInsertionRecord) -> dict[str, float]:

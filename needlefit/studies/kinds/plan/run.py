@@ -115,7 +115,8 @@ def run(name: str, record: PlanRecord, settings: Settings) -> Run:
         "layers": partial(_layer_rows, site),
     }
     conclude = partial(_conclude, max(record.tolerances_mm))
-    return run_analysis(name, record, settings, AnalysisPlan([job], tasks, FRAMES, conclude))
+    plan = AnalysisPlan([job], tasks, FRAMES, conclude, in_this_process=True)
+    return run_analysis(name, record, settings, plan)
 
 
 def _draw_executions(site: TargetSite, settings: Settings) -> _PlanningDraws | None:

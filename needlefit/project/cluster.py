@@ -1,0 +1,315 @@
+"""Run tasks on the workers of a Dask cluster (https://distributed.dask.org): the pool `ClusterPool`.
+
+A task reaches the scheduler as bytes under a key that is their digest, so the same work with the same data is
+computed once. Whoever may connect to a scheduler runs code on its workers and on this machine: away from this
+machine both sides show TLS certificates, which Dask reads from its own configuration.
+"""
+
+import hashlib
+import pickle
+import platform
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
+from importlib.metadata import version
+from importlib.util import find_spec
+from ipaddress import ip_address
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import urlsplit
+
+from needlefit.errors import ConfigError
+from needlefit.project.load import load
+from needlefit.project.progress import Note, Stop, never_stop, no_note
+from needlefit.project.tasks import STOP_POLL_S
+from needlefit.schemas.cluster import SlurmRecord
+
+if TYPE_CHECKING:
+    from distributed import Client, Future, SpecCluster
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+CONNECT_S = 10.0
+"""Seconds that a scheduler may take to answer."""
+
+CLOSE_S = 2.0
+"""Seconds that a scheduler, which may be lost, has to take leave."""
+
+TASKS_PER_WORKER = 2
+"""Tasks at the scheduler for each worker: one that runs, and one that follows it at once."""
+
+CHECKED_PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "trimesh")
+"""Packages that results depend on; their versions are equal everywhere."""
+
+SLURM_PREFIX = "slurm:"
+
+_ONE_AT_A_TIME = threading.Lock()
+"""A worker of several threads runs one task at a time: limits of linear algebra hold for a whole process."""
+
+
+@dataclass(frozen=True)
+class ClusterPool:
+    """The workers of a scheduler; `note` is given a line where none is connected, or processors differ."""
+
+    client: "Client"
+    note: Note = no_note
+    remote: bool = True
+    _noted: set[str] = field(default_factory=set)
+
+    @property
+    def size(self) -> int:
+        """Tasks that run at once: one on each worker that is connected now."""
+        return max(1, self._count_workers())
+
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop
+    ) -> Iterator[tuple[int, Result]]:
+        """Yield results as they are finished: see `TaskPool.run`. A stop drops the tasks that run.
+
+        Raises
+        ------
+        ConfigError
+            If the scheduler is lost, a worker has other versions, or a task ended several workers.
+        """
+        from distributed import wait
+
+        # versions travel outside of the work: a worker with other code could not read that
+        shared = self._submit("work", _keep, pickle.dumps((describe_code(), pickle.dumps(work))))
+        waiting = list(range(len(items)))[::-1]
+        running: dict[Future[tuple[Result, str]], int] = {}
+        try:
+            while (waiting or running) and not stop():
+                while waiting and len(running) < TASKS_PER_WORKER * self.size:
+                    n = waiting.pop()
+                    running[self._submit("task", _run_task, pickle.dumps(items[n]), shared)] = n
+                self._require_scheduler()
+                try:
+                    done = wait(list(running), timeout=STOP_POLL_S, return_when="FIRST_COMPLETED").done
+                except TimeoutError:
+                    continue
+                for future in done:
+                    n = running.pop(future)
+                    yield n, self._result(future)
+        finally:
+            if self.client.status == "running":
+                self.client.cancel([*running, shared], force=True)
+
+    def _submit(
+        self, kind: str, function: Callable[..., object], data: bytes, *work: "Future[Any]"
+    ) -> "Future[Any]":
+        """Submit a function of bytes, under the digest of these and of the work that it is part of."""
+        digest = hashlib.sha256(data + b"".join(str(one.key).encode() for one in work)).hexdigest()
+        return self.client.submit(function, data, *work, key=f"needlefit-{kind}-{digest}", pure=True)
+
+    def _count_workers(self) -> int:
+        return len(self.client.scheduler_info()["workers"])
+
+    def _require_scheduler(self) -> None:
+        """Raise a ConfigError if the scheduler is lost; note once if no worker is there."""
+        if self.client.status != "running":
+            raise _lost_scheduler()
+        if not self._count_workers():
+            self._note_once("no worker is connected to the scheduler; waiting for one")
+
+    def _note_once(self, line: str) -> None:
+        if line not in self._noted:
+            self._noted.add(line)
+            self.note(line)
+
+    def _result(self, future: "Future[tuple[Result, str]]") -> Result:
+        from concurrent.futures import CancelledError
+
+        from distributed.scheduler import KilledWorker
+
+        try:
+            result, processor = future.result()
+        except KilledWorker as error:
+            raise ConfigError(
+                f"a task ended {error.last_worker.address if error.last_worker else 'its worker'} and others",
+                where="a worker of the cluster",
+                expected="workers with memory for a task",
+                fix="give each worker more memory, then go on with --resume",
+            ) from None
+        except (CancelledError, OSError):
+            raise _lost_scheduler() from None
+        if processor != describe_processor():
+            self._note_once(f"a worker has another processor ({processor}): results may differ by 1e-3 mm")
+        return result
+
+
+def _lost_scheduler() -> ConfigError:
+    return ConfigError(
+        "the scheduler of the cluster was lost",
+        expected="a scheduler that runs until the work is done",
+        fix="start it again, then go on with --resume: finished tasks are kept",
+    )
+
+
+@contextmanager
+def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Iterator[ClusterPool]:
+    """Connect to a scheduler, and disconnect in the end.
+
+    Parameters
+    ----------
+    scheduler : str
+        `tls://HOST:PORT`, `tcp://HOST:PORT` on this machine, or `slurm:FILE.toml`, which starts jobs.
+    insecure : bool
+        Whether an unencrypted scheduler on another machine is accepted.
+
+    Raises
+    ------
+    ConfigError
+        If the address is wrong or not secured, nobody answers, or Dask is not installed.
+    """
+    if find_spec("distributed") is None:
+        raise ConfigError(
+            "a cluster needs Dask, which is not installed", fix="pip install 'needlefit[cluster]'"
+        )
+    from distributed import Client
+
+    if scheduler.startswith(SLURM_PREFIX):
+        with start_slurm(Path(scheduler.removeprefix(SLURM_PREFIX))) as cluster, Client(cluster) as client:
+            yield ClusterPool(client, note)
+        return
+    require_secured(scheduler, insecure)
+    try:
+        client = Client(scheduler, timeout=CONNECT_S)
+    except (OSError, TimeoutError, ValueError, TypeError) as error:
+        raise ConfigError(
+            f"no scheduler answers: {error}",
+            where=f"--scheduler {scheduler}",
+            expected="a running Dask scheduler and, for tls://, the certificates in Dask's configuration",
+            fix="start one with `dask scheduler`; see docs/scale.md",
+        ) from None
+    try:
+        yield ClusterPool(client, note)
+    finally:
+        client.close(timeout=CLOSE_S)
+
+
+def require_secured(scheduler: str, insecure: bool = False) -> None:
+    """Raise a ConfigError unless an address is encrypted, or of this machine, or `insecure` accepts it."""
+    where = f"--scheduler {scheduler}"
+    try:
+        parts = urlsplit(scheduler)
+        whole = parts.scheme in ("tls", "tcp") and parts.hostname and parts.port
+    except ValueError:
+        whole = False
+    if not whole:
+        raise ConfigError(
+            "is no address of a scheduler", where=where, expected="tls://HOST:PORT or slurm:FILE.toml"
+        )
+    if parts.scheme == "tls" or insecure or _is_loopback(str(parts.hostname)):
+        return
+    raise ConfigError(
+        "is not encrypted: whoever can reach it could run code on its workers and read the data",
+        where=where,
+        expected="tls:// with certificates, or an address of this machine",
+        fix="use tls://; on a network that nobody else can reach, --insecure accepts tcp://",
+    )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+@contextmanager
+def start_slurm(file: Path) -> "Iterator[SpecCluster]":
+    """Start workers as Slurm jobs, by dask-jobqueue; cancel the jobs in the end.
+
+    Raises
+    ------
+    ConfigError
+        If the file does not hold what it should, or dask-jobqueue or Slurm is not here.
+    """
+    record = load(file, SlurmRecord)
+    try:
+        cluster = make_slurm(record)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ConfigError(f"no cluster could be started: {error}", where=str(file)) from None
+    with cluster:
+        cluster.scale(record.jobs * record.processes)
+        yield cluster
+
+
+def make_slurm(record: SlurmRecord) -> "SpecCluster":
+    """Return the cluster (`dask_jobqueue.SLURMCluster`) that a record describes; its jobs are not started."""
+    if find_spec("dask_jobqueue") is None:
+        raise ConfigError(
+            "Slurm needs dask-jobqueue, which is not installed", fix="pip install 'needlefit[cluster]'"
+        )
+    from dask_jobqueue.slurm import SLURMCluster
+    from distributed.security import Security
+
+    options = record.model_dump(exclude={"schema_", "jobs"}, exclude_none=True)
+    # the status page has no encryption: nobody else sees it
+    hidden = {"dashboard_address": "127.0.0.1:0"}
+    security = Security.temporary()
+    return SLURMCluster(protocol="tls://", security=security, scheduler_options=hidden, **options)
+
+
+def _keep(data: bytes) -> bytes:
+    """Return what was sent: as a task, so that it is sent again to a worker that comes later."""
+    return data
+
+
+def _run_task(data: bytes, shared: bytes) -> tuple[object, str]:
+    """Return on a worker what the work makes of an item, and the type of the processor."""
+    with _ONE_AT_A_TIME:
+        _limit_worker()
+        work = _read_work(shared)  # first: it checks the versions
+        item = pickle.loads(data)  # noqa: S301  members of a cluster run each other's code
+        return work(item), describe_processor()
+
+
+@lru_cache(maxsize=4)
+def _read_work(shared: bytes) -> Callable[[object], object]:
+    """Return the work; ConfigError if the machine that sends it has other versions than this worker."""
+    code, data = pickle.loads(shared)  # noqa: S301
+    here = describe_code()
+    other = [f"{name} {here[name]} instead of {value}" for name, value in code.items() if here[name] != value]
+    if other:
+        raise ConfigError(
+            f"a worker has {', '.join(other)}",
+            where=f"worker {platform.node()}",
+            expected="the same versions as on the machine that sends the work",
+            fix="install the same versions on all workers",
+        )
+    work: Callable[[object], object] = pickle.loads(data)  # noqa: S301
+    return work
+
+
+@cache
+def _limit_worker() -> None:
+    """Keep the linear algebra of a worker to one thread."""
+    import scipy.linalg  # noqa: F401  only what is loaded is limited
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1, user_api="blas")
+
+
+@cache
+def describe_code() -> dict[str, str]:
+    """Return what results depend on: the digest of this package's code, and the versions of others."""
+    package, digest = Path(__file__).parent.parent, hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
+    versions = {name: version(name) for name in ("needlefit", *CHECKED_PACKAGES)}
+    return {"Python": platform.python_version(), **versions, "code": digest.hexdigest()[:16]}
+
+
+@cache
+def describe_processor() -> str:
+    """Return the type of this machine's processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or platform.machine()

@@ -1,0 +1,132 @@
+"""Tasks on the workers of a Dask cluster: real schedulers and workers, each a process of this machine."""
+
+import os
+import signal
+import time
+from functools import partial
+
+import pytest
+
+from needlefit.errors import ConfigError
+from needlefit.project import cluster
+from needlefit.project.cluster import connect, make_slurm, require_secured
+from needlefit.project.load import check
+from needlefit.project.tasks import LocalPool, run_in_order
+from needlefit.schemas.cluster import SlurmRecord
+from tests.cluster_processes import start_scheduler, start_worker
+from tests.cluster_work import fail, kill_once, nap, square
+
+pytest.importorskip("distributed")
+
+LOOPBACK = "tcp://127.0.0.1"
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    with (
+        start_scheduler(tmp_path_factory.mktemp("scheduler")) as (address, _),
+        start_worker(address),
+        start_worker(address),
+    ):
+        yield address
+
+
+def test_results_are_those_of_this_machine_in_order(address):
+    work, items = partial(square, offset=0.1), [3.0, 1.0, 2.0, 1.0]
+    with connect(address) as pool:
+        assert list(run_in_order(work, items, pool)) == list(run_in_order(work, items, LocalPool()))
+
+
+def test_the_error_of_a_task_reaches_the_caller(address):
+    with connect(address) as pool, pytest.raises(ConfigError, match="of task 2") as caught:
+        list(pool.run(fail, [2]))
+    assert caught.value.where == "here"
+
+
+def test_a_worker_that_dies_costs_its_task_alone(address, tmp_path):
+    work = partial(kill_once, folder=str(tmp_path))
+    with connect(address) as pool:
+        assert list(run_in_order(work, list(range(6)), pool)) == list(range(6))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["killed"]
+
+
+def test_a_stop_drops_what_runs(address):
+    asked = []
+
+    def stop():
+        asked.append(None)
+        return len(asked) > 3
+
+    begin = time.monotonic()
+    with connect(address) as pool:
+        assert list(pool.run(nap, [2.0] * 4, stop)) == []
+    assert time.monotonic() - begin < 2
+
+
+def test_a_worker_of_other_versions_is_refused(address, monkeypatch):
+    monkeypatch.setattr(cluster, "describe_code", lambda: {"numpy": "0.1"})
+    with connect(address) as pool, pytest.raises(ConfigError, match=r"numpy .* instead of"):
+        list(pool.run(square, [1.0]))
+
+
+def test_a_lost_scheduler_is_an_error(tmp_path):
+    with start_scheduler(tmp_path) as (address, server), start_worker(address), connect(address) as pool:
+        results = pool.run(nap, [0.5] * 8)
+        assert next(results)[1] == 0.5
+        os.killpg(server.pid, signal.SIGKILL)
+        with pytest.raises(ConfigError, match="scheduler"):
+            list(results)
+
+
+def test_work_without_workers_waits_and_says_so(tmp_path):
+    notes = []
+    with start_scheduler(tmp_path) as (address, _), connect(address, note=notes.append) as pool:
+        assert list(pool.run(square, [1.0], lambda: bool(notes))) == []
+    assert len(notes) == 1
+
+
+@pytest.mark.parametrize(
+    ("address", "secured"),
+    [
+        ("tls://cluster:8786", True),
+        ("tcp://127.0.0.1:8786", True),
+        ("tcp://localhost:8786", True),
+        ("tcp://[::1]:8786", True),
+        ("tcp://10.0.0.1:8786", False),
+        ("tcp://cluster:8786", False),
+        ("cluster:8786", False),
+        ("http://127.0.0.1:8786", False),
+        ("tls://cluster", False),
+        ("tls://cluster:port", False),
+        ("tls://[", False),
+    ],
+)
+def test_an_address_is_secured(address, secured):
+    if secured:
+        require_secured(address)
+    else:
+        with pytest.raises(ConfigError) as caught:
+            require_secured(address)
+        assert caught.value.where == f"--scheduler {address}"
+
+
+def test_an_unencrypted_scheduler_needs_a_word():
+    require_secured("tcp://cluster:8786", insecure=True)
+
+
+def test_no_scheduler_answers(monkeypatch):
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    with pytest.raises(ConfigError, match="no scheduler answers"), connect(f"{LOOPBACK}:9"):
+        pass
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its files of keys stay open
+def test_the_slurm_job_has_what_the_file_states(tmp_path):
+    keys = {"jobs": 3, "cores": 4, "processes": 4, "memory": "8GB", "walltime": "01:30:00", "queue": "short"}
+    more = {"shared_temp_directory": str(tmp_path), "job_script_prologue": ["module load python"]}
+    record = check({"schema": 1, **keys, **more}, SlurmRecord, "cluster.toml")
+    with make_slurm(record) as found:
+        script = found.job_script()
+    lines = {"#SBATCH -p short", "#SBATCH -t 01:30:00", "#SBATCH --cpus-per-task=4", "module load python"}
+    assert lines <= set(script.splitlines())
+    assert "--nworkers 4" in script and "tls://" in script
