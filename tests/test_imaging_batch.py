@@ -1,5 +1,6 @@
 """Many scans: one that fails costs the others nothing, and what is finished is not done again."""
 
+import pickle
 import random
 import shutil
 from dataclasses import replace
@@ -15,7 +16,9 @@ from needlefit.imaging.image_headers import check_nrrd
 from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.scan_table import read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.project.encode import encode
 from needlefit.project.locate import shipped_folder
+from needlefit.project.progress import never_stop
 from needlefit.project.tasks import LocalPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -70,6 +73,28 @@ def test_a_failed_scan_is_reported_and_the_others_are_reconstructed(sample, tmp_
     assert found[0].scan.id == "truncated" and str(truncated) in str(found[0].error)
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
     assert steps[-1][1:] == (3, 3)
+
+
+class RemotePool(LocalPool):
+    """Work and items go through pickle, as to another machine."""
+
+    def run(self, work, items, stop=never_stop):
+        for n in range(len(items)):
+            function, item = pickle.loads(pickle.dumps((work, items[n])))
+            yield n, pickle.loads(pickle.dumps(function(item)))
+
+
+def plain(reconstruction):
+    arrays = {}
+    return encode(reconstruction, batch._HOOKS, arrays), {name: one.tobytes() for name, one in arrays.items()}
+
+
+def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample, tmp_path):
+    gone = replace(sample, id="gone", volume=tmp_path / "x.nrrd")
+    here = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch())
+    there = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch(RemotePool(remote=True)))
+    assert plain(there[0]) == plain(here[0])
+    assert there[1].scan == gone and str(gone.volume) in str(there[1].error)
 
 
 @pytest.mark.slow

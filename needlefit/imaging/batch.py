@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -11,10 +11,10 @@ from pathlib import Path
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.findings import Findings, collect_findings
+from needlefit.imaging.packed_scan import PackedScan, PackedScans, list_scan_files, unpack_scan
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
-from needlefit.imaging.volume import list_series_files
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.checkpoint_file import (
     CheckpointContent,
@@ -27,9 +27,6 @@ from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")
-"""Endings of volumes that are one file."""
 
 CHECKPOINT_KIND = "reconstruction"
 """Kind of the checkpoint files."""
@@ -87,8 +84,11 @@ def reconstruct_all(
             found[n] = finished
     left = [n for n in range(len(scans)) if n not in found]
     batch.progress("reconstructing", len(found), len(scans))
+    remaining = [scans[n] for n in left]
+    items = PackedScans(remaining) if batch.pool.remote else remaining
     work = partial(try_reconstruct, recipe=recipe, collect=True)
-    for at, one in batch.pool.run(work, [scans[n] for n in left], batch.stop):
+    for at, one in batch.pool.run(work, items, batch.stop):
+        one = replace(one, scan=remaining[at])  # a packed one has other paths
         found[left[at]] = one
         if isinstance(one, Reconstruction):
             _write_checkpoint(one, recipe, batch)
@@ -96,11 +96,23 @@ def reconstruct_all(
     return tuple(found[n] for n in sorted(found))
 
 
-@one_thread
 def try_reconstruct(
-    scan: Scan, recipe: ReconstructionRecord, collect: bool = False
+    scan: Scan | PackedScan, recipe: ReconstructionRecord, collect: bool = False
 ) -> Reconstruction | ReconstructionFailure:
     """Return the reconstruction of a scan, or its failure; `collect`: with what was found in the scan."""
+    if isinstance(scan, Scan):
+        return _try_reconstruct(scan, recipe, collect)
+    with unpack_scan(scan) as (unpacked, folder):
+        found = _try_reconstruct(unpacked, recipe, collect)
+    if isinstance(found, ReconstructionFailure):
+        return replace(found, error=scan.original(found.error, folder))
+    return found
+
+
+@one_thread
+def _try_reconstruct(
+    scan: Scan, recipe: ReconstructionRecord, collect: bool
+) -> Reconstruction | ReconstructionFailure:
     try:
         volume = read_volume(scan.volume, scan.series)
         found = examine(volume, scan, recipe)
@@ -168,19 +180,7 @@ def _digest_inputs(scan: Scan, recipe: ReconstructionRecord) -> str:
     arrays: Arrays = {}
     plain = json.dumps([encode(scan, _HOOKS, arrays), [[name, one.tolist()] for name, one in arrays.items()]])
     parts = [plain, recipe.model_dump_json(), *(version(name) for name in ("needlefit", *VERSIONED_PACKAGES))]
-    for path in sorted(set(_list_files(scan))):
+    for path in sorted(set(list_scan_files(scan))):
         status = path.stat()
         parts.append(f"{path} {status.st_size} {status.st_mtime_ns}")
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
-
-
-def _list_files(scan: Scan) -> Iterator[Path]:
-    """Yield every file that a reconstruction may read.
-
-    One slice stands for its series, and a header for the file of its voxels: all files of the folder count,
-    and of those below.
-    """
-    given = (scan.mask, scan.markers, scan.fiducials, *(one.path for one in scan.surfaces))
-    yield from (path for path in given if path is not None)
-    alone = scan.volume.name.lower().endswith(SINGLE_FILE_SUFFIXES)
-    yield from [scan.volume] if alone else list_series_files(scan.volume)
