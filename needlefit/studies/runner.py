@@ -2,14 +2,14 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Generic, TypeVar
 
 import pandas as pd
 
 from needlefit.inference.parameters import Parameters
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.tasks import THIS_PROCESS
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies import provenance
@@ -24,16 +24,39 @@ from needlefit.studies.score import Row
 FrameRows = dict[str, list[Row]]
 """Rows by the name of the frame that they belong to."""
 
+Value = TypeVar("Value")
+
 AnalysisTask = Callable[[], FrameRows]
 """Computes the rows of one task from its arguments alone; its random streams are keyed by them too."""
 
 _CHECKPOINT_ROWS = "tasks"
 
 
+class Shared(Generic[Value]):
+    """A value that several tasks need: computed by the first call, and sent with the tasks."""
+
+    def __init__(self, compute: Callable[[], Value]) -> None:
+        self._compute = compute
+
+    def __call__(self) -> Value:
+        """Return the value."""
+        return self._value
+
+    @cached_property
+    def _value(self) -> Value:
+        return self._compute()
+
+
 def run_tasks(
-    tasks: Mapping[str, AnalysisTask], label: str, settings: Settings, checkpoint: Checkpoint
+    tasks: Mapping[str, AnalysisTask],
+    label: str,
+    settings: Settings,
+    checkpoint: Checkpoint,
+    shared: Sequence[Callable[[], object]] = (),
 ) -> tuple[FrameRows, bool]:
     """Return the rows of all tasks in their order, and whether a stop left some of them undone.
+
+    Where several tasks are left, `shared` is called before them.
 
     A task that a stop interrupts is discarded: its rows would be incomplete.
     """
@@ -43,6 +66,8 @@ def run_tasks(
     left = [key for key in tasks if key not in finished]
     done = len(tasks) - len(left)
     settings.progress(label, done, len(tasks))
+    for compute in shared if len(left) > 1 else ():
+        compute()
     for n, text in settings.task_pool().run(_compute_rows, [tasks[key] for key in left], settings.stop):
         if settings.stop():
             break
@@ -92,8 +117,8 @@ class AnalysisPlan:
         What is held out besides the jobs' own folds.
     parameters : mapping
         Those of the fits in the frame `fits`, by its first column, if values at bounds are to be named.
-    in_this_process : bool
-        Whether the tasks share what the first of them computes, and cannot run apart.
+    shared : sequence of callable
+        Compute what several tasks need and keep, before the tasks are sent to other processes.
     """
 
     jobs: Sequence[Job]
@@ -103,7 +128,7 @@ class AnalysisPlan:
     also: Mapping[str, Any] | None = None
     folds: Sequence[Fold] = ()
     parameters: Mapping[str, Parameters] = field(default_factory=dict)
-    in_this_process: bool = False
+    shared: Sequence[Callable[[], object]] = ()
 
 
 def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> Run:
@@ -116,8 +141,7 @@ def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: An
     """
     work = _describe_configuration(name, record, plan)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
-    where = replace(settings, pool=THIS_PROCESS) if plan.in_this_process else settings
-    rows, interrupted = run_tasks(plan.tasks, name, where, checkpoint)
+    rows, interrupted = run_tasks(plan.tasks, name, settings, checkpoint, plan.shared)
     frames = {frame: _make_frame(rows.get(frame, []), columns) for frame, columns in plan.columns.items()}
     faults = () if interrupted else plan.conclude(frames)
     at_bounds = analysis_bound_warnings(frames["fits"], plan.parameters) if plan.parameters else ()

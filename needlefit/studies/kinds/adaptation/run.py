@@ -245,7 +245,10 @@ def plan(task: AdaptationTask) -> AnalysisPlan:
             if ids or approach == "inflated":
                 tasks[f"{approach}: {_name_set(ids)}"] = partial(_run_task, task, approach, ids)
     also = {"orders": [list(order) for order in task.orders]}
-    return AnalysisPlan((task.old, task.new), tasks, list_frames(), partial(conclude, task), also)
+    shared = [partial(getattr, task, "parameters")]
+    return AnalysisPlan(
+        (task.old, task.new), tasks, list_frames(), partial(conclude, task), also, shared=shared
+    )
 
 
 def _name_set(ids: tuple[str, ...]) -> str:

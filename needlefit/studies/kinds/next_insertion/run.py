@@ -8,7 +8,7 @@ All candidates predict data for the same draws: their differences are better kno
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -48,7 +48,7 @@ from needlefit.studies.kinds.plan.candidates import (
 )
 from needlefit.studies.planned_insertions import simulate_design
 from needlefit.studies.run import Frames, Run
-from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
+from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, run_analysis
 from needlefit.studies.score import Row
 
 OUTER_DRAWS = 400
@@ -137,7 +137,7 @@ def run(name: str, record: NextInsertionRecord, settings: Settings) -> Run:
     job = prepare(name, record.tuning(), settings)
     like = find_template(job, record.template_insertion)
     check_reach(job, like, _largest_depths(record))
-    now = cache(partial(_find_knowledge, job, record, like, settings))
+    now = Shared(partial(_find_knowledge, job, record, like, settings))
     names = tuple(one.name for one in record.quantities)
     tasks: dict[str, AnalysisTask] = {"posterior": partial(_posterior_row, now)}
     for place in iterate_places(record):
@@ -148,7 +148,7 @@ def run(name: str, record: NextInsertionRecord, settings: Settings) -> Run:
     deepest = max(job.folds[0].tune, key=lambda one: one.depth)
     where = dict(zip(_WHERE, ("repeat", deepest.id, 0.0, deepest.depth), strict=True))
     tasks["repeat"] = partial(_run_task, now, where, names, partial(_predict_repeat, deepest))
-    plan = AnalysisPlan([job], tasks, FRAMES, _conclude, in_this_process=True)
+    plan = AnalysisPlan([job], tasks, FRAMES, _conclude, shared=[now])
     return run_analysis(name, record, settings, plan)
 
 

@@ -8,7 +8,7 @@ found first. All are tried on draws that none was sought with, each with the lay
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -40,7 +40,7 @@ from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.proportions import estimate_proportion
 from needlefit.studies.run import Frames, Run
-from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
+from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, run_analysis
 from needlefit.studies.score import Row
 
 SEARCH_DRAWS, TEST_DRAWS = 60, 1000
@@ -107,7 +107,7 @@ def run(name: str, record: PlanRecord, settings: Settings) -> Run:
     job = prepare(name, record.tuning(), settings)
     site = TargetSite(job, find_template(job, record.template_insertion), record)
     check_reach(job, site.like, {"entry_plane.depth_mm": record.entry_plane.depth_mm[1]})
-    known = cache(partial(_draw_executions, site, settings))
+    known = Shared(partial(_draw_executions, site, settings))
     names = [EXPECTED, BEST_FIT, *([HAND_TUNED] if job.hand_tuned is not None else []), STRAIGHT]
     tasks: dict[str, AnalysisTask] = {
         "posterior": partial(_posterior_row, known),
@@ -115,7 +115,7 @@ def run(name: str, record: PlanRecord, settings: Settings) -> Run:
         "layers": partial(_layer_rows, site),
     }
     conclude = partial(_conclude, max(record.tolerances_mm))
-    plan = AnalysisPlan([job], tasks, FRAMES, conclude, in_this_process=True)
+    plan = AnalysisPlan([job], tasks, FRAMES, conclude, shared=[known])
     return run_analysis(name, record, settings, plan)
 
 

@@ -124,6 +124,10 @@ class _BaseFits:
     def __init__(self, jobs: Mapping[str, Job], settings: Settings) -> None:
         self.jobs, self.settings = jobs, settings
 
+    def __call__(self) -> None:
+        """Compute what the tasks share."""
+        _ = self.floors, self.fits
+
     @cached_property
     def floors(self) -> dict[str, NoiseFloor]:
         return compute_floors(self.jobs.values())
@@ -159,7 +163,10 @@ def run(name: str, record: SensitivityRecord, settings: Settings) -> Run:
     conclude = partial(_conclude, find_paper_numbers(jobs))
     frames = {**FRAMES, "errors": (*FRAMES["errors"], *list_score_columns())}
     return run_analysis(
-        name, record, settings, AnalysisPlan(list(jobs.values()), tasks, frames, conclude, also)
+        name,
+        record,
+        settings,
+        AnalysisPlan(list(jobs.values()), tasks, frames, conclude, also, shared=[base]),
     )
 
 
