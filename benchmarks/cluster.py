@@ -2,9 +2,9 @@
 
     python benchmarks/cluster.py [--tasks 200] [--seconds 16] [--rounds 3] [--json]
 
-Overhead is the time of a task that does nothing, of many that were sent at once. Efficiency is the time of one
-worker over twice that of two, for 16 equal tasks of calculation; idle cores are needed. Scheduler and workers
-are processes of this machine.
+Overhead is the time of a task that does nothing, of many that were sent at once. Efficiency is the time of
+one worker over twice that of two, for 16 equal tasks of calculation; idle cores are needed. Scheduler and
+workers are processes of this machine.
 """
 
 import argparse

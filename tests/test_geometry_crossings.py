@@ -1,5 +1,7 @@
 """Surfaces and their crossings against closed forms."""
 
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
@@ -207,3 +209,12 @@ def test_the_largest_piece_of_a_mesh_is_closed_and_faces_outward():
     assert (found.kind, found.into, len(found.mesh.faces)) == ("solid", 3, 12)
     assert found.mesh.volume == pytest.approx(512) and find_mesh_faults(found.mesh, "solid") == []
     assert others == pytest.approx((8 + 64) / 512)
+
+
+def test_a_solid_that_was_searched_contains_the_same_places_in_another_process():
+    solid = make_cylinder("cylinder", ([0.0, 0.0, -20.0], [0.0, 0.0, 20.0]), 10.0, 2)
+    line = [[-20.0, 0.0, 0.0], [20.0, 0.0, 0.0]]
+    here = find_crossings(line, [solid])
+    there = find_crossings(line, [pickle.loads(pickle.dumps(solid))])
+    assert here.sequence == there.sequence == (1, 2, 1)
+    assert np.array_equal(here.arc, there.arc)

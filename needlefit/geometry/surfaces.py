@@ -1,7 +1,7 @@
 """Layer boundaries as triangulated surfaces: read, write, build and check them."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
@@ -54,6 +54,10 @@ class Surface:
     mesh: trimesh.Trimesh
     kind: SurfaceKind
     into: int
+
+    def __reduce__(self) -> "tuple[Callable[[Triangles], Surface], tuple[Triangles]]":
+        # a pickled mesh keeps a search tree that is empty: no place is inside it any more
+        return from_triangles, (to_triangles(self),)
 
 
 def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
