@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 
@@ -24,11 +24,11 @@ def start_process(*words: str) -> "Iterator[subprocess.Popen[bytes]]":
 
 
 @contextmanager
-def start_scheduler(folder: Path) -> "Iterator[tuple[str, subprocess.Popen[bytes]]]":
+def start_scheduler(folder: Path, *options: str) -> "Iterator[tuple[str, subprocess.Popen[bytes]]]":
     """Start a scheduler; its address and its process."""
     file = folder / "scheduler.json"
     words = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
-    with start_process("distributed.cli.dask_scheduler", *words) as one:
+    with start_process("distributed.cli.dask_scheduler", *words, *options) as one:
         deadline = time.monotonic() + 60
         while not (address := _read_address(file)):
             assert time.monotonic() < deadline and one.poll() is None
@@ -44,7 +44,7 @@ def _read_address(file: Path) -> str:
         return ""
 
 
-def start_worker(address: str):
+def start_worker(address: str, *options: str) -> "AbstractContextManager[subprocess.Popen[bytes]]":
     """Start a worker of one thread, with the process that starts it again when it is killed."""
-    words = (address, "--nthreads", "1", "--no-dashboard", "--nanny", "--memory-limit", "0")
+    words = (address, "--nthreads", "1", "--no-dashboard", "--nanny", "--memory-limit", "0", *options)
     return start_process("distributed.cli.dask_worker", *words)

@@ -16,7 +16,8 @@ from needlefit.schemas.cluster import SlurmRecord
 from tests.cluster_processes import start_scheduler, start_worker
 from tests.cluster_work import fail, kill_once, nap, square
 
-pytest.importorskip("distributed")
+dask = pytest.importorskip("dask")
+Security = pytest.importorskip("distributed.security").Security
 
 LOOPBACK = "tcp://127.0.0.1"
 
@@ -108,6 +109,27 @@ def test_an_address_is_secured(address, secured):
         with pytest.raises(ConfigError) as caught:
             require_secured(address)
         assert caught.value.where == f"--scheduler {address}"
+
+
+def test_an_encrypted_scheduler_works_for_who_has_the_certificates(tmp_path, monkeypatch):
+    keys = Security.temporary().get_tls_config_for_role("client")
+    files = {}
+    for name, option in (("ca_file", "ca-file"), ("cert", "cert"), ("key", "key")):
+        files[option] = tmp_path / f"{name}.pem"
+        files[option].write_text(keys[name])
+    options = [word for option, file in files.items() for word in (f"--tls-{option}", str(file))]
+    parts = {"ca-file": "ca-file", "client.cert": "cert", "client.key": "key"}
+    tls = {f"distributed.comm.tls.{key}": str(files[name]) for key, name in parts.items()}
+    monkeypatch.setattr(cluster, "CONNECT_S", 5.0)
+    with (
+        start_scheduler(tmp_path, "--protocol", "tls", *options) as (address, _),
+        start_worker(address, *options),
+    ):
+        assert address.startswith("tls://")
+        with dask.config.set(tls), connect(address) as pool:
+            assert list(pool.run(square, [3.0])) == [(0, 9.0)]
+        with pytest.raises(ConfigError, match="no scheduler answers"), connect(address):
+            pass
 
 
 def test_an_unencrypted_scheduler_needs_a_word():
