@@ -1,0 +1,161 @@
+"""Report of a cohort: parameters and errors over specimens, and what could not be fitted."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from needlefit.inference.parameters import is_logarithmic
+from needlefit.metrics import headline_metrics
+from needlefit.reporting import document
+from needlefit.reporting.document import Block
+from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid, plot
+from needlefit.reporting.labels import METHOD_COLOURS
+from needlefit.reporting.number_format import (
+    choose_printed_unit,
+    format_quantity,
+    format_quantity_range,
+    format_symbol,
+    join_metrics,
+)
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_layout import TableLayout
+from needlefit.studies.report import FigurePaths, StudyReport
+from needlefit.studies.run import Run
+from needlefit.studies.verdict import Verdict
+
+MAX_LISTED = 20
+"""Failures that the report lists; `failures.csv` has all."""
+
+MAX_BINS = 40
+"""Bins of a histogram."""
+
+PARQUET = "fits.parquet"
+"""The frame `fits`, in a columnar file."""
+
+
+def summarize(result: Run) -> list[str]:
+    """Return sentences: how many were fitted, the median of each parameter, and the errors."""
+    errors, failures = result.frames["errors"], result.frames["failures"]
+    count, failed = len(errors), len(failures)
+    parts = [_format_median(name, rows) for name, rows in _by_parameter(result)]
+    typical = {metric.name: float(errors[metric.name].median()) for metric in headline_metrics()}
+    return [
+        f"Fitted {count} specimens of {errors['dataset'].nunique()} datasets "
+        f"({int(errors['insertions'].sum())} insertions); {failed} could not be fitted.",
+        f"Median over specimens: {'; '.join(parts)}.",
+        f"Median in-sample error: {join_metrics(typical)}.",
+    ]
+
+
+def _format_median(name: str, rows: pd.DataFrame) -> str:
+    """Return a parameter's symbol and its median over specimens."""
+    return f"{_symbol(name)} {format_quantity(name, float(rows['value'].median()))}"
+
+
+def _symbol(name: str) -> str:
+    """Return the symbol of a parameter without its unit, which stands with the values."""
+    return format_symbol(name).partition(" (")[0]
+
+
+def judge(result: Run) -> list[Verdict]:
+    """Return the first sentence; failures and open searches make it a warning."""
+    whole = result.frames["failures"].empty and bool(result.frames["errors"]["converged"].all())
+    sentence = summarize(result)[0].rstrip(".")
+    numbers = {"failures": len(result.frames["failures"])}
+    return [Verdict(sentence, "pass" if whole else "warn", numbers=numbers)]
+
+
+def _by_parameter(result: Run) -> Iterator[tuple[str, pd.DataFrame]]:
+    for name, rows in result.frames["fits"].groupby("parameter", sort=False):
+        yield str(name), rows
+
+
+def lay_out_tables(result: Run) -> list[TableLayout]:
+    """Return the parameters over specimens, and what could not be fitted."""
+    return [_lay_out_parameters(result), *_lay_out_failures(result)]
+
+
+def _lay_out_parameters(result: Run) -> TableLayout:
+    rows = []
+    for name, found in _by_parameter(result):
+        low, high = np.quantile(found["value"], [0.05, 0.95]).tolist()
+        rows.append(
+            {
+                "parameter": _symbol(name),
+                "specimens": len(found),
+                "specimen_median": format_quantity(name, float(found["value"].median())),
+                "specimen_range": format_quantity_range(name, low, high),
+                "sd": float(found["sd"].median()),
+                "specimens_at_bound": int(found["at_bound"].astype(bool).sum()),
+            }
+        )
+    notes = (
+        "SD: standard deviation of one fit, of the logarithm for moduli and lengths; median over specimens.",
+    )
+    columns = ("parameter", "specimens", "specimen_median", "specimen_range", "sd", "specimens_at_bound")
+    return Table("parameters", "Parameters over specimens.", rows, columns, notes=notes).lay_out()
+
+
+def _lay_out_failures(result: Run) -> list[TableLayout]:
+    failures = result.frames["failures"]
+    if failures.empty:
+        return []
+    caption = f"What could not be fitted ({min(len(failures), MAX_LISTED)} of {len(failures)})."
+    rows = failures.head(MAX_LISTED)
+    return [Table("failures", caption, rows, ("dataset", "specimen", "note")).lay_out()]
+
+
+def draw_figures(result: Run, folder: Path) -> dict[str, Path]:
+    """Draw a histogram of each parameter over specimens."""
+    return {"parameters": plot(folder / "distributions.pdf", _count(result), _paint)}
+
+
+def _count(result: Run) -> pd.DataFrame:
+    """Return the histograms: edges of bins in the units of files, and counts."""
+    found = []
+    for name, rows in _by_parameter(result):
+        values = rows["value"].to_numpy(dtype=np.float64)
+        scale, back = (np.log, np.exp) if is_logarithmic(name) else (np.asarray, np.asarray)
+        edges = np.histogram_bin_edges(scale(values), bins=min(MAX_BINS, 5 + len(values) // 5))
+        counts, _ = np.histogram(scale(values), edges)
+        low, high = back(edges[:-1]), back(edges[1:])
+        found.append(pd.DataFrame({"parameter": name, "low": low, "high": high, "specimens": counts}))
+    return pd.concat(found, ignore_index=True).assign(origin=result.origin)
+
+
+def _paint(frame: pd.DataFrame) -> Figure:
+    names = list(dict.fromkeys(frame["parameter"]))
+    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.9), layout="constrained")
+    for axes, name in zip(np.atleast_1d(figure.subplots(1, len(names), sharey=True)), names, strict=True):
+        rows = frame[frame["parameter"] == name]
+        label, unit = choose_printed_unit(name, rows["high"])
+        edges = np.append(rows["low"], rows["high"].iloc[-1]) / unit
+        axes.stairs(rows["specimens"], edges, fill=True, color=METHOD_COLOURS["fitted"])
+        axes.set_xscale("log" if is_logarithmic(name) else "linear")
+        axes.set_xlabel(label)
+        draw_grid(axes, "y")
+    figure.axes[0].set_ylabel("specimens")
+    return figure
+
+
+def compose_sections(result: Run, figures: FigurePaths) -> list[Block]:
+    """Return the report's sections: parameters, errors, failures."""
+    caption = "Fitted parameters over specimens (histograms)."
+    return [
+        document.heading("Parameters"),
+        document.figure(figures["parameters"], caption),
+        *(document.table(one) for one in lay_out_tables(result)),
+    ]
+
+
+def write_parquet(result: Run, folder: Path) -> None:
+    """Write all fits to one columnar file."""
+    result.frames["fits"].to_parquet(folder / PARQUET, index=False)
+
+
+REPORT = StudyReport(
+    summarize, lay_out_tables, draw_figures, compose_sections, write_files=write_parquet, judge=judge
+)
