@@ -159,9 +159,7 @@ class StudyReport:
     warn: Callable[[Run], Iterable[ResultWarning]] = warn_of_nothing
 
 
-MODEL_DATA_NOTE = (
-    "The needles were made by the model itself: its errors on them do not carry over to real ones."
-)
+MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."
 """Of synthetic data that are not the twin's."""
 
 

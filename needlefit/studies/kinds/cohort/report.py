@@ -134,7 +134,8 @@ def _paint(frame: pd.DataFrame) -> Figure:
         label, unit = choose_printed_unit(name, rows["high"])
         edges = np.append(rows["low"], rows["high"].iloc[-1]) / unit
         axes.stairs(rows["specimens"], edges, fill=True, color=METHOD_COLOURS["fitted"])
-        axes.set_xscale("log" if is_logarithmic(name) else "linear")
+        wide = is_logarithmic(name) and edges[-1] > 10 * edges[0]
+        axes.set_xscale("log" if wide else "linear")
         axes.set_xlabel(label)
         draw_grid(axes, "y")
     figure.axes[0].set_ylabel("specimens")
