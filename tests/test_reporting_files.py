@@ -23,7 +23,7 @@ from needlefit.studies.report import compose_run_report, write_run
 EARLIER = '{"versions": {"needlefit": "0.1.0"}}'
 """`run.json` of a result without a stamp."""
 
-FIGURES = ("boxplot", "schematic", "overlays", "residuals", "baselines", "waterfall")
+FIGURES = ("boxplot", "schematic", "overlays", "residuals", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.csv" for name in ("validation", "tuning", "parameters")),

@@ -7,6 +7,7 @@ import shutil
 import pytest
 from reporting_results import stereo, study
 
+from needlefit.errors import ConfigError
 from needlefit.reporting.document import Document
 from needlefit.reporting.latex import format_table_macros
 from needlefit.reporting.paper_example import compile_example, format_example
@@ -18,6 +19,7 @@ from needlefit.studies.kinds.cross_validation.methods_paragraph import (
     format_methods_text,
     format_references,
 )
+from needlefit.studies.paper_folder import write_paper_folder
 from needlefit.studies.report import write_run
 
 RECIPE = {
@@ -120,16 +122,41 @@ def test_edp_is_defined_by_the_deflection():
     assert "100 TE / |deflection|" in format_methods_text(run_of())
 
 
+@pytest.fixture
+def written(tmp_path):
+    """The paths of a run's folder and of a paper's folder made from it."""
+    folder = write_run(run_of(), tmp_path / "study1")
+    write_paper_folder(run_of(), folder, tmp_path / "paper")
+    return folder, tmp_path / "paper"
+
+
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="LaTeX is not installed")
 @pytest.mark.slow
-def test_the_example_compiles(tmp_path):
-    folder = write_run(run_of(), tmp_path / "study1")
-    compile_example(folder, tmp_path / "example.pdf")
-    assert (tmp_path / "example.pdf").read_bytes().startswith(b"%PDF")
+def test_the_example_compiles(written, tmp_path):
+    for folder in written:
+        compile_example(folder, tmp_path / "example.pdf")
+        assert (tmp_path / "example.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.slow
+def test_a_paper_has_every_figure_in_both_widths_with_letters_of_8_points(written):
+    run, paper = written
+    names = {path.stem for path in run.glob("*.pdf")} - {"report"}
+    widths = {"single": 3.5, "double": 7.16}
+    assert {path.stem for path in paper.glob("*.pdf")} == {f"{n}-{word}" for n in names for word in widths}
+    for path in paper.glob("*.pdf"):
+        width = float(re.search(rb"/MediaBox *\[ *0 +0 +([\d.]+)", path.read_bytes())[1]) / 72
+        assert width == pytest.approx(widths[path.stem.rpartition("-")[2]], abs=0.01)
+    included = re.findall(r"\\includegraphics\{([\w-]+)\}", (paper / "example.tex").read_text())
+    assert sorted(included) == sorted(path.stem for path in paper.glob("*.pdf"))
+    with pytest.raises(ConfigError, match="not empty"):
+        write_paper_folder(run_of(), run, paper)
 
 
 def test_the_example_inputs_every_table_and_the_methods(tmp_path):
     blocks = ({"kind": "figure", "half": True, "path": tmp_path / "boxplot.pdf", "caption": "50 %"},)
-    text = format_example(Document("A & B", "", False, blocks), ["validation", "parameters"], methods=True)
+    text = format_example(
+        Document("A & B", "", False, ()), blocks, ["validation", "parameters"], methods=True
+    )
     assert set(re.findall(r"\\input\{(\w+)\}", text)) == {"numbers", "methods", "validation", "parameters"}
     assert r"\title{A \& B}" in text and r"\begin{figure}" in text and r"\caption{50 \%}" in text

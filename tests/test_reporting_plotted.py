@@ -70,6 +70,7 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
 )
 def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
     files.draw_figures(results, tmp_path)
+    files.draw_error_figures([results, results], tmp_path)
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
     assert (
         pictures == set(painted)

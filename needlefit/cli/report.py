@@ -16,12 +16,20 @@ def report(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write to this folder; the run's own by default."),
     ] = None,
+    paper: Annotated[
+        Path | None,
+        typer.Option(
+            "--paper",
+            metavar="DIR",
+            help="Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.",
+        ),
+    ] = None,
     latex: Annotated[
         Path | None,
         typer.Option(
             "--latex",
             metavar="PDF",
-            help="Also compile example.tex, a paper of all tables and figures. Needs LaTeX.",
+            help="Also compile the example, a paper of all tables and figures. Needs LaTeX.",
         ),
     ] = None,
     explain: options.Explain = False,
@@ -47,8 +55,17 @@ def report(
         show_run(context.find_root().obj, one, written, named=len(runs) > 1)
     for name, what in damaged.items():
         screen.print_note(f"needlefit: damaged, and not used: {folder}/{name} {what}")
+    if paper is not None:
+        from needlefit.studies.paper_folder import write_paper_folder
+
+        for one in runs:
+            several = len(runs) > 1
+            write_paper_folder(
+                one, folder.parent / one.name if several else written, paper / one.name if several else paper
+            )
+        screen.print_line(f"written: {paper}")
     if latex is not None:
         from needlefit.reporting.paper_example import compile_example
 
-        compile_example(written, latex)
+        compile_example(written if paper is None else paper, latex)
         screen.print_line(f"written: {latex}")

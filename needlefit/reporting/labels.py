@@ -115,24 +115,24 @@ def method_name(method: str, origin: str = "measured") -> str:
 
 
 BOXPLOT_CAPTION = (
-    "Errors on held-out insertions. Boxes: quartiles, whiskers: 5th to 95th percentile, of the in-plane "
-    "errors of all points and of the tip errors (points alone for fewer than five insertions). Filled "
-    "diamonds: our means over insertions. Open diamonds: the paper’s means on its own needles. Dashes: noise "
-    "floor."
+    "Errors on held-out insertions: all points (IPE), all tips (TE; no box for fewer than five). Boxes: "
+    "quartiles; whiskers: 5th to 95th percentile. Diamonds: means over insertions, the paper’s (open) on its "
+    "own needles."
 )
 SCHEMATIC_CAPTION = (
     "Insertions with the smallest and the largest tip error (TE): measured needle (dots), model (line) and, "
     "where it was held out, its 50 % and 95 % predictive bands. The orange line joins the two tips: its "
-    "length is the TE."
+    "length is the TE. Shaded: layers, with their numbers."
 )
 OVERLAYS_CAPTION = (
-    "Measured needles (dots) and model (lines), one panel per insertion, all with the same axes. Bands: 50 % "
-    "and 95 % predictive bands of held-out insertions. Deflection is positive toward the bevel."
+    "Measured needles (dots) and model (lines), one panel per insertion, all with the same axes. Number: tip "
+    "error. Bands: 50 % and 95 % predictive bands of held-out insertions."
 )
 RESIDUALS_CAPTION = (
-    "Deflection minus that of the fitted needle at the same depth, positive toward the bevel. The bands "
-    "include the uncertainty of the parameters and the measurement errors, so they need not be centred on "
-    "the fit. The straight line is left out; curves that leave a panel lie farther away."
+    "Deflection minus that of the fitted needle at the same depth, positive toward the bevel: insertions "
+    "with the smallest, the median and the largest tip error. The bands include the uncertainty of the "
+    "parameters and the measurement errors, so they need not be centred on the fit. The straight line is not "
+    "drawn; curves that leave a panel lie farther away."
 )
 WATERFALL_CAPTION = (
     "Waterfall plot. Left: objective of each start minus the best one of its search, sorted, in units of the "
@@ -145,9 +145,9 @@ CORNER_CAPTION = (
     "the fit and the paper’s parameters. Dotted: bounds, and the flat prior between them."
 )
 PREDICTIVE_CHECK_CAPTION = (
-    "Predictive check on held-out insertions. Left: empirical CDF of the predictive CDF at the measurement "
-    "(PIT). Well-calibrated predictions stay in the grey band in 95 % of cases. Right: share of insertions "
-    "inside their 50 % and 95 % intervals, with its 95 % confidence interval (Wilson)."
+    "Predictive check. Left: empirical CDF of the predictive CDF at the measurement (PIT); well-calibrated "
+    "predictions stay in the grey band in 95 % of cases. Right: share of insertions inside their 50 % and "
+    "95 % intervals, with its 95 % confidence interval (Wilson)."
 )
 RANKS_CAPTION = (
     "Simulation-based calibration: ECDF of the rank of the truth among posterior draws minus that of uniform "

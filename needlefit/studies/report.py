@@ -203,7 +203,8 @@ def write_files(result: Run, folder: Path) -> None:
     report = compose_run_report(result, figures)
     write_report(report, folder)
     methods = (folder / "methods.tex").is_file()
-    example = format_example(report, [table.name for table in tables], methods)
+    pictures = [block for block in report.blocks if block["kind"] == "figure"]
+    example = format_example(report, pictures, [table.name for table in tables], methods)
     (folder / EXAMPLE_FILE).write_text(example, encoding="utf-8")
     label_figures(figures, result.synthetic)
     store_run(result, folder)

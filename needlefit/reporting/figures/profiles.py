@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, plot
+from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, choose_width, plot
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR
 from needlefit.reporting.number_format import choose_printed_unit, format_number, typeset
 from needlefit.reporting.table_files import Row, to_records
@@ -54,9 +54,10 @@ _VERDICT_COLUMNS = ("status", "fisher_sd", "low", "high", "end_low", "end_high",
 
 def _paint(profiles: pd.DataFrame) -> Figure:
     rows = to_records(profiles.drop_duplicates(list(_PANEL_KEYS))[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
-    across = _count_columns(len(rows))
+    width = choose_width()
+    across = _count_columns(len(rows)) if width > COLUMN_WIDTH_IN else min(2, len(rows))
     down = math.ceil(len(rows) / across)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.3 + 1.5 * down))
+    figure = Figure(figsize=(width, 0.3 + 1.25 * down))
     panels = figure.subplots(down, across, squeeze=False, sharey=True)
     for n, axes in enumerate(panels.flat):
         if n >= len(rows):
@@ -128,6 +129,7 @@ def _paint_parabola(
 def _format_axes(axes: Axes, row: Row, ends: Floats) -> None:
     name = str(row["parameter"])
     axes.set_ylim(0, MAX_DEVIANCE)
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
     axes.set_xlim(float(ends[0]), float(ends[1]))
     if is_logarithmic(name):
         ticks = choose_log_ticks(float(ends[0]), float(ends[1]))
@@ -135,14 +137,13 @@ def _format_axes(axes: Axes, row: Row, ends: Floats) -> None:
         axes.set_xticks(ticks, [_format_tick(tick / _choose_unit(row)[1]) for tick in ticks])
     else:
         axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
-    axes.set_title(_panel_title(row), loc="left", color=INK, pad=13)
+    axes.set_title(_panel_title(row), loc="left", color=INK, pad=14)
     axes.text(
         0,
         1.035,
         _describe_state(row),
         transform=axes.transAxes,
         va="bottom",
-        fontsize=6.5,
         color=_choose_colour(row),
     )
 
@@ -190,14 +191,14 @@ def choose_log_ticks(low: float, high: float) -> list[float]:
 
 def _draw_legend(figure: Figure, last: Axes, threshold: float) -> None:
     """Name the curves above the panels, and the threshold beside the last panel of the first row."""
-    figure.suptitle(" ", fontsize=7.5)  # keeps the line free
+    figure.suptitle(" ")  # keeps the line free
     for x, words, colour in (
         (0.01, "profile", PROFILE_COLOUR),
-        (0.075, "information at the optimum", PARABOLA_COLOUR),
+        (0.01 + 0.55 / figure.get_figwidth(), "information at the optimum", PARABOLA_COLOUR),
     ):
-        figure.text(x, 0.985, words, va="top", fontsize=7, color=colour)
+        figure.text(x, 0.985, words, va="top", color=colour)
     across = last.get_yaxis_transform()
-    last.text(1.02, threshold, "95 %", transform=across, va="center", fontsize=6.5, color=GREY)
+    last.text(1.02, threshold, "95 %", transform=across, va="center", color=GREY)
 
 
 def _format_tick(value: float) -> str:

@@ -2,7 +2,9 @@
 of labels.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
@@ -24,6 +26,27 @@ TEXT_WIDTH_IN = 7.16
 COLUMN_WIDTH_IN = 3.5
 """Inches: one column of a paper; two such figures stand side by side in the report."""
 
+FONT_SIZE_PT = 8.0
+"""Points: letters of figures at the size in which they are printed."""
+
+_fixed_width: ContextVar[float | None] = ContextVar("fixed width of figures", default=None)
+
+
+@contextmanager
+def fix_width(inches: float) -> Iterator[None]:
+    """Draw figures whose painters ask `choose_width` in one width, that of a column or of a page."""
+    token = _fixed_width.set(inches)
+    try:
+        yield
+    finally:
+        _fixed_width.reset(token)
+
+
+def choose_width(natural: float = TEXT_WIDTH_IN) -> float:
+    """Return the width of a figure in inches: its own in the report, or the one of `fix_width`."""
+    return _fixed_width.get() or natural
+
+
 _VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)
 _METADATA: dict[str, dict[str, None]] = {
     ".pdf": {"CreationDate": None},
@@ -32,11 +55,14 @@ _METADATA: dict[str, dict[str, None]] = {
 }
 RC_PARAMS = {
     "font.family": "DejaVu Sans",  # ships with matplotlib
-    "font.size": 7.5,
-    "axes.titlesize": 7.5,
-    "axes.labelsize": 7.5,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
+    "font.size": FONT_SIZE_PT,
+    "axes.titlesize": FONT_SIZE_PT,
+    "axes.labelsize": FONT_SIZE_PT,
+    "xtick.labelsize": FONT_SIZE_PT,
+    "ytick.labelsize": FONT_SIZE_PT,
+    "legend.fontsize": FONT_SIZE_PT,
+    "figure.titlesize": FONT_SIZE_PT,
+    "figure.labelsize": FONT_SIZE_PT,
     "axes.linewidth": 0.6,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -103,6 +129,17 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
     return path
 
 
+MAX_HALF_COLUMN_LETTERS = 24
+"""Letters at most of names of which two stand side by side in a column of a paper."""
+
+
+def count_legend_columns(figure: Figure, names: Sequence[str], most: int) -> int:
+    """Return how many columns of names a legend has above a figure: `most` at full width."""
+    if figure.get_figwidth() > COLUMN_WIDTH_IN:
+        return most
+    return 2 if max(map(len, names)) <= MAX_HALF_COLUMN_LETTERS else 1
+
+
 def fit_height(figure: Figure) -> None:
     """Set a figure's height to that of its contents; axes of fixed aspect may not fill it."""
     # Constrained layout sets the axes only when the figure is drawn.
@@ -127,9 +164,7 @@ def is_synthetic(frame: pd.DataFrame) -> bool:
 def label_origin(figure: Figure, synthetic: bool) -> None:
     """Write SYNTHETIC DATA across the top of a figure of synthetic data."""
     if synthetic:
-        figure.suptitle(
-            "SYNTHETIC DATA", x=0.995, ha="right", fontsize=7.5, weight="bold", color=SYNTHETIC_COLOUR
-        )
+        figure.suptitle("SYNTHETIC DATA", x=0.995, ha="right", weight="bold", color=SYNTHETIC_COLOUR)
 
 
 def draw_grid(axes: Axes, axis: str) -> None:

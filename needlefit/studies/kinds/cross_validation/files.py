@@ -128,8 +128,9 @@ def draw_error_figures(results: Sequence[Run], folder: Path) -> dict[str, Path]:
         return {}
     drawn = {
         "boxplot": figures.draw_boxplot(results, folder / "boxplot.pdf"),
-        "baselines": figures.draw_baselines(results, folder / "baselines.pdf"),
     }
+    if len(results) > 1:  # of one study the table of methods has these numbers
+        drawn["baselines"] = figures.draw_baselines(results, folder / "baselines.pdf")
     if any(len(one.frames["predictive"]) for one in results):
         drawn["predicted"] = figures.draw_predictive_check(results, folder / "predicted.pdf")
     return drawn

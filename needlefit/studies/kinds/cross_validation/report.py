@@ -6,7 +6,7 @@ from needlefit.reporting import document, labels
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.number_format import insert_symbols
 from needlefit.studies import paper
-from needlefit.studies.identification_tables import describe_verdicts, lay_out_identification
+from needlefit.studies.identification_tables import describe_verdicts
 from needlefit.studies.kinds.cross_validation import detail_tables, score_tables, sentences
 from needlefit.studies.kinds.cross_validation.differences import COMPARISONS
 from needlefit.studies.kinds.cross_validation.explanation import explain
@@ -39,14 +39,13 @@ from needlefit.studies.run import Run
 
 
 def compose_sections(results: Run, figures: FigurePaths) -> list[Block]:
-    """Return the report below its verdicts: evidence, schematic, errors and parameters in short; then errors,
+    """Return the report below its verdicts: evidence, schematic and errors in short; then errors and
     coverage, parameters, insertions, methods; diagnostics last.
     """
     return [
         document.text(describe_evidence(results)),
         *figure_blocks(figures, "schematic", labels.SCHEMATIC_CAPTION),
         document.table(score_tables.lay_out_summary([results])),
-        document.table(detail_tables.lay_out_values(results)),
         *_error_blocks(results, figures),
         *_parameter_blocks(results, figures),
         *_insertion_blocks(results, figures),
@@ -63,24 +62,16 @@ def figure_blocks(figures: FigurePaths, name: str, caption: str) -> list[Block]:
 
 
 def _error_blocks(results: Run, figures: FigurePaths) -> list[Block]:
-    blocks = []
-    if sentences.find_scored_role(results) == "validate":
-        blocks += [
-            document.heading("Errors on held-out insertions"),
-            *figure_blocks(figures, "boxplot", labels.BOXPLOT_CAPTION),
-            *figure_blocks(figures, "baselines", labels.BASELINES_CAPTION),
-        ]
-        blocks += _baseline_table([results], "validate")
-    else:
-        blocks += [document.heading("Errors"), *tuning_blocks([results])]
-        blocks += _baseline_table([results], "tune")
-    if len(results.frames["predictive"]):
-        blocks += [
-            document.heading("Coverage of the predictive intervals"),
-            *figure_blocks(figures, "predicted", labels.PREDICTIVE_CHECK_CAPTION),
-            document.table(lay_out_coverage(results)),
-        ]
-    return blocks
+    role = sentences.find_scored_role(results)
+    predicted = len(results.frames["predictive"]) > 0
+    held_out = f"Errors{' and coverage' if predicted else ''} on held-out insertions"
+    return [
+        document.heading(held_out if role == "validate" else "Errors"),
+        *figure_blocks(figures, "boxplot", labels.BOXPLOT_CAPTION),
+        *figure_blocks(figures, "predicted", labels.PREDICTIVE_CHECK_CAPTION),
+        *_baseline_table([results], role),
+        *([document.table(lay_out_coverage(results))] if predicted else []),
+    ]
 
 
 def _baseline_table(results: Sequence[Run], role: str) -> list[Block]:
@@ -140,15 +131,13 @@ def _data_blocks(results: Run) -> list[Block]:
 
 
 def _diagnostic_blocks(results: Run, figures: FigurePaths) -> list[Block]:
-    held_out = sentences.find_scored_role(results) == "validate"
     summary = (
         sentences.describe_failures(results),
         sentences.describe_validity(results),
         describe_agreement(results),
     )
     return [
-        *([document.table(score_tables.lay_out_validation([results]))] if held_out else []),
-        *(tuning_blocks([results]) if held_out else []),
+        document.table(score_tables.lay_out_all_errors(results)),
         *figure_blocks(figures, "residuals", labels.RESIDUALS_CAPTION),
         document.table(detail_tables.lay_out_directions(results)),
         *([document.table(lay_out_posterior(results))] if results.posteriors else []),
@@ -159,15 +148,14 @@ def _diagnostic_blocks(results: Run, figures: FigurePaths) -> list[Block]:
 
 
 def _identifiability_blocks(results: Run, figures: FigurePaths) -> list[Block]:
-    """Return what a fit was found to determine; a study's folds are not examined."""
+    """Return the profiles, and what freeing the fixed parameters would change; the table of parameters has
+    the verdicts on the free ones.
+    """
     identification = results.frames["identification"]
-    if identification.empty:
-        return []
+    freed = describe_verdicts(identification[identification["status"] == "fixed"])
     return [
-        document.subheading("Identifiability"),
-        document.bullets([insert_symbols(summary) for summary in describe_verdicts(identification)]),
         *figure_blocks(figures, "profiles", labels.PROFILES_CAPTION),
-        document.table(lay_out_identification(identification)),
+        *([document.bullets([insert_symbols(summary) for summary in freed])] if freed else []),
     ]
 
 

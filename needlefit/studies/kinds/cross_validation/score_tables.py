@@ -160,6 +160,20 @@ def lay_out_tuning(results: Sequence[Run], grouping: str) -> TableLayout:
     return _lay_out_groups(f"tuning_by_{grouping}", caption, groups, _REGROUPED_KINDS)
 
 
+def lay_out_all_errors(results: Run) -> TableLayout:
+    """Return all metrics of held-out and tuning insertions; by media where the paper has a cell."""
+    tuned = list_groups(tabulate_tuning(results))
+    kinds = [kind for kind in _HELD_OUT_KINDS if kind is not _POOLED]
+    shown = [
+        group
+        for group in tuned
+        if group.head["grouping"] == BY_LAYERS
+        or any(one.printed for one in tuned if one.head["grouping"] == BY_MEDIA)
+    ]
+    groups = [*list_held_out_groups(results), *shown]
+    return _lay_out_groups("all_errors", "Errors in all metrics", groups, kinds, compared=False)
+
+
 _GROUPING_NAMES = {BY_LAYERS: "number of layers", BY_MEDIA: "medium"}
 _ROLE_NAMES = {"tune": "tunes", "validate": "validates"}
 
@@ -183,33 +197,40 @@ def lay_out_design(results: Sequence[Run]) -> TableLayout:
 
 
 def _lay_out_groups(
-    name: str, caption: str, groups: Sequence[ScoredGroup], kinds: Sequence[_RowKind]
+    name: str, caption: str, groups: Sequence[ScoredGroup], kinds: Sequence[_RowKind], compared: bool = True
 ) -> TableLayout:
-    """Return one block of rows per group; only its first row names the group."""
+    """Return one block of rows per group; only its first row names the group.
+
+    With `compared`, notes say what makes each group comparable to the paper's, or not.
+    """
     rows: list[Row] = []
     caveats: list[str] = []
     same: dict[str, list[str]] = {}
     for number, group in enumerate(groups):
         head = _describe_group(group.head)
-        rows += [{**head, **row, "number": number} for row in _list_group_rows(group, kinds)]
+        role = _ROLE_NAMES["validate" if group.head["grouping"] == HELD_OUT else "tune"]
+        own = [kind for kind in kinds if group.head["grouping"] == HELD_OUT or kind in _REGROUPED_KINDS]
+        rows += [{**head, **row, "role": role, "number": number} for row in _list_group_rows(group, own)]
         if group.printed:
             same.setdefault(str(group.head["comparable"]), []).append(_name_group(head))
         caveats += _group_caveats(head, group)
-    compared = [f"{'; '.join(heads)}: {sentence}" for sentence, heads in same.items()]
+    comparisons = [f"{'; '.join(heads)}: {sentence}" for sentence, heads in same.items() if compared]
     names = {row["row"] for row in rows}
     summary = [sentence for row_kind, sentence in _ROW_NOTES.items() if row_kind in names]
     summary += [_ALTERNATE_NOTE] if any(group.head["alternate_count"] for group in groups) else []
     summary += [_ALIGNED_NOTE] if any(group.head["comparison"] == "aligned" for group in groups) else []
     caption += ", beside the paper’s." if _PAPER.name in names else "."
-    notes = (" ".join(summary), *compared, *caveats) if summary else ()
+    notes = (" ".join(summary), *comparisons, *caveats) if summary else ()
+    several = len({row["role"] for row in rows}) > 1
+    heads = ("study", *(("role",) if several else ()), "medium", "layers", "insertions")
     columns = (
-        *("study", "medium", "layers", "insertions", "row"),
+        *(*heads, "row"),
         *(part("metric_value", metric=one.name) for one in list_metrics() if not one.spread_of),
         *(part("over_floor", metric=one.name) for one in headline_metrics() if one.has_floor),
     )
     lines = pivot(rows, ["number", "row"], ["metric"])
     return Table(
-        name, caption, lines, columns, groups=("number",), heads=4, strong="groups", notes=notes
+        name, caption, lines, columns, groups=("number",), heads=len(heads), strong="groups", notes=notes
     ).lay_out()
 
 
@@ -269,15 +290,12 @@ def _name_group(head: Row) -> str:
 
 
 _COVERAGE_NOTES = (
-    "Number of insertions whose tip lies inside its predicted interval, and whose whole shape lies inside "
-    "its predicted band. Well-calibrated predictions give 50 % and 95 %. In brackets: the 95 % confidence "
-    "interval of this share. With five specimens or more, all insertions into one specimen count as one "
-    "trial. With fewer, each insertion counts as a trial, and the interval does not include differences "
-    "between specimens. CRPS, a score of the whole predictive distribution (lower is better), is the mean "
-    "absolute error of the prediction minus half its mean absolute spread.",
-    "The intervals include the uncertainty of the parameters, and the stated errors of layer depths, tip "
-    "depth, pose and points. Layer depths are those at which each simulated needle crosses the surfaces. "
-    "Model error is not included.",
+    "Insertions whose tip (whole shape) lies inside its predicted interval (band), with the 95 % confidence "
+    "interval of the share. Well-calibrated predictions give 50 % and 95 %. With five specimens or more, all "
+    "insertions into one specimen count as one trial; with fewer, the confidence interval does not include "
+    "differences between specimens. CRPS: score of the whole predictive distribution; lower is better.",
+    "The intervals include the uncertainty of the parameters and the stated errors of layer depths, tip "
+    "depth, pose and points, not model error. Layers begin where each simulated needle crosses the surfaces.",
 )
 _DRAW_SOURCE_NAMES = {
     "posterior": "the sampled posterior",

@@ -12,13 +12,11 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from needlefit.arrays import Floats
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.profiles import choose_log_ticks
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, plot
+from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, choose_width, plot
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
-    format_number,
     format_plain,
-    typeset,
 )
 from needlefit.studies.kinds.cross_validation.posterior import (
     find_ridge_ends,
@@ -28,9 +26,10 @@ from needlefit.studies.kinds.cross_validation.posterior import (
 from needlefit.studies.run import Run
 
 _MARGIN_FRACTION = 0.12  # of the range of what is shown, left free at each side
-_MAX_PANEL_IN = 0.86  # inches at most
+_MAX_PANEL_IN = 0.64  # inches at most
 _MAX_TICK_LETTERS = 2  # signs of a number of which more than two stand along a panel
-_MIN_WIDTH_IN = 4.9  # inches: room for the words beside the first panel
+_MIN_PANEL_IN = 0.8  # inches, of panels whose numbers stand side by side
+_MAX_COLUMN_PARAMETERS = 3
 _DRAW_COLOUR, _RIDGE_COLOUR = METHOD_COLOURS["fitted"], "#D55E00"
 _MARKS = {"fitted": ("D", 4.2, INK), "hand_tuned": ("s", 4.0, METHOD_COLOURS["hand_tuned"])}
 
@@ -63,8 +62,9 @@ def tabulate_marks(results: Run) -> pd.DataFrame:
 def _paint(frame: pd.DataFrame, summary: dict[str, str]) -> Figure:
     names = [str(name) for name in frame.columns if name not in ("mark", "origin")]
     count = len(names)
-    side = min(_MAX_PANEL_IN, TEXT_WIDTH_IN / count) * count
-    figure = Figure(figsize=(max(side, _MIN_WIDTH_IN), max(side, 2.2) + 0.3))
+    width = choose_width(COLUMN_WIDTH_IN if count <= _MAX_COLUMN_PARAMETERS else TEXT_WIDTH_IN)
+    height = min(max(_MAX_PANEL_IN * count, 2.2) + 0.4, 1.1 * width)
+    figure = Figure(figsize=(width, height))
     grid = figure.subplots(count, count, squeeze=False, sharex="col")
     for row, below in enumerate(names):
         for column, left in enumerate(names):
@@ -77,8 +77,18 @@ def _paint(frame: pd.DataFrame, summary: dict[str, str]) -> Figure:
             else:
                 _paint_pair(axes, frame, left, below)
             _format_axes(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
+            if width / count < _MIN_PANEL_IN:
+                _make_narrow(axes)
     _draw_legend(figure, frame, summary)
     return figure
+
+
+def _make_narrow(axes: Axes) -> None:
+    """Turn the numbers, and break the names, of a panel that is too narrow for them."""
+    axes.tick_params(axis="x", labelrotation=90)
+    axes.set_xlabel(axes.get_xlabel().replace(" ", "\n", 1))
+    axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
+    axes.set_title("", loc="left")
 
 
 def _paint_marginal(axes: Axes, frame: pd.DataFrame, name: str) -> None:
@@ -160,15 +170,13 @@ def _format_axes(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer:
             axis.set_ticks(ticks, [format_plain(tick / unit) for tick in ticks])
         else:
             axis.set_major_locator(MaxNLocator(3))
-        axis.set_tick_params(labelbottom=last, labelleft=last, labelsize=6)
+        axis.set_tick_params(labelbottom=last, labelleft=last)
         if last:
             axis.set_label_text(choose_printed_unit(name, [low])[0])
     if alone:
-        bounds = frame[frame["mark"].str.endswith("bound")][names[0]]
-        label, unit = choose_printed_unit(names[0], [_find_limits(frame, names[0])[0]])
-        between = " to ".join(typeset(format_number(float(end) / unit)) for end in bounds)
-        axes.set_title(f"{label}\n", loc="left", pad=1)
-        axes.text(0, 1.03, between, transform=axes.transAxes, fontsize=6, color=GREY, va="bottom")
+        axes.set_title(
+            choose_printed_unit(names[0], [_find_limits(frame, names[0])[0]])[0], loc="left", pad=2
+        )
 
 
 def _draw_legend(figure: Figure, frame: pd.DataFrame, summary: dict[str, str]) -> None:
@@ -181,4 +189,7 @@ def _draw_legend(figure: Figure, frame: pd.DataFrame, summary: dict[str, str]) -
     if len(_select_mark(frame, "ridge")):
         handles.append(Line2D([], [], color=_RIDGE_COLOUR, lw=1.2, ls=(0, (4, 1.5)), label="ridge"))
     handles.append(Line2D([], [], color=GREY, lw=0.8, ls=(0, (1, 1.5)), label="bounds, flat prior"))
-    figure.legend(handles=handles, loc="upper right", handlelength=1.5, bbox_to_anchor=(1, 0.97))
+    if figure.get_figwidth() > COLUMN_WIDTH_IN:
+        figure.legend(handles=handles, loc="upper right", handlelength=1.5, bbox_to_anchor=(1, 0.97))
+    else:
+        figure.legend(handles=handles, loc="outside upper left", handlelength=1.5)

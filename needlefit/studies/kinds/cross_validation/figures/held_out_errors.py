@@ -10,7 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, draw_grid, plot
+from needlefit.reporting.figures.style import (
+    COLUMN_WIDTH_IN,
+    TEXT_WIDTH_IN,
+    choose_width,
+    count_legend_columns,
+    draw_grid,
+    plot,
+)
 from needlefit.reporting.labels import (
     INK,
     PAPER_COLOUR,
@@ -91,8 +98,8 @@ def _box_rows(values: pd.Series) -> list[Row]:
 
 def _paint_boxplot(marks: pd.DataFrame) -> Figure:
     groups = list(dict.fromkeys(marks["group"]))
-    wide = TEXT_WIDTH_IN if len(groups) > MAX_COLUMN_GROUPS else COLUMN_WIDTH_IN
-    figure = Figure(figsize=(wide, 2.5))
+    wide = choose_width(TEXT_WIDTH_IN if len(groups) > MAX_COLUMN_GROUPS else COLUMN_WIDTH_IN)
+    figure = Figure(figsize=(wide, 2.1))
     axes = figure.add_subplot()
     for x, group in enumerate(groups):
         for error, shift, colour in (("IPE", -0.19, _IPE_COLOUR), ("TE", 0.19, _TE_COLOUR)):
@@ -101,7 +108,7 @@ def _paint_boxplot(marks: pd.DataFrame) -> Figure:
     labels = [group.replace(", ", "\n") for group in groups]
     axes.set_xticks(range(len(groups)), labels, linespacing=1.25)
     axes.tick_params(axis="x", length=0, pad=5)
-    margin = 0.55 + 0.4 * max(0, 3 - len(groups))  # one or two groups do not fill the whole width
+    margin = 0.55 + 0.25 * max(0, 3 - len(groups))  # one or two groups do not fill the whole width
     axes.set_xlim(-margin, len(groups) - 1 + margin)
     axes.set_ylim(bottom=0)
     axes.set_ylabel("error (mm)")
@@ -194,10 +201,11 @@ def _list_marks(group: ScoredGroup) -> Iterator[tuple[str, float | None]]:
 
 def _paint_baselines(marks: pd.DataFrame, names: dict[str, str]) -> Figure:
     groups = list(dict.fromkeys(marks["group"]))
-    wide = TEXT_WIDTH_IN if len(groups) > MAX_COLUMN_GROUPS else COLUMN_WIDTH_IN
-    figure = Figure(figsize=(wide, max(2.5, 1.2 + 0.42 * len(groups))))
-    axes = figure.add_subplot()
+    wide = choose_width(TEXT_WIDTH_IN if len(groups) > MAX_COLUMN_GROUPS else COLUMN_WIDTH_IN)
     present = [method for method in list_methods() if (marks["method"] == method).any()]
+    tall = 1.3 if wide > COLUMN_WIDTH_IN else 0.9 + 0.17 * (len(present) + 2)
+    figure = Figure(figsize=(wide, tall + max(1.0, 0.42 * len(groups))))
+    axes = figure.add_subplot()
     for y in range(len(groups)):
         axes.axhline(y + 0.5, color=INK, lw=0.3, alpha=0.25)
     for row in to_records(marks):
@@ -206,14 +214,10 @@ def _paint_baselines(marks: pd.DataFrame, names: dict[str, str]) -> Figure:
     for method in present:
         axes.plot([], [], method_marker(method), ms=4.5, color=method_colour(method), label=names[method])
     if (marks["method"] == "paper").any():
-        axes.plot(
-            [], [], "D", ms=4, mfc="white", mec=PAPER_COLOUR, mew=1.0, label="paper, on its own needles"
-        )
+        axes.plot([], [], "D", ms=4, mfc="white", mec=PAPER_COLOUR, mew=1.0, label="paper, own needles")
     axes.plot([], [], color=INK, lw=0.9, ls=(0, (2, 1.5)), label="noise floor")
-    columns, size = (4, 7) if figure.get_figwidth() > COLUMN_WIDTH_IN else (2, 6)
-    figure.legend(
-        loc="outside upper left", ncols=columns, fontsize=size, handletextpad=0.2, columnspacing=0.8
-    )
+    columns = count_legend_columns(figure, list(names.values()), 3)
+    figure.legend(loc="outside upper left", ncols=columns, handletextpad=0.2, columnspacing=0.8)
     return figure
 
 

@@ -17,8 +17,10 @@ from matplotlib.ticker import MaxNLocator
 from needlefit.arrays import Floats
 from needlefit.inference.baselines import list_baselines
 from needlefit.reporting.figures.style import (
-    TEXT_WIDTH_IN,
+    COLUMN_WIDTH_IN,
     choose_vertical_scale,
+    choose_width,
+    count_legend_columns,
     draw_grid,
     fit_height,
     plot,
@@ -108,7 +110,7 @@ def iterate_panels(
         if rows > 1:
             grid[-2, -i].tick_params(labelbottom=True)  # the panel above has the lowest x axis of its column
     for axes, (fold, insertion) in zip(grid.flat, wanted, strict=False):
-        axes.set_title(insertion, loc="left", pad=3, fontsize=6.5)
+        axes.set_title(insertion, loc="left", pad=3)
         mine = points[(points["fold"] == fold) & (points["insertion"] == insertion)]
         yield axes, (fold, insertion), mine
 
@@ -134,8 +136,11 @@ def draw_legend(figure: Figure, present: set[str], method_names: Mapping[str, st
             Patch(color=_BAND_COLOUR, alpha=a, lw=0, label=f"{n} % predictive band")
             for n, a in ((50, 0.44), (95, 0.2))
         ]
-    columns = 5 if len(handles) <= 5 else 3
-    figure.legend(handles=handles, loc="outside upper left", ncols=columns, handlelength=1.3)
+    names = [str(handle.get_label()) for handle in handles]
+    columns = count_legend_columns(figure, names, 5 if len(handles) <= 5 else 3)
+    figure.legend(
+        handles=handles, loc="outside upper left", ncols=columns, handlelength=1.3, columnspacing=1.2
+    )
 
 
 _OVERLAY_METHODS = ("hand_tuned", "fitted")
@@ -163,22 +168,23 @@ def _panel_titles(results: Run, role: str) -> dict[InsertionKey, str]:
     summary = {}
     for row in to_records(scored):
         digits = 3 if row["comparison"] == "aligned" else 2
-        error = f"TE {format_mm(row['te_mm'], digits)} mm"
+        error = f"{format_mm(row['te_mm'], digits)} mm"
         summary[row["fold"], row["insertion"]] = error if row["converged"] else "did not converge"
     return summary
 
 
 def _paint_overlays(points: pd.DataFrame, titles: dict[InsertionKey, str], names: dict[str, str]) -> Figure:
-    columns = _count_columns(len(titles))
+    width = choose_width()
+    columns = _count_columns(len(titles), width)
     x, y = _find_range(points[["x_mm"]]), _find_range(points[HEIGHT_COLUMNS])
     factor = choose_vertical_scale(x[1] - x[0], y[1] - y[0])
-    wide = (TEXT_WIDTH_IN - 0.4) / columns - 0.12
+    wide = (width - 0.4) / columns - 0.12
     high = min(factor * (y[1] - y[0]) / (x[1] - x[0]), 1.0) * wide
     rows = math.ceil(len(titles) / columns)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, rows * (high + _ROW_MARGIN_IN) + 0.75))
+    figure = Figure(figsize=(width, rows * (high + _ROW_MARGIN_IN) + 0.75))
     for axes, which, mine in iterate_panels(figure, points, columns, titles):
         _paint_overlay_panel(axes, mine)
-        axes.set_title(titles[which], loc="right", pad=2, fontsize=6, color=METHOD_COLOURS["fitted"])
+        axes.set_title(titles[which], loc="right", pad=3, color=METHOD_COLOURS["fitted"])
         axes.set(xlim=x, ylim=y, aspect=factor)
         axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
     return _finish(figure, points, names, factor)
@@ -186,8 +192,8 @@ def _paint_overlays(points: pd.DataFrame, titles: dict[InsertionKey, str], names
 
 def _finish(figure: Figure, points: pd.DataFrame, names: dict[str, str], factor: int) -> Figure:
     """Return the figure with what all of its panels share: axis labels, legend, height."""
-    figure.supxlabel("depth (mm)", fontsize=7.5)
-    figure.supylabel(f"deflection toward the bevel (mm)\n{describe_scale(factor)}", fontsize=7.5)
+    figure.supxlabel("depth (mm)")
+    figure.supylabel(f"deflection toward the bevel (mm)\n{describe_scale(factor)}")
     draw_legend(figure, set(points["curve"]), names)
     fit_height(figure)
     return figure
@@ -198,8 +204,9 @@ def describe_scale(factor: int) -> str:
     return "drawn to scale" if factor == 1 else f"vertical scale exaggerated × {factor}"
 
 
-def _count_columns(panels: int) -> int:
-    return next((columns for columns in (1, 2, 3) if panels <= columns), 4)
+def _count_columns(panels: int, width: float) -> int:
+    most = 2 if width <= COLUMN_WIDTH_IN else 4
+    return min(panels, most)
 
 
 def _paint_overlay_panel(axes: Axes, points: pd.DataFrame) -> None:
@@ -222,7 +229,7 @@ def draw_schematic(results: Run, path: Path, role: str = "validate") -> Path:
     points = collect_curves(results, role, ("fitted",), _OVERLAY_POINT_STEP)
     here = pd.MultiIndex.from_frame(points[INSERTION_KEYS]).isin(list(chosen.values()))
     names = {"fitted": method_name("fitted")}
-    heads = {which: f"{word}: {titles[which]}" for word, which in chosen.items()}
+    heads = {which: f"{word}: TE {titles[which]}" for word, which in chosen.items()}
     shown = pd.concat([points[here], _list_layers(results, chosen.values())], ignore_index=True)
     return plot(path, shown, lambda drawn: _paint_schematic(drawn, heads, names))
 
@@ -240,26 +247,33 @@ def _list_layers(results: Run, chosen: Iterable[InsertionKey]) -> pd.DataFrame:
 
 def find_extremes(results: Run, role: str) -> dict[str, InsertionKey]:
     """Return the insertions with the smallest and the largest tip error; one alone is "only"."""
+    keys = _rank_by_tip_error(results, role)
+    return {"Only insertion": keys[0]} if len(keys) == 1 else {"Best": keys[0], "Worst": keys[-1]}
+
+
+def _rank_by_tip_error(results: Run, role: str) -> list[InsertionKey]:
+    """Return the insertions of a role by the tip error of the fit, smallest first."""
     rows = results.frames["errors"].query(
         "role == @role and boundaries == 'measured' and method == 'fitted' and converged"
     )
     rows = rows.sort_values("te_mm", kind="stable")
-    keys = list(rows[INSERTION_KEYS].itertuples(index=False, name=None))
-    return {"Only insertion": keys[0]} if len(keys) == 1 else {"Best": keys[0], "Worst": keys[-1]}
+    return list(rows[INSERTION_KEYS].itertuples(index=False, name=None))
 
 
 def _paint_schematic(points: pd.DataFrame, heads: dict[InsertionKey, str], names: dict[str, str]) -> Figure:
     x, y = _find_range(points[["x_mm"]]), _find_range(points[HEIGHT_COLUMNS])
     left = x[0] - _SHAFT_SHARE * (x[1] - x[0])
-    factor = choose_vertical_scale(1.3 * (x[1] - left), y[1] - y[0])
-    wide = (TEXT_WIDTH_IN - 0.5) / max(len(heads), 2)
+    factor = choose_vertical_scale(x[1] - left, y[1] - y[0])
+    width = choose_width()
+    columns = 1 if width <= COLUMN_WIDTH_IN else 2
+    wide = (width - 0.5) / columns
     high = min(factor * (y[1] - y[0]) / (x[1] - left), 1.0) * wide
-    figure = Figure(figsize=(TEXT_WIDTH_IN, high + 0.95))
-    for axes, which, mine in iterate_panels(figure, points, max(len(heads), 2), heads):
+    figure = Figure(figsize=(width, math.ceil(len(heads) / columns) * (high + _ROW_MARGIN_IN) + 0.65))
+    for axes, which, mine in iterate_panels(figure, points, columns, heads):
         _paint_layers(axes, mine, x[1], y[1])
         _paint_overlay_panel(axes, mine)
         _paint_shaft_and_tips(axes, mine, left)
-        axes.set_title(heads[which], loc="right", pad=3, fontsize=7, color=METHOD_COLOURS["fitted"])
+        axes.set_title(heads[which], loc="right", pad=3, color=METHOD_COLOURS["fitted"])
         axes.set(xlim=(left, x[1]), ylim=y, aspect=factor)
         axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     return _finish(figure, points, names, factor)
@@ -270,14 +284,14 @@ _LAYER_COLOURS = ("#f3ecdd", "#e9e0ca")
 
 
 def _paint_layers(axes: Axes, points: pd.DataFrame, end: float, top: float) -> None:
-    """Shade the layers up to the depth `end`, and write the name of each where it begins."""
+    """Shade the layers up to the depth `end`, and write the number of each where it begins."""
     layers = points[points["curve"].str.startswith(_LAYER)]
     ends = [*layers["x_mm"].iloc[1:], end]
     for name, begin, stop in zip(layers["curve"], layers["x_mm"], ends, strict=True):
         shade = _LAYER_COLOURS[(int(name.removeprefix(_LAYER)) - 1) % 2]
         axes.axvspan(begin, stop, color=shade, lw=0, zorder=0)
         axes.axvline(begin, color=GREY, lw=0.8 if begin == 0 else 0.4, zorder=0.5)
-        axes.text(begin + 0.4, top, name, fontsize=5.5, color=GREY, va="top")
+        axes.text(begin + 0.4, top, name.removeprefix(_LAYER).strip(), color=GREY, va="top")
 
 
 def _paint_shaft_and_tips(axes: Axes, points: pd.DataFrame, left: float) -> None:
@@ -299,19 +313,24 @@ def _find_range(values: pd.DataFrame) -> tuple[float, float]:
     return low - margin, high + margin
 
 
+_LEGEND_LINE_IN = 0.16
 _RESIDUAL_POINT_STEP = 2  # of the points compared, one in so many is drawn
 
 
 def draw_residuals(results: Run, path: Path, role: str = "validate") -> Path:
-    """Draw, per insertion of a role, deflections minus that of the fitted needle at the same x, mm.
+    """Draw deflections minus that of the fitted needle at the same x, mm, of the insertions with the
+    smallest, the median and the largest tip error.
 
     Measured points as dots, baselines as lines, and the bands of what was predicted. The straight line is
     left out: it would hide all others.
     """
     methods = ("fitted", *list_residual_methods())
     names = {method: method_name(method) for method in methods}
-    off = subtract_fit(collect_curves(results, role, methods, _RESIDUAL_POINT_STEP))
-    return plot(path, off, lambda points: _paint_residuals(points, names))
+    points = collect_curves(results, role, methods, _RESIDUAL_POINT_STEP)
+    ranked = _rank_by_tip_error(results, role)
+    chosen = list(dict.fromkeys([ranked[0], ranked[len(ranked) // 2], ranked[-1]]))
+    here = pd.MultiIndex.from_frame(points[INSERTION_KEYS]).isin(chosen)
+    return plot(path, subtract_fit(points[here]), lambda drawn: _paint_residuals(drawn, names, chosen))
 
 
 def subtract_fit(points: pd.DataFrame) -> pd.DataFrame:
@@ -337,15 +356,17 @@ def _extrapolate_height(x: Floats, y: Floats, at: Floats) -> Floats:
     return found
 
 
-def _paint_residuals(points: pd.DataFrame, names: dict[str, str]) -> Figure:
-    wanted = list(points[INSERTION_KEYS].drop_duplicates().itertuples(index=False, name=None))
-    columns = max(_count_columns(len(wanted)), 2)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.0 * math.ceil(len(wanted) / columns) + 0.8))
-    for axes, _, mine in iterate_panels(figure, points, columns, wanted):
+def _paint_residuals(points: pd.DataFrame, names: dict[str, str], wanted: list[InsertionKey]) -> Figure:
+    width = choose_width()
+    columns = 1 if width <= COLUMN_WIDTH_IN else 3
+    legend = _LEGEND_LINE_IN * math.ceil((len(names) + 3) / columns)
+    figure = Figure(figsize=(width, 1.35 * math.ceil(len(wanted) / columns) + 0.35 + legend))
+    for number, (axes, _, mine) in enumerate(iterate_panels(figure, points, columns, wanted)):
         _paint_residual_panel(axes, mine)
+        if number % columns == 0:
+            axes.set_ylabel("deflection\nminus fit (mm)")
     axes.set_ylim(_find_limits(points))
-    figure.supxlabel("depth (mm)", fontsize=7.5)
-    figure.supylabel("deflection minus fit (mm)", fontsize=7.5)
+    figure.supxlabel("depth (mm)")
     draw_legend(figure, {"fitted", *points["curve"]}, names)
     return figure
 

@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_independent
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid, plot
+from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, choose_width, draw_grid, plot
 from needlefit.reporting.labels import GREY, INK, study_name
 from needlefit.reporting.table_files import Row
 from needlefit.studies.kinds.calibration.rank_statistics import ecdf_band
@@ -35,7 +35,7 @@ BAND_ERROR_PROBABILITY = 0.05
 
 _QUANTITIES = {"tip": ("tips", "#0072B2"), "shape": ("whole shapes", "#009E73")}
 _INTERVALS = (50, 95)
-_ROW_HEIGHT_IN = 1.4  # inches a study
+_ROW_HEIGHT_IN = 1.5  # inches a study
 _COLUMNS = (
     "study",
     "mark",
@@ -120,16 +120,19 @@ def _orient_pits(results: Run) -> dict[str, Floats]:
 
 def _paint(rows: pd.DataFrame) -> Figure:
     studies = list(rows.groupby("study", sort=False))
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.55 + _ROW_HEIGHT_IN * len(studies)))
+    width = choose_width(TEXT_WIDTH_IN if len(studies) > 1 else COLUMN_WIDTH_IN)
+    head = 0.55 if width > COLUMN_WIDTH_IN else 0.75
+    figure = Figure(figsize=(width, head + _ROW_HEIGHT_IN * len(studies)))
     grid = figure.subplots(len(studies), 2, squeeze=False, sharex="col", width_ratios=(1.25, 1))
     for (left, right), (name, some) in zip(grid, studies, strict=True):
         count = f"{some['insertions'].iloc[0]} insertions"
         trials = some["replicates"].iloc[0]
         alone = "" if trials == some["insertions"].iloc[0] else f", {trials} independent"
-        left.set_title(f"{name}: {count}{alone}", loc="left")
+        left.set_title(f"{name}: {count}{alone}" if len(studies) > 1 else f"{count}{alone}", loc="left")
         _paint_ecdfs(left, some)
         _paint_coverage(right, some)
-    grid[-1, 0].set_xlabel("predictive CDF at the measurement (PIT)")
+    grid[-1, 0].set_xlabel("PIT")
+    grid[-1, 1].set_xlabel("interval")
     _draw_legend(figure)
     return figure
 
@@ -156,7 +159,7 @@ def _paint_coverage(axes: Axes, rows: pd.DataFrame) -> None:
         for at, (_, row) in enumerate(some.iterrows()):
             axes.plot([at + shift] * 2, [row["low"], row["high"]], color=colour, lw=1.2)
             axes.plot(at + shift, row["share"], "o", ms=4, color=colour, mec="white", mew=0.5)
-    axes.set_xticks(range(len(_INTERVALS)), [f"{level} % intervals" for level in _INTERVALS])
+    axes.set_xticks(range(len(_INTERVALS)), [f"{level} %" for level in _INTERVALS])
     axes.tick_params(axis="x", length=0)
     axes.set(xlim=(-0.6, len(_INTERVALS) - 0.4), ylim=(-0.04, 1.04), ylabel="empirical coverage")
     axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
@@ -167,6 +170,11 @@ def _draw_legend(figure: Figure) -> None:
     handles: list[Artist] = [
         Line2D([], [], color=colour, lw=1.3, label=label) for label, colour in _QUANTITIES.values()
     ]
-    handles.append(Patch(color=GREY, alpha=0.22, lw=0, label="95 % band of uniform PIT"))
+    handles.append(Patch(color=GREY, alpha=0.22, lw=0, label="95 % band, uniform"))
     handles.append(Line2D([], [], color=INK, lw=0.8, ls=(0, (2, 1.5)), label="nominal"))
-    figure.legend(handles=handles, loc="outside upper left", ncols=4, handlelength=1.3)
+    figure.legend(
+        handles=handles,
+        loc="outside upper left",
+        ncols=4 if figure.get_figwidth() > COLUMN_WIDTH_IN else 2,
+        handlelength=1.3,
+    )

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid, plot
+from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, choose_width, draw_grid, plot
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, method_colour, method_name
 from needlefit.reporting.number_format import format_quantity, format_symbol
 from needlefit.reporting.table_files import Row, to_records
@@ -64,8 +64,13 @@ def _end_values(start: Row, free: Row) -> Row:
 
 def _paint(marks: pd.DataFrame) -> Figure:
     parameters = list(dict.fromkeys(marks["parameter"].dropna()))
-    figure = Figure(figsize=(TEXT_WIDTH_IN, max(2.0, 0.8 + 0.22 * len(parameters))))
-    left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    width, height = choose_width(), max(1.8, 0.7 + 0.24 * len(parameters))
+    if width > COLUMN_WIDTH_IN:
+        figure = Figure(figsize=(width, height))
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    else:
+        figure = Figure(figsize=(width, 2 * height))
+        left, right = figure.subplots(2, 1)
     _paint_ranked(left, marks.drop_duplicates(["fold", "fit", "start"]))
     _paint_ends(right, marks, parameters)
     return figure
@@ -138,7 +143,7 @@ def _paint_ends(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
         bounds = marks[marks["parameter"] == name].iloc[0]
         for x, side, bound in ((0, "left", "bound_low"), (1, "right", "bound_high")):
             summary = format_quantity(name, float(bounds[bound]))
-            axes.text(x, y - 0.17, summary, ha=side, va="bottom", fontsize=5.5, color=GREY)
+            axes.text(x, y - 0.17, summary, ha=side, va="bottom", color=GREY)
     axes.set_yticks(range(len(parameters)), [format_symbol(name).split(" (")[0] for name in parameters])
     axes.set_ylim(len(parameters) - 0.45, -0.65)
     axes.set_xlim(-0.03, 1.03)

@@ -1,0 +1,54 @@
+"""Write a folder to begin a paper from: every figure in the widths of one and of two columns, and an example
+that inputs all of it.
+"""
+
+import shutil
+from pathlib import Path
+
+from needlefit.errors import ConfigError
+from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, fix_width
+from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
+from needlefit.studies.kind import find_kind
+from needlefit.studies.report import compose_run_report, label_figures
+from needlefit.studies.run import Run
+
+WIDTHS_IN = {"single": COLUMN_WIDTH_IN, "double": TEXT_WIDTH_IN}
+"""Width of a figure in inches, by the word at the end of its name."""
+
+
+def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path]:
+    """Write to a new folder all figures of a run in both widths, its LaTeX files and an example of a paper.
+
+    A figure that cannot be drawn in one column is there in its own width alone.
+
+    Raises
+    ------
+    ConfigError
+        If the folder exists and holds anything.
+    """
+    if folder.exists() and any(folder.iterdir()):
+        raise ConfigError("is not empty", where=str(folder), fix="name a new folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    copied = [path for path in sorted(run_folder.iterdir()) if path.suffix in (".tex", ".bib")]
+    for path in copied:
+        shutil.copyfile(path, folder / path.name)
+    known = {EXAMPLE_FILE, "numbers.tex", "methods.tex"}
+    tables = [path.stem for path in copied if path.suffix == ".tex" and path.name not in known]
+    blocks = []
+    for word, width in WIDTHS_IN.items():
+        with fix_width(width):
+            drawn = find_kind(result.kind).report.draw(result, folder)
+        figures = {}
+        for name, path in drawn.items():
+            path.with_suffix(".csv").unlink(missing_ok=True)  # the run's folder has it
+            figures[name] = path.rename(path.with_stem(f"{path.stem}-{word}"))
+        report = compose_run_report(result, figures)
+        found = [block for block in report.blocks if block["kind"] == "figure"]
+        kept = [block for block in found if block["half"] == (word == "single")]
+        label_figures({str(n): block["path"] for n, block in enumerate(kept)}, result.synthetic)
+        for path in set(figures.values()) - {block["path"] for block in kept}:
+            path.unlink()
+        blocks += kept
+    example = format_example(report, blocks, tables, "methods.tex" in {p.name for p in copied})
+    (folder / EXAMPLE_FILE).write_text(example, encoding="utf-8")
+    return sorted(folder.iterdir())
