@@ -79,6 +79,25 @@ def test_a_long_table_with_names_and_attributes(tmp_path):
     assert_same(found, [curve / 10 for curve in CURVES[:2]])
 
 
+def test_a_column_of_any_name_tells_curves_apart_if_it_is_constant_along_each(tmp_path):
+    table = tmp_path / "a.csv"
+    table.write_text(
+        "\n".join(
+            [
+                "Stich;t;x;y;z",
+                *(
+                    f"{n};{i};{p[0]};{p[1]};{p[2]}"
+                    for n, one in enumerate(CURVES[:2])
+                    for i, p in enumerate(one)
+                ),
+            ]
+        )
+    )
+    found = curves_of(table)
+    assert_same(found, CURVES[:2])
+    assert set(found) == {"0", "1"} and found["0"].remarks[1][:2] == ("curves", "one for each stich")
+
+
 @pytest.mark.parametrize("title", ["", "needle {}\n", "x y z\n"])
 def test_curves_below_each_other(tmp_path, title):
     parts = [title.format(n) + "\n".join(" ".join(map(str, p)) for p in one) for n, one in enumerate(CURVES)]

@@ -66,8 +66,8 @@ _COMMANDS: Mapping[str, Mapping[Callable[..., None] | str, str]] = {
 """By heading of `--help`: commands in the order of the work, each with an example."""
 
 _EPILOG = (
-    "A noun is a path (holds / or ends in .toml) or a bare name, looked up in the working folder's project, "
-    "then in the shipped one. Results go to ./reports/. Exit codes: "
+    "TARGET, STUDY, SCENE and DATASET are paths (with / or .toml) or names, which are looked up in the "
+    "project of the working folder, then in the shipped one. Results go to ./reports/. Exit codes: "
     + ", ".join(f"{code} {meaning}" for code, meaning in exit_codes.EXIT_CODES.items())
     + "."
 )
@@ -116,11 +116,13 @@ def build() -> typer.Typer:
             form = MultiFileCommand if command is reconstruct else None
             epilog = f"Example: needlefit {example}"
             app.command(_name(command), cls=form, epilog=epilog)(_with_plugins(command))
-    twin = typer.Typer(help="The synthetic dataset.", epilog=_example(_TWIN), **plain)  # type: ignore[arg-type]
+    twin = typer.Typer(
+        help="Build the synthetic dataset, or render its CT volumes.", epilog=_example(_TWIN), **plain
+    )  # type: ignore[arg-type]
     twin.callback()(_group)
     twin.command("build", epilog=_example(_TWIN))(_with_plugins(twin_build))
     twin.command("ct", epilog="Example: needlefit twin ct phantom2-14 --out twin_ct")(_with_plugins(twin_ct))
-    new = typer.Typer(help="Templates of files.", epilog=_example(_NEW), **plain)  # type: ignore[arg-type]
+    new = typer.Typer(help="Write example files to edit.", epilog=_example(_NEW), **plain)  # type: ignore[arg-type]
     new.callback()(_group)
     new.command("dataset", epilog=_example(_NEW))(_with_plugins(new_dataset))
     app.add_typer(twin, name=_TWIN)

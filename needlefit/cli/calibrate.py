@@ -34,9 +34,7 @@ def calibrate(
     ] = None,
     sample: Annotated[
         bool,
-        typer.Option(
-            "--sample", help="Sample every posterior by MCMC; of the design, three insertions at most."
-        ),
+        typer.Option("--sample", help="Sample every posterior by MCMC; uses at most three insertions."),
     ] = False,
     control: Annotated[
         str | None,
@@ -54,7 +52,8 @@ def calibrate(
         ),
     ] = "prior",
     ct: Annotated[
-        bool, typer.Option("--ct", help="Measure synthetic truths through CT volumes (4 s an insertion).")
+        bool,
+        typer.Option("--ct", help="With --truth synthetic: measure through CT volumes (4 s per insertion)."),
     ] = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,

@@ -33,9 +33,9 @@ def check(
 ) -> None:
     """Check a dataset or a study: list every fault and how to fix it, and every warning.
 
-    Of a dataset it looks at files, ids, units, centrelines, surfaces, bevel sides and checksums; of a study
-    at its keys and at everything that it names. Every fit checks the same. Faults end in exit code 3;
-    warnings do not, unless with --strict in 5.
+    For a dataset it checks files, ids, units, centrelines, surfaces, bevel sides and checksums; for a study
+    its keys and all files that it names. Every fit makes the same checks. Exit code 3: there is a fault; with
+    --strict, 5: there is a warning.
     """
     from needlefit.project.locate import find_dataset_or_study
 

@@ -29,13 +29,13 @@ def import_data(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the dataset; it must not exist yet.")],
     units: Annotated[
-        Text, typer.Option(help="Unit of coordinates without a stated one: mm, cm, m, um, in.")
+        Text, typer.Option(help="Unit of coordinates that state none: mm, cm, m, um, in.")
     ] = None,
     columns: Annotated[
         Text, typer.Option(metavar="X,Y,Z", help="Headers or numbers of the columns of tables.")
     ] = None,
-    frame: Annotated[Text, typer.Option(help="LPS or RAS, of curves that state neither.")] = None,
-    surfaces_frame: Annotated[Text, typer.Option(help="LPS or RAS, of surfaces that state neither.")] = None,
+    frame: Annotated[Text, typer.Option(help="LPS or RAS, for curves that state neither.")] = None,
+    surfaces_frame: Annotated[Text, typer.Option(help="LPS or RAS, for surfaces that state neither.")] = None,
     entry: Annotated[Text, typer.Option(help="first or last: which end of the curves is the entry.")] = None,
     tissue_surface: Annotated[
         Text, typer.Option(metavar="NAME", help="Surface where needles enter; none: there is none.")
@@ -61,7 +61,8 @@ def import_data(
     ] = None,
     medium: Annotated[Text, typer.Option(help="Name of what was punctured.")] = None,
     specimen: Annotated[
-        Text, typer.Option(help="One specimen for all; each: every insertion its own.")
+        Text,
+        typer.Option(help="Name of one specimen for all insertions; each: every insertion into its own."),
     ] = None,
     needle_length: Annotated[Text, typer.Option(metavar="MM", help="Length of the needle.")] = None,
     diameter: Annotated[Text, typer.Option(metavar="MM", help="Outer diameter, mm or gauge (18G).")] = None,

@@ -22,7 +22,7 @@ def migrate(
     ] = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Rewrite files of earlier versions: keys, columns and files that were renamed.
+    """Rewrite files of earlier versions with the present names of keys, columns and files.
 
     Numbers, comments and layout stay. A run is written anew from its stored results; nothing is computed
     again. Files that are up to date are not touched.

@@ -73,7 +73,7 @@ Insecure = Annotated[
 ]
 Out = Annotated[Path, typer.Option(help="Folder of all results; each run has a folder in it.")]
 Sample = Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")]
 Strict = Annotated[
     bool,
     typer.Option("--strict", callback=_set_strict, help="Exit code 5 after a warning; results are written."),
@@ -147,7 +147,7 @@ RunFolder = Annotated[
 ]
 Depth = Annotated[
     float | None,
-    typer.Option(metavar="MM", help="Inserted arc length, of a scene without steps; else the scene's."),
+    typer.Option(metavar="MM", help="Inserted arc length of a scene without steps (default: the scene's)."),
 ]
 Set = Annotated[
     list[str] | None,
@@ -155,7 +155,7 @@ Set = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a key of the scene, e.g. bevel.offset_mm=0.1; layers, guides and steps are numbered "
-        "from 1: layers.1.mu_pa=3e5 is the first one. May be given again.",
+        "from 1: layers.1.mu_pa=3e5 is the first layer's. May be repeated.",
     ),
 ]
 

@@ -41,7 +41,7 @@ def predict(
     ] = None,
     specimen: Annotated[
         Literal["new", "same"],
-        typer.Option(help="Whether it goes into a specimen like those tuned on, or into one of them."),
+        typer.Option(help="new: into a specimen that was not fitted to; same: into one that was."),
     ] = "new",
     depth: Depth = None,
     set_: Set = None,

@@ -41,7 +41,7 @@ def simulate(
         typer.Option(metavar="LOG", help="Replay what `needlefit view` recorded: a CSV; no SCENE."),
     ] = None,
     step: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Of a recording, stop after this step.")
+        int | None, typer.Option(metavar="N", min=0, help="With --recording: stop after this step.")
     ] = None,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -50,7 +50,7 @@ def simulate(
     ] = None,
     csv: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the last shape: place, slope, load along it; mm and N/mm."),
+        typer.Option(metavar="FILE", help="Write the final shape: position (mm), slope, load (N/mm)."),
     ] = None,
     slicer: Annotated[
         Path | None,
@@ -65,7 +65,7 @@ def simulate(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Draw the needle on its way: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.",
+            help="Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.",
         ),
     ] = None,
     verbose: options.Verbose = False,

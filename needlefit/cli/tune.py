@@ -26,11 +26,11 @@ def tune(
 ) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
-    Stands beside the paper's hand-tuned set, and says what the data leave open.
+    Prints each parameter with its 95 % interval, and which ones the data do not determine.
 
-    A study is tuned only, into OUT/<study>-tune/; its slicer/ holds every needle, measured and fitted with
-    its 95 % band, for 3D Slicer. Ctrl-C once writes the best so far, marked, and prints
-    the line that goes on; twice leaves at once.
+    Of a study only the fit is run; results go to OUT/STUDY-tune/. The folder slicer/ holds every needle,
+    measured and fitted with its 95 % band, for 3D Slicer. Ctrl-C writes the best result so far, marked as
+    interrupted, and prints the command that continues; a second Ctrl-C stops at once.
     """
     with catch_interrupts(
         context.find_root().obj

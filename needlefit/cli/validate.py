@@ -34,7 +34,10 @@ def validate(
     out: options.Out = Path("reports"),
     reference: Annotated[
         bool,
-        typer.Option("--reference", help="Also write OUT/reference/<study>/: evidence that is committed."),
+        typer.Option(
+            "--reference",
+            help="Also write the tables to OUT/reference/STUDY/, to keep under version control.",
+        ),
     ] = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
@@ -45,13 +48,13 @@ def validate(
 ) -> None:
     """Run a STUDY: fit, score held-out insertions, compare, plan, as its file states.
 
-    `all` runs the paper's five, and the fits that fill its tuning tables; `everything` all studies there are
-    besides, but those whose data are not here.
+    `all` runs the paper's five studies and the fits of its tuning tables; `everything` runs all studies whose
+    data are present.
 
     Prints and writes tables, figures and a report, with the paper's numbers beside ours, and slicer/: every
     needle, measured and predicted with its 95 % band, for 3D Slicer.
 
-    Ctrl-C once saves what is finished and prints the line that goes on; twice leaves at once.
+    Ctrl-C saves what is finished and prints the command that continues; a second Ctrl-C stops at once.
     """
     with catch_interrupts(
         context.find_root().obj

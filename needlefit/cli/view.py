@@ -46,13 +46,14 @@ def view(
         typer.Option(help="Predictive band of a run: for a new specimen, or for the specimens fitted."),
     ] = "new",
     markers: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Of a scan: known places of its markers.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Scan only: file with the known positions of its markers."),
     ] = None,
     layers: Annotated[
-        list[str] | None, typer.Option(metavar="FILE", help="Of a scan: a surface, or a segmentation.")
+        list[str] | None, typer.Option(metavar="FILE", help="Scan only: a surface, or a segmentation.")
     ] = None,
     recipe: Annotated[
-        str, typer.Option(metavar="RECIPE", help="Of a scan: configs/reconstruction, or a path.")
+        str, typer.Option(metavar="RECIPE", help="Scan only: a name in configs/reconstruction, or a path.")
     ] = "default",
     port: Annotated[
         int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: any free one).")
@@ -67,8 +68,8 @@ def view(
     """Steer a needle by hand, or examine and correct a scan, in the browser.
 
     Only this machine can open the page. Each needle is recorded to a CSV in OUT/view/;
-    `needlefit simulate --recording LOG` replays it. Of a SCAN the page shows what `needlefit reconstruct`
-    finds; corrections are saved to OUT/scans/ as a table of scans. Ctrl-C ends.
+    `needlefit simulate --recording LOG` replays it. For a SCAN, the page shows what `needlefit reconstruct`
+    finds, and saves your corrections to OUT/scans/ as a table of scans. Ctrl-C ends.
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")

@@ -106,7 +106,8 @@ class Fit:
         if not self.starts or any(start.stopped in CONVERGED_REASONS for start in self.starts):
             return ""
         reasons = ", ".join(sorted({start.stopped for start in self.starts}))
-        return f"no start of the search ended at a minimum ({reasons})"
+        fix = "raise `evaluations` or `starts` in the recipe"
+        return f"no start of the search ended at a minimum ({reasons}); {fix}"
 
 
 def _ignore_start(start: Start) -> None:

@@ -12,9 +12,11 @@ from scipy.special import chdtr, chdtrc
 from needlefit.arrays import Floats
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.identify import BOUND_FRACTION
+from needlefit.inference.identifiability.information import short_name
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.reporting.labels import medium_name
+from needlefit.reporting.number_format import format_quantity
 from needlefit.studies.job import Job
 from needlefit.studies.run import Run
 from needlefit.studies.summary import beats_fit, compare_methods
@@ -50,7 +52,9 @@ def bound_warnings(results: Run) -> Iterator[ResultWarning]:
     for name, rows in free.groupby("parameter", sort=False):
         columns = (rows[key].to_numpy(dtype=np.float64) for key in ("value", "bound_low", "bound_high"))
         ends = [_describe_bound(str(name), *row) for row in zip(*columns, strict=True)]
-        yield from _bound_warning(f"the fitted {name}", ends, f" of {folds} folds" if folds > 1 else "")
+        yield from _bound_warning(
+            f"the fitted {short_name(str(name))}", ends, f" of {folds} folds" if folds > 1 else ""
+        )
 
 
 def analysis_bound_warnings(
@@ -72,7 +76,9 @@ def analysis_bound_warnings(
                 ends = [
                     _describe_bound(str(parameter), value, *bounds[str(parameter)]) for value in rows["value"]
                 ]
-                yield from _bound_warning(f"the fitted {parameter} of {name}", ends, f" of {len(rows)} fits")
+                yield from _bound_warning(
+                    f"the fitted {short_name(str(parameter))} of {name}", ends, f" of {len(rows)} fits"
+                )
 
 
 def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWarning]:
@@ -80,11 +86,11 @@ def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWa
     reached = [end for end in ends if end]
     if reached:
         bounds = " and ".join(dict.fromkeys(reached))
-        where = f" in {len(reached)}{of}" if of else ""
+        where = f", in {len(reached)}{of}" if of else ""
         yield ResultWarning(
             "parameter_at_bound",
             f"{what} lies at its {bounds}{where}, so its value is no estimate",
-            fix="check bevel sides, units and layers of the data, or widen the bounds in the medium",
+            fix="check bevel sides, units and layers of the data, or widen the bounds in the tissue model",
         )
 
 
@@ -93,8 +99,8 @@ def _describe_bound(name: str, value: float, low: float, high: float) -> str:
     least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
     place = (at - least) / (most - least)
     if place < BOUND_FRACTION:
-        return f"lower bound, {low:g}"
-    return f"upper bound, {high:g}" if place > 1 - BOUND_FRACTION else ""
+        return f"lower bound, {format_quantity(name, low)}"
+    return f"upper bound, {format_quantity(name, high)}" if place > 1 - BOUND_FRACTION else ""
 
 
 def baseline_warnings(results: Run) -> Iterator[ResultWarning]:

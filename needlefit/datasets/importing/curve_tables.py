@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
 
@@ -387,8 +388,9 @@ def _read_part(
     width = max(len(cells.rows[n]) for n in part.body)
     names = [_plain(text) for text in _find_labels(cells, heads, width)]
     key = next((n for n, name in enumerate(names) if name in NAME_COLUMNS and n not in axes.columns), None)
-    if key is None and not names:
-        key = _find_text_column(cells, part, axes)
+    known = key
+    if key is None:
+        key = _find_block_column(cells, part, axes, names) if names else _find_text_column(cells, part, axes)
     groups: dict[str, list[int]] = {}
     for n in part.body:
         row = cells.rows[n]
@@ -400,6 +402,10 @@ def _read_part(
             continue
         planar = len(axes.columns) == 2
         remarks = (("axes", "x, y; z = 0" if planar else "x, y, z", axes.why),)
+        if known is None and key is not None and names:
+            remarks += (
+                ("curves", f"one for each {names[key]}", "the column changes from curve to curve alone"),
+            )
         attributes = _find_attributes(cells, rows, names, axes)
         if axes.system is not None:
             points = replace(points, values=to_lps(points.values, axes.system))
@@ -422,6 +428,24 @@ def _find_text_column(cells: CellTable, part: _Part, axes: _Axes) -> int | None:
         texts = [row[column] for row in rows if column < len(row)]
         if column not in axes.columns and len(texts) == len(rows) and not any(map(cells.number, texts)):
             return column if all(texts) else None
+    return None
+
+
+MIN_BLOCK_ROWS = 5
+"""Rows at least of each value of a column that tells curves apart without a known name."""
+
+
+def _find_block_column(cells: CellTable, part: _Part, axes: _Axes, names: Sequence[str]) -> int | None:
+    """Return the first column of another name whose value is one along each of several blocks of rows."""
+    rows = [cells.rows[n] for n in part.body]
+    for column, name in enumerate(names):
+        if column in axes.columns or not name or name in ATTRIBUTE_COLUMNS or name in INDEX_COLUMNS:
+            continue
+        texts = [row[column] if column < len(row) else "" for row in rows]
+        blocks = [(text, len(list(run))) for text, run in groupby(texts)]
+        distinct = len({text for text, _ in blocks})
+        if 1 < distinct == len(blocks) and all(texts) and min(n for _, n in blocks) >= MIN_BLOCK_ROWS:
+            return column
     return None
 
 

@@ -74,8 +74,12 @@ def understand(content: ImportContent, decisions: Decisions) -> ImportPlan:
     DataError or ConfigError
         If a question has no clear answer, or the values stated contradict the files.
     """
+    reasons: dict[tuple[str, str], list[str]] = {}
     for what, value, why in dict.fromkeys(remark for one in content.curves for remark in one.remarks):
-        decisions.keep(what, value, "guess" if "column" in why else "file", why)
+        reasons.setdefault((what, value), []).append(why)
+    for (what, value), whys in reasons.items():
+        more = f", and {len(whys) - 1} more" if len(whys) > 1 else ""
+        decisions.keep(what, value, "guess" if "column" in whys[0] else "file", whys[0] + more)
     curves = [drop_repeats(one, decisions) for one in convert_units(content.curves, decisions)]
     checked = [decide_kind(one, decisions) for one in content.surfaces]
     curves, surfaces = decide_frame(curves, checked, decisions)

@@ -118,9 +118,12 @@ def _describe_parameter(name: str, rows: list[Row], published: Mapping[str, floa
     fitted = format_quantity_range(name, min(values), max(values)) if values else ""
     interval = ""
     if not fixed:
-        known = all(format_interval(one) not in ("", NO_INTERVAL) for one in rows)
+        texts = [format_interval(one) for one in rows]
         lows, highs = ([one[f"interval_{end}"] for one in rows] for end in ("low", "high"))
-        interval = format_quantity_range(name, min(lows), max(highs)) if known else format_interval(row)
+        if all(text not in ("", NO_INTERVAL) for text in texts):
+            interval = format_quantity_range(name, min(lows), max(highs))
+        else:
+            interval = NO_INTERVAL if NO_INTERVAL in texts else ""
     return {
         "parameter": format_symbol(name).split(" (")[0],
         "fitted": fitted if fixed or all(one["determined"] for one in rows) else NOT_DETERMINED,
