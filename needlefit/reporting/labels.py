@@ -161,7 +161,8 @@ CONVERGENCE_CAPTION = (
 PROFILES_CAPTION = (
     "Profile likelihoods: deviance with one parameter fixed and all others fitted again (solid; dots were "
     "computed). The 95 % interval is shaded. Where the curve stays under the dashed line up to a bound, the "
-    "data do not limit the parameter on that side. Dashed curve: the Fisher information at the optimum."
+    "data do not limit the parameter on that side. Dashed curve: the Fisher information at the optimum. "
+    "Flat profiles of fixed parameters are not drawn."
 )
 BASELINES_CAPTION = (
     "Mean in-plane error of the fitted model and of the baselines on the same held-out points (logarithmic "

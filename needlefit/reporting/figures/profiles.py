@@ -53,7 +53,8 @@ _VERDICT_COLUMNS = ("status", "fisher_sd", "low", "high", "end_low", "end_high",
 
 
 def _paint(profiles: pd.DataFrame) -> Figure:
-    rows = to_records(profiles.drop_duplicates(list(_PANEL_KEYS))[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
+    every = to_records(profiles.drop_duplicates(list(_PANEL_KEYS))[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
+    rows = [row for row in every if row["status"] != "fixed" or not _is_flat(row)] or every
     width = choose_width()
     across = _count_columns(len(rows)) if width > COLUMN_WIDTH_IN else min(2, len(rows))
     down = math.ceil(len(rows) / across)
@@ -164,9 +165,14 @@ def _describe_state(row: Row) -> str:
     if "lost" in (row["end_low"], row["end_high"]):
         return "could not be followed to its end"
     if not low and not high:
-        return "flat: not identifiable" if (row["rise"] or 0) < 1 else "open: not identifiable"
+        return f"{'flat' if _is_flat(row) else 'open'}: not identifiable"
     end = f"above {_format_tick(row['low'])}" if low else f"below {_format_tick(row['high'])}"
     return f"{end}, open"
+
+
+def _is_flat(row: Row) -> bool:
+    """Return whether the deviance hardly rises over the whole range of a parameter."""
+    return (row["rise"] or 0) < 1 and "closed" not in (row["end_low"], row["end_high"])
 
 
 def _choose_colour(row: Row) -> str:

@@ -106,6 +106,8 @@ def _paint_boxplot(marks: pd.DataFrame) -> Figure:
             here = marks[(marks["group"] == group) & (marks["metric"] == error)]
             _draw_error(axes, x + shift, here, colour)
     labels = [group.replace(", ", "\n") for group in groups]
+    if len({group.partition(", ")[0] for group in groups}) == 1:  # the title names the study
+        labels = [label.partition("\n")[2] for label in labels]
     axes.set_xticks(range(len(groups)), labels, linespacing=1.25)
     axes.tick_params(axis="x", length=0, pad=5)
     margin = 0.55 + 0.25 * max(0, 3 - len(groups))  # one or two groups do not fill the whole width

@@ -193,7 +193,7 @@ def _paint_overlays(points: pd.DataFrame, titles: dict[InsertionKey, str], names
 def _finish(figure: Figure, points: pd.DataFrame, names: dict[str, str], factor: int) -> Figure:
     """Return the figure with what all of its panels share: axis labels, legend, height."""
     figure.supxlabel("depth (mm)")
-    figure.supylabel(f"deflection toward the bevel (mm)\n{describe_scale(factor)}")
+    figure.supylabel(f"deflection toward\nthe bevel (mm),\n{describe_scale(factor)}")
     draw_legend(figure, set(points["curve"]), names)
     fit_height(figure)
     return figure
@@ -201,7 +201,7 @@ def _finish(figure: Figure, points: pd.DataFrame, names: dict[str, str], factor:
 
 def describe_scale(factor: int) -> str:
     """Return how much deflections are exaggerated, as text."""
-    return "drawn to scale" if factor == 1 else f"vertical scale exaggerated × {factor}"
+    return "drawn to scale" if factor == 1 else f"exaggerated × {factor}"
 
 
 def _count_columns(panels: int, width: float) -> int:
