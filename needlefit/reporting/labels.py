@@ -116,9 +116,9 @@ def method_name(method: str, origin: str = "measured") -> str:
 
 BOXPLOT_CAPTION = (
     "Errors on held-out insertions: all points (IPE), all tips (TE; no box for fewer than five). Boxes: "
-    "quartiles; whiskers: 5th to 95th percentile. Diamonds: means over insertions, the paper’s (open) on its "
-    "own needles."
+    "quartiles; whiskers: 5th to 95th percentile. Diamonds: means over insertions."
 )
+PAPER_MEANS_CAPTION = "The paper’s means (open) are of its own needles."
 SCHEMATIC_CAPTION = (
     "Insertions with the smallest and the largest tip error (TE): measured needle (dots), model (line) and, "
     "where it was held out, its 50 % and 95 % predictive bands. The orange line joins the two tips: its "
@@ -141,8 +141,8 @@ WATERFALL_CAPTION = (
     "(written at the ends; μ and b in logarithms)."
 )
 CORNER_CAPTION = (
-    "Posterior: marginals and pairs; moduli and b in logarithms. Dots and histograms: draws. Lines, marks: "
-    "the fit and the paper’s parameters. Dotted: bounds, and the flat prior between them."
+    "Posterior: marginals and pairs; moduli and b in logarithms. Dots and histograms: draws. Lines and "
+    "marks as in the legend. Dotted: bounds, and the flat prior between them."
 )
 PREDICTIVE_CHECK_CAPTION = (
     "Predictive check. Left: empirical CDF of the predictive CDF at the measurement (PIT); well-calibrated "

@@ -233,6 +233,7 @@ def compose_run_report(result: Run, figures: FigurePaths) -> Document:
         *state_blocks(result),
         *verdict_blocks(result),
         *([document.bullets(sentences)] if sentences else []),
+        *_fault_blocks(result),
         *_list_warning_blocks(result),
         *page.compose(result, figures),
         *_run_blocks(result),
@@ -253,7 +254,7 @@ def format_notebook_html(result: Run) -> str:
     """Return what a notebook shows of a run: title, warnings, results in words, tables."""
     page = find_kind(result.kind).report
     warned = _list_warning_blocks(result)
-    blocks = state_blocks(result)
+    blocks = state_blocks(result) + _fault_blocks(result)
     if result.interrupted and result.kind != "fit":
         blocks += warned
     else:  # of the others only what is finished is laid out
@@ -265,7 +266,7 @@ def format_notebook_html(result: Run) -> str:
 
 def warning_blocks(result: Run) -> list[Block]:
     """Return what must be read before any number, and the warnings."""
-    return state_blocks(result) + _list_warning_blocks(result)
+    return state_blocks(result) + _fault_blocks(result) + _list_warning_blocks(result)
 
 
 def _list_warning_blocks(result: Run) -> list[Block]:
@@ -273,7 +274,7 @@ def _list_warning_blocks(result: Run) -> list[Block]:
 
 
 def state_blocks(result: Run) -> list[Block]:
-    """Return what must be read before any number: synthetic, interrupted, not converged."""
+    """Return what must be read before any number: synthetic, interrupted."""
     blocks = []
     if result.synthetic:
         names = result.run.get("datasets") or [result.run.get("dataset", {}).get("name")]
@@ -284,7 +285,11 @@ def state_blocks(result: Run) -> list[Block]:
         blocks.append(
             document.warning("INTERRUPTED. Some of the work was left undone; what is here is part.")
         )
-    return blocks + [document.warning(f"NOT CONVERGED: {result.name}: {fault}.") for fault in result.faults]
+    return blocks
+
+
+def _fault_blocks(result: Run) -> list[Block]:
+    return [document.warning(f"NOT CONVERGED: {result.name}: {fault}.") for fault in result.faults]
 
 
 _RUN_KEYS = ("versions", "dataset", "datasets", "recipe", "rules")

@@ -31,6 +31,7 @@ from needlefit.studies.kinds.cross_validation.tables import (
     BY_LAYERS,
     BY_MEDIA,
     list_groups,
+    list_held_out_groups,
     tabulate_tuning,
 )
 from needlefit.studies.kinds.cross_validation.verdict import describe_evidence, judge, warn_of_coverage
@@ -67,11 +68,17 @@ def _error_blocks(results: Run, figures: FigurePaths) -> list[Block]:
     held_out = f"Errors{' and coverage' if predicted else ''} on held-out insertions"
     return [
         document.heading(held_out if role == "validate" else "Errors"),
-        *figure_blocks(figures, "boxplot", labels.BOXPLOT_CAPTION),
+        *_boxplot_blocks([results], figures),
         *figure_blocks(figures, "predicted", labels.PREDICTIVE_CHECK_CAPTION),
         *_baseline_table([results], role),
         *([document.table(lay_out_coverage(results))] if predicted else []),
     ]
+
+
+def _boxplot_blocks(results: Sequence[Run], figures: FigurePaths) -> list[Block]:
+    printed = any(group.printed for group in list_held_out_groups(*results))
+    caption = f"{labels.BOXPLOT_CAPTION} {labels.PAPER_MEANS_CAPTION}" if printed else labels.BOXPLOT_CAPTION
+    return figure_blocks(figures, "boxplot", caption)
 
 
 def _baseline_table(results: Sequence[Run], role: str) -> list[Block]:
@@ -177,7 +184,7 @@ def compose_overview(
         document.table(score_tables.lay_out_matrix(results)),
         *(block for one in results for block in verdict_blocks(one, named=True)),
         document.heading("Errors on held-out insertions"),
-        *figure_blocks(figures, "boxplot", labels.BOXPLOT_CAPTION),
+        *_boxplot_blocks(results, figures),
         *figure_blocks(figures, "baselines", labels.BASELINES_CAPTION),
         document.table(score_tables.lay_out_summary(results)),
         *_overview_predictions(results, figures),

@@ -124,8 +124,13 @@ def find_faults(errors: pd.DataFrame, search_faults: Faults, not_converged: Faul
     fitted = errors[errors["method"] == "fitted"]
     failed = int((~fitted["converged"].astype(bool)).sum())
     faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
+    folds: dict[str, list[str]] = {}
     for fold, reasons in search_faults.items():
-        faults += [fault if fold == "all" else f"{fold}: {fault}" for fault in reasons]
+        for fault in reasons:
+            folds.setdefault(fault, []).append(fold)
+    faults += [
+        fault if found == ["all"] else f"{', '.join(found)}: {fault}" for fault, found in folds.items()
+    ]
     faults += [f"the posterior has not converged: {why}" for each in not_converged.values() for why in each]
     return tuple(faults)
 
