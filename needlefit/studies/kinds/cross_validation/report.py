@@ -1,6 +1,6 @@
 """Compose the report of one study or fit, the answer first, and the report of several studies."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from needlefit.reporting import document, labels
 from needlefit.reporting.document import Block, Document
@@ -35,7 +35,7 @@ from needlefit.studies.kinds.cross_validation.tables import (
     tabulate_tuning,
 )
 from needlefit.studies.kinds.cross_validation.verdict import describe_evidence, judge, warn_of_coverage
-from needlefit.studies.report import FigurePaths, StudyReport, verdict_blocks, warning_blocks
+from needlefit.studies.report import FigurePaths, StudyReport, list_run_warnings, state_blocks, verdict_blocks
 from needlefit.studies.run import Run
 
 
@@ -177,12 +177,12 @@ def compose_overview(
     `appendix` has the results of studies of other kinds.
     """
     synthetic = any(one.origin == "synthetic" for one in results)
-    held_out = [one for one in results if sentences.find_scored_role(one) == "validate"]
     fits = list({one.name: one for one in (*results, *tunings)}.values())
     blocks = [
-        *_overview_warnings(results),
+        *_join_equal(block for one in results for block in state_blocks(one)),
         document.table(score_tables.lay_out_matrix(results)),
         *(block for one in results for block in verdict_blocks(one, named=True)),
+        *_overview_warnings(results),
         document.heading("Errors on held-out insertions"),
         *_boxplot_blocks(results, figures),
         *figure_blocks(figures, "baselines", labels.BASELINES_CAPTION),
@@ -192,8 +192,6 @@ def compose_overview(
         document.table(detail_tables.lay_out_free_parameters(fits)),
         document.heading("Tuning"),
         *tuning_blocks(tunings),
-        document.heading("Baselines"),
-        *_baseline_table(held_out, "validate"),
         document.heading("Questions and data"),
         document.bullets([f"{one.title}: {one.question}".rstrip(": ") for one in results]),
         document.table(score_tables.lay_out_design(results)),
@@ -204,10 +202,25 @@ def compose_overview(
     return Document("Validation studies", data, synthetic, tuple(blocks))
 
 
+def _join_equal(blocks: Iterable[Block]) -> list[Block]:
+    """Return blocks without those that are there already."""
+    found: list[Block] = []
+    for block in blocks:
+        found += [] if block in found else [block]
+    return found
+
+
 def _overview_warnings(results: Sequence[Run]) -> list[Block]:
-    """Return the warnings of all runs; what all share stands once."""
-    blocks = [block for one in results for block in warning_blocks(one)]
-    return [block for i, block in enumerate(blocks) if block not in blocks[:i]]
+    """Return what did not converge, and the warnings of all runs, each with the name of its run."""
+    items = [
+        f"{one.title.partition(':')[0]}: {words}."
+        for one in results
+        for words in (
+            *(f"NOT CONVERGED: {fault}" for fault in one.faults),
+            *(f"{warning} ({warning.help_page})" for warning in list_run_warnings(one)),
+        )
+    ]
+    return [document.subheading("Warnings"), document.bullets(items)] if items else []
 
 
 def _overview_predictions(results: Sequence[Run], figures: FigurePaths) -> list[Block]:

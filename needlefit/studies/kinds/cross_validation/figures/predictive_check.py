@@ -35,7 +35,7 @@ BAND_ERROR_PROBABILITY = 0.05
 
 _QUANTITIES = {"tip": ("tips", "#0072B2"), "shape": ("whole shapes", "#009E73")}
 _INTERVALS = (50, 95)
-_ROW_HEIGHT_IN = 1.5  # inches a study
+_ROW_HEIGHT_IN, _MANY_ROW_HEIGHT_IN = 1.5, 1.05  # inches a study, of one and of several
 _COLUMNS = (
     "study",
     "mark",
@@ -122,7 +122,9 @@ def _paint(rows: pd.DataFrame) -> Figure:
     studies = list(rows.groupby("study", sort=False))
     width = choose_width(TEXT_WIDTH_IN if len(studies) > 1 else COLUMN_WIDTH_IN)
     head = 0.55 if width > COLUMN_WIDTH_IN else 0.75
-    figure = Figure(figsize=(width, head + _ROW_HEIGHT_IN * len(studies)))
+    figure = Figure(
+        figsize=(width, head + (_ROW_HEIGHT_IN if len(studies) == 1 else _MANY_ROW_HEIGHT_IN) * len(studies))
+    )
     grid = figure.subplots(len(studies), 2, squeeze=False, sharex="col", width_ratios=(1.25, 1))
     for (left, right), (name, some) in zip(grid, studies, strict=True):
         count = f"{some['insertions'].iloc[0]} insertions"
