@@ -116,9 +116,8 @@ def build() -> typer.Typer:
             form = MultiFileCommand if command is reconstruct else None
             epilog = f"Example: needlefit {example}"
             app.command(_name(command), cls=form, epilog=epilog)(_with_plugins(command))
-    twin = typer.Typer(
-        help="Build the synthetic dataset, or render its CT volumes.", epilog=_example(_TWIN), **plain
-    )  # type: ignore[arg-type]
+    about = "Build the synthetic dataset, or render its CT volumes."
+    twin = typer.Typer(help=about, epilog=_example(_TWIN), **plain)  # type: ignore[arg-type]
     twin.callback()(_group)
     twin.command("build", epilog=_example(_TWIN))(_with_plugins(twin_build))
     twin.command("ct", epilog="Example: needlefit twin ct phantom2-14 --out twin_ct")(_with_plugins(twin_ct))

@@ -401,16 +401,15 @@ def _read_part(
         if points is None:
             continue
         planar = len(axes.columns) == 2
-        remarks = (("axes", "x, y; z = 0" if planar else "x, y, z", axes.why),)
+        remarks = [("axes", "x, y; z = 0" if planar else "x, y, z", axes.why)]
         if known is None and key is not None and names:
-            remarks += (
-                ("curves", f"one for each {names[key]}", "the column changes from curve to curve alone"),
-            )
+            why = "the column changes from curve to curve alone"
+            remarks.append(("curves", f"one for each {names[key]}", why))
         attributes = _find_attributes(cells, rows, names, axes)
         if axes.system is not None:
             points = replace(points, values=to_lps(points.values, axes.system))
         system: PatientSystem | None = "LPS" if axes.system else None
-        yield ImportedCurve(name or axes.name or title, points, axes.unit, system, attributes, remarks)
+        yield ImportedCurve(name or axes.name or title, points, axes.unit, system, attributes, tuple(remarks))
 
 
 def _find_labels(cells: CellTable, rows: Sequence[Sequence[str]], width: int) -> Sequence[str]:
