@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 import sys
 import textwrap
@@ -120,7 +121,8 @@ def _show(
     def build(gap: int) -> Table:
         table = Table(box=box.SIMPLE_HEAD, padding=(0, gap, 0, 0), pad_edge=False, show_edge=False)
         for head, is_right in columns:
-            text = "\n".join(head.split()) if is_right else head.strip()
+            words = re.sub(r"(\d) %", "\\1\u00a0%", head)  # a number stays with its sign
+            text = "\n".join(re.split("[ \n]+", words.strip(" \n"))) if is_right else head.strip()
             side: Literal["left", "right"] = "right" if is_right else "left"
             heading = Align(Text(text, justify=side), side, vertical="bottom")
             table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")

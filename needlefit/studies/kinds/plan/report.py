@@ -97,8 +97,9 @@ def lay_out_tables(result: Run) -> list[TableLayout]:
         "target. Spread: root mean square distance from the mean tip."
     )
     marked = any(at_bounds(entry_plane, row) for row in to_records(plans))
-    notes = (note, *(("* At a bound of the study file.",) if marked else ()))
-    caption = "Plans and the distance by which their needles miss the target."
+    notes = (note,)
+    explained = " (*: at a bound of the study file)" if marked else ""
+    caption = f"Plans and the distance by which their needles miss the target{explained}."
     table = Table("plans", caption, rows, columns, strong="first", notes=notes)
     return [table.lay_out(), _lay_out_exceedances(result)]
 
