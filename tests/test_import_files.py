@@ -79,7 +79,7 @@ def test_a_long_table_with_names_and_attributes(tmp_path):
     assert_same(found, [curve / 10 for curve in CURVES[:2]])
 
 
-def test_a_column_of_any_name_tells_curves_apart_if_it_is_constant_along_each(tmp_path):
+def test_a_column_constant_along_each_curve_names_the_curves(tmp_path):
     table = tmp_path / "a.csv"
     table.write_text(
         "\n".join(
