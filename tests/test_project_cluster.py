@@ -79,7 +79,7 @@ def test_a_lost_scheduler_is_an_error(tmp_path):
             list(results)
 
 
-def test_work_without_workers_waits_and_says_so(tmp_path):
+def test_work_without_workers_waits_with_one_note(tmp_path):
     notes = []
     with start_scheduler(tmp_path) as (address, _), connect(address, note=notes.append) as pool:
         assert list(pool.run(square, [1.0], lambda: bool(notes))) == []
