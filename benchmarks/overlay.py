@@ -20,8 +20,9 @@ import numpy as np
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
+from needlefit.studies.parameter_draws import ParameterDraws
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.overlay.band import ParameterDraws, compute_band
+from needlefit.viewer.overlay.band import compute_band
 from needlefit.viewer.overlay.measured import compute_live_errors
 
 SUBJECT, DEPTH, DRAWS, RATE = "twin/phantom2-07", 40.0, 100, 60.0

@@ -29,7 +29,8 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import compute_metrics
-from needlefit.viewer.overlay.band import ParameterDraws, compute_band, select_layer_draws
+from needlefit.studies.parameter_draws import ParameterDraws, select_layer_draws
+from needlefit.viewer.overlay.band import compute_band
 from needlefit.viewer.overlay.measured import compute_live_errors, make_measured_overlay
 from needlefit.viewer.overlay.slice import InsertionScan, find_scan, read_slice
 

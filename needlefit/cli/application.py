@@ -18,6 +18,7 @@ from needlefit.cli.import_data import import_data
 from needlefit.cli.material import material
 from needlefit.cli.migrate import migrate
 from needlefit.cli.paper import paper
+from needlefit.cli.plan import plan
 from needlefit.cli.predict import predict
 from needlefit.cli.reconstruct import MultiFileCommand, reconstruct
 from needlefit.cli.report import report
@@ -44,6 +45,7 @@ _COMMANDS: Mapping[str, Mapping[Callable[..., None] | str, str]] = {
     "Simulate": {
         simulate: "simulate figure1 --depth 60",
         view: "view figure1",
+        plan: "plan phantom2 --target 45,2 --obstacle 25,0.5,1",
     },
     "Fit": {
         tune: "tune phantom1",

@@ -6,7 +6,7 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.recording import PlacementRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM
-from needlefit.viewer.overlay.band import ParameterDraws
+from needlefit.studies.parameter_draws import ParameterDraws
 from needlefit.viewer.overlay.measured import MeasuredOverlay
 from needlefit.viewer.overlay.slice import InsertionScan
 

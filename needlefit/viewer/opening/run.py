@@ -22,10 +22,10 @@ from needlefit.project.view_targets import ViewTarget
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
 from needlefit.studies.packing import unpack
+from needlefit.studies.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.run import Run, restore_run
 from needlefit.viewer.opening.insertion import ShownInsertion, choose_insertion, make_viewed_scene
-from needlefit.viewer.overlay.band import ParameterDraws, select_layer_draws
 from needlefit.viewer.viewed_scene import ViewedScene
 
 MAX_BAND_DRAWS = 100

@@ -5,37 +5,18 @@ parameters and with the user's inputs. It includes neither the noise of measured
 layers' depths, nor model error.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.mechanics.batch import Batch, compute_batch_positions
+from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
-
-
-@dataclass(frozen=True)
-class ParameterDraws:
-    """Posterior draws of the parameters of the layers that one insertion meets.
-
-    Attributes
-    ----------
-    mu : (B, n) array
-        Of the n layers that it meets, MPa.
-    alpha : (B, n) array
-    bevel : (B,) array
-        b, mm; of an advance by the path angle theta, rad.
-    """
-
-    mu: Floats
-    alpha: Floats
-    bevel: Floats
+from needlefit.studies.parameter_draws import ParameterDraws
 
 
 @dataclass(frozen=True)
@@ -56,20 +37,6 @@ class NeedleBand:
     low: Floats
     high: Floats
     failed: int
-
-
-def select_layer_draws(draws: pd.DataFrame, layers: Sequence[int]) -> ParameterDraws:
-    """Return draws (one column per parameter; Pa, mm) arranged by the layers that a needle meets.
-
-    `layers` are their numbers, from 1, in the order in which they are met.
-    """
-    return ParameterDraws(
-        mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
-        alpha=np.column_stack([draws[f"alpha{layer}"] for layer in layers]),
-        bevel=np.radians(draws["cut_angle_deg"].to_numpy(dtype=np.float64))
-        if "cut_angle_deg" in draws
-        else draws["bevel_mm"].to_numpy(dtype=np.float64),
-    )
 
 
 def compute_band(
@@ -101,15 +68,7 @@ def compute_band(
     depth = steps[-1].depth
     if not depth > 0:
         return None
-    batch = Batch(
-        needle,
-        tissue,
-        steps,
-        replace(rules, first_cell=first_cell),
-        mu=spread.mu,
-        alpha=spread.alpha,
-        **{"cut_angle" if rules.path_angle else "offset": spread.bevel},
-    )
+    batch = spread.make_batch(needle, tissue, steps, replace(rules, first_cell=first_cell))
     # One thread: the other cores are left to the needles that users control at the same time.
     (shapes,) = simulate_batches([batch], threads=1)
     found = compute_batch_positions(shapes, np.linspace(0.0, depth, NEEDLE_POINTS))[

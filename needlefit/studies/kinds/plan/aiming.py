@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
@@ -25,6 +24,12 @@ from needlefit.inference.likelihood.nodes import enforce_order
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.studies.job import Job
 from needlefit.studies.kinds.plan.schema import EntryPlaneRecord, ObstacleRecord, PlanRecord
+from needlefit.studies.kinds.plan.search import (
+    Goal,
+    compute_clearances,
+    compute_residuals,
+    minimize_miss,
+)
 from needlefit.studies.planned_draws import MAX_LAYERS
 from needlefit.studies.planned_insertions import planned_layers
 
@@ -37,11 +42,8 @@ DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05])
 """Of the differences: offset (mm), angle (degrees), depth (mm). Where a boundary passes a constraint point,
 tips move steeply; their mean over draws does so less."""
 
-UNSOLVED_MISS_MM = 100.0
-"""The miss that stands for a needle without a solution, mm."""
-
-OBSTACLE_PENALTY = 10.0
-"""By how much a mm of an obstacle counts more than a mm beside the target."""
+MISSING_PATH = np.full((PATH_POINTS, 2), np.nan)
+"""The path of a needle without a solution."""
 
 
 @dataclass(frozen=True)
@@ -155,11 +157,7 @@ def execute_exactly(values: Values) -> ExecutionDraw:
 
 def clearance(path: Floats, obstacle: ObstacleRecord) -> float:
     """Return the distance, mm, of a needle (K, 2) from the rim of an obstacle; negative inside it."""
-    start, along = path[:-1], np.diff(path, axis=0)
-    away = np.asarray(obstacle.centre_mm) - start
-    part = np.clip(np.sum(away * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30), 0.0, 1.0)
-    nearest = np.linalg.norm(away - part[:, None] * along, axis=1)
-    return float(nearest.min()) - obstacle.radius_mm
+    return float(compute_clearances(path[None], obstacle)[0])
 
 
 def aim_straight(entry_plane: EntryPlaneRecord, target: tuple[float, float], angle: float, side: int) -> Aim:
@@ -196,36 +194,21 @@ def optimize_aim(site: TargetSite, trials: Sequence[ExecutionDraw], middle: Valu
 def _search_from(
     site: TargetSite, trials: Sequence[ExecutionDraw], middle: Values, start: Aim
 ) -> OptimizedAim:
-    entry_plane = site.record.entry_plane
+    entry_plane, goal = site.record.entry_plane, Goal(site.record.target_mm, obstacles=site.record.obstacles)
     low, high = np.array([entry_plane.offset_mm, entry_plane.angle_deg, entry_plane.depth_mm]).T
 
     def residuals(at: Floats) -> Floats:
-        aim = _make_aim(at, start.side)
-        return _residuals(site, site.paths(aim, trials, middle))
+        paths = site.paths(_make_aim(at, start.side), trials, middle)
+        return compute_residuals(np.array([MISSING_PATH if path is None else path for path in paths]), goal)
 
-    def slopes(at: Floats) -> Floats:
-        here = residuals(at)
-        steps = np.diag(np.where(at + DIFFERENCE_STEPS > high, -DIFFERENCE_STEPS, DIFFERENCE_STEPS))
-        return np.stack([(residuals(at + step) - here) / step.sum() for step in steps], axis=1)
+    def many(choices: Sequence[Floats]) -> list[Floats]:
+        return [residuals(at) for at in choices]
 
-    begin = np.clip([start.offset, start.angle, start.depth], low + 1e-6, high - 1e-6)
-    found = least_squares(residuals, begin, slopes, bounds=(low, high), xtol=1e-4, ftol=1e-4, max_nfev=25)
-    return OptimizedAim(_make_aim(found.x, start.side), math.sqrt(2 * found.cost))
+    begin = np.array([start.offset, start.angle, start.depth])
+    found, rms = minimize_miss(residuals, many, begin, (low, high), DIFFERENCE_STEPS)
+    return OptimizedAim(_make_aim(found, start.side), rms)
 
 
 def _make_aim(at: Floats, side: int) -> Aim:
     offset, angle, depth = at.tolist()
     return Aim(offset, angle, depth, side)
-
-
-def _residuals(site: TargetSite, paths: Sequence[Floats | None]) -> Floats:
-    """Return what is squared and summed: misses, and how far needles come too near to obstacles."""
-    target, wide = np.asarray(site.record.target_mm), math.sqrt(len(paths))
-    obstacles = site.record.obstacles
-    parts = []
-    for path in paths:
-        miss = np.full(2, UNSOLVED_MISS_MM) if path is None else path[-1] - target
-        free = [one.margin_mm if path is None else clearance(path, one) for one in obstacles]
-        near = [max(0.0, one.margin_mm - left) for one, left in zip(obstacles, free, strict=True)]
-        parts.append(np.concatenate([miss, OBSTACLE_PENALTY * np.array(near)]))
-    return np.concatenate(parts) / wide

@@ -1,0 +1,235 @@
+"""`needlefit plan`: how to steer a needle to a target past obstacles, with the probability of success."""
+
+import math
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from needlefit.cli import options, screen
+from needlefit.cli.options import complete_view_targets
+from needlefit.cli.screen import print_warnings
+from needlefit.project.outputs import require_output_files
+
+if TYPE_CHECKING:
+    from needlefit.studies.kinds.plan.goals import PlaneGoal
+    from needlefit.studies.kinds.plan.steering import SteeringPlan
+    from needlefit.viewer.viewed_scene import ViewedScene
+
+
+def plan(
+    context: typer.Context,
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE | RUN[/ID] | DATASET/ID",
+            autocompletion=complete_view_targets,
+            help="The needle to steer: a scene, a run's fitted insertion with its posterior draws, or a "
+            "measured insertion.",
+        ),
+    ],
+    target: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y[,Z]", help="Target in the constraint frame, mm: x along the entry."),
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(metavar="MM", min=0.01, help="A tip within it reaches the target.")
+    ] = 2.0,
+    obstacle: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X,Y[,Z],R", help="A sphere to pass by: centre and radius, mm; repeatable."),
+    ] = None,
+    markups: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Points of 3D Slicer (.mrk.json, .fcsv): the one labelled target..., all others obstacles.",
+        ),
+    ] = None,
+    obstacle_radius: Annotated[
+        float, typer.Option(metavar="MM", min=0.01, help="Radius of the obstacles of --markups.")
+    ] = 2.0,
+    entry: Annotated[
+        float, typer.Option(metavar="MM", min=0.0, help="The entry may shift by so much to either side.")
+    ] = 0.0,
+    base: Annotated[
+        float, typer.Option(metavar="MM", min=0.0, help="The base may move by so much to either side.")
+    ] = 10.0,
+    base_angle: Annotated[
+        float, typer.Option(metavar="DEGREES", min=0.0, max=40.0, help="And turn by so much.")
+    ] = 5.0,
+    turns: Annotated[
+        int, typer.Option(metavar="N", min=0, max=2, help="The bevel may turn over so often on the way.")
+    ] = 2,
+    specimen: Annotated[
+        Literal["new", "same"],
+        typer.Option(help="Draws of a run: for a new specimen, or for the specimens fitted."),
+    ] = "new",
+    recording: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the plan as a recording for `view` and `simulate`: .csv."),
+    ] = None,
+    jobs: options.Jobs = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Plan how to steer a needle to a target: entry, path of the base, turns of the bevel, depth.
+
+    The plan has the greatest probability, over posterior draws of the parameters, that the tip ends within
+    --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact.
+    """
+    from needlefit.studies.kinds.plan.steering import PlanLimits, plan_steering
+    from needlefit.viewer.opening import open_target
+    from needlefit.viewer.opening.plan import begin_insertion, write_plan
+
+    if recording is not None:
+        require_output_files({"--recording": recording}, [] if markups is None else [markups])
+    shown = open_target(name, specimen=specimen)
+    print_warnings(context.find_root().obj, shown.warnings)
+    aim = _make_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
+    screen.compile_ahead("lanes", quiet=quiet)
+    limits = PlanLimits(entry, base, base_angle, turns)
+    found = plan_steering(begin_insertion(shown), aim.goal, limits, jobs)
+    summary = _summarize(shown, aim, found)
+    if json:
+        screen.show_json(summary)
+    else:
+        _show(shown, aim, found, summary)
+    if recording is not None:
+        write_plan(shown, found, recording)
+        screen.print_note(f"written: {recording}")
+        screen.print_note(f"play it: {shlex.join(('needlefit', 'view', '--recording', str(recording)))}")
+
+
+def _make_goal(
+    shown: "ViewedScene",
+    target: str | None,
+    radius: float,
+    obstacles: Sequence[str],
+    markups: Path | None,
+    obstacle_radius: float,
+) -> "PlaneGoal":
+    from needlefit.studies.kinds.plan.goals import Ball, cut_plane, read_goal_points
+    from needlefit.viewer.opening.plan import find_placement
+
+    aim, balls = None, list[Ball]()
+    if markups is not None:
+        aim, read = read_goal_points(markups, find_placement(shown), obstacle_radius)
+        balls += read
+    if target is not None:
+        x, y, *rest = _read_numbers(target, (2, 3), "--target", "X,Y or X,Y,Z")
+        aim = (x, y, rest[0] if rest else 0.0)
+    if aim is None:
+        raise typer.BadParameter(
+            "give a target, or a point labelled `target` in --markups", param_hint="--target"
+        )
+    for count, text in enumerate(obstacles, start=len(balls) + 1):
+        x, y, *rest, size = _read_numbers(text, (3, 4), "--obstacle", "X,Y,R or X,Y,Z,R")
+        if size <= 0:
+            raise typer.BadParameter(f"the radius is {size:g} mm; expected above 0", param_hint="--obstacle")
+        balls.append(Ball(f"obstacle {count}", (x, y, rest[0] if rest else 0.0), size))
+    return cut_plane(aim, radius, tuple(balls))
+
+
+def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str) -> list[float]:
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) not in counts or not all(math.isfinite(one) and abs(one) <= 1e4 for one in found):
+        raise typer.BadParameter(
+            f"`{text}`; expected {expected} in mm, numbers up to 10000", param_hint=option
+        )
+    return found
+
+
+def _summarize(shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan") -> dict[str, Any]:
+    """Return the plan and its outcome, ready for JSON."""
+    import numpy as np
+
+    goal, misses, exact = found.goal, found.misses, shown.spread is None
+    quantiles = np.quantile(misses, [0.5, 0.95]).tolist() if len(misses) else [None, None]
+    return {
+        "target_mm": list(goal.target),
+        "radius_mm": goal.radius,
+        "obstacles": [
+            {"name": one.name, "centre_mm": list(one.centre_mm), "radius_mm": one.radius_mm}
+            for one in goal.obstacles
+        ],
+        "obstacles_beside_the_plane": list(aim.beside),
+        "roll_deg": aim.roll_deg,
+        "entry_mm": found.entry_mm,
+        "turns_mm": list(found.turns),
+        "steps": [
+            {
+                "depth_mm": step.depth,
+                "bevel_side": step.bevel.side,
+                "base_y_mm": step.controls.base_y,
+                "base_slope": step.controls.base_slope,
+            }
+            for step in found.steps
+        ],
+        "nominal_miss_mm": found.nominal_miss,
+        "draws": 0 if exact else len(found.needles),
+        "failed_solves": int(np.sum(~found.solved)),
+        "probability": None if exact else found.probability,
+        "low": None if exact else found.low,
+        "high": None if exact else found.high,
+        "reached": bool(found.hits),
+        "median_mm": quantiles[0],
+        "miss_95_mm": quantiles[1],
+        "touched": found.touched,
+    }
+
+
+def _show(shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan", summary: dict[str, Any]) -> None:
+    import pandas as pd
+
+    screen.print_text(_describe(shown, found, summary))
+    screen.print_line()
+    screen.print_text(shown.title)
+    start = []
+    if aim.roll_deg:
+        start.append(f"Roll the needle by {aim.roll_deg:.1f} degrees about x, from y toward z.")
+    if abs(found.entry_mm) > 0.005:
+        start.append(f"Shift the entry by {found.entry_mm:+.2f} mm along y.")
+    for line in start:
+        screen.print_line(line)
+    rows = [
+        {
+            "Insert to mm": f"{step['depth_mm']:.2f}",
+            "Bevel": "+y" if step["bevel_side"] > 0 else "-y",
+            "Base y mm": f"{step['base_y_mm']:.2f}",
+            "Base angle °": f"{math.degrees(math.atan(step['base_slope'])):.2f}",
+        }
+        for step in summary["steps"]
+    ]
+    screen.show_frame(pd.DataFrame(rows), "Before each row set bevel and base, then insert:")
+    for name in aim.beside:
+        screen.print_line(f"{name} lies beside the plane of the needle.")
+
+
+def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, Any]) -> str:
+    """Return the outcome in one or two sentences."""
+    past = " and touches no obstacle" if found.goal.obstacles else ""
+    within = f"within {found.goal.radius:g} mm of the target"
+    nominal = f"{found.nominal_miss:.2f} mm"
+    if shown.spread is None:
+        not_ = "" if found.hits else "not "
+        return (
+            f"With the parameters of {shown.name} the tip ends {nominal} from the target: the plan is {not_}"
+            f"{within}{past}. Parameters are taken as exact; a run gives a probability."
+        )
+    return (
+        f"The tip ends {within}{past} with probability {100 * found.probability:.0f} % (95 % CI "
+        f"{100 * found.low:.0f} to {100 * found.high:.0f} %, {len(found.needles)} posterior draws). "
+        f"Median miss {_format(summary['median_mm'])} mm, 95 % below {_format(summary['miss_95_mm'])} mm. "
+        "Model error is not included."
+    )
+
+
+def _format(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

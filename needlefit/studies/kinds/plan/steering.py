@@ -1,0 +1,502 @@
+"""Plan how to steer a needle from where it stands to a target: entry, path of the base, turns of the bevel.
+
+The plan is the one of least risk: the share of posterior draws whose tip misses the target by more than its
+radius, or whose needle touches an obstacle. Turns of the bevel are chosen from a grid of constraint points;
+for each choice one Gauss-Newton step brings the expected tip to the target, the best few are then optimised
+(`search.minimize_miss`) and their risk lowered. What is reported comes of draws that no plan was sought with.
+
+Depths are arc lengths, as the needle is inserted; target and obstacles are in the constraint frame C.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, product
+
+import numpy as np
+from scipy.optimize import minimize
+
+from needlefit.arrays import Bools, Floats
+from needlefit.errors import ModelError
+from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions
+from needlefit.mechanics.control import Controls, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import SAME_DEPTH_MM, make_lattice
+from needlefit.mechanics.tissue import Tissue
+from needlefit.studies.kinds.plan.search import (
+    Goal,
+    compute_clearances,
+    compute_misses,
+    compute_residuals,
+    find_hits,
+    minimize_miss,
+)
+from needlefit.studies.parameter_draws import ParameterDraws
+from needlefit.studies.proportions import wilson_interval
+
+SEARCH_DRAWS = 32
+"""Draws on which a plan is sought: as many as the kernel solves at once. The others test it."""
+
+PATH_POINTS = 41
+"""Points of a needle, entry to tip."""
+
+BASE_STEP_MM = 5.0
+"""The base moves in steps of so much inserted depth."""
+
+DEPTH_RANGE_MM = 5.0
+"""A plan ends within so much of the target's own depth."""
+
+TURN_PLACES = {0: 0, 1: 5, 2: 4}
+"""On how many places along the way so many turns of the bevel are tried."""
+
+REFINED_PLANS = 2
+"""Choices of turns that are optimised after the first step."""
+
+EFFORT_MM = 0.05
+"""Expected miss, mm, for which the base or the entry is moved over its whole range."""
+
+RISK_WIDTH = 0.15
+"""Smoothing of the risk, as a part of the target's radius."""
+
+TURN_RISK, EFFORT_RISK = 0.005, 0.01
+"""Risk for which a further turn is taken, and for which base and entry are moved over their ranges."""
+
+REACH_SHARES = (0.05, 0.5, 0.95)
+"""Shares of draws for which the reachable region is given."""
+
+DIFFERENCE_STEP_MM, DIFFERENCE_STEP_SLOPE = 0.05, 1e-3
+
+
+@dataclass(frozen=True)
+class PlanLimits:
+    """How far a plan may go: entry (mm) and base (mm, degrees) to either side, turns of the bevel."""
+
+    entry_mm: float = 0.0
+    base_mm: float = 10.0
+    base_angle_deg: float = 5.0
+    turns: int = 2
+
+    @property
+    def base_slope(self) -> float:
+        """Greatest slope of the base."""
+        return math.tan(math.radians(self.base_angle_deg))
+
+
+@dataclass(frozen=True)
+class StartedInsertion:
+    """An insertion that a plan continues.
+
+    Attributes
+    ----------
+    needle, tissue, rules
+        As `simulate_steps` takes them; `rules.first_cell` is given.
+    path : tuple of Step
+        The steps so far; the last one is where the needle stands. At first contact its depth is 0.
+    draws : ParameterDraws or None
+        Of the parameters; None: those of `tissue` and of the bevel are exact.
+    """
+
+    needle: Needle
+    tissue: Tissue
+    rules: ModelOptions
+    path: tuple[Step, ...]
+    draws: ParameterDraws | None = None
+
+    @property
+    def now(self) -> Step:
+        """Where the needle stands, and under which inputs; its tip is free."""
+        last = self.path[-1]
+        return replace(last, controls=replace(last.controls, tip=None))
+
+    @property
+    def exact(self) -> ParameterDraws:
+        """The parameters of the tissue and the bevel themselves."""
+        return ParameterDraws.exact(self.tissue, self.now.bevel, self.rules)
+
+    @property
+    def reach(self) -> float:
+        """Greatest depth, mm, at which the base is still before guides and tissue."""
+        before = self.now.controls.before
+        return self.needle.length + (before[0].x if before else 0.0) - 1.0
+
+    @cached_property
+    def samples(self) -> tuple[ParameterDraws, ParameterDraws]:
+        """The draws on which plans are sought, and those on which they are tested."""
+        draws = self.draws or self.exact
+        if len(draws) < 2 * SEARCH_DRAWS:
+            return draws, draws
+        sought = np.linspace(0, len(draws) - 1, SEARCH_DRAWS).astype(np.intp)
+        return draws.only(sought), draws.only(np.setdiff1d(np.arange(len(draws)), sought))
+
+    def simulate(
+        self, draws: ParameterDraws, ways: Sequence[tuple[Step, ...]], threads: int | None
+    ) -> tuple[NeedleShapes, ...]:
+        """Return the needles of all draws after the steps so far and each way's further ones."""
+        done = self.path if self.path[-1].depth > SAME_DEPTH_MM else ()
+        batches = [draws.make_batch(self.needle, self.tissue, (*done, *way), self.rules) for way in ways]
+        return simulate_batches(batches, threads)
+
+
+@dataclass(frozen=True)
+class SteeringPlan:
+    """A plan, and what becomes of its needles.
+
+    Attributes
+    ----------
+    entry_mm : float
+        Shift of the entry along y.
+    steps : tuple of Step
+        From where the needle stands.
+    turns : tuple of float
+        Depths at which the bevel turns over, mm; at the present depth before anything else.
+    needles : (B, K, 2) array
+        Of the draws that test it, mm; NaN where one has no solution within the model's validity.
+    nominal : (K, 2) array
+        The needle of the exact parameters.
+    hits : int
+        Draws within the radius and past all obstacles.
+    low, high : float
+        Wilson's 95 % interval of their share.
+    touched : dict of str -> float
+        Share of draws that touch each obstacle.
+    """
+
+    entry_mm: float
+    steps: tuple[Step, ...]
+    turns: tuple[float, ...]
+    goal: Goal
+    needles: Floats
+    nominal: Floats
+    hits: int
+    low: float
+    high: float
+    touched: dict[str, float]
+
+    @property
+    def end(self) -> Step:
+        """The last step."""
+        return self.steps[-1]
+
+    @property
+    def solved(self) -> Bools:
+        """Which draws (B,) have a needle."""
+        return np.isfinite(self.needles[:, -1, 0])
+
+    @property
+    def probability(self) -> float:
+        """Share of draws that reach the target and touch no obstacle."""
+        return self.hits / len(self.needles)
+
+    @property
+    def misses(self) -> Floats:
+        """Distance of the tips from the target, mm, of the draws that have a needle."""
+        return compute_misses(self.needles[self.solved], self.goal)
+
+    @property
+    def nominal_miss(self) -> float:
+        """Distance from the target of the tip with the exact parameters, mm."""
+        return float(compute_misses(self.nominal[None], self.goal)[0])
+
+
+def plan_steering(
+    insertion: StartedInsertion, goal: Goal, limits: PlanLimits | None = None, threads: int | None = None
+) -> SteeringPlan:
+    """Return the plan of least risk from where the needle stands.
+
+    Parameters
+    ----------
+    goal : Goal
+        With a finite radius.
+    limits : PlanLimits, optional
+        The entry is shifted only from first contact on.
+    threads : int, optional
+        By default as many as there are cores.
+
+    Raises
+    ------
+    ModelError
+        If the target is not ahead of the tip, out of the needle's reach, or no needle is found on the way.
+    """
+    search = _Search(insertion, goal, limits or PlanLimits(), threads)
+    search.check()
+    chosen = search.best()
+    way = search.way(chosen)
+    tests = insertion.samples[1]
+    (needles,), (nominal,) = (
+        search.needles(draws, [chosen], valid=True) for draws in (tests, insertion.exact)
+    )
+    hits = int(np.sum(find_hits(needles, goal)))
+    low, high = wilson_interval(hits / len(needles), len(needles))
+    touched = {one.name: float(np.mean(compute_clearances(needles, one) < 0)) for one in goal.obstacles}
+    entry_mm = float(chosen.at[0])
+    turns = (insertion.now.depth,) * (way[0].bevel.side != insertion.now.bevel.side) + chosen.turns
+    return SteeringPlan(entry_mm, way, turns, goal, needles, nominal[0], hits, low, high, touched)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """A side of the bevel, depths at which it turns over, and `at`: entry, depth, base y and base slope."""
+
+    side: int
+    turns: tuple[float, ...]
+    at: Floats
+
+
+@dataclass(frozen=True)
+class _Search:
+    insertion: StartedInsertion
+    goal: Goal
+    limits: PlanLimits
+    threads: int | None
+
+    @cached_property
+    def end(self) -> float:
+        """Depth of the target: the length of the straight way to it from where the needle stands."""
+        x, y = self.goal.target
+        return math.hypot(x, y * (self.limits.entry_mm == 0))
+
+    @cached_property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Least and greatest entry, depth, base y and base slope."""
+        now, limits = self.insertion.now, self.limits
+        entry = limits.entry_mm if now.depth <= SAME_DEPTH_MM else 0.0
+        nearest = max(self.end - DEPTH_RANGE_MM, now.depth + 0.1)
+        low = [-entry, nearest, -limits.base_mm, -limits.base_slope]
+        high = [
+            entry,
+            min(self.end + DEPTH_RANGE_MM, self.insertion.reach),
+            limits.base_mm,
+            limits.base_slope,
+        ]
+        margin = 1e-5  # of what is fixed: least_squares wants bounds that differ
+        return np.minimum(low, self.still) - margin, np.maximum(high, self.still) + margin
+
+    @cached_property
+    def stations(self) -> tuple[float, ...]:
+        """Constraint points between where the needle stands and the least depth of a plan, mm.
+
+        Inputs change there alone: within a cell each change begins another cut, and the tip would jump.
+        """
+        now, last = self.insertion.now.depth, self.bounds[0][1] - 0.5
+        lattice = make_lattice((), self.insertion.rules)
+        points = (lattice.depth(m) for m in range(1, lattice.cell(max(last, 0.0)) + 1))
+        return tuple(depth for depth in points if now + 0.5 < depth < last)
+
+    @cached_property
+    def base_stations(self) -> tuple[float, ...]:
+        """The stations at which the base moves."""
+        count = int((self.end - self.insertion.now.depth) / BASE_STEP_MM)
+        return _spread(self.stations, count)
+
+    def check(self) -> None:
+        """Raise ModelError unless the target lies ahead, within reach."""
+        x, reach = self.goal.target[0], self.insertion.reach
+        if x <= self.insertion.now.depth + 0.5 or self.end > reach:
+            raise ModelError(
+                f"the target lies at a depth of {x:.1f} mm",
+                expected=f"deeper than the tip, {self.insertion.now.depth:.1f} mm, up to {reach:.1f} mm",
+                fix="retract the needle, or take another target",
+            )
+
+    def way(self, choice: _Choice) -> tuple[Step, ...]:
+        """Return the steps of a choice; the base goes in equal steps to where it ends."""
+        now = self.insertion.now
+        _, depth, base_y, base_slope = choice.at.tolist()
+        side, steps = choice.side, list[Step]()
+        controls = now.controls
+        for end in (*sorted({*self.base_stations, *choice.turns}), depth):
+            if end in self.base_stations or end == depth:
+                part = min((end - now.depth) / (self.end - now.depth), 1.0) if end != depth else 1.0
+                controls = _move_base(now.controls, part, base_y, base_slope)
+            step = Step(end, replace(now.bevel, side=side), controls)
+            if steps and (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
+                steps.pop()
+            steps.append(step)
+            side = -side if end in choice.turns else side
+        return tuple(steps)
+
+    def needles(
+        self, draws: ParameterDraws, choices: Sequence[_Choice], *, valid: bool = False
+    ) -> list[Floats]:
+        """Return the needles (B, K, 2) of all draws under each choice, NaN where there is none (`valid`)."""
+        found = self.insertion.simulate(draws, [self.way(one) for one in choices], self.threads)
+        placed = []
+        for shapes, (entry, depth, *_) in zip(found, (one.at for one in choices), strict=True):
+            points = compute_batch_positions(shapes, np.linspace(0.0, depth, PATH_POINTS))
+            kept = shapes.valid if valid else shapes.converged
+            placed.append(np.where(kept[:, None, None], points + np.array([0.0, entry]), np.nan))
+        return placed
+
+    @cached_property
+    def still(self) -> Floats:
+        """Straight on: entry, depth, base y and base slope."""
+        controls = self.insertion.now.controls
+        return np.array([0.0, self.end, controls.base_y, controls.base_slope])
+
+    def effort(self, choice: _Choice) -> Floats:
+        """Return how far a choice moves entry, base and its slope, as parts of their ranges."""
+        low, high = self.bounds
+        moved: Floats = ((choice.at - self.still) / (high - low))[[0, 2, 3]]
+        return moved
+
+    def residuals(self, choices: Sequence[_Choice]) -> list[Floats]:
+        """Return the misses of each choice over the draws of the search, and how far it moves the base."""
+        needles = self.needles(self.insertion.samples[0], choices)
+        return [
+            np.concatenate([compute_residuals(some, self.goal), EFFORT_MM * self.effort(one)])
+            for some, one in zip(needles, choices, strict=True)
+        ]
+
+    def risks(self, choices: Sequence[_Choice]) -> list[float]:
+        """Return the smoothed risk of each choice over the draws of the search, and what its effort costs."""
+        needles = self.needles(self.insertion.samples[0], choices)
+        return [
+            _smooth_risk(some, self.goal)
+            + TURN_RISK * len(one.turns)
+            + EFFORT_RISK * float(np.sum(self.effort(one) ** 2))
+            for some, one in zip(needles, choices, strict=True)
+        ]
+
+    def list_choices(self) -> list[_Choice]:
+        """Return the sides and turns of the bevel that are tried, with the base as it stands."""
+        now, bevel = self.insertion.now, self.insertion.now.bevel
+        begin = self.still.copy()
+        if now.depth <= SAME_DEPTH_MM and self.limits.entry_mm:
+            begin[0] = np.clip(self.goal.target[1], self.bounds[0][0], self.bounds[1][0])
+        bends = self.insertion.rules.bevel_strength(bevel)[0] != 0 or self.insertion.draws is not None
+        turns = [
+            turned
+            for count in range(1 + self.limits.turns * bends)
+            for turned in combinations(_spread(self.stations, TURN_PLACES[count]), count)
+        ]
+        sides = (bevel.side, -bevel.side) if bends else (bevel.side,)
+        return [_Choice(side, turned, begin) for turned, side in product(turns, sides)]
+
+    def best(self) -> _Choice:
+        """Return the choice of least risk."""
+        tried = self._step_once(self.list_choices())
+        order = np.argsort(self.risks(tried), kind="stable")
+        found = [self._optimize(tried[n]) for n in order[:REFINED_PLANS]]
+        risks = self.risks(found)
+        return self._lower_risk(found[int(np.argmin(risks))])
+
+    def _step_once(self, choices: Sequence[_Choice]) -> list[_Choice]:
+        """Return choices after one Gauss-Newton step each, all their needles simulated together."""
+        moves = np.vstack([np.zeros(4), np.diag(_STEPS)])
+        shifted = [replace(one, at=one.at + move) for one in choices for move in moves]
+        values = self.residuals(shifted)
+        stepped = []
+        for n, one in enumerate(choices):
+            here, *moved = values[5 * n : 5 * n + 5]
+            slopes = np.stack(
+                [(there - here) / step for there, step in zip(moved, _STEPS, strict=True)], axis=1
+            )
+            low, high = self.bounds
+            weights = high - low  # of equal size within the bounds
+            step = np.linalg.lstsq(slopes * weights, -here, rcond=1e-6)[0] * weights
+            stepped.append(replace(one, at=np.clip(one.at + step, low, high)))
+        return stepped
+
+    def _optimize(self, choice: _Choice) -> _Choice:
+        def many(all_at: Sequence[Floats]) -> list[Floats]:
+            return self.residuals([replace(choice, at=at) for at in all_at])
+
+        found, _ = minimize_miss(lambda at: many([at])[0], many, choice.at, self.bounds, _STEPS)
+        return replace(choice, at=found)
+
+    def _lower_risk(self, choice: _Choice) -> _Choice:
+        """Return a choice of lower risk nearby: the least expected miss is not always it."""
+        low, high = self.bounds
+        size = 0.05 * (high - low)
+
+        def risk(at: Floats) -> float:
+            return self.risks([replace(choice, at=np.clip(at, low, high))])[0]
+
+        simplex = np.vstack([choice.at, choice.at + np.diag(np.where(choice.at + size > high, -size, size))])
+        found = minimize(
+            risk, choice.at, method="Nelder-Mead", options={"maxfev": 40, "initial_simplex": simplex}
+        )
+        at = np.clip(found.x, low, high)
+        return replace(choice, at=at) if found.fun < risk(choice.at) - 1e-3 else choice
+
+
+_STEPS = np.array([DIFFERENCE_STEP_MM, DIFFERENCE_STEP_MM, DIFFERENCE_STEP_MM, DIFFERENCE_STEP_SLOPE])
+
+
+def _move_base(controls: Controls, part: float, base_y: float, base_slope: float) -> Controls:
+    """Return controls whose base has gone a part of its way."""
+    y = controls.base_y + part * (base_y - controls.base_y)
+    return replace(
+        controls, base_y=y, base_slope=controls.base_slope + part * (base_slope - controls.base_slope)
+    )
+
+
+def _spread(stations: Sequence[float], count: int) -> tuple[float, ...]:
+    """Return so many of the stations, evenly spread, none at the ends; all if there are fewer."""
+    if len(stations) <= count:
+        return tuple(stations)
+    places = np.linspace(0, len(stations) - 1, count + 2)[1:-1]
+    return tuple(dict.fromkeys(stations[round(place)] for place in places))
+
+
+def _smooth_risk(needles: Floats, goal: Goal) -> float:
+    """Return the mean over draws of a smooth step from 1, far outside the target or in an obstacle, to 0."""
+    margins = [goal.radius - compute_misses(needles, goal)]
+    margins += [compute_clearances(needles, one) for one in goal.obstacles]
+    margin = np.nan_to_num(np.min(margins, axis=0), nan=-1e3)
+    with np.errstate(over="ignore"):
+        return float(np.mean(1 / (1 + np.exp(margin / (RISK_WIDTH * goal.radius)))))
+
+
+@dataclass(frozen=True)
+class ReachableRegion:
+    """Where the tip can come to stand.
+
+    Attributes
+    ----------
+    x : (K,) array
+        Depths ahead of the tip, mm.
+    low, high : (S, K) arrays
+        Least and greatest y that a share `REACH_SHARES` of the draws reaches, mm.
+    """
+
+    x: Floats
+    low: Floats
+    high: Floats
+
+
+def find_reachable_region(
+    insertion: StartedInsertion, depth: float, limits: PlanLimits | None = None, threads: int | None = None
+) -> ReachableRegion:
+    """Return where the tip can come to stand up to `depth` (mm), by draws of the parameters.
+
+    The bevel stays to one side and the base goes at once to a corner of its range: these are the needles that
+    bend most.
+    """
+    limits, now = limits or PlanLimits(), insertion.now
+    still = replace(now.controls, tip=None)
+    held = [still] + [
+        replace(still, base_y=y * limits.base_mm, base_slope=slope * limits.base_slope)
+        for y, slope in product((-1, 1), (-1, 1))
+    ]
+    ways = [
+        (Step(min(depth, insertion.reach), replace(now.bevel, side=side), controls),)
+        for side, controls in product((1, -1), held)
+    ]
+    draws = insertion.samples[0] if insertion.draws is not None else insertion.exact
+    found = insertion.simulate(draws, ways, threads)
+    tips = np.array([np.where(one.valid[:, None], one.tip_track[:, :, 0], np.nan) for one in found])
+    x = found[0].constraints[0, :, 0]
+    ahead = x > now.depth + SAME_DEPTH_MM
+    solved = np.isfinite(tips[:, :, -1]).any(axis=0)
+    if not solved.any() or not ahead.any():
+        empty = np.empty((len(REACH_SHARES), 0))
+        return ReachableRegion(np.empty(0), empty, empty)
+    tips = tips[:, solved][:, :, ahead]
+    least, greatest = np.nanmin(tips, axis=0), np.nanmax(tips, axis=0)  # (B, K)
+    shares = np.array(REACH_SHARES)
+    return ReachableRegion(
+        x[ahead], np.quantile(least, shares, axis=0), np.quantile(greatest, 1 - shares, axis=0)
+    )

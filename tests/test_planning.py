@@ -1,0 +1,187 @@
+"""Plans of steering: they reach what can be reached, past obstacles, and say how probable that is."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from test_cli import run
+from test_datasets_markups import markup, point, save
+
+from needlefit.errors import DataError, ModelError
+from needlefit.geometry.frames import Frame, Placement
+from needlefit.mechanics.control import Bevel, Step
+from needlefit.mechanics.scene import Scene, begin_session
+from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.studies.kinds.plan.goals import Ball, cut_plane, read_goal_points
+from needlefit.studies.kinds.plan.schema import ObstacleRecord
+from needlefit.studies.kinds.plan.search import Goal, compute_clearances, find_hits
+from needlefit.studies.kinds.plan.steering import (
+    PlanLimits,
+    StartedInsertion,
+    find_reachable_region,
+    plan_steering,
+)
+from needlefit.studies.parameter_draws import ParameterDraws
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.opening.plan import begin_insertion
+from needlefit.viewer.recording import read_recording, replay
+
+STILL = PlanLimits(base_mm=0.0, base_angle_deg=0.0, turns=0)
+
+
+@cache
+def insertion() -> StartedInsertion:
+    """Return a needle of phantom 2 at first contact."""
+    return begin_insertion(open_target("phantom2"))
+
+
+def uncertain(count: int = 96) -> StartedInsertion:
+    """Return it with draws of its parameters: b to 20 %, moduli to a factor of 1.5."""
+    rng, exact = np.random.default_rng(4), insertion().exact
+    mu = exact.mu * np.exp(np.log(1.5) * rng.standard_normal((count, exact.mu.shape[1])))
+    bevel = exact.bevel * np.exp(0.2 * rng.standard_normal(count))
+    return replace(insertion(), draws=ParameterDraws(mu, np.repeat(exact.alpha, count, 0), bevel))
+
+
+def tip_of(*steps: Step) -> np.ndarray:
+    one = insertion()
+    shape = simulate_steps(one.needle, one.tissue, steps, one.rules)
+    return compute_positions(shape, np.array([shape.depth]))[0]
+
+
+def test_where_the_needle_goes_by_itself_nothing_is_moved() -> None:
+    end = tip_of(replace(insertion().now, depth=40.0))
+    found = plan_steering(insertion(), Goal(tuple(end), 1.0), threads=1)
+    assert found.nominal_miss < 0.02 and found.turns == ()
+    assert abs(found.end.controls.base_y) < 0.05 and abs(found.end.depth - 40.0) < 0.05
+    other = plan_steering(insertion(), Goal((end[0], -end[1]), 1.0), STILL, threads=1)
+    assert other.turns == (0.0,) and other.nominal_miss < 0.02  # the bevel alone
+
+
+def test_a_plan_is_the_needle_that_its_steps_simulate() -> None:
+    found = plan_steering(insertion(), Goal((42.0, -1.5), 1.0), threads=1)
+    tip = tip_of(*found.steps)
+    assert tip == pytest.approx(found.nominal[-1], abs=1e-6)
+    assert np.linalg.norm(tip - (42.0, -1.5)) == pytest.approx(found.nominal_miss, abs=1e-6)
+    assert found.nominal_miss < 0.05
+
+
+def test_an_obstacle_on_the_way_is_passed_by() -> None:
+    goal = Goal((45.0, 2.0), 1.0)
+    (ahead,) = plan_steering(insertion(), goal, threads=1).nominal[None, 20:21]
+    obstacle = ObstacleRecord(name="vessel", centre_mm=tuple(ahead[0]), radius_mm=0.5)
+    found = plan_steering(
+        insertion(), replace(goal, obstacles=(obstacle,)), PlanLimits(entry_mm=5), threads=1
+    )
+    assert compute_clearances(found.nominal[None], obstacle)[0] > 0.1
+    assert found.nominal_miss < 0.2 and found.touched == {"vessel": 0.0}
+
+
+def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with() -> None:
+    one, goal = uncertain(), Goal((40.0, 1.0), 0.1)
+    found = plan_steering(one, goal, threads=1)
+    tests = one.samples[1]
+    assert len(found.needles) == len(tests) == 64
+    (shapes,) = one.simulate(tests, [found.steps], 1)
+    tips = np.array([compute_positions(shapes[n], np.array([found.end.depth]))[0] for n in range(64)])
+    assert found.hits == np.sum(np.linalg.norm(tips - goal.target, axis=1) <= 0.1)
+    assert 0.1 < found.probability < 1 and found.low < found.probability < found.high
+    assert found.hits == np.sum(find_hits(found.needles, goal))
+
+
+def test_turning_the_bevel_lowers_the_risk_of_an_uncertain_bevel() -> None:
+    one, goal = uncertain(), Goal((45.0, 0.0), 0.5)
+    straight, turned = (plan_steering(one, goal, PlanLimits(turns=n), threads=1) for n in (0, 2))
+    assert turned.turns and turned.probability > straight.probability + 0.1
+
+
+def test_a_plan_goes_on_from_where_the_needle_stands() -> None:
+    view = open_target("phantom2")
+    one = insertion()
+    session = begin_session(Scene.from_record(view.record), view.first_cell)
+    session.step(insert=15.3)
+    session.step(base=(2.0, 0.0))
+    there = replace(one, path=session.input_path())
+    found = plan_steering(there, Goal((44.0, 1.0), 1.0), threads=1)
+    assert min(step.depth for step in found.steps) > 15.3 and found.nominal_miss < 0.1
+    for step in found.steps:
+        session.go(step)
+    end = compute_positions(session.now.shape, np.array([session.depth]))[0]
+    assert end == pytest.approx(found.nominal[-1], abs=1e-5)
+
+
+@pytest.mark.parametrize("target", [(10.0, 0.0), (300.0, 0.0)])
+def test_a_target_behind_the_tip_or_out_of_reach_is_refused(target) -> None:
+    there = replace(insertion(), path=(replace(insertion().now, depth=20.0),))
+    with pytest.raises(ModelError):
+        plan_steering(there, Goal(target, 1.0), threads=1)
+
+
+def test_tips_lie_in_the_reachable_region() -> None:
+    limits = PlanLimits(base_mm=3.0, base_angle_deg=1.0)
+    region = find_reachable_region(uncertain(), 45.0, limits, threads=1)
+    assert region.x[-1] == pytest.approx(45.0, abs=1.0)
+    assert np.all(region.low[0] <= region.low[2]) and np.all(region.high[0] >= region.high[2])
+    assert np.all(region.low[2] < region.high[2])
+    within = tip_of(Step(45.0, insertion().now.bevel, replace(insertion().now.controls, base_y=1.5)))
+    assert region.low[2][-1] < within[1] < region.high[2][-1]
+    beyond = Goal((45.0, float(region.high[0][-1]) + 3.0), 0.5)
+    assert plan_steering(uncertain(), beyond, limits, threads=1).probability < 0.05
+
+
+def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
+    balls = (Ball("cut", (20.0, 1.0, 1.0), 1.0), Ball("beside", (20.0, -2.0, 2.0), 1.0))
+    found = cut_plane((45.0, 3.0, 3.0), 1.5, balls)
+    assert found.roll_deg == pytest.approx(45.0) and found.beside == ("beside",)
+    assert found.goal.target == pytest.approx((45.0, np.hypot(3, 3)))
+    (circle,) = found.goal.obstacles
+    assert circle.centre_mm == pytest.approx((20.0, np.sqrt(2))) and circle.radius_mm == pytest.approx(1.0)
+    assert cut_plane((45.0, -3.0, 0.0), 1.5, ()).goal.target == (45.0, -3.0)
+
+
+def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_path) -> None:
+    placement = Placement(Frame(np.array([10.0, 0.0, 0.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])))
+    listed = [point(1, [10, 45, 0], label="Target 1"), point(2, [9, 20, 0.5], label="vessel")]
+    path = save(tmp_path / "a.mrk.json", markup(points=listed))
+    target, balls = read_goal_points(path, placement, 2.5)
+    assert target == pytest.approx((45.0, 0.0, 0.0))
+    assert balls[0].name == "vessel" and balls[0].radius == 2.5
+    assert balls[0].centre == pytest.approx((20.0, 1.0, 0.5))
+    alone, none = read_goal_points(save(tmp_path / "b.mrk.json", markup(points=[listed[1]])), placement, 1.0)
+    assert alone is not None and none == ()
+    twice = save(tmp_path / "c.mrk.json", markup(points=[listed[0], listed[0] | {"id": "9"}]))
+    with pytest.raises(DataError):
+        read_goal_points(twice, placement, 1.0)
+
+
+def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:
+    path = tmp_path / "plan.csv"
+    words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--entry", "5", "--json")
+    assert run("plan", *words, "--recording", str(path)) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["reached"] and found["nominal_miss_mm"] < 0.2 and found["draws"] == 0
+    assert found["steps"][-1]["depth_mm"] == pytest.approx(45.0, abs=1.0)
+    *_, last = replay(read_recording(path))
+    assert last.tip_offset_mm == 0
+    assert last.state.step.depth == found["steps"][-1]["depth_mm"]
+    entry = read_recording(path).head.scene.entry
+    assert entry.y_mm == pytest.approx(found["entry_mm"]) and abs(entry.y_mm) <= 5
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("phantom2",), ("phantom2", "--target", "4"), ("phantom2", "--target", "40,0", "--obstacle", "1,2,-3")],
+)
+def test_a_command_without_a_target_is_refused(words) -> None:
+    assert run("plan", "phantom2", *words) == 2
+
+
+def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
+    one = insertion()
+    rules = replace(one.rules, advance="path_angle")
+    start = Step(0.0, Bevel(cut_angle=0.05), one.now.controls)
+    other = replace(one, rules=rules, path=(start,))
+    assert plan_steering(other, Goal((40.0, -1.0), 1.0), threads=1).nominal_miss < 0.1
