@@ -2,8 +2,9 @@
 
     python benchmarks/planning.py [--targets 12] [--seed 1] [--json]
 
-Plans for random targets of radius 0.3 mm in phantom 2 with 132 draws of its parameters (b to 20 %, moduli to a
-factor of 1.5), on one core. `probability` is the mean that the plans print, `share` that of 400 further draws that hit.
+Plans for random targets of radius 0.3 mm in phantom 2 with 132 draws of its parameters (b to 20 %, moduli to
+a factor of 1.5), on one core. `probability` is the mean that the plans print, `share` that of 400 further
+draws that hit.
 """
 
 import argparse

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from test_datasets_markups import markup, point, save
 
 from needlefit.viewer.recording import read_recording, replay
 
@@ -464,3 +465,63 @@ def test_a_readout_is_defined_on_hover_and_focus(page) -> None:
     page.locator("#definition").wait_for(state="hidden")
     page.focus("#errors .term >> nth=0")
     assert page.inner_text("#definition") == page.evaluate("window.needlefit.scene.measured.metrics[0][3]")
+
+
+def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
+    go_to(page, 5)
+    page.click("[data-fit=tissue]")
+    page.click("#put-target")
+    script = """async () => {
+        const { toPx, toPy } = await import("/page/view.js");
+        const box = document.getElementById("canvas").getBoundingClientRect();
+        return [box.left + toPx(35), box.top + toPy(0.6)];
+    }"""
+    page.mouse.click(*page.evaluate(script))
+    until(page, "() => window.needlefit.aim.target && window.needlefit.aim.reach")
+    assert page.evaluate("window.needlefit.aim.target") == pytest.approx([35, 0.6], abs=0.2)
+    page.click("#make-plan")
+    until(page, "() => window.needlefit.aim.plan", 60)
+    page.click("#step-plan")
+    first = until(page, "state => state.depth_mm > 5.5 && !state.playing")["depth_mm"]
+    assert first == pytest.approx(page.evaluate("window.needlefit.aim.plan.steps[0][0]"))
+    page.click("#run-plan")
+    end = until(page, "state => state.depth_mm > 30 && !state.playing")
+    miss = page.evaluate("import('/page/aim.js').then(({ tipError }) => tipError(window.needlefit.state))")
+    planned = page.evaluate("window.needlefit.aim.plan.nominal_miss_mm")
+    assert miss == pytest.approx(planned, abs=1e-3) and miss < 0.2
+    page.click("#make-plan")  # behind the tip: refused
+    shown(page, "the target lies at a depth")
+    page.keyboard.press("Control+z")
+    until(page, f"state => state.depth_mm < {end['depth_mm'] - 1}")
+
+
+def test_a_hand_is_compared_with_the_planner(page) -> None:
+    page.fill("#speed", "1000")
+    page.click("#challenge")
+    until(page, "() => window.needlefit.aim.target && window.needlefit.aim.challenge.planner !== null", 60)
+    depth = page.evaluate("window.needlefit.aim.target[0]")
+    go_to(page, round(depth, 2))
+    page.click("#challenge")
+    found = page.evaluate("window.needlefit.aim.challenge")
+    assert found["hand"] >= 0 and found["planner"] < 0.3
+    shown(page, f"You {found['hand']:.2f} mm")
+
+
+def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
+    """They lie in the scan's coordinates: of this needle its placement says where."""
+    from needlefit.geometry.frames import Placement
+    from needlefit.viewer.opening import open_target
+
+    until(page, "state => state")
+    placement = Placement.from_record(open_target("twin/phantom2-05").placement)
+    points = placement.to_patient([[35.0, 1.0], [20.0, -2.0]]).tolist()
+    path = save(
+        tmp_path / "a.mrk.json",
+        markup(points=[point(1, points[0], label="target"), point(2, points[1], label="vessel")]),
+    )
+    page.set_input_files("#markups", str(path))
+    until(page, "() => window.needlefit.aim.target && window.needlefit.aim.obstacles.length === 1")
+    aim = page.evaluate("[window.needlefit.aim.target, window.needlefit.aim.obstacles[0].slice(0, 2)]")
+    assert np.array(aim) == pytest.approx(np.array([[35.0, 1.0], [20.0, -2.0]]), abs=1e-6)
+    page.get_by_role("button", name="Remove obstacle 1").click()
+    until(page, "() => window.needlefit.aim.obstacles.length === 0")

@@ -28,7 +28,14 @@ class Page:
     """A window as the server sees it: messages out, answers in."""
 
     def __init__(self, socket) -> None:
-        self.socket, self.id, self.scene = socket, 0, None
+        self.socket, self.id, self.scene, self.kept = socket, 0, None, {}
+
+    async def hear(self, kind: str) -> dict:
+        """Return the next message of a kind, also one that came before an answer."""
+        while kind not in self.kept:
+            answer = json.loads((await self.socket.receive(timeout=20)).data)
+            self.kept[answer["kind"]] = answer
+        return self.kept.pop(kind)
 
     async def say(self, do: str, **arguments) -> dict:
         """Return the state that answers a message; whatever comes before it is kept."""
@@ -43,6 +50,8 @@ class Page:
                 self.refused = answer["what"]
             elif answer["kind"] == "state" and answer["answers"] == self.id:
                 return answer
+            else:
+                self.kept[answer["kind"]] = answer
 
 
 class House:
@@ -424,3 +433,39 @@ async def test_another_insertion_is_another_needle(tmp_path) -> None:
         assert page.scene["measured"]["id"] == "phantom1-05" and page.scene["needle"] != first
         back = await page.say("show", insertion="phantom1-02")
         assert page.scene["needle"] == first and back["tip"] == state["tip"] and back["undo"]
+
+
+@visit
+async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        await page.say("change", insert_mm=5.0)
+        for bad in (
+            {"target": [1]},
+            {"target": [1, "2"]},
+            {"target": [40, 1], "radius": 0},
+            {"obstacles": [[1, 2, -1]]},
+        ):
+            await page.say("aim", **bad)
+            assert page.refused
+        await page.say("plan")
+        assert page.refused  # there is no target
+        await page.say("run")
+        assert page.refused  # nor a plan
+        await page.say("aim", target=[35.0, 0.5], radius=0.5, obstacles=[[20, 4, 1]])
+        aim = await page.hear("aim")
+        assert aim["target"] == [35.0, 0.5] and aim["obstacles"] == [[20.0, 4.0, 1.0]]
+        region = await page.hear("reach")
+        assert region["x"][0] > 5 and len(region["low"]) == 3
+        await page.say("plan")
+        plan = await page.hear("plan")
+        assert plan["nominal_miss_mm"] < 0.5 and plan["steps"][-1][0] == pytest.approx(35, abs=1)
+        assert len(plan["fan"][0][0]) == len(plan["fan"][0][1]) > 10
+        state = await page.say("run", speed_mm_s=1000.0, one=True)
+        assert state["playing"]
+        await page.say("aim", target=[3.0, 0.5])
+        await page.say("plan")
+        assert (await page.hear("plan"))["fault"]["what"]  # the target is behind the tip
+        page.kept.clear()
+        await page.say("aim", target=None)
+        assert (await page.hear("aim"))["target"] is None

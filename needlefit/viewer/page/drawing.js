@@ -1,6 +1,7 @@
 /** The picture: a background, drawn when the view or the tissue changes, and a foreground of every frame. */
 
 import { paintAxes } from "./painters/axes.js";
+import { paintGoal, paintPlan, paintReach } from "./painters/aim.js";
 import { paintBase, paintGuides } from "./painters/supports.js";
 import { paintLoad } from "./painters/load.js";
 import { paintNeedle, paintPath, paintPoints, paintTip } from "./painters/needle.js";
@@ -19,7 +20,7 @@ const behind = background.getContext("2d", { alpha: false });
 const before = foreground.getContext("2d");
 
 /** Which parts are drawn; what there is none of is not, whatever stands here. */
-export const shown = { load: true, points: true, path: true, measured: true, band: true, slice: true };
+export const shown = { load: true, points: true, path: true, measured: true, band: true, slice: true, plan: true, reach: true };
 
 let drawnTissue = "";
 let stale = true; // whether the foreground must be drawn though no state has come
@@ -49,6 +50,9 @@ function paintBackground() {
 function paintForeground(state) {
   before.clearRect(0, 0, picture.clientWidth, picture.clientHeight);
   within(before, () => {
+    if (shown.reach) paintReach(before);
+    paintGoal(before);
+    if (shown.plan) paintPlan(before);
     paintNeedle(before, state);
     if (shown.band && now.band) paintBand(before, now.band, now.band.step !== state.step);
     if (shown.load) paintLoad(before, state);
@@ -93,6 +97,7 @@ new ResizeObserver(measure).observe(picture);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
 recolour();
 listen("band", invalidate);
+listen("aimed", invalidate);
 listen("slice", touch);
 let fitted = null;
 listen("state", () => {

@@ -1,5 +1,6 @@
 /** What a hand can take hold of in the picture, and what dragging it asks for. */
 
+import { aim, moveTo } from "./aim.js";
 import { now } from "./store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "./view.js";
 
@@ -30,6 +31,9 @@ function all() {
     if (!guide.turns_freely) handles.push({ at: turn, cursor: "grab", drag: turnGuide(guide, place) });
     handles.push({ at: place, cursor: "move", drag: dragGuide(guide) });
   }
+  [aim.target, ...aim.obstacles].forEach((one, i) => {
+    if (one) handles.push({ at: [toPx(one[0]), toPy(one[1])], cursor: "move", drag: dragGoal(i ? i - 1 : null, one) });
+  });
   handles.push({ at: base.turn, cursor: "grab", drag: turnBase(state, base.place) });
   handles.push({ at: base.place, cursor: "ns-resize", drag: dragBase(state) });
   return handles;
@@ -49,6 +53,12 @@ export function handleAt(px, py, kind = "mouse") {
 const rise = (from, to) => fromPy(to[1]) - fromPy(from[1]);
 
 const dragBase = ({ base }) => (from, to) => [["base_y_mm", null, base.input_y + rise(from, to)]];
+
+/** A target or an obstacle is no input of the needle: dragging it asks for no change. */
+const dragGoal = (number, [x, y]) => (from, to) => {
+  moveTo(number, x + fromPx(to[0]) - fromPx(from[0]), y + rise(from, to));
+  return [];
+};
 
 const dragTip = ({ tip }) => (from, to) => [["tip_y_mm", null, tip.input_y + rise(from, to)]];
 

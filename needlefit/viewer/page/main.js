@@ -10,6 +10,7 @@ import "./keys.js";
 import "./notices.js";
 import "./opening.js";
 import * as panel from "./panel.js";
+import * as planning from "./planning.js";
 import "./pointers.js";
 import * as readouts from "./readouts.js";
 import * as status from "./status.js";
@@ -23,6 +24,7 @@ const READOUTS = [ // beside the picture, and how often they are refreshed, ms
   { every: 100, refresh: transport.refresh },
   { every: 200, refresh: panel.refresh },
   { every: 200, refresh: guides.refresh },
+  { every: 200, refresh: planning.refresh },
   { every: 1000, refresh: described.refresh },
 ];
 const STATUS_EVERY = 500; // ms

@@ -2,10 +2,11 @@
 
 import { addGuide, insert, needleAt } from "./actions.js";
 import { amount } from "./amounts.js";
+import { put } from "./aim.js";
 import { handleAt } from "./handles.js";
 import { change, newGesture } from "./steering.js";
 import { now } from "./store.js";
-import { fromPx, pan, toPy, zoom } from "./view.js";
+import { fromPx, fromPy, pan, toPy, zoom } from "./view.js";
 
 const NOTCH = { 0: 100, 1: 3, 2: 1 }; // wheel units a notch, by deltaMode
 const FINE = 0.1;
@@ -27,6 +28,7 @@ function down(event) {
   if (event.button > 0) return;
   canvas.setPointerCapture(event.pointerId);
   const at = place(event);
+  if (put(fromPx(at[0]), fromPy(at[1]))) return;
   fingers.set(event.pointerId, at);
   if (fingers.size > 1) drag = null; // two fingers pinch
   else {
@@ -40,7 +42,7 @@ function down(event) {
 function follow(event) {
   if (drag?.pointer !== event.pointerId || !now.connected) return;
   const set = drag.handle.drag(drag.from, place(event));
-  change(set, { gesture: drag.gesture, at: event.timeStamp });
+  if (set.length) change(set, { gesture: drag.gesture, at: event.timeStamp });
 }
 
 function moved(event) {

@@ -1,5 +1,6 @@
 /** The buttons above the picture: what part is seen, and what of it. */
 
+import { aim } from "./aim.js";
 import { invalidate, shown } from "./drawing.js";
 import { listen, now } from "./store.js";
 import { drawTrue, fit, touch, view, zoom } from "./view.js";
@@ -29,6 +30,12 @@ for (const button of document.querySelectorAll("[data-zoom]")) {
 listen("scene", ({ measured, band, slice }) => {
   const there = { measured: measured !== null, band, slice };
   for (const button of shows) button.hidden = there[button.dataset.show] === false;
+});
+listen("aimed", () => {
+  for (const button of shows) {
+    if (button.dataset.show === "plan") button.hidden = aim.plan === null;
+    if (button.dataset.show === "reach") button.hidden = aim.reach === null;
+  }
 });
 listen("view", pressed);
 listen("state", () => now.state && pressed());

@@ -1,6 +1,7 @@
 /** Which part of the constraint frame is seen, in true millimetres; y may be drawn larger than x. */
 
-import { now } from "./store.js";
+import { aim } from "./aim.js";
+import { listen, now } from "./store.js";
 
 const GUTTER = { left: 56, right: 10, top: 10, bottom: 38 }; // px, for the axes
 const MAGNIFICATIONS = [1, 2, 5, 10, 20, 50]; // of y against x
@@ -75,14 +76,19 @@ function tissueSpan() {
 
 function deepest() {
   const { depth_mm: depth, boundaries_mm: tops, measured } = now.scene;
-  return Math.max(depth, now.state.depth_mm, (tops.at(-1) ?? 0) + 5, measured?.depth_mm ?? 0);
+  const goals = goalCircles().map(([x, , radius]) => x + radius);
+  return Math.max(depth, now.state.depth_mm, (tops.at(-1) ?? 0) + 5, measured?.depth_mm ?? 0, ...goals);
 }
+
+/** Target and obstacles: x, y, radius. */
+const goalCircles = () => [...(aim.target ? [[...aim.target, aim.radius]] : []), ...aim.obstacles];
 
 /** Between which y all lies that must be seen: of the tissue alone what is in it. */
 function heights(which) {
   const { x, y } = now.state;
   const seen = which === "whole" ? y : y.filter((_, i) => x[i] >= 0);
-  const all = [...seen, ...(now.scene.measured?.y ?? []), 0];
+  const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
+  const all = [...seen, ...(now.scene.measured?.y ?? []), ...goals, 0];
   return [Math.min(...all), Math.max(...all)];
 }
 
@@ -151,3 +157,6 @@ export function drawTrue(on) {
 }
 
 const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);
+
+/** A goal that is put or comes from a file is seen; while it is dragged the picture stands. */
+listen("aim", () => view.fit && view.fit !== "tip" && fit(view.fit));

@@ -12,8 +12,17 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from needlefit.errors import NeedlefitError
+from needlefit.viewer.opening.plan import continue_insertion
 from needlefit.viewer.overlay.band import compute_band
 from needlefit.viewer.serving.messages import Message, band_message, read_message
+from needlefit.viewer.serving.plans import (
+    aim_message,
+    draw_target,
+    find_region,
+    make_plan,
+    plan_message,
+    region_message,
+)
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 from needlefit.viewer.serving.window import Reply, Window
 
@@ -107,6 +116,9 @@ TOKEN_TIMEOUT_S = 10.0
 BAND_INTERVAL_S = 0.15
 """Pause between two bands, s: each takes a hundred simulated needles."""
 
+PLAN_INTERVAL_S = 0.1
+"""Pause before the next look for a goal or a wish for a plan, s."""
+
 MAX_WINDOWS = 16
 
 CLOSE_NO_TOKEN, CLOSE_TAKEN = 4401, 4409
@@ -131,12 +143,13 @@ class Connections:
             return socket
         window = Window(self.trials, self.trials.open(hello.text("needle")))
         await self._take(window.trial, socket)
-        bands = asyncio.create_task(_send_bands(window, socket))
+        sending = [asyncio.create_task(one(window, socket)) for one in (_send_bands, _send_plans)]
         try:
             await _send(socket, list(window.answer(hello)))
             await self._converse(window, socket)
         finally:
-            bands.cancel()
+            for task in sending:
+                task.cancel()
             self._let_go(window.trial, socket)
         return socket
 
@@ -219,3 +232,37 @@ async def _send_bands(window: Window, socket: web.WebSocketResponse) -> None:
             if trial is window.trial:
                 await _send(socket, [band_message(number[1], found)])
         await asyncio.sleep(BAND_INTERVAL_S)
+
+
+async def _send_plans(window: Window, socket: web.WebSocketResponse) -> None:
+    """Send goals when they change, the region that the tip can reach, and plans that were asked for."""
+    aimed: Any = None
+    reached: Any = None
+    while True:
+        trial, aim = window.trial, window.trial.aim
+        if aimed != (trial.name, aim.version):
+            if aimed is not None or aim.version:
+                await _send(socket, [aim_message(aim)])
+            aimed, reached = (trial.name, aim.version), None
+        if aim.challenged:
+            insertion = continue_insertion(trial.steering, trial.viewed_scene)
+            aim.challenged, version = False, aim.version
+            target = await asyncio.to_thread(draw_target, insertion, trial.scene.depth)
+            if version == aim.version:
+                aim.set(target, aim.radius, ())
+                aim.wanted = target is not None
+        elif aim.goal is not None and aim.wanted:
+            aim.wanted, version = False, aim.version
+            insertion = continue_insertion(trial.steering, trial.viewed_scene)
+            found = await asyncio.to_thread(make_plan, insertion, aim.goal)
+            if version == aim.version and trial is window.trial:
+                aim.plan = None if isinstance(found, NeedlefitError) else found
+                await _send(socket, [plan_message(found, trial.steering.number)])
+        # not while it moves: the region takes a third of a second
+        elif aim.goal is not None and not window.moves and reached != trial.steering.number:
+            reached = trial.steering.number
+            insertion, goal = continue_insertion(trial.steering, trial.viewed_scene), aim.goal
+            region = await asyncio.to_thread(find_region, insertion, goal, trial.scene.depth)
+            if trial is window.trial:
+                await _send(socket, [region_message(region, reached)])
+        await asyncio.sleep(PLAN_INTERVAL_S)

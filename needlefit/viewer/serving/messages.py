@@ -206,7 +206,10 @@ def _encode_errors(trial: InteractiveTrial, shape: NeedleShape) -> dict[str, Any
 
 
 ACTIONS = frozenset(
-    ("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show")
+    (
+        *("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show"),
+        *("aim", "markups", "plan", "run", "challenge"),
+    )
 )
 
 MAX_CHANGES = 64

@@ -2,16 +2,65 @@
 
 import secrets
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path, PurePath
 from time import monotonic
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.scene import Scene
+from needlefit.studies.kinds.plan.schema import ObstacleRecord
+from needlefit.studies.kinds.plan.search import Goal
+from needlefit.studies.kinds.plan.steering import SteeringPlan
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, make_head
 from needlefit.viewer.viewed_scene import ViewedScene
+
+DEFAULT_RADIUS_MM = 2.0
+"""A tip that ends within it has reached the target."""
+
+
+@dataclass
+class TrialAim:
+    """Where a trial's needle is to go.
+
+    Attributes
+    ----------
+    goal : Goal or None
+        None: there is no target.
+    plan : SteeringPlan or None
+        The last plan for this goal.
+    roll_deg : float
+        Angle about x by which the needle's plane contains a target in space.
+    wanted, challenged : bool
+        Whether a plan, or a random target, has been asked for and is not computed yet.
+    version : int
+        Counts changes of the goal.
+    """
+
+    goal: Goal | None = None
+    radius: float = DEFAULT_RADIUS_MM
+    obstacles: tuple[ObstacleRecord, ...] = ()
+    plan: SteeringPlan | None = None
+    roll_deg: float = 0.0
+    wanted: bool = False
+    challenged: bool = False
+    version: int = 0
+
+    def set(
+        self,
+        target: tuple[float, float] | None,
+        radius: float,
+        obstacles: tuple[ObstacleRecord, ...],
+        roll_deg: float = 0.0,
+    ) -> None:
+        """Take another goal; a plan for the one before is dropped."""
+        self.goal = None if target is None else Goal(target, radius, obstacles)
+        self.radius, self.obstacles, self.roll_deg = radius, obstacles, roll_deg
+        self.plan, self.wanted, self.challenged = None, False, False
+        self.version += 1
+
 
 MAX_UNDO = 200
 """Number of gestures that can be undone."""
@@ -35,6 +84,8 @@ class InteractiveTrial:
     ----------
     speed : float
         Steps a second that its needle can make here.
+    aim : TrialAim
+        Its target and obstacles, and the plan to reach them.
     window_trials : dict of str -> InteractiveTrial
         The last needle of the same window beside each insertion that it has shown, this one among them.
     """
@@ -49,6 +100,7 @@ class InteractiveTrial:
         head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
         self.recorder = RecordingWriter(path, head)
         self.speed = self.steering.step_rate()
+        self.aim = TrialAim()
         self._began: float | None = None
         self._write_failed = False
         self._past: list[int] = []

@@ -6,6 +6,7 @@ from time import monotonic
 from typing import Any, Protocol
 
 from needlefit.errors import ModelError, NeedlefitError
+from needlefit.mechanics.control import Step
 from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.viewer.interaction.inputs import Change, find_changes
 from needlefit.viewer.recording import (
@@ -22,6 +23,7 @@ from needlefit.viewer.serving.messages import (
     scene_message,
     state_message,
 )
+from needlefit.viewer.serving.plans import read_goal, read_markups
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 
 MAX_FRAME_S = 0.1
@@ -67,11 +69,11 @@ class Stroke:
 
 
 class Play:
-    """A motion through the steps of the scene, at constant speed, from first contact on."""
+    """A motion through steps, at constant speed: those of the scene from first contact on, or of a plan."""
 
-    def __init__(self, trial: InteractiveTrial, speed: float, gesture: int) -> None:
+    def __init__(self, steps: Sequence[Step], speed: float, gesture: int) -> None:
         self.speed, self._gesture = abs(speed), gesture
-        self._steps = iter(trial.steering.scene.steps)
+        self._steps = iter(steps)
         self._stroke: Stroke | None = None
 
     def advance(self, trial: InteractiveTrial, dt: float) -> bool:
@@ -144,6 +146,11 @@ class Window:
             yield scene_message(self.trial)
         yield self._state()
 
+    @property
+    def moves(self) -> bool:
+        """Whether the needle goes on by itself."""
+        return self._motion is not None
+
     def _state(self) -> Reply:
         """Return the needle as it stands."""
         motion = self._motion
@@ -162,7 +169,7 @@ class Window:
     def _do(self, message: Message) -> None:
         if message.fault:
             raise message.fault
-        if message.do not in ("frame", "hello") and not self._joins_stroke(message):
+        if message.do not in ("frame", "hello", "aim", "markups") and not self._joins_stroke(message):
             self._take_over(message)
         match message.do:
             case "change":
@@ -174,17 +181,44 @@ class Window:
             case "play":
                 if self.trial.steering.number:
                     self.trial.reset()
-                self._start(Play(self.trial, message.number("speed_mm_s", 10.0, MAX_SPEED_MM_S), message.id))
+                self._start(Play(self.trial.steering.scene.steps, _read_speed(message), message.id))
             case "replay":
                 self._replay(message)
             case "show":
                 self.trial = self.trials.another(self.trial, message.text("insertion"))
+            case "aim":
+                self.trial.aim.set(*read_goal(message))
+            case "markups":
+                read_markups(self.trial, message)
+            case "challenge":
+                self.trial.reset()
+                self.trial.aim.set(None, read_goal(message)[1], ())
+                self.trial.aim.challenged = True
+            case "plan":
+                self._want_plan()
+            case "run":
+                self._start(Play(self._next_steps(message), _read_speed(message), message.id))
             case "undo":
                 self.trial.undo()
             case "redo":
                 self.trial.redo()
             case "reset":
                 self.trial.reset()
+
+    def _want_plan(self) -> None:
+        if self.trial.aim.goal is None:
+            raise ModelError("there is no target", expected="a target in the tissue", fix="place one")
+        self.trial.aim.wanted = True
+
+    def _next_steps(self, message: Message) -> tuple[Step, ...]:
+        """Return the steps of the plan that lie ahead of the tip, or only the first of them."""
+        plan, depth = self.trial.aim.plan, self.trial.steering.now.step.depth
+        steps = tuple(step for step in plan.steps if step.depth > depth + SAME_DEPTH_MM) if plan else ()
+        if not steps:
+            raise ModelError(
+                "there is no plan from where the needle stands", expected="a plan", fix="plan again"
+            )
+        return steps[:1] if message.content.get("one") is True else steps
 
     def _take_over(self, message: Message) -> None:
         """Stop what goes on by itself: a hand is on the needle. A replay that is only halted can go on."""
@@ -236,6 +270,10 @@ class Window:
         dt, self._at = min(now - self._at, MAX_FRAME_S), now
         if self._motion and not self._motion.advance(self.trial, dt):
             self._motion = None
+
+
+def _read_speed(message: Message) -> float:
+    return message.number("speed_mm_s", 10.0, MAX_SPEED_MM_S)
 
 
 def _choose_replay(trial: InteractiveTrial) -> Recording:

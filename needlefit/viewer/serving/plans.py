@@ -1,0 +1,179 @@
+"""Targets, obstacles and plans of a trial, as the page sends and shows them."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.errors import ModelError, NeedlefitError
+from needlefit.studies.kinds.plan.goals import cut_plane, read_goal_points
+from needlefit.studies.kinds.plan.schema import ObstacleRecord
+from needlefit.studies.kinds.plan.search import Goal
+from needlefit.studies.kinds.plan.steering import (
+    PlanLimits,
+    ReachableRegion,
+    StartedInsertion,
+    SteeringPlan,
+    find_reachable_region,
+    plan_steering,
+)
+from needlefit.viewer.opening.plan import find_placement
+from needlefit.viewer.serving.messages import Message
+from needlefit.viewer.serving.trials import DEFAULT_RADIUS_MM, InteractiveTrial, TrialAim
+
+MAX_OBSTACLES = 16
+MAX_PLACE_MM = 1000.0
+"""Greatest coordinate and radius of a target or an obstacle, mm."""
+
+FAN_NEEDLES = 40
+"""Needles of a plan that are drawn."""
+
+BEYOND_TARGET_MM = 8.0
+"""The reachable region is shown so far beyond the target."""
+
+CHALLENGE_DEPTHS = (0.6, 1.0)
+"""Between which parts of the scene's depth a random target lies."""
+
+CHALLENGE_LIMITS = PlanLimits(base_mm=3.0, base_angle_deg=1.5)
+"""A random target can be reached with so much of the base's range; the planner has more."""
+
+GoalParts = tuple[tuple[float, float] | None, float, tuple[ObstacleRecord, ...]]
+
+
+def read_goal(message: Message) -> GoalParts:
+    """Return target, radius and obstacles of a message.
+
+    Raises
+    ------
+    ModelError
+        If one is not a finite number, or there are too many.
+    """
+    radius = message.number("radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM)
+    if radius <= 0:
+        raise ModelError(f"the radius of the target is {radius:g} mm", expected="above 0 mm")
+    target = message.content.get("target")
+    rows = message.content.get("obstacles", [])
+    if not isinstance(rows, list) or len(rows) > MAX_OBSTACLES:
+        raise ModelError("these are no obstacles", expected=f"up to {MAX_OBSTACLES} of [x, y, radius]")
+    obstacles = [_read_numbers(row, 3) for row in rows]
+    if any(size <= 0 for _, _, size in obstacles):
+        raise ModelError("the radius of an obstacle is not above 0 mm", expected="above 0 mm")
+    circles = tuple(
+        ObstacleRecord(name=f"obstacle {n}", centre_mm=(x, y), radius_mm=size)
+        for n, (x, y, size) in enumerate(obstacles, start=1)
+    )
+    if target is None:
+        return None, radius, circles
+    x, y = _read_numbers(target, 2)
+    return (x, y), radius, circles
+
+
+def _read_numbers(row: object, count: int) -> list[float]:
+    if not isinstance(row, list) or len(row) != count:
+        raise ModelError(f"{row!r:.60} is no place", expected=f"{count} numbers, mm")
+    return [Message("aim", content={"place": one}).number("place", most=MAX_PLACE_MM) for one in row]
+
+
+def read_markups(trial: InteractiveTrial, message: Message) -> None:
+    """Take target and obstacles from the text of a file of 3D Slicer.
+
+    Raises
+    ------
+    NeedlefitError
+        If it is none, or where the needle lies in its scan is not known.
+    """
+    suffix = ".fcsv" if message.text("name").endswith(".fcsv") else ".mrk.json"
+    radius = message.number("obstacle_radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM)
+    placement = find_placement(trial.viewed_scene)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"markups{suffix}"
+        path.write_text(message.text("text"), "utf-8")
+        target, balls = read_goal_points(path, placement, radius)
+    aim = trial.aim
+    if target is None and aim.goal is not None:  # the file has obstacles alone
+        target = (*aim.goal.target, 0.0)
+    found = cut_plane(target or (1.0, 0.0, 0.0), aim.radius, balls[:MAX_OBSTACLES])
+    goal = None if target is None else found.goal.target
+    aim.set(goal, aim.radius, found.goal.obstacles, found.roll_deg)
+
+
+def draw_target(insertion: StartedInsertion, depth: float) -> tuple[float, float] | None:
+    """Return a random target that the needle can reach with most draws; None where it reaches nothing."""
+    region = find_reachable_region(insertion, depth, CHALLENGE_LIMITS, threads=1)
+    rng = np.random.default_rng()
+    nearest, farthest = (part * depth for part in CHALLENGE_DEPTHS)
+    places = np.flatnonzero((region.x >= nearest) & (region.x <= farthest))
+    if not len(places):
+        return None
+    at = int(rng.choice(places))
+    low, high = float(region.low[-1][at]), float(region.high[-1][at])
+    # not at the rim: there a hand has no room either
+    return float(region.x[at]), 0.5 * (low + high) + 0.35 * (high - low) * float(rng.uniform(-1, 1))
+
+
+def find_region(insertion: StartedInsertion, goal: Goal, depth: float) -> ReachableRegion:
+    """Return where the tip can come to stand, some way beyond the target; on one core."""
+    return find_reachable_region(insertion, max(goal.target[0] + BEYOND_TARGET_MM, depth), threads=1)
+
+
+def make_plan(insertion: StartedInsertion, goal: Goal) -> SteeringPlan | NeedlefitError:
+    """Return a plan, or why there is none; on one core."""
+    try:
+        return plan_steering(insertion, goal, threads=1)
+    except NeedlefitError as error:
+        return error
+
+
+def aim_message(aim: TrialAim) -> dict[str, Any]:
+    """Return the message of target and obstacles."""
+    return {
+        "kind": "aim",
+        "target": None if aim.goal is None else list(aim.goal.target),
+        "radius": aim.radius,
+        "roll_deg": aim.roll_deg,
+        "obstacles": [[*one.centre_mm, one.radius_mm] for one in aim.obstacles],
+    }
+
+
+def region_message(region: ReachableRegion, step: int) -> dict[str, Any]:
+    """Return the message of the reachable region, from the least share of draws to the greatest."""
+    edges = {"low": region.low, "high": region.high}
+    return {"kind": "reach", "step": step, "x": _round(region.x)} | {
+        key: [_round(one) for one in rows] for key, rows in edges.items()
+    }
+
+
+def plan_message(found: SteeringPlan | NeedlefitError, step: int) -> dict[str, Any]:
+    """Return the message of a plan, or of why there is none."""
+    if isinstance(found, NeedlefitError):
+        return {"kind": "plan", "fault": {"what": found.what, "expected": found.expected, "fix": found.fix}}
+    solved = found.needles[found.solved]
+    drawn = solved[np.linspace(0, len(solved) - 1, min(FAN_NEEDLES, len(solved))).astype(np.intp)]
+    misses = np.quantile(found.misses, [0.5, 0.95]).tolist() if len(solved) else [None, None]
+    nominal = found.nominal if np.isfinite(found.nominal[-1, 0]) else found.nominal[:0]
+    return {
+        "kind": "plan",
+        "step": step,
+        "fan": [[_round(column) for column in needle.T] for needle in drawn],
+        "x": _round(nominal[:, 0]),
+        "y": _round(nominal[:, 1]),
+        "steps": [
+            [one.depth, one.bevel.side, one.controls.base_y, one.controls.base_slope] for one in found.steps
+        ],
+        "turns": len(found.turns),
+        "draws": len(found.needles),
+        "probability": found.probability,
+        "low": found.low,
+        "high": found.high,
+        "median_mm": misses[0],
+        "miss_95_mm": misses[1],
+        "nominal_miss_mm": found.nominal_miss if len(nominal) else None,
+        "touched": found.touched,
+    }
+
+
+def _round(values: Floats) -> list[float]:
+    found: list[float] = np.round(values, 4).tolist()
+    return found
