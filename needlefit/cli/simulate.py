@@ -68,13 +68,17 @@ def simulate(
             help="Animate the insertion: .gif, or .mp4 (needs ffmpeg); a SCENE at 10 mm/s.",
         ),
     ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Of a recording: one HTML file that plays it without a server."),
+    ] = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Simulate a SCENE (a needle, layers, a bevel, and a depth or steps), or replay a recording of one.
 
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
-    files = {"--plot": plot, "--csv": csv, "--slicer": slicer, "--animation": animation}
+    files = {"--plot": plot, "--csv": csv, "--slicer": slicer, "--animation": animation, "--html": html}
     written = {option: path for option, path in files.items() if path is not None}
     if recording is None:
         if scene is None:
@@ -83,6 +87,8 @@ def simulate(
             raise typer.BadParameter(
                 "counts the steps of a recording: it needs --recording", param_hint="--step"
             )
+        if html is not None:
+            raise typer.BadParameter("is of a recording: it needs --recording", param_hint="--html")
         require_output_files(written, [find_file("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
         done = simulate_scene(scene, record, where)

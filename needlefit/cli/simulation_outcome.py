@@ -147,6 +147,7 @@ def replay_recording(path: Path, upto: int | None, outputs: Mapping[str, Path]) 
         "csv": partial(export.write_table, done),
         "slicer": partial(export.write_curve, done),
         "animation": partial(export.write_animation, done),
+        "html": partial(export.write_share, done),
     }
     more = {"replayed": {"steps": len(recording.steps), "tip_offset_mm": done.tip_offset_mm}}
     planned = recording.head.scene

@@ -85,6 +85,7 @@ EXPORT_TYPES = {
     "picture.svg": "image/svg+xml",
     "picture.png": "image/png",
     "animation.gif": "image/gif",
+    "share.html": "text/html",
     "inputs.csv": "text/csv",
 }
 """Suffixes of the possible exports, with their media types."""
@@ -138,12 +139,20 @@ def write_animation(outcome: RecordingOutcome, path: Path) -> None:
     animate(outcome.title, outcome.scene, states, lasted, path, _find_overlays(outcome, banded=False))
 
 
+def write_share(outcome: RecordingOutcome, path: Path) -> None:
+    """Write the recording as one HTML file that plays it offline."""
+    from needlefit.viewer.share import compose_share
+
+    path.write_text(compose_share(outcome.recording), "utf-8")
+
+
 _WRITERS: dict[str, Callable[[RecordingOutcome, Path], None]] = {
     "shape.csv": write_table,
     "shape.mrk.json": write_curve,
     "picture.svg": write_picture,
     "picture.png": write_picture,
     "animation.gif": write_animation,
+    "share.html": write_share,
 }
 
 

@@ -9,6 +9,11 @@ export const DEFINITIONS = {
   "base force": "Lateral force that holds the base.",
   "base moment": "Moment that holds the base.",
   "steepest slope": "Largest slope dy/dx of the needle; the model takes it for small.",
+  "bevel": "Side to which the bevel turns the cut.",
+  "strength": "How strongly the bevel turns the cut: b, the offset of the cut per constraint spacing, or the cut angle.",
+  "base y": "Deflection of the base of the needle, as it is set.",
+  "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
+  "guides": "Guides that hold the needle.",
   "noise floor": "Mean error that the stated measurement noise alone would cause.",
 };
 

@@ -6,6 +6,7 @@ import { listen, now } from "./store.js";
 const FILES = {
   "inputs.csv": "inputs, CSV", "shape.csv": "shape, CSV", "shape.mrk.json": "shape, Slicer markups",
   "picture.svg": "picture, SVG", "picture.png": "picture, PNG", "animation.gif": "animation, GIF",
+  "share.html": "share, one HTML file",
 };
 const group = document.getElementById("exports");
 const note = document.getElementById("export-note");

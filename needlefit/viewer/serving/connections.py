@@ -12,9 +12,10 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from needlefit.errors import NeedlefitError
+from needlefit.viewer.encoding import encode_band
 from needlefit.viewer.opening.plan import continue_insertion
 from needlefit.viewer.overlay.band import compute_band
-from needlefit.viewer.serving.messages import Message, band_message, read_message
+from needlefit.viewer.serving.messages import Message, read_message
 from needlefit.viewer.serving.plans import (
     aim_message,
     draw_target,
@@ -230,7 +231,7 @@ async def _send_bands(window: Window, socket: web.WebSocketResponse) -> None:
             )  # fmt: skip
             # The window may have changed its trial while the band was computed.
             if trial is window.trial:
-                await _send(socket, [band_message(number[1], found)])
+                await _send(socket, [encode_band(number[1], found)])
         await asyncio.sleep(BAND_INTERVAL_S)
 
 

@@ -1,0 +1,3 @@
+/** Of a shared file: it holds no scan. */
+
+export const slice = () => null;

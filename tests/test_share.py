@@ -1,0 +1,74 @@
+"""A shared recording: one file, which plays in a browser without a server and asks for nothing."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from test_cli import run
+
+from needlefit.viewer.export import export
+from needlefit.viewer.recording import read_recording, replay
+from needlefit.viewer.share import MAX_SHARED_STATES, compose_share
+
+RECORDING = Path(__file__).parent.parent / "docs/figures/steering.csv"
+BROWSER = next((path for name in ("chromium", "google-chrome") if (path := shutil.which(name))), None)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("share") / "steering.html"
+    path.write_text(compose_share(read_recording(RECORDING)), "utf-8")
+    return path
+
+
+def test_the_file_holds_the_states_of_the_recording(shared) -> None:
+    text = shared.read_text("utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
+    steps = list(replay(read_recording(RECORDING)))
+    assert len(data["states"]) == len(steps) <= MAX_SHARED_STATES
+    for n in (0, 40, -1):
+        state, band = data["states"][n]
+        assert state["tip"]["deflection_mm"] == steps[n].state.shape.deflection and band is None
+    assert "http:" not in re.sub(r"http://www\.w3\.org\S*", "", text) and "https:" not in text
+    assert text.encode() == export(RECORDING, "share.html")
+
+
+def test_a_scene_is_not_shared(tmp_path) -> None:
+    assert run("simulate", "phantom2", "--html", str(tmp_path / "a.html")) == 2
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
+def test_it_plays_from_a_file_without_requests(shared) -> None:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page(viewport={"width": 1000, "height": 800})
+        asked, faults = [], []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+        page.goto(shared.as_uri())
+        slider, last = page.locator("#scrub"), len(list(replay(read_recording(RECORDING)))) - 1
+        page.get_by_role("button", name="Pause").click()  # it plays by itself
+        slider.fill(str(last))
+        depth = page.evaluate("window.needlefit.state.depth_mm")
+        assert f"{depth:.2f}" in page.inner_text("#readouts")
+        slider.fill("10")
+        assert page.evaluate("window.needlefit.state.depth_mm") < depth
+        page.hover("#readouts .term >> nth=0")
+        page.locator("#definition").wait_for(state="visible")
+        dark = page.evaluate(
+            "(() => { const c = document.getElementById('canvas').getContext('2d');"
+            " const { width, height } = c.canvas;"
+            " return c.getImageData(0, 0, width, height).data.some((one) => one > 0); })()"
+        )
+        assert dark  # something is drawn
+        page.get_by_role("button", name="Play").click()
+        page.wait_for_timeout(1500)
+        assert int(slider.input_value()) > 10
+        browser.close()
+    assert faults == [] and {url.partition(":")[0] for url in asked} <= {"file", "data"}
+    assert sum(url.startswith("file:") for url in asked) == 1
