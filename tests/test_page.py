@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -525,3 +526,105 @@ def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
     assert np.array(aim) == pytest.approx(np.array([[35.0, 1.0], [20.0, -2.0]]), abs=1e-6)
     page.get_by_role("button", name="Remove obstacle 1").click()
     until(page, "() => window.needlefit.aim.obstacles.length === 0")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_no_violation(server, chromium, scheme: str) -> None:
+    package = pytest.importorskip("axe_playwright_python")
+    script = (Path(package.__file__).parent / "axe.min.js").read_text("utf-8")
+    with opened(chromium, server, color_scheme=scheme) as page:
+        page.click("#add-guide")
+        page.evaluate(AIM)
+        until(page, "state => state.guides.length === 1 && window.needlefit.aim.obstacles.length")
+        page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
+        page.wait_for_timeout(400)
+        page.evaluate(script)
+        found = page.evaluate("axe.run()")["violations"]
+        page.click("#help")
+        found += page.evaluate("axe.run('dialog')")["violations"]
+    assert [(one["id"], [node["html"][:120] for node in one["nodes"]]) for one in found] == []
+
+
+AIM = "import('/page/aim.js').then(({ setAim }) => setAim({ target: [40, 1], obstacles: [[20, 3, 1]] }))"
+
+
+def test_everything_that_can_be_pressed_measures_24_pixels(page) -> None:
+    page.click("#add-guide")
+    page.evaluate(AIM)
+    until(page, "state => state.guides.length === 1 && window.needlefit.aim.obstacles.length")
+    page.wait_for_timeout(400)
+    sizes = page.evaluate(
+        """[...document.querySelectorAll("button, input, select")].filter((one) => one.checkVisibility())
+        .map((one) => [one.id || one.className || one.textContent, one.getBoundingClientRect()])
+        .map(([name, { width, height }]) => [name, width, height]).filter(([, width]) => width > 0)"""
+    )
+    assert len(sizes) > 40
+    assert [one for one in sizes if min(one[1:]) < 24] == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_band_and_gaps_stand_out_from_every_layer(server, chromium, scheme: str) -> None:
+    """Contrast of at least 3 to 1 (WCAG, graphical objects)."""
+
+    def luminance(colour: str) -> float:
+        parts = np.array([int(colour[n : n + 2], 16) / 255 for n in (1, 3, 5)])
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    with opened(chromium, server, color_scheme=scheme) as page:
+        colours = page.evaluate("import('/page/palette.js').then(({ palette }) => ({ ...palette }))")
+    for drawn in ("band", "gap", "plan", "bad"):
+        for behind in ("soft", "stiff"):
+            low, high = sorted(luminance(colours[name]) for name in (drawn, behind))
+            assert (high + 0.05) / (low + 0.05) >= 3, (drawn, behind)
+
+
+def test_undo_works_after_a_number_was_typed_and_parameters_say_they_were_changed(page) -> None:
+    go_to(page, 20)
+    field = page.locator("#tissue-fields .number").first
+    before = field.input_value()
+    field.fill("0.7")
+    field.press("Enter")
+    until(page, "state => Math.abs(state.layers[0].mu_pa - 7e5) < 1")
+    hand = page.locator("#tissue-fields .hand").first
+    hand.wait_for(state="visible")
+    assert "layer 1" in page.inner_text("#by-hand")
+    field.press("Control+z")  # the field has the focus still
+    until(page, "state => Math.abs(state.layers[0].mu_pa - 7e5) > 1")
+    hand.wait_for(state="hidden")
+    assert field.input_value() == before
+    field.focus()
+    page.keyboard.type("9")  # now the field undoes what is typed
+    field.press("Control+z")
+    assert page.evaluate("window.needlefit.state.depth_mm") == 20
+
+
+def test_the_three_steps_to_try_follow_what_is_done_and_can_be_skipped(page) -> None:
+    go_to(page, 10)
+    page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
+    page.locator("#tour").wait_for(state="visible")
+    assert page.inner_text("#tour-text").startswith("1 of 3")
+    page.click("#flip")
+    page.get_by_text("2 of 3").wait_for()
+    page.click("#tour-skip")
+    page.get_by_text("3 of 3").wait_for()
+    drag(page, "base", 0, -20)
+    page.locator("#tour").wait_for(state="hidden")
+    page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")  # not a second time by itself
+    assert page.locator("#tour").is_hidden()
+
+
+def test_the_smoothed_load_has_the_force_of_the_raw_one(page) -> None:
+    go_to(page, 30)
+    sums = page.evaluate(
+        """import("/page/painters/load.js").then(({ smooth }) => {
+            const { x, n_per_mm: load } = window.needlefit.state.load;
+            const add = (one, what) => one.slice(1).reduce((all, at, i) => all + what(at, one[i], i), 0);
+            const sum = (one) => add(one, (at, to, i) => ((at + to) / 2) * (x[i + 1] - x[i]));
+            const rough = (one) => add(one, (at, to) => Math.abs(at - to));
+            const mean = smooth(x, load, window.needlefit.scene.spacing_mm);
+            return [sum(load.map(Math.abs)), sum(load), sum(mean), rough(load), rough(mean)];
+        })"""
+    )
+    size, raw, smoothed, rough, flat = sums
+    assert abs(raw - smoothed) < 0.05 * size and flat < 0.5 * rough

@@ -26,7 +26,8 @@ def open_scene(view_target: ViewTarget) -> ViewedScene:
     record = load(view_target.path, SceneRecord)
     scene = Scene.from_record(record, file_label(view_target.path))
     title = record.title or view_target.path.stem
-    return ViewedScene(view_target.name, title, record.note, record, scene.lattice.first_cell)
+    note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
+    return ViewedScene(view_target.name, title, note, record, scene.lattice.first_cell)
 
 
 DEFAULT_SCENE = "phantom2"

@@ -5,7 +5,7 @@ import { paintGoal, paintPlan, paintReach } from "./painters/aim.js";
 import { paintBase, paintGuides } from "./painters/supports.js";
 import { paintLoad } from "./painters/load.js";
 import { paintNeedle, paintPath, paintPoints, paintTip } from "./painters/needle.js";
-import { paintBand, paintMeasured } from "./painters/overlay.js";
+import { paintBand, paintGaps, paintMeasured } from "./painters/overlay.js";
 import { paintTissue } from "./painters/tissue.js";
 import { palette, readPalette } from "./palette.js";
 import { slice } from "./slice.js";
@@ -20,7 +20,7 @@ const behind = background.getContext("2d", { alpha: false });
 const before = foreground.getContext("2d");
 
 /** Which parts are drawn; what there is none of is not, whatever stands here. */
-export const shown = { load: true, points: true, path: true, measured: true, band: true, slice: true, plan: true, reach: true };
+export const shown = { load: true, points: true, path: true, measured: true, band: true, raw: false, errors: true, slice: true, plan: true, reach: true };
 
 let drawnTissue = "";
 let stale = true; // whether the foreground must be drawn though no state has come
@@ -55,11 +55,14 @@ function paintForeground(state) {
     if (shown.plan) paintPlan(before);
     paintNeedle(before, state);
     if (shown.band && now.band) paintBand(before, now.band, now.band.step !== state.step);
-    if (shown.load) paintLoad(before, state);
+    if (shown.load) paintLoad(before, state, shown.raw);
     paintTip(before, state);
     if (shown.path) paintPath(before, state);
     if (shown.points) paintPoints(before, state);
-    if (shown.measured && now.scene.measured) paintMeasured(before, now.scene.measured);
+    if (shown.measured && now.scene.measured) {
+      paintMeasured(before, now.scene.measured);
+      if (shown.errors) paintGaps(before, state, now.scene.measured);
+    }
     paintGuides(before, state);
     paintBase(before, state);
     if (view.magnified > 1) paintInset(before, state);

@@ -61,8 +61,9 @@ export function setHome(field, home) {
 }
 
 /** The way back is open only where there is one to go. */
-function markHome({ back, write, value, home }) {
+function markHome({ part, back, write, value, home }) {
   back.disabled = home === null || value === null || write(home) === write(value);
+  part.querySelector(".hand").hidden = back.disabled;
 }
 
 function name({ part, number, slider, back, of, name: called, unit, limits }) {

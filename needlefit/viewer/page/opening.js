@@ -2,14 +2,22 @@
 
 import * as act from "./actions.js";
 import { listen } from "./store.js";
+import { offer } from "./tour.js";
 
 const PART = 0.6; // of the scene's or the measured depth
 let begun = false;
+let moving = false; // until the first insertion has come to its end
 
 /** A needle that nobody has moved yet is inserted, unless the user wants less motion. */
-listen("state", ({ depth_mm: depth, undo }) => {
+listen("state", ({ depth_mm: depth, undo, moving: speed }) => {
+  if (moving && depth > 0 && !speed) {
+    moving = false;
+    offer();
+  }
   if (begun) return;
   begun = true;
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-  if (!still && depth === 0 && !undo) act.goTo(PART * act.ownDepth());
+  if (still || depth !== 0 || undo) return;
+  act.goTo(PART * act.ownDepth());
+  moving = true;
 });

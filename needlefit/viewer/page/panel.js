@@ -74,6 +74,9 @@ function buildTip() {
 /** Let every field say what is, or what was asked for last. */
 export function refresh() {
   for (const [field, current] of fields) show(field, current());
+  const changed = fields.filter(([{ home, back }]) => home !== null && !back.disabled).map(([{ name }]) => name);
+  const words = changed.length ? `Changed by hand: ${changed.join(", ")}.` : "";
+  if (part("by-hand").textContent !== words) part("by-hand").textContent = words;
   const { held } = now.state.tip;
   part("release").disabled = !held;
   part("tip-note").hidden = held;

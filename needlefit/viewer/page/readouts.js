@@ -3,9 +3,9 @@
 import { define, DEFINITIONS } from "./definitions.js";
 import { signed, toDegrees } from "./numbers.js";
 import { listen, now } from "./store.js";
-import { exceeded } from "./validity.js";
+import "./validity.js";
 
-/** What is read of the needle: a name, a unit, how it is written from a state, and a remark on it. */
+/** What is read of the needle: a name, a unit, and how it is written from a state. */
 const NEEDLE = [
   ["depth", "mm", (s) => s.depth_mm.toFixed(2)],
   ["tip deflection", "mm", (s) => signed(s.tip.deflection_mm, 2)],
@@ -13,7 +13,7 @@ const NEEDLE = [
   ["tip force", "N", (s) => signed(s.forces.tip_n, 3)],
   ["base force", "N", (s) => signed(s.forces.base_n, 3)],
   ["base moment", "N mm", (s) => signed(s.forces.base_nmm, 1)],
-  ["steepest slope", "", (s) => s.max_slope.toFixed(3), exceeded],
+  ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
 ];
 
 /** What is read of the comparison with a measured needle: every metric that the scene names. */
@@ -37,7 +37,7 @@ const against = document.getElementById("against");
 
 /** Put the names and units of readouts into a list; returns where their numbers stand. */
 function fill(list, readouts) {
-  return readouts.map(([name, unit, , remark]) => {
+  return readouts.map(([name, unit]) => {
     const tags = ["div", "dt", "dd", "span", "small"];
     const [row, term, value, number, small] = tags.map((tag) => document.createElement(tag));
     term.append(define(name));
@@ -45,18 +45,13 @@ function fill(list, readouts) {
     number.textContent = "–";
     value.append(number, " ", small);
     row.append(term, value);
-    row.classList.toggle("wide", remark !== undefined);
     list.append(row);
-    return [number, small];
+    return number;
   });
 }
 
 function write(numbers, readouts, from) {
-  readouts.forEach(([, , say, remark], i) => {
-    const [number, beside] = numbers[i];
-    showText(number, from ? say(from) : "–");
-    if (remark) showText(beside, remark(from));
-  });
+  readouts.forEach(([, , say], i) => showText(numbers[i], from ? say(from) : "–"));
 }
 
 function showText(part, text) {

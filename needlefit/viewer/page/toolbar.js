@@ -28,7 +28,7 @@ for (const button of document.querySelectorAll("[data-zoom]")) {
 }
 
 listen("scene", ({ measured, band, slice }) => {
-  const there = { measured: measured !== null, band, slice };
+  const there = { measured: measured !== null, errors: measured !== null, band, slice, plan: false, reach: false };
   for (const button of shows) button.hidden = there[button.dataset.show] === false;
 });
 listen("aimed", () => {

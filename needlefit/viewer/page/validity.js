@@ -10,6 +10,10 @@ export const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${
 
 listen("scene", () => (announced = false));
 listen("state", (state) => {
+  const words = exceeded(state);
+  const sentence = words && `${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`;
+  const beyond = document.getElementById("beyond");
+  if (beyond.textContent !== sentence) beyond.textContent = sentence;
   if (announced || !exceeded(state)) return;
   announced = true;
   say(`The needle is ${exceeded(state)}.`);

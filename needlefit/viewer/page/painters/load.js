@@ -2,6 +2,7 @@
 
 import { brief, roundStep } from "../numbers.js";
 import { palette } from "../palette.js";
+import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
 import { label } from "./strokes.js";
@@ -12,8 +13,14 @@ const LEAST = 1e-6; // N/mm; less is drawn as nothing
 
 let perNewton = null; // px per N/mm
 
-/** Draw the load normal to the shaft, on the side to which it pushes. */
-export function paintLoad(context, { load: { x, y, n_per_mm: load } }) {
+/**
+ * Draw the load normal to the shaft, on the side to which it pushes.
+ *
+ * Between constraint points the load of the model is a sawtooth; its mean over two spacings is what the
+ * tissue means to the shaft. `raw` draws the load itself.
+ */
+export function paintLoad(context, { load: { x, y, n_per_mm: values } }, raw) {
+  const load = raw ? values : smooth(x, values, now.scene.spacing_mm);
   const greatest = load.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
   if (greatest < LEAST || x.length < 2) return;
   rescale(greatest);
@@ -34,6 +41,26 @@ export function paintLoad(context, { load: { x, y, n_per_mm: load } }) {
   context.lineWidth = 1.25;
   context.stroke(edges);
   paintKey(context);
+}
+
+/** The mean of a load over so many mm to either side of each of its places; less at the ends. */
+export function smooth(x, load, reach) {
+  const sums = [0]; // of the load up to each place, trapezia
+  for (let i = 1; i < x.length; i += 1) sums.push(sums[i - 1] + ((load[i] + load[i - 1]) / 2) * (x[i] - x[i - 1]));
+  const sumTo = (at, i) => { // i: the first place beyond `at`
+    if (i === 0) return 0;
+    if (i === x.length) return sums.at(-1);
+    const part = (at - x[i - 1]) / (x[i] - x[i - 1] || 1);
+    return sums[i - 1] + (load[i - 1] + (part * (load[i] - load[i - 1])) / 2) * (at - x[i - 1]);
+  };
+  let [from, to] = [0, 0];
+  return x.map((at) => {
+    const half = Math.min(reach, at - x[0], x.at(-1) - at);
+    if (half <= 0) return load[at === x[0] ? 0 : x.length - 1];
+    while (from < x.length && x[from] <= at - half) from += 1;
+    while (to < x.length && x[to] <= at + half) to += 1;
+    return (sumTo(at + half, to) - sumTo(at - half, from)) / (2 * half);
+  });
 }
 
 /** Where the load pushes to one side without a break: first point, and one behind the last. */

@@ -19,20 +19,23 @@ export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THIN
  *
  * The shaft is a tube that one sees through, with its centreline: what it is compared with is thinner than it.
  */
-export function paintNeedle(context, { x, y, bevel }) {
+export function paintNeedle(context, { x, y, bevel, faults }) {
+  const colour = faults?.length ? palette.bad : palette.needle; // outside the model it looks different
+  context.setLineDash(faults?.length ? [9, 5] : []);
   const width = thickness();
   const shaft = shortened(x.map(toPx), y.map(toPy), LONGEST_BEVEL * Math.max(width, 3));
   const axis = new Path2D();
   for (const [px, py] of shaft.points) axis.lineTo(px, py);
   context.lineJoin = "round";
   context.lineCap = "butt";
-  stroke(context, axis, palette.needle, width);
+  stroke(context, axis, colour, width);
   if (width >= TUBE) {
     context.globalCompositeOperation = "destination-out";
     stroke(context, axis, "#000c", width - 2 * RIM);
     context.globalCompositeOperation = "source-over";
-    stroke(context, axis, palette.needle, 1.5);
+    stroke(context, axis, colour, 1.5);
   }
+  context.setLineDash([]);
   paintBevel(context, shaft, Math.max(width, 3) / 2, bevel.side);
 }
 
