@@ -10,7 +10,7 @@ frames      late: further from the one before than 1.5 of 1/60 s, each counted a
             stale: shown while the needle moved, without a state of its own.
 latency     from the time stamp of the input event to when the browser had drawn the first frame that shows
             its effect (a message posted in that frame and heard after it); of the wheel apart, which
-            the browser holds back before the page hears of it.
+            the browser holds back before the page hears of it; and of mu, changed at a depth of 140 mm.
 solver      steps a second as the page shows them, measured by the server as it opens; and of 60 s without a
             pause, in this process.
 
@@ -40,6 +40,8 @@ from playwright.sync_api import Page, TimeoutError, sync_playwright
 
 FRAME = 1000 / 60
 LATE = 1.5
+DEEP_MM = 140.0
+"""Depth at which a modulus is changed: the whole insertion is simulated again."""
 SIZE = {"width": 1280, "height": 800}
 FLAGS = ["--no-sandbox", "--disable-gpu"]
 KINDS = ("drag", "wheel", "insert", "retract", "flip", "b", "mu", "guide", "undo", "redo", "reset", "to")
@@ -117,6 +119,15 @@ def turn(page: Page, seconds: float) -> None:
         time.sleep(0.05)
 
 
+def slide(page: Page, seconds: float) -> None:
+    """Change mu of the first layer by its slider, again and again."""
+    page.locator("#tissue-fields .slider").first.focus()
+    began = time.monotonic()
+    while (t := time.monotonic() - began) < seconds:
+        page.keyboard.press("ArrowRight" if t % 2 < 1 else "ArrowLeft")
+        time.sleep(0.15)
+
+
 def measure_frames(page: Page, steer: Callable[[Page, float], None], seconds: float) -> list[dict]:
     """Return the frame times of the page while it was steered, in order."""
     start = page.evaluate("performance.now()")
@@ -143,6 +154,12 @@ def real_time(subject: str, seconds: float) -> dict:
         frames = measure_frames(page, drive, seconds)
         wheel = measure_frames(page, turn, seconds / 4)
         solver = page.evaluate("window.needlefit.state.solver")
+        page.fill("#speed", "1000")
+        page.fill("#goto-depth", str(DEEP_MM))
+        page.press("#goto-depth", "Enter")
+        while abs(page.evaluate("window.needlefit.state.depth_mm") - DEEP_MM) > 1e-6:
+            page.wait_for_timeout(50)
+        modulus = measure_frames(page, slide, seconds / 4)
     t = np.array([frame["t"] for frame in frames])
     fell_out = np.maximum(np.rint(np.diff(t) / FRAME) - 1, 0)[np.diff(t) > LATE * FRAME].sum()
     return {
@@ -152,6 +169,7 @@ def real_time(subject: str, seconds: float) -> dict:
         "longest_ms": float(np.diff(t).max()),
         "latency_ms": waits(frames),
         "wheel_latency_ms": waits(wheel),
+        "modulus_latency_ms": waits(modulus),
         "shown_steps_per_s": solver["rate_per_s"],
         "steps": solver["steps"],
     }
@@ -264,7 +282,7 @@ def replayed(path: Path) -> tuple[int, float, float]:
     worst, last = 0.0, None
     for last in replay(read_recording(path)):
         worst = max(worst, last.tip_offset_mm)
-    return last.recorded.number if last.recorded else 0, last.moment.shape.deflection, worst
+    return last.recorded.number if last.recorded else 0, last.state.shape.deflection, worst
 
 
 def main() -> None:

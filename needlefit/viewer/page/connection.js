@@ -6,6 +6,7 @@ import { now, take, publish } from "./store.js";
 const FIRST_WAIT = 0.25; // s
 const LONGEST_WAIT = 5; // s
 const KEPT = 256; // times of inputs not yet answered
+const WORTH_WAITING = 8; // ms that a frame waits for the answer to its input
 const GONE =
   "This is a new needle: the program no longer has the one that this page held. Its recording is kept.";
 const STRANGER = 4401; // closed by the server: it does not know the token
@@ -19,6 +20,7 @@ let lastId = 0;
 let greeted = false; // whether the server has named the needle of this window
 let farewell = null; // the last message of the program, when it stopped
 const sentAt = new Map();
+let patience = -Infinity; // ms, until when a frame waits
 
 /** The token that the address brought; kept, so that a page opened without it still knows it. */
 export function token() {
@@ -59,6 +61,22 @@ export function send(message, at = null) {
 export function receive() {
   if (!mailbox) return;
   for (let text = takeText(mailbox); text !== null; text = takeText(mailbox)) hear(JSON.parse(text));
+}
+
+/**
+ * Let the next frame wait for the answer to an input that came with it.
+ *
+ * The browser holds a wheel's event back until a frame begins; without waiting its effect would be seen one frame
+ * later still. The answer takes a few ms, and the frame has them.
+ */
+export function awaitAnswer() {
+  patience = performance.now() + WORTH_WAITING;
+}
+
+/** Read what has come, and what is worth waiting for. */
+export function receiveForFrame() {
+  receive();
+  while (mailbox && sentAt.size && performance.now() < patience) receive();
 }
 
 /** When the oldest of the inputs happened that this answer is the first to cover; null if there is none. */

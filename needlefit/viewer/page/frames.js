@@ -1,6 +1,6 @@
 /** The clock of the picture, and what each of its frames took. */
 
-import { answered, receive } from "./connection.js";
+import { answered, receiveForFrame } from "./connection.js";
 import { listen, now } from "./store.js";
 
 const KEPT = 8192;
@@ -33,7 +33,7 @@ listen("state", ({ answers }) => {
 export function start(paint) {
   const frame = (t) => {
     mark();
-    receive();
+    receiveForFrame();
     const step = now.state?.step ?? null;
     const record = { t, step, fresh, input: oldestInput, latency_ms: null, painted: null };
     paint(fresh, t);

@@ -4,6 +4,7 @@ import { addGuide, insert, needleAt } from "./actions.js";
 import { amount } from "./amounts.js";
 import { put } from "./aim.js";
 import { handleAt } from "./handles.js";
+import { awaitAnswer } from "./connection.js";
 import { change, newGesture } from "./steering.js";
 import { now } from "./store.js";
 import { fromPx, fromPy, pan, toPy, zoom } from "./view.js";
@@ -95,6 +96,7 @@ function wheel(event) {
   if (event.ctrlKey || event.metaKey) return zoom(Math.exp(-0.2 * notches), ...place(event));
   const mm = notch() * (event.shiftKey ? FINE : 1);
   insert(-notches * mm, event.timeStamp);
+  awaitAnswer();
 }
 
 const RAW = "onpointerrawupdate" in canvas;
