@@ -628,3 +628,32 @@ def test_the_smoothed_load_has_the_force_of_the_raw_one(page) -> None:
     )
     size, raw, smoothed, rough, flat = sums
     assert abs(raw - smoothed) < 0.05 * size and flat < 0.5 * rough
+
+
+def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None:
+    page.fill("#speed", "1000")
+    page.click("#goto-scene")
+    before = until(page, "state => state.errors?.whole")["errors"]["ipe_mean_mm"]
+    page.click("#fit-now")
+    page.locator("#ridge").wait_for(state="visible", timeout=60_000)
+    fitted = until(page, f"state => state.errors?.whole && state.errors.ipe_mean_mm < {before}")["errors"]
+    assert fitted["te_mm"] < 0.3
+    assert "fitted on this page" in page.inner_text("#note") and page.inner_text("#by-hand") == ""
+    until(page, "() => window.needlefit.band?.x.length > 10")
+    page.click("#fit-drag")
+    script = """async () => {
+        const { toPx, toPy } = await import("/page/view.js");
+        const { points } = await import("/page/measured_points.js");
+        const box = document.getElementById("canvas").getBoundingClientRect();
+        const [x, y] = points.places()[3];
+        return [box.left + toPx(x), box.top + toPy(y)];
+    }"""
+    page.click("[data-fit=tissue]")
+    b = page.evaluate("window.needlefit.state.bevel.offset_mm")
+    x, y = page.evaluate(script)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y - 10, steps=4)
+    page.mouse.up()
+    until(page, f"state => state.bevel.offset_mm !== {b}", 30)
+    assert page.evaluate("import('/page/measured_points.js').then(({ points }) => points.offsets[3])") > 0

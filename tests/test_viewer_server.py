@@ -469,3 +469,33 @@ async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
         page.kept.clear()
         await page.say("aim", target=None)
         assert (await page.hear("aim"))["target"] is None
+
+
+@visit
+async def test_a_fit_is_answered_by_its_mode_and_its_draws(tmp_path) -> None:
+    async with house(tmp_path, "twin/phantom2-05") as server:
+        page = await server.page()
+        assert page.scene["fit"]["insertion"] == 1 < page.scene["fit"]["dataset"]
+        for do, wrong in (
+            ("fit", {}),
+            ("fit", {"scope": "x"}),
+            ("points", {"scope": "insertion", "offsets": [1]}),
+        ):
+            await page.say(do, **wrong)
+            assert page.refused
+        page.kept.clear()
+        await page.say("points", scope="insertion", offsets=[0, 0, 0, 0, 0, 0.1])
+        measured = await page.hear("measured")
+        before = page.scene["measured"]["y"]
+        assert measured["y"][-1] - before[-1] == pytest.approx(0.1, abs=0.01)
+        mode = await page.hear("fit")
+        assert len(mode["layers"]) == 4 and mode["offset_mm"] > 0
+        ridge = await page.hear("ridge")
+        assert len(ridge["mu_pa"]) == len(ridge["offset_mm"]) == 100
+        await page.say("change", insert_mm=20.0)
+        while not (await page.hear("band"))["x"]:  # the first may be that of first contact
+            pass
+    async with house(tmp_path) as server:
+        page = await server.page()
+        await page.say("fit", scope="insertion")
+        assert page.refused and page.scene["fit"] is None

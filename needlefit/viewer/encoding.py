@@ -57,9 +57,20 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
             "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
         },
         "band": viewed_scene.spread is not None,
+        "fit": _count_insertions(viewed_scene),
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices),
     }  # fmt: skip
+
+
+def _count_insertions(viewed_scene: ViewedScene) -> dict[str, int] | None:
+    """Return how many insertions a live fit can take; None where nothing is measured."""
+    shown = viewed_scene.shown
+    if shown is None or viewed_scene.record.rules.advance != "tangent":
+        return None
+    same = [one for one in shown.dataset.insertions if one.medium == shown.insertion.medium]
+    of_specimen = [one for one in same if one.specimen == shown.insertion.specimen]
+    return {"insertion": 1, "specimen": len(of_specimen), "dataset": len(same)}
 
 
 def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:

@@ -1,14 +1,31 @@
 """A scene for the viewer, with its overlays."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recording import PlacementRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM
 from needlefit.studies.parameter_draws import ParameterDraws
 from needlefit.viewer.overlay.measured import MeasuredOverlay
 from needlefit.viewer.overlay.slice import InsertionScan
+
+
+@dataclass(frozen=True)
+class ShownInsertion:
+    """A measured insertion, and the parameters (Pa, mm) of the needle shown with it.
+
+    `seed` is that of the draws of its noise floor, so that it is the one of studies.
+    """
+
+    dataset: Dataset
+    insertion: Insertion
+    medium: MediumRecord
+    values: Mapping[str, float]
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -37,6 +54,8 @@ class ViewedScene:
         Insertions that can be shown instead.
     warnings : tuple of ResultWarning
         What is suspicious in the dataset that it is from.
+    shown : ShownInsertion or None
+        The measured insertion with its dataset, to be fitted to.
     """
 
     name: str
@@ -51,6 +70,7 @@ class ViewedScene:
     scanned: InsertionScan | None = None
     choices: tuple[str, ...] = ()
     warnings: tuple[ResultWarning, ...] = ()
+    shown: ShownInsertion | None = None
 
     @property
     def diameter(self) -> float:

@@ -25,7 +25,7 @@ from needlefit.studies.job import hand_tuned_set
 from needlefit.studies.needles_in_scan import NEEDLE_POINTS, align_with_measured
 from needlefit.viewer.overlay.measured import make_measured_overlay
 from needlefit.viewer.overlay.slice import find_scan
-from needlefit.viewer.viewed_scene import ViewedScene
+from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
 
 DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
 """Parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
@@ -133,20 +133,6 @@ def choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget,
     return by_id[view_target.insertion]
 
 
-@dataclass(frozen=True)
-class ShownInsertion:
-    """A measured insertion, and the parameters (Pa, mm) of the needle shown with it.
-
-    `seed` is that of the draws of its noise floor, so that it is the one of studies.
-    """
-
-    dataset: Dataset
-    insertion: Insertion
-    medium: MediumRecord
-    values: Mapping[str, float]
-    seed: int
-
-
 def make_viewed_scene(
     shown: ShownInsertion, name: str, description: str, choices: tuple[str, ...]
 ) -> ViewedScene:
@@ -170,4 +156,5 @@ def make_viewed_scene(
         scanned=scan,
         choices=choices,
         warnings=dataset.warnings,
+        shown=shown,
     )

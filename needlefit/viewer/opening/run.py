@@ -25,8 +25,8 @@ from needlefit.studies.packing import unpack
 from needlefit.studies.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.run import Run, restore_run
-from needlefit.viewer.opening.insertion import ShownInsertion, choose_insertion, make_viewed_scene
-from needlefit.viewer.viewed_scene import ViewedScene
+from needlefit.viewer.opening.insertion import choose_insertion, make_viewed_scene
+from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
 
 MAX_BAND_DRAWS = 100
 """Needles of a band."""

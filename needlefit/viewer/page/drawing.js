@@ -5,7 +5,7 @@ import { paintGoal, paintPlan, paintReach } from "./painters/aim.js";
 import { paintBase, paintGuides } from "./painters/supports.js";
 import { paintLoad } from "./painters/load.js";
 import { paintNeedle, paintPath, paintPoints, paintTip } from "./painters/needle.js";
-import { paintBand, paintGaps, paintMeasured } from "./painters/overlay.js";
+import { paintBand, paintGaps, paintMeasured, paintPoints as paintMeasuredPoints } from "./painters/overlay.js";
 import { paintTissue } from "./painters/tissue.js";
 import { palette, readPalette } from "./palette.js";
 import { slice } from "./slice.js";
@@ -61,6 +61,7 @@ function paintForeground(state) {
     if (shown.points) paintPoints(before, state);
     if (shown.measured && now.scene.measured) {
       paintMeasured(before, now.scene.measured);
+      paintMeasuredPoints(before);
       if (shown.errors) paintGaps(before, state, now.scene.measured);
     }
     paintGuides(before, state);

@@ -1,6 +1,7 @@
 /** What a hand can take hold of in the picture, and what dragging it asks for. */
 
 import { aim, moveTo } from "./aim.js";
+import { points } from "./measured_points.js";
 import { now } from "./store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "./view.js";
 
@@ -31,6 +32,9 @@ function all() {
     if (!guide.turns_freely) handles.push({ at: turn, cursor: "grab", drag: turnGuide(guide, place) });
     handles.push({ at: place, cursor: "move", drag: dragGuide(guide) });
   }
+  if (points.shown && now.scene.measured) {
+    points.places().forEach(([x, y], i) => handles.push({ at: [toPx(x), toPy(y)], cursor: "ns-resize", drag: dragPoint(i) }));
+  }
   [aim.target, ...aim.obstacles].forEach((one, i) => {
     if (one) handles.push({ at: [toPx(one[0]), toPy(one[1])], cursor: "move", drag: dragGoal(i ? i - 1 : null, one) });
   });
@@ -53,6 +57,15 @@ export function handleAt(px, py, kind = "mouse") {
 const rise = (from, to) => fromPy(to[1]) - fromPy(from[1]);
 
 const dragBase = ({ base }) => (from, to) => [["base_y_mm", null, base.input_y + rise(from, to)]];
+
+/** A measured point is no input of the needle either. */
+function dragPoint(number) {
+  const begun = points.offsets[number];
+  return (from, to) => {
+    points.move(number, begun + rise(from, to));
+    return [];
+  };
+}
 
 /** A target or an obstacle is no input of the needle: dragging it asks for no change. */
 const dragGoal = (number, [x, y]) => (from, to) => {

@@ -6,6 +6,7 @@ import { paint } from "./drawing.js";
 import "./exports.js";
 import * as frames from "./frames.js";
 import * as guides from "./guides.js";
+import "./live_fit.js";
 import "./keys.js";
 import "./notices.js";
 import "./opening.js";

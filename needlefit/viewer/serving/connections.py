@@ -5,7 +5,7 @@ import json
 import secrets
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import Any
 
@@ -13,8 +13,16 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from needlefit.errors import NeedlefitError
 from needlefit.viewer.encoding import encode_band
+from needlefit.viewer.opening.live_fit import (
+    draw_about,
+    find_mode,
+    move_points,
+    select_insertions,
+    show_moved,
+)
 from needlefit.viewer.opening.plan import continue_insertion
 from needlefit.viewer.overlay.band import compute_band
+from needlefit.viewer.serving.fits import draws_message, measured_message, mode_message
 from needlefit.viewer.serving.messages import Message, read_message
 from needlefit.viewer.serving.plans import (
     aim_message,
@@ -120,6 +128,9 @@ BAND_INTERVAL_S = 0.15
 PLAN_INTERVAL_S = 0.1
 """Pause before the next look for a goal or a wish for a plan, s."""
 
+FIT_INTERVAL_S = 0.03
+"""Pause before the next look for a wish for a fit, s."""
+
 MAX_WINDOWS = 16
 
 CLOSE_NO_TOKEN, CLOSE_TAKEN = 4401, 4409
@@ -144,7 +155,7 @@ class Connections:
             return socket
         window = Window(self.trials, self.trials.open(hello.text("needle")))
         await self._take(window.trial, socket)
-        sending = [asyncio.create_task(one(window, socket)) for one in (_send_bands, _send_plans)]
+        sending = [asyncio.create_task(one(window, socket)) for one in (_send_bands, _send_plans, _send_fits)]
         try:
             await _send(socket, list(window.answer(hello)))
             await self._converse(window, socket)
@@ -222,7 +233,8 @@ async def _send_bands(window: Window, socket: web.WebSocketResponse) -> None:
     sent: Any = None
     while True:
         trial = window.trial
-        spread, number = trial.viewed_scene.spread, (trial.name, trial.steering.number)
+        spread = trial.viewed_scene.spread
+        number = (trial.name, trial.steering.number, id(spread))
         if spread is not None and number != sent:
             sent, steering = number, trial.steering
             found = await asyncio.to_thread(
@@ -267,3 +279,27 @@ async def _send_plans(window: Window, socket: web.WebSocketResponse) -> None:
             if trial is window.trial:
                 await _send(socket, [region_message(region, reached)])
         await asyncio.sleep(PLAN_INTERVAL_S)
+
+
+async def _send_fits(window: Window, socket: web.WebSocketResponse) -> None:
+    """Move measured points, fit and draw as the page asks; the page takes the fitted values as its input."""
+    while True:
+        trial, fit = window.trial, window.trial.fit
+        if fit.original is not None and fit.offsets is not None:
+            offsets, fit.offsets = fit.offsets, None
+            trial.viewed_scene = show_moved(trial.viewed_scene, move_points(fit.original, offsets))
+            await _send(socket, [measured_message(trial.viewed_scene, offsets)])
+        shown, scope = trial.viewed_scene.shown, fit.wanted
+        if shown is not None and scope is not None:
+            fit.wanted = None
+            insertions = select_insertions(shown, scope)
+            try:
+                mode = await asyncio.to_thread(find_mode, shown, insertions)
+                await _send(socket, [mode_message(mode, shown)])
+                if fit.wanted is None:  # else its draws would be of no use
+                    draws = await asyncio.to_thread(draw_about, mode, shown.insertion, shown.seed)
+                    trial.viewed_scene = replace(trial.viewed_scene, spread=draws.spread)
+                    await _send(socket, [draws_message(draws)])
+            except NeedlefitError as error:
+                await _send(socket, [{"kind": "fit", "fault": {"what": error.what, "fix": error.fix}}])
+        await asyncio.sleep(FIT_INTERVAL_S)

@@ -14,8 +14,9 @@ from needlefit.studies.kinds.plan.search import Goal
 from needlefit.studies.kinds.plan.steering import SteeringPlan
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
+from needlefit.viewer.opening.live_fit import FitScope
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, make_head
-from needlefit.viewer.viewed_scene import ViewedScene
+from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
 
 DEFAULT_RADIUS_MM = 2.0
 """A tip that ends within it has reached the target."""
@@ -62,6 +63,25 @@ class TrialAim:
         self.version += 1
 
 
+@dataclass
+class TrialFit:
+    """A live fit of a trial's parameters.
+
+    Attributes
+    ----------
+    original : ShownInsertion or None
+        The measured insertion before its points were moved; None where nothing is measured.
+    wanted : FitScope or None
+        What is to be fitted to, until that has begun.
+    offsets : list of float or None
+        By how much the measured points are to be moved, until that has been done.
+    """
+
+    original: ShownInsertion | None
+    wanted: FitScope | None = None
+    offsets: list[float] | None = None
+
+
 MAX_UNDO = 200
 """Number of gestures that can be undone."""
 
@@ -86,6 +106,8 @@ class InteractiveTrial:
         Steps a second that its needle can make here.
     aim : TrialAim
         Its target and obstacles, and the plan to reach them.
+    fit : TrialFit
+        What its parameters are to be fitted to.
     window_trials : dict of str -> InteractiveTrial
         The last needle of the same window beside each insertion that it has shown, this one among them.
     """
@@ -100,7 +122,7 @@ class InteractiveTrial:
         head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
         self.recorder = RecordingWriter(path, head)
         self.speed = self.steering.step_rate()
-        self.aim = TrialAim()
+        self.aim, self.fit = TrialAim(), TrialFit(viewed_scene.shown)
         self._began: float | None = None
         self._write_failed = False
         self._past: list[int] = []

@@ -16,6 +16,7 @@ from needlefit.viewer.recording import (
     keep_for_returns,
     read_recording,
 )
+from needlefit.viewer.serving.fits import read_offsets, want_fit
 from needlefit.viewer.serving.messages import (
     MAX_REPLAY_SPEED,
     MAX_SPEED_MM_S,
@@ -32,6 +33,10 @@ MAX_FRAME_S = 0.1
 
 UNDO_PAUSE_S = 0.4
 """Steps of a recording that are farther apart than this, s, are undone one by one."""
+
+
+_MOVING_NOTHING = ("frame", "hello", "aim", "markups", "fit", "points")
+"""Messages that leave a moving needle as it is."""
 
 
 class Motion(Protocol):
@@ -169,7 +174,7 @@ class Window:
     def _do(self, message: Message) -> None:
         if message.fault:
             raise message.fault
-        if message.do not in ("frame", "hello", "aim", "markups") and not self._joins_stroke(message):
+        if message.do not in _MOVING_NOTHING and not self._joins_stroke(message):
             self._take_over(message)
         match message.do:
             case "change":
@@ -194,6 +199,12 @@ class Window:
                 self.trial.reset()
                 self.trial.aim.set(None, read_goal(message)[1], ())
                 self.trial.aim.challenged = True
+            case "fit":
+                want_fit(self.trial, message)
+            case "points":
+                offsets = read_offsets(message)
+                want_fit(self.trial, message)
+                self.trial.fit.offsets = offsets
             case "plan":
                 self._want_plan()
             case "run":

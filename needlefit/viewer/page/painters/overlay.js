@@ -1,8 +1,9 @@
 /** What the needle is compared with: the measured curve, and the fitted needle's 95 % band. */
 
+import { points } from "../measured_points.js";
 import { palette } from "../palette.js";
 import { toPx, toPy } from "../view.js";
-import { label, line } from "./strokes.js";
+import { label, line, ring } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 
@@ -12,6 +13,12 @@ export function paintMeasured(context, { x, y }) {
   line(context, x, y, palette.halo, 4);
   line(context, x, y, palette.measured, 2, [7, 4]);
   context.lineCap = "butt";
+}
+
+/** Draw the points of the measured needle that can be dragged. */
+export function paintPoints(context) {
+  if (!points.shown) return;
+  for (const [x, y] of points.places()) ring(context, toPx(x), toPy(y), 6, palette.measured, palette.air);
 }
 
 /** Draw the band; pale as long as it belongs to an earlier step. */

@@ -1,0 +1,159 @@
+"""Fit parameters to measured needles while they are shown: the mode, and draws about it.
+
+The mode is found by Gauss-Newton steps with the exact Jacobian, from the parameters that are shown; the draws
+are importance-weighted about it. All insertions have one b, and errors of depths are linear.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.errors import FitError
+from needlefit.geometry.curves import arc_length
+from needlefit.inference.forward_model import find_layers
+from needlefit.inference.identifiability.gauss_newton import minimize_squares
+from needlefit.inference.importance.fit_posterior import resample_draws, sample_about_modes
+from needlefit.inference.importance.sampler import Effort
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.problem import Problem, make_problem
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.recipe import WeightsRecord
+from needlefit.studies.parameter_draws import ParameterDraws, select_layer_draws
+from needlefit.viewer.overlay.measured import make_measured_overlay
+from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
+
+FitScope = Literal["insertion", "specimen", "dataset"]
+
+EFFORT = Effort(draws=200, rounds=2, min_ess=100.0)
+"""Less than a study takes: the draws are waited for."""
+
+SHOWN_DRAWS = 100
+"""Draws of the band and of the ridge."""
+
+KNOTS = 6
+"""Points of a measured needle that can be dragged, evenly spread from entry to tip."""
+
+MU_BOUNDS_PA, BEVEL_BOUNDS_MM = (1e3, 1e9), (1e-3, 0.5)
+"""Bounds of the parameters of a medium that is not described."""
+
+
+@dataclass(frozen=True)
+class LiveMode:
+    """The fitted values (Pa, mm) of all parameters, and how long they took, s."""
+
+    problem: Problem
+    theta: Floats
+    values: Mapping[str, float]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class LiveDraws:
+    """Draws about a mode.
+
+    Attributes
+    ----------
+    spread : ParameterDraws
+        For the band and plans.
+    mu, bevel : (B,) arrays
+        Of the first layer's modulus, Pa, and of b, mm: the ridge.
+    certified : bool
+        Whether the weights can be trusted.
+    """
+
+    spread: ParameterDraws
+    mu: Floats
+    bevel: Floats
+    certified: bool
+    ess: float
+    seconds: float
+
+
+def select_insertions(shown: ShownInsertion, scope: FitScope) -> tuple[Insertion, ...]:
+    """Return the insertions of the same medium that are fitted to; the one shown is as it is shown."""
+    others = [one for one in shown.dataset.insertions if one.medium == shown.insertion.medium]
+    if scope == "insertion":
+        others = []
+    elif scope == "specimen":
+        others = [one for one in others if one.specimen == shown.insertion.specimen]
+    return (shown.insertion, *(one for one in others if one.id != shown.insertion.id))
+
+
+def find_mode(shown: ShownInsertion, insertions: Sequence[Insertion]) -> LiveMode:
+    """Return the fit nearest to the parameters shown.
+
+    Raises
+    ------
+    FitError
+        If no needle is found on the way.
+    """
+    began = perf_counter()
+    medium = _free_medium(shown.medium)
+    problem = make_problem(shown.dataset, insertions, medium, WeightsRecord(), PLAIN_LIKELIHOOD)
+    known = problem.values(problem.parameters.expected) | dict(shown.values)
+    found = minimize_squares(problem, problem.parameters.theta(known))
+    if not np.isfinite(found.value):
+        raise FitError(
+            "the fit finds no needle with the parameters that it begins with",
+            expected="parameters with which every needle has a solution",
+            fix="change them by hand, then fit again",
+        )
+    return LiveMode(problem, found.theta, problem.values(found.theta), perf_counter() - began)
+
+
+def draw_about(mode: LiveMode, insertion: Insertion, seed: int) -> LiveDraws:
+    """Return draws about a mode, for the layers that an insertion meets; on one core."""
+    began, problem = perf_counter(), mode.problem
+    rng = np.random.default_rng(seed)
+    weighted = sample_about_modes(problem, mode.theta[None], rng, effort=EFFORT)
+    draws = resample_draws(weighted, SHOWN_DRAWS, rng)
+    table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
+    layers = [layer for _, layer in find_layers(insertion)]
+    return LiveDraws(
+        select_layer_draws(table, layers),
+        table[f"mu{layers[0]}_pa"].to_numpy(dtype=np.float64),
+        table["bevel_mm"].to_numpy(dtype=np.float64),
+        weighted.certified,
+        weighted.effective_sample_size,
+        perf_counter() - began,
+    )
+
+
+def move_points(original: ShownInsertion, offsets: Sequence[float]) -> ShownInsertion:
+    """Return an insertion whose points are moved along y by so many mm at `KNOTS` places, linear between."""
+    planar = original.insertion.planar
+    s = arc_length(planar)
+    across = np.interp(s / s[-1], np.linspace(0, 1, KNOTS), offsets)
+    moved = original.insertion.with_planar(planar + np.column_stack([np.zeros(len(planar)), across]))
+    return replace(original, insertion=moved)
+
+
+def show_moved(viewed_scene: ViewedScene, moved: ShownInsertion) -> ViewedScene:
+    """Return a scene that shows another measured needle in the place of its own."""
+    scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
+    shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
+    floor = viewed_scene.measured.floor if viewed_scene.measured else None
+    overlay = make_measured_overlay(
+        moved.dataset, moved.insertion, float("nan") if floor is None else floor, shape
+    )
+    return replace(viewed_scene, measured=overlay, shown=moved)
+
+
+def _free_medium(medium: MediumRecord) -> MediumRecord:
+    """Return a medium with something to fit: one whose parameters are all fixed gets moduli and b free."""
+    if any(one.fixed is None and one.tie is None for one in medium.parameters.values()):
+        return medium
+    freed = {
+        name: ParameterRecord(bounds=BEVEL_BOUNDS_MM if name == "bevel_mm" else MU_BOUNDS_PA)
+        for name in medium.parameters
+        if name == "bevel_mm" or name.startswith("mu")
+    }
+    return medium.model_copy(update={"parameters": {**medium.parameters, **freed}})

@@ -1,0 +1,108 @@
+/** The live fit: to the measured needle, whose points can be dragged, or to more of them; and its ridge. */
+
+import { strengthOf } from "./bevel.js";
+import { invalidate } from "./drawing.js";
+import { brief } from "./numbers.js";
+import { palette } from "./palette.js";
+import { change, command } from "./steering.js";
+import { listen, now, publish } from "./store.js";
+import { say } from "./announcements.js";
+import { points } from "./measured_points.js";
+
+const SCOPES = { insertion: "this needle", specimen: "its specimen", dataset: "all of its medium" };
+const PAD = 34; // px of the ridge's axes
+const part = (id) => document.getElementById(id);
+let ridge = null;
+let mode = null;
+
+const ask = () => command({ do: "fit", scope: part("fit-scope").value });
+
+/** Send where the points are now; the server fits to them. */
+points.send = () => command({ do: "points", scope: part("fit-scope").value, offsets: points.offsets });
+
+/** The parameters of the fit become inputs like those of a hand, so that a recording holds them. */
+function takeMode(message) {
+  if (message.fault) return publish("notice", message.fault);
+  mode = message;
+  const { throughout } = strengthOf(now.state.bevel);
+  const layers = message.layers.flatMap(([mu, alpha], i) => [["mu_pa", i + 1, mu], ["alpha", i + 1, alpha]]);
+  change([...layers, [throughout, null, message.offset_mm]]);
+  const needles = message.insertions === 1 ? "1 needle" : `${message.insertions} needles`;
+  part("fit-note").textContent = `Fitted to ${needles} in ${message.seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `
+    + `first layer μ ${brief(message.layers[0][0] * 1e-6, 3)} MPa. Drawing …`;
+}
+
+function takeRidge(message) {
+  ridge = message;
+  const [low, , high] = quantiles(message.mu_pa).map((one) => brief(one * 1e-6, 3));
+  const [less, , more] = quantiles(message.offset_mm).map((one) => brief(one, 3));
+  const sure = message.certified ? "" : " The draws are not certified.";
+  const words = `95 % of draws: first layer μ ${low} to ${high} MPa, b ${less} to ${more} mm; correlation of their logarithms `
+    + `${message.correlation.toFixed(2)}.${sure}`;
+  part("fit-note").textContent = part("fit-note").textContent.replace(" Drawing …", "");
+  part("ridge-note").textContent = words;
+  part("ridge").hidden = false;
+  drawRidge();
+  say(words);
+}
+
+function quantiles(values) {
+  const sorted = values.toSorted((one, other) => one - other);
+  return [0.025, 0.5, 0.975].map((share) => sorted[Math.round(share * (sorted.length - 1))]);
+}
+
+/** Draws of mu (up, logarithmic) against b: where they lie along a line, the data leave their ratio open. */
+function drawRidge() {
+  const canvas = part("ridge");
+  if (!ridge) return;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  canvas.width = width * devicePixelRatio;
+  canvas.height = height * devicePixelRatio;
+  const context = canvas.getContext("2d");
+  context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+  const logs = [ridge.offset_mm, ridge.mu_pa].map((values) => values.map(Math.log));
+  const spans = logs.map((values) => [Math.min(...values), Math.max(...values) + 1e-9]);
+  const at = (values, axis, length) => values.map((one) => ((one - spans[axis][0]) / (spans[axis][1] - spans[axis][0])) * length);
+  const px = at(logs[0], 0, width - 2 * PAD).map((one) => PAD + one);
+  const py = at(logs[1], 1, height - 2 * PAD).map((one) => height - PAD - one);
+  context.strokeStyle = palette.quiet;
+  context.strokeRect(PAD - 6.5, PAD - 6.5, width - 2 * PAD + 13, height - 2 * PAD + 13);
+  context.fillStyle = palette.band;
+  px.forEach((one, i) => context.fillRect(one - 1.5, py[i] - 1.5, 3, 3));
+  context.fillStyle = palette.label;
+  context.font = "11px system-ui, sans-serif";
+  context.textAlign = "left";
+  context.fillText(`μ ${brief(Math.exp(spans[1][1]) * 1e-6, 3)} MPa`, 2, 14);
+  context.fillText(`μ ${brief(Math.exp(spans[1][0]) * 1e-6, 3)}`, 2, height - PAD + 18);
+  context.textAlign = "right";
+  context.fillText(`b ${brief(Math.exp(spans[0][1]), 3)} mm`, width - 4, height - 6);
+  context.textAlign = "left";
+  context.fillText(`b ${brief(Math.exp(spans[0][0]), 3)}`, PAD - 4, height - 6);
+}
+
+part("fit-now").addEventListener("click", () => now.state && ask());
+part("fit-drag").addEventListener("click", ({ currentTarget }) => {
+  points.shown = !points.shown;
+  currentTarget.setAttribute("aria-pressed", String(points.shown));
+  invalidate();
+});
+part("fit-back").addEventListener("click", () => points.reset());
+part("fit-scope").addEventListener("change", () => mode && ask());
+listen("fit", takeMode);
+listen("ridge", takeRidge);
+listen("scene", ({ fit }) => {
+  part("fit").hidden = !fit;
+  ridge = mode = null;
+  points.begin();
+  part("ridge").hidden = true;
+  for (const id of ["fit-note", "ridge-note"]) part(id).textContent = "";
+  part("fit-drag").setAttribute("aria-pressed", "false");
+  if (!fit) return;
+  const scopes = Object.keys(SCOPES).filter((one) => one === "insertion" || fit[one] > 1);
+  part("fit-scope").replaceChildren(...scopes.map((one) => new Option(fit[one] > 1 ? `${SCOPES[one]} (${fit[one]})` : SCOPES[one], one)));
+});
+listen("measured", ({ x, y }) => {
+  if (now.scene.measured) Object.assign(now.scene.measured, { x, y });
+  invalidate();
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => requestAnimationFrame(drawRidge));
