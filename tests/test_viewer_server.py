@@ -5,10 +5,13 @@ import functools
 import json
 import threading
 from contextlib import asynccontextmanager
+from dataclasses import replace
 
 import aiohttp
 import pytest
 
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import read_recording, replay
 from needlefit.viewer.serving.connections import (
@@ -472,7 +475,7 @@ async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
 
 
 @visit
-async def test_a_fit_is_answered_by_its_mode_and_its_draws(tmp_path) -> None:
+async def test_a_fit_sends_its_mode_and_its_draws(tmp_path) -> None:
     async with house(tmp_path, "twin/phantom2-05") as server:
         page = await server.page()
         assert page.scene["fit"]["insertion"] == 1 < page.scene["fit"]["dataset"]
@@ -499,3 +502,22 @@ async def test_a_fit_is_answered_by_its_mode_and_its_draws(tmp_path) -> None:
         page = await server.page()
         await page.say("fit", scope="insertion")
         assert page.refused and page.scene["fit"] is None
+
+
+@visit
+async def test_aligned_constraint_points_give_the_tip_of_simulate(tmp_path) -> None:
+    scene = Scene.from_record(open_target("study2").record)
+    step = replace(scene.steps[0], depth=40.0)
+    wanted = simulate_steps(scene.needle, scene.tissue, (step,), scene.rules).deflection
+    async with house(tmp_path) as server:
+        page = await server.page()
+        await page.say("align")
+        assert page.refused  # at the entry
+        before = await page.say("change", insert_mm=40.0)
+        assert abs(before["tip"]["deflection_mm"] - wanted) > 1e-3
+        state = await page.say("align")
+        assert page.scene["first_cell_mm"] == pytest.approx(1.0) and state["depth_mm"] == 40.0
+        assert state["tip"]["deflection_mm"] == pytest.approx(wanted, abs=1e-9)
+        await page.say("change", set=[["mu_pa", 1, 3e5]])
+        await page.say("align")
+        assert page.refused  # parameters of the scene alone

@@ -47,6 +47,7 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "guide_names": list(steering.names),
         "boundaries_mm": tissue.boundaries.tolist(),
         "spacing_mm": scene.rules.spacing,
+        "first_cell_mm": steering.first_cell,
         "fitted": _encode_parameters(tissue.mu, tissue.alpha) | _encode_strength(first, scene.rules),
         "limits": _encode_limits(scene),
         "measured": measured and {

@@ -57,6 +57,7 @@ const PRESSED = {
   undo: act.undo, redo: act.redo, reset: act.reset, play: act.play, halt,
   flip: (event) => act.flip(event.timeStamp),
   replay: () => command({ do: "replay", times: Number(part("times").value) }),
+  align: () => command({ do: "align" }),
   "goto-scene": () => act.goTo(act.ownDepth()),
 };
 for (const [id, press] of Object.entries(PRESSED)) {
@@ -78,6 +79,8 @@ listen("scene", (scene) => {
   part("choice").hidden = scene.choices.length < 2;
   part("choices").replaceChildren(...scene.choices.map((one) => new Option(one, one)));
   part("choices").value = scene.measured?.id ?? scene.choices[0] ?? "";
+  const { first_cell_mm: first, spacing_mm: spacing } = scene;
+  part("cell-note").textContent = `Constraint points at ${brief(first)} mm, then every ${brief(spacing)} mm.`;
   const to = act.ownDepth();
   part("goto-scene").textContent = `To ${brief(to)} mm`;
   part("goto-scene").title = scene.measured ? "The measured depth" : "The scene's depth";

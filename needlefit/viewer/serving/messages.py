@@ -34,7 +34,7 @@ def state_message(trial: InteractiveTrial) -> dict[str, Any]:
 ACTIONS = frozenset(
     (
         *("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show"),
-        *("aim", "markups", "plan", "run", "challenge", "fit", "points"),
+        *("aim", "markups", "plan", "run", "challenge", "fit", "points", "align"),
     )
 )
 

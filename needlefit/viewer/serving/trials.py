@@ -2,12 +2,13 @@
 
 import secrets
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path, PurePath
 from time import monotonic
 
 from needlefit.errors import ModelError
+from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.scene import Scene
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal
@@ -15,6 +16,7 @@ from needlefit.studies.kinds.plan.steering import SteeringPlan
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.opening.live_fit import FitScope
+from needlefit.viewer.opening.plan import list_changes
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, make_head
 from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
 
@@ -295,6 +297,23 @@ class TrialRegistry:
         self.prepare(trial, insertion)
         there = trial.window_trials.get(insertion)
         return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
+
+    def aligned(self, trial: InteractiveTrial) -> InteractiveTrial:
+        """Return a new trial whose constraint points end where the needle stands, taken there by its inputs.
+
+        So `simulate` places them: the last cell is a whole one.
+
+        Raises
+        ------
+        ModelError
+            If a step has no needle then.
+        """
+        depth, spacing = trial.steering.now.step.depth, trial.scene.rules.spacing
+        first_cell = Lattice.ending_at(depth, spacing).first_cell
+        other = self._begin(replace(trial.viewed_scene, first_cell=first_cell), None)
+        for changes in list_changes(other.steering, trial.steering.input_path(), depth):
+            other.act(changes, gesture=0)
+        return self._instead(trial, other)
 
     def again(self, trial: InteractiveTrial, source: Recording) -> InteractiveTrial:
         """Return a new trial for the same window, at first contact, for a replay."""

@@ -199,6 +199,8 @@ class Window:
                 self.trial.reset()
                 self.trial.aim.set(None, read_goal(message)[1], ())
                 self.trial.aim.challenged = True
+            case "align":
+                self._align()
             case "fit":
                 want_fit(self.trial, message)
             case "points":
@@ -215,6 +217,15 @@ class Window:
                 self.trial.redo()
             case "reset":
                 self.trial.reset()
+
+    def _align(self) -> None:
+        if self.trial.steering.now.step.depth <= SAME_DEPTH_MM:
+            raise ModelError("the needle stands at the entry", expected="a needle in the tissue")
+        if self.trial.steering.now.tissue is not self.trial.scene.tissue:
+            raise ModelError(
+                "moduli or alphas were changed", expected="the initial parameters", fix="set them back first"
+            )
+        self.trial = self.trials.aligned(self.trial)
 
     def _want_plan(self) -> None:
         if self.trial.aim.goal is None:
