@@ -140,6 +140,10 @@ def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
     (circle,) = found.goal.obstacles
     assert circle.centre_mm == pytest.approx((20.0, np.sqrt(2))) and circle.radius_mm == pytest.approx(1.0)
     assert cut_plane((45.0, -3.0, 0.0), 1.5, ()).goal.target == (45.0, -3.0)
+    other = cut_plane((45.0, -2.0, 1.0), 1.5, ())
+    assert other.goal.target == pytest.approx((45.0, -np.sqrt(5)))
+    assert other.roll_deg == pytest.approx(-np.degrees(np.arctan(0.5)))
+    assert cut_plane((45.0, 0.0, -2.0), 1.5, ()).goal.target == pytest.approx((45.0, 2.0))
 
 
 def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_path) -> None:

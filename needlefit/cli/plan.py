@@ -216,13 +216,14 @@ def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, An
     """Return the outcome in one or two sentences."""
     past = " and touches no obstacle" if found.goal.obstacles else ""
     within = f"within {found.goal.radius:g} mm of the target"
-    nominal = f"{found.nominal_miss:.2f} mm"
     if shown.spread is None:
-        not_ = "" if found.hits else "not "
-        return (
-            f"With the parameters of {shown.name} the tip ends {nominal} from the target: the plan is {not_}"
-            f"{within}{past}. Parameters are taken as exact; a run gives a probability."
-        )
+        nominal = f"{found.nominal_miss:.2f} mm from it"
+        known = f"With the parameters of {shown.name}, taken as exact (a run gives a probability): the tip"
+        if found.hits:
+            return f"The plan reaches the target{past}. {known} ends {nominal}."
+        touched = [name for name, share in found.touched.items() if share]
+        beside = f" and the needle touches {', '.join(touched)}" if touched else ""
+        return f"No plan was found that reaches the target{past}. {known} of the best ends {nominal}{beside}."
     return (
         f"The tip ends {within}{past} with probability {100 * found.probability:.0f} % (95 % CI "
         f"{100 * found.low:.0f} to {100 * found.high:.0f} %, {len(found.needles)} posterior draws). "

@@ -47,7 +47,8 @@ class PlaneGoal:
 def cut_plane(target: tuple[float, float, float], radius: float, balls: tuple[Ball, ...]) -> PlaneGoal:
     """Return the goal in the plane through x and the target; obstacles are cut to circles."""
     x, y, z = target
-    roll = math.atan2(z, y) if z else 0.0
+    # the smaller of the two turns, at most 90 degrees: the bevel reaches both sides
+    roll = math.atan(z / y) if y else math.copysign(math.pi / 2, z) if z else 0.0
     cos, sin = math.cos(roll), math.sin(roll)
     circles, beside = [], []
     for ball in balls:
@@ -59,8 +60,9 @@ def cut_plane(target: tuple[float, float, float], radius: float, balls: tuple[Ba
         centre = (along, left * cos + up * sin)
         cut = math.sqrt(ball.radius**2 - off**2)
         circles.append(ObstacleRecord(name=ball.name, centre_mm=centre, radius_mm=cut))
-    across = math.hypot(y, z) if z else y
-    return PlaneGoal(Goal((x, across), radius, tuple(circles)), math.degrees(roll), tuple(beside))
+    return PlaneGoal(
+        Goal((x, y * cos + z * sin if z else y), radius, tuple(circles)), math.degrees(roll), tuple(beside)
+    )
 
 
 def read_goal_points(
