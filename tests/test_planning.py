@@ -21,6 +21,7 @@ from needlefit.studies.kinds.plan.search import Goal, compute_clearances, find_h
 from needlefit.studies.kinds.plan.steering import (
     PlanLimits,
     StartedInsertion,
+    draw_target,
     find_reachable_region,
     plan_steering,
 )
@@ -189,3 +190,11 @@ def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
     start = Step(0.0, Bevel(cut_angle=0.05), one.now.controls)
     other = replace(one, rules=rules, path=(start,))
     assert plan_steering(other, Goal((40.0, -1.0), 1.0), threads=1).nominal_miss < 0.1
+
+
+def test_a_random_target_is_one_that_a_plan_reaches() -> None:
+    rng = np.random.default_rng(3)
+    targets = [draw_target(insertion(), 35.0, rng) for _ in range(3)]
+    assert len(set(targets)) == 3
+    for target in targets:
+        assert abs(target[0] - 35.0) < 2 and plan_steering(insertion(), Goal(target, 1.0)).nominal_miss < 0.2

@@ -26,7 +26,7 @@ from needlefit.viewer.serving.fits import draws_message, measured_message, mode_
 from needlefit.viewer.serving.messages import Message, read_message
 from needlefit.viewer.serving.plans import (
     aim_message,
-    draw_target,
+    draw_challenge,
     find_region,
     make_plan,
     plan_message,
@@ -260,7 +260,7 @@ async def _send_plans(window: Window, socket: web.WebSocketResponse) -> None:
         if aim.challenged:
             insertion = continue_insertion(trial.steering, trial.viewed_scene)
             aim.challenged, version = False, aim.version
-            target = await asyncio.to_thread(draw_target, insertion, trial.scene.depth)
+            target = await asyncio.to_thread(draw_challenge, insertion, trial.scene.depth)
             if version == aim.version:
                 aim.set(target, aim.radius, ())
                 aim.wanted = target is not None

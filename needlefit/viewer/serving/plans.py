@@ -12,10 +12,10 @@ from needlefit.studies.kinds.plan.goals import cut_plane, read_goal_points
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal
 from needlefit.studies.kinds.plan.steering import (
-    PlanLimits,
     ReachableRegion,
     StartedInsertion,
     SteeringPlan,
+    draw_target,
     find_reachable_region,
     plan_steering,
 )
@@ -35,9 +35,6 @@ BEYOND_TARGET_MM = 8.0
 
 CHALLENGE_DEPTHS = (0.6, 1.0)
 """Between which parts of the scene's depth a random target lies."""
-
-CHALLENGE_LIMITS = PlanLimits(base_mm=3.0, base_angle_deg=1.5)
-"""A random target can be reached with so much of the base's range; the planner has more."""
 
 GoalParts = tuple[tuple[float, float] | None, float, tuple[ObstacleRecord, ...]]
 
@@ -99,18 +96,10 @@ def read_markups(trial: InteractiveTrial, message: Message) -> None:
     aim.set(goal, aim.radius, found.goal.obstacles, found.roll_deg)
 
 
-def draw_target(insertion: StartedInsertion, depth: float) -> tuple[float, float] | None:
-    """Return a random target that the needle can reach with most draws; None where it reaches nothing."""
-    region = find_reachable_region(insertion, depth, CHALLENGE_LIMITS, threads=1)
+def draw_challenge(insertion: StartedInsertion, depth: float) -> tuple[float, float] | None:
+    """Return a random target that a plan reaches; None where there is none."""
     rng = np.random.default_rng()
-    nearest, farthest = (part * depth for part in CHALLENGE_DEPTHS)
-    places = np.flatnonzero((region.x >= nearest) & (region.x <= farthest))
-    if not len(places):
-        return None
-    at = int(rng.choice(places))
-    low, high = float(region.low[-1][at]), float(region.high[-1][at])
-    # not at the rim: there a hand has no room either
-    return float(region.x[at]), 0.5 * (low + high) + 0.35 * (high - low) * float(rng.uniform(-1, 1))
+    return draw_target(insertion, depth * float(rng.uniform(*CHALLENGE_DEPTHS)), rng)
 
 
 def find_region(insertion: StartedInsertion, goal: Goal, depth: float) -> ReachableRegion:

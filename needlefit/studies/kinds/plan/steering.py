@@ -450,6 +450,30 @@ def _smooth_risk(needles: Floats, goal: Goal) -> float:
         return float(np.mean(1 / (1 + np.exp(margin / (RISK_WIDTH * goal.radius)))))
 
 
+MAX_TRIES = 20
+"""Random ways that are tried before a needle counts as one that reaches nothing."""
+
+
+def draw_target(
+    insertion: StartedInsertion, depth: float, rng: np.random.Generator, limits: PlanLimits | None = None
+) -> tuple[float, float] | None:
+    """Return where a random plan leads the tip, about so deep (mm); None where no needle is found.
+
+    So a target is one that a plan reaches.
+    """
+    search = _Search(insertion, Goal((depth, 0.0), 1.0), limits or PlanLimits(), threads=1)
+    for _ in range(MAX_TRIES):
+        at = search.still.copy()
+        at[2:] += rng.uniform(-0.25, 0.25, 2) * (search.bounds[1] - search.bounds[0])[2:]
+        turns = tuple(rng.choice(search.stations, 1).tolist()) if rng.uniform() < 0.5 else ()
+        choice = _Choice(int(rng.choice((-1, 1))), turns, at)
+        (needle,) = search.needles(insertion.exact, [choice], valid=True)
+        x, y = needle[0, -1].tolist()
+        if math.isfinite(x):
+            return x, y
+    return None
+
+
 @dataclass(frozen=True)
 class ReachableRegion:
     """Where the tip can come to stand.
