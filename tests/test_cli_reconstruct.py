@@ -431,6 +431,15 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
         assert sum(name.startswith("out.refused/quality/") for name in pages) == 1
 
 
+@pytest.mark.usefixtures("searched_once")
+def test_the_pages_of_an_earlier_refusal_go_when_the_scan_is_written(tmp_path):
+    out, refused = tmp_path / "out", tmp_path / "out.refused"
+    assert run("reconstruct", table(tmp_path, entry_dx="-1.0"), "--out", out, "-q") == 3
+    assert (refused / "refused.csv").is_file() and not out.exists()
+    assert run("reconstruct", table(tmp_path), "--out", out, "-q") == 0
+    assert out.is_dir() and not refused.exists()
+
+
 def table(folder, **changes):
     """The sample's table with some cells changed, its files named from where they are."""
     row = pd.read_csv(SAMPLE / "scans.csv", dtype=str).iloc[0].to_dict()

@@ -13,7 +13,8 @@ from needlefit.errors import DataError
 from needlefit.imaging.assembly import DatasetDescription
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.findings import collect_findings
-from needlefit.imaging.reconstruct import examine
+from needlefit.imaging.reconstruct import Examination, examine
+from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import Volume
 from needlefit.project.progress import no_progress
@@ -50,6 +51,17 @@ def test_steps_that_fail_leave_the_others():
     assert nothing.tubes == ()
     assert nothing.needle is None and nothing.profile is None
     assert nothing.projections[0].shape == plain.values.shape[1:]
+
+
+def test_balls_are_those_that_the_examination_found():
+    others = tuple(RejectedMarker(np.full(3, x), x, 0.5, 0.2, "misfit") for x in (9.0, 4.0))
+    markers = MarkerResult(np.zeros((2, 3)), np.full(2, 0.1), "volume", rejected=others)
+    found = collect_findings(cases.small_scan(), Examination(SCAN, markers=markers), ct_cases.RECIPE)
+    size = ct_cases.RECIPE.markers.diameter_mm
+    assert [(one.diameter, one.marker) for one in found.balls] == [(size, True)] * 2 + [
+        (4, False),
+        (9, False),
+    ]
 
 
 @pytest.mark.parametrize("readable", [True, False])

@@ -131,7 +131,11 @@ def reconstruct(
         from needlefit.project.load import load
         from needlefit.project.locate import find_file
         from needlefit.project.outputs import require_no_inputs_within
-        from needlefit.project.ownership import require_own_checkpoint, require_replaceable
+        from needlefit.project.ownership import (
+            remove_result,
+            require_own_checkpoint,
+            require_replaceable,
+        )
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction
@@ -141,7 +145,7 @@ def reconstruct(
         require_replaceable(out)
         keep = out.resolve().with_name(f"{out.resolve().name}.partial")
         require_own_checkpoint(keep)
-        require_replaceable(out.resolve().with_name(f"{out.resolve().name}.refused"))
+        require_replaceable(_refused_folder(out))
         wanted = _scans(scans, {name: value for name, value in named.items() if value not in (None, [])})
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
@@ -167,6 +171,8 @@ def reconstruct(
                 )
                 failed = [*failed, *faulty]
             pages = out if written else _write_refused(out, failed)
+            if pages != _refused_folder(out):  # those of an earlier run would be taken for this one's
+                remove_result(_refused_folder(out), print_remark)
     warnings = warnings_in(out) if written else []
     if written and not json:
         screen.print_text(f"{judge_run(written)[0].sentence}.")
@@ -243,9 +249,13 @@ def _write_refused(out: Path, failed: "Sequence[ReconstructionFailure]") -> Path
         return None
     from needlefit.studies.kinds.reconstruction.refused import write_refused
 
-    folder = out.resolve().with_name(f"{out.resolve().name}.refused")
-    write_refused(failed, folder)
-    return folder
+    write_refused(failed, _refused_folder(out))
+    return _refused_folder(out)
+
+
+def _refused_folder(out: Path) -> Path:
+    """Return the folder of the pages of refused scans where no dataset is written."""
+    return out.resolve().with_name(f"{out.resolve().name}.refused")
 
 
 def _print_failures(

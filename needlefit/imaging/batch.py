@@ -12,7 +12,7 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.findings import Findings, collect_findings
 from needlefit.imaging.packed_scan import PackedScan, PackedScans, list_scan_files, unpack_scan
-from needlefit.imaging.reconstruct import examine
+from needlefit.imaging.reconstruct import add_views, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume_files import read_volume
@@ -117,7 +117,7 @@ def _try_reconstruct(
         volume = read_volume(scan.volume, scan.series)
         found = examine(volume, scan, recipe)
         if found.error is None and found.reconstruction is not None:
-            return found.reconstruction
+            return add_views(found.reconstruction, volume)
         failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
         findings = collect_findings(volume, found, recipe) if collect else None
         return ReconstructionFailure(scan, failed, findings)

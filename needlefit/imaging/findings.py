@@ -1,18 +1,16 @@
 """Collect what a scan shows before it is refused: tubes, balls, the needle and where it may enter."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.geometry.curves import arc_length
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.entry_choice import EntryCandidate, list_candidates
-from needlefit.imaging.marker_blobs import Blob, find_blobs
-from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.needle.segmentation import (
     Component,
@@ -23,8 +21,8 @@ from needlefit.imaging.needle.segmentation import (
 )
 from needlefit.imaging.needle.selection import NeedleSelection, find_ends
 from needlefit.imaging.reconstruct import Examination
-from needlefit.imaging.reconstruction import IntensityProfile
-from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
+from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult
+from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MAX_TUBES, MAX_BALLS = 6, 20
@@ -44,6 +42,15 @@ class TubeFinding:
 
 
 @dataclass(frozen=True)
+class BallFinding:
+    """What has about a marker's size: its centre (3,), LPS, and diameter, mm; whether it is a marker."""
+
+    center: Floats
+    diameter: float
+    marker: bool
+
+
+@dataclass(frozen=True)
 class Findings:
     """What a scan shows; what could not be found is empty or None.
 
@@ -55,10 +62,8 @@ class Findings:
         Largest values along k (J, I), along j (K, I) and along i (K, J), HU.
     tubes : tuple of TubeFinding
         The longest first.
-    markers : (M, 3) array or None
-        The balls that are markers, LPS, mm.
-    balls, ball_diameters : (B, 3), (B,) arrays
-        All bright components of about a marker's size, LPS, and the diameters of balls of as many voxels, mm.
+    balls : tuple of BallFinding
+        The markers first; none where the scan needs no markers.
     needle : (N, 3) array or None
         The axis from base to tip, LPS, mm.
     profile : IntensityProfile or None
@@ -70,27 +75,26 @@ class Findings:
     grid: VoxelGrid
     projections: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
     tubes: tuple[TubeFinding, ...] = ()
-    markers: Floats | None = None
-    balls: Floats = field(default_factory=lambda: np.empty((0, 3)))
-    ball_diameters: Floats = field(default_factory=lambda: np.empty(0))
+    balls: tuple[BallFinding, ...] = ()
     needle: Floats | None = None
     profile: IntensityProfile | None = None
     entries: tuple[EntryCandidate, ...] = ()
+
+    @property
+    def entry_points(self) -> Floats:
+        """Where the entries lie (n, 3), LPS, mm."""
+        return place_entries(self.needle, self.entries)
 
 
 def collect_findings(volume: Volume, examined: Examination, recipe: ReconstructionRecord) -> Findings:
     """Return what a scan shows, for its page."""
     projections = (volume.values.max(axis=0), volume.values.max(axis=1), volume.values.max(axis=2))
-    selection, axis, profile = examined.selection, examined.needle_axis, examined.profile
-    own, rules = None if selection is None else selection.needle.voxels, recipe.markers
-    markers = examined.markers or _try(lambda: find_markers(volume, recipe, own))
-    blobs = _try(lambda: find_blobs(volume, rules.diameter_mm, rules.threshold_hu, own))
+    axis, profile = examined.needle_axis, examined.profile
     return Findings(
         volume.grid,
         projections,
-        list_tubes(volume, recipe, selection),
-        None if markers is None else markers.centers,
-        *_list_balls(volume, blobs or [], rules.diameter_mm),
+        list_tubes(volume, recipe, examined.selection),
+        _list_balls(examined.markers, recipe.markers.diameter_mm),
         None if axis is None else axis.points,
         profile,
         list_entries(axis, profile),
@@ -102,6 +106,13 @@ def list_entries(axis: Centerline | None, profile: IntensityProfile | None) -> t
     if axis is None or profile is None:
         return ()
     return _try(lambda: list_candidates(profile, float(arc_length(axis.points)[-1]))) or ()
+
+
+def place_entries(needle: Floats | None, entries: tuple[EntryCandidate, ...]) -> Floats:
+    """Return where along a needle (N, 3) its entries lie (n, 3)."""
+    if needle is None or not entries:
+        return np.empty((0, 3))
+    return interpolate_at_arc(needle, np.array([one.at for one in entries]))
 
 
 def _try(step: Callable[[], T]) -> T | None:
@@ -132,15 +143,10 @@ def _longest_parts(volume: Volume, recipe: ReconstructionRecord) -> list[Compone
     return sorted(parts, key=lambda part: part.length, reverse=True)
 
 
-def _list_balls(volume: Volume, blobs: Sequence[Blob], diameter: float) -> tuple[Floats, Floats]:
-    """Return centres (M, 3) and diameters (M,) of blobs, one a place, the most similar in size first."""
-    centers: list[Floats] = []
-    sizes: list[float] = []
-    for blob in blobs:
-        middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
-        if all(np.linalg.norm(middle - other) > diameter for other in centers):
-            centers.append(middle)
-            sizes.append(blob.diameter)
-        if len(centers) == MAX_BALLS:
-            break
-    return np.array(centers).reshape(-1, 3), np.array(sizes)
+def _list_balls(found: MarkerResult | None, diameter: float) -> tuple[BallFinding, ...]:
+    """Return the markers, of the `diameter` that was looked for, then what is most like one."""
+    if found is None:
+        return ()
+    others = sorted(found.rejected, key=lambda one: abs(np.log(one.diameter / diameter)))
+    balls = [BallFinding(center, diameter, True) for center in found.centers]
+    return (*balls, *(BallFinding(one.center, one.diameter, False) for one in others))[:MAX_BALLS]

@@ -66,16 +66,22 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     ConfigError
         If the packages that read scans are not installed.
     """
-    found = examine(read_volume(scan.volume, scan.series), scan, recipe)
+    volume = read_volume(scan.volume, scan.series)
+    found = examine(volume, scan, recipe)
     if found.error is not None:
         raise found.error
     assert found.reconstruction is not None
-    return found.reconstruction
+    return add_views(found.reconstruction, volume)
+
+
+def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
+    """Return a reconstruction with the pictures of its quality page."""
+    return replace(one, views=render_views(volume, one.patient, one.frame, one.needle_axis.points))
 
 
 @one_thread
 def examine(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Examination:
-    """Return everything that the steps of a reconstruction find in a volume that was read."""
+    """Return everything that the steps of a reconstruction find in a volume that was read, without views."""
     steps = _Steps()
     if scan.mask is None:
         steps.take(lambda: require_hounsfield(volume, str(scan.volume)))
@@ -113,7 +119,7 @@ class _Steps:
 
 
 def _complete(found: Examination, volume: Volume, recipe: ReconstructionRecord) -> Reconstruction:
-    """Return the reconstruction that follows from what was found, with its views."""
+    """Return the reconstruction that follows from what was found."""
     axis, profile, selection, scan = found.needle_axis, found.profile, found.selection, found.scan
     assert axis is not None and profile is not None and selection is not None
     frame_of_reference = volume.frame_of_reference
@@ -121,8 +127,7 @@ def _complete(found: Examination, volume: Volume, recipe: ReconstructionRecord) 
         axis, found.markers, found.registration, profile, selection.warnings, frame_of_reference
     )
     one = derive_reconstruction(detections, scan, recipe, volume.grid)
-    views = render_views(volume, detections.patient, one.frame, axis.points)
     proposals = None
     if scan.propose_layers:
         proposals = propose_layers(volume, axis.points, float(arc_length(axis.points)[-1]) - one.depth)
-    return replace(one, views=views, warnings=(*volume.warnings, *one.warnings), proposals=proposals)
+    return replace(one, warnings=(*volume.warnings, *one.warnings), proposals=proposals)

@@ -11,13 +11,15 @@ import os
 import re
 import stat
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.files import sha256
+from needlefit.project.files import remove_folder, sha256
 from needlefit.project.input_files import read_bytes, read_json
 from needlefit.project.outputs import require_writable
+from needlefit.project.progress import Note
 from needlefit.project.unstamped import unstamped_files
 
 STAMP = "needlefit.json"
@@ -139,6 +141,21 @@ def require_own_checkpoint(folder: Path) -> None:
     """Raise ConfigError unless a checkpoint may be kept in `folder`; else as `require_replaceable`."""
     require_writable(folder)
     _require_own(folder.resolve(), "checkpoint")
+
+
+def remove_result(folder: Path, note: Note) -> None:
+    """Remove the result of an earlier run, if there is one; where it holds anything foreign it stays."""
+    if not folder.is_dir():
+        return
+    try:
+        faults = find_foreign(folder)
+    except ConfigError as error:
+        faults = [str(error)]
+    if faults:
+        note(f"{folder} of an earlier run is not removed: it holds {', '.join(faults[:MAX_LISTED_FILES])}")
+        return
+    with suppress(OSError):  # what stays has its stamp still: the next run removes it
+        remove_folder(folder, STAMPS)
 
 
 def not_replaced_error(folder: Path, faults: list[str]) -> ConfigError:

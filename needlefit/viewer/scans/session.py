@@ -9,8 +9,8 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.imaging.findings import list_entries, list_tubes
+from needlefit.geometry.curves import arc_length
+from needlefit.imaging.findings import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import Reconstruction
@@ -153,8 +153,7 @@ class ScanSession:
         if axis is None:
             return []
         entries = list_entries(axis, self.found.profile)
-        along = [one.at for one in entries]
-        places = interpolate_at_arc(axis.points, np.array(along)).reshape(-1, 3)
+        places = place_entries(axis.points, entries)
         return [
             {"depth": one.depth, "sd": one.sd, "change": one.change, "at": at.tolist()}
             for one, at in zip(entries, places, strict=True)

@@ -15,12 +15,7 @@ from needlefit.reporting.figures.style import draw
 from needlefit.reporting.labels import medium_name
 from needlefit.reporting.table_files import write_csv
 from needlefit.studies.kinds.reconstruction.quality import Fact, write_scan_page
-from needlefit.studies.kinds.reconstruction.refused_figures import (
-    find_entry_points,
-    is_marker,
-    paint_across,
-    paint_along,
-)
+from needlefit.studies.kinds.reconstruction.refused_figures import paint_across, paint_along
 
 REFUSED_COLUMNS = ("id", "scan", "note")
 CANDIDATE_COLUMNS = (
@@ -89,9 +84,9 @@ def _list_rows(id_: str, found: Findings) -> list[dict[str, object]]:
         note = f"{tube.length:.1f} mm long" + (", taken as the needle" if tube.chosen else "")
         for end in tube.ends:
             add("tube", n, end, width_mm=tube.width, note=note)
-    for n, (center, size) in enumerate(zip(found.balls, found.ball_diameters, strict=True), start=1):
-        add("ball", n, center, width_mm=size, note="marker" if is_marker(found, center) else "")
-    for n, (one, at) in enumerate(zip(found.entries, find_entry_points(found), strict=True), start=1):
+    for n, ball in enumerate(found.balls, start=1):
+        add("ball", n, ball.center, width_mm=ball.diameter, note="marker" if ball.marker else "")
+    for n, (one, at) in enumerate(zip(found.entries, found.entry_points, strict=True), start=1):
         note = "air before it" if one.change == "rise" else "another soft material before it"
         add("entry", n, at, depth_mm=one.depth, depth_sd_mm=one.sd, note=note)
     return rows
@@ -145,10 +140,10 @@ def list_finding_facts(found: Findings) -> list[list[Fact]]:
     ]
     balls = [
         (
-            f"ball {n}" + (" (marker)" if is_marker(found, center) else ""),
-            f"{size:.1f} mm; L, P, S {_format_place(center)}",
+            f"ball {n}" + (" (marker)" if ball.marker else ""),
+            f"{ball.diameter:.1f} mm; L, P, S {_format_place(ball.center)}",
         )
-        for n, (center, size) in enumerate(zip(found.balls, found.ball_diameters, strict=True), start=1)
+        for n, ball in enumerate(found.balls, start=1)
     ]
     entries = [
         (
@@ -160,7 +155,7 @@ def list_finding_facts(found: Findings) -> list[list[Fact]]:
     return [
         [("voxels", f"{size}, {spacing} mm")],
         tubes or [("tubes", "none")],
-        balls or [("balls", "none")],
+        balls or [("balls", "none found, or none needed")],
         entries or [("entry", "not looked for: no needle" if found.needle is None else "none")],
     ]
 

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from needlefit.arrays import Floats
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.curves import arc_length
 from needlefit.imaging.findings import Findings
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.reporting.figures.scan_views import ENTRY_COLOUR, MARKER_COLOUR, NEEDLE_COLOUR, TIP_COLOUR
@@ -20,19 +20,6 @@ _MAX_VIEW_MM = 92.0
 _AXES = "ijk"
 _VIEWS: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
 """To the right and upwards, axes of the voxels, in each projection: along k, along j, along i."""
-
-
-def is_marker(found: Findings, center: Floats) -> bool:
-    if found.markers is None or not len(found.markers):
-        return False
-    return bool(np.linalg.norm(found.markers - center, axis=1).min() < found.ball_diameters.max())
-
-
-def find_entry_points(found: Findings) -> Floats:
-    """Return the places of entry (n, 3), LPS, mm."""
-    if found.needle is None or not found.entries:
-        return np.empty((0, 3))
-    return interpolate_at_arc(found.needle, np.array([one.at for one in found.entries]))
 
 
 def paint_along(found: Findings | None) -> Figure:
@@ -73,15 +60,15 @@ def _paint_view(axes: Axes, found: Findings, view: int) -> None:
         ends = _to_voxel_mm(found.grid, tube.ends)[:, [right, up]]
         axes.plot(*ends.T, color=NEEDLE_COLOUR, lw=1.4 if tube.chosen else 0.7)
         axes.annotate(str(n), ends[0], color=NEEDLE_COLOUR, fontsize=7, fontweight="bold")
-    places = _to_voxel_mm(found.grid, found.balls)[:, [right, up]]
-    for n, (at, center) in enumerate(zip(places, found.balls, strict=True), start=1):
-        fill = MARKER_COLOUR if is_marker(found, center) else "none"
+    for n, ball in enumerate(found.balls, start=1):
+        at = tuple(_to_voxel_mm(found.grid, ball.center)[0, [right, up]].tolist())
+        fill = MARKER_COLOUR if ball.marker else "none"
         axes.plot(*at, "o", mec=MARKER_COLOUR, mfc=fill, ms=4, mew=0.9)
         axes.annotate(str(n), at, (3, 2), textcoords="offset points", color=MARKER_COLOUR, fontsize=7)
     if found.needle is not None:
         tip = _to_voxel_mm(found.grid, found.needle[-1:])[0, [right, up]]
         axes.plot(*tip, "o", color=TIP_COLOUR, ms=3, mew=0)
-    entries = _to_voxel_mm(found.grid, find_entry_points(found))[:, [right, up]]
+    entries = _to_voxel_mm(found.grid, found.entry_points)[:, [right, up]]
     for n, at in enumerate(entries, start=1):
         axes.plot(*at, "D", mec=ENTRY_COLOUR, mfc="none", ms=4, mew=0.9)
         axes.annotate(str(n), at, (3, -7), textcoords="offset points", color=ENTRY_COLOUR, fontsize=7)
