@@ -83,6 +83,9 @@ def test_a_plate_that_lies_on_the_tissue_is_a_doubt_unless_it_is_stated():
     choice = choose(FLUSH)
     assert_allclose(choice.chosen.at, -8.0, atol=0.1)
     assert len(choice.warnings) == 1
+    assert 1.0 < choice.chosen.sd < 2.0  # as bright as plastic; layers of gel are not
+    gel = choose(profile((-8.0, -1000.0, 60.0), (0.0, 60.0, 20.0)))
+    assert len(gel.warnings) == 1 and gel.chosen.sd < 0.1
     stated = choose(FLUSH, thickness=8.0)
     assert_allclose(stated.chosen.at, 0.0, atol=0.15)
     assert stated.warnings == ()

@@ -11,7 +11,7 @@ What contradicts the choice is a warning with all candidates, by the length that
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -29,6 +29,13 @@ MATCH_MM = 1.5
 
 MAX_GUIDE_MM = 40.0
 """Thicker guides are not looked for unless they are stated, mm."""
+
+PLASTIC_HU = 70.0
+"""A first material as bright as that, and brighter than what follows, may be the plastic of a guide, HU."""
+
+PLASTIC_DOUBT, MAX_DOUBT_MM = 0.4, 1.8
+"""Deviation of an entry that may lie behind such a guide, in parts of its thickness (a probability of 0.2),
+and the largest, mm: more would refuse the scan."""
 
 MAX_DEPTH_MISS_MM = 10.0
 """A stated inserted length that misses every candidate by more fits none, mm."""
@@ -127,8 +134,14 @@ def choose_entry(profile: IntensityProfile, tip: float, known: EntryKnowledge) -
         behind = _find_behind_guide(profile, candidates, guide, known.guide_distance)
         if behind is not None:
             return behind
-    warnings = [*_rise_warnings(profile, rises, guide), *_flush_warnings(rises[-1], candidates, known)]
-    return EntryChoice(rises[-1], candidates, tuple(warnings))
+    entry, face = rises[-1], _find_flush_guide(rises[-1], candidates, known)
+    warnings = [*_rise_warnings(profile, rises, guide)]
+    if face is not None:
+        warnings.append(_flush_warning(entry, face))
+        if _is_plastic(profile, entry.at, face.at):
+            doubt = min(PLASTIC_DOUBT * (face.at - entry.at), MAX_DOUBT_MM)
+            entry = replace(entry, sd=float(np.hypot(entry.sd, doubt)))
+    return EntryChoice(entry, candidates, tuple(warnings))
 
 
 def list_in_words(candidates: Sequence[EntryCandidate]) -> str:
@@ -217,22 +230,40 @@ def _rise_warnings(
     )
 
 
-def _flush_warnings(
+def _find_flush_guide(
     entry: EntryCandidate, candidates: Sequence[EntryCandidate], known: EntryKnowledge
-) -> Iterator[str]:
-    """Say that the first material may be a guide that lies on the tissue, where no stated layer ends it."""
+) -> EntryCandidate | None:
+    """Return where the first material ends, if it may be a guide that lies on the tissue.
+
+    Where a stated layer ends there, or it is too thick, it is none.
+    """
     behind = [
         one for one in candidates if one.change == "step" and one.run == entry.run and one.at > entry.at
     ]
-    if not behind or known.guide_thickness is not None:
-        return
+    if not behind or known.guide_thickness is not None or behind[0].at - entry.at > MAX_GUIDE_MM:
+        return None
     first = behind[0]
-    thickness = first.at - entry.at
-    if thickness > MAX_GUIDE_MM or (np.abs(known.explained - first.at) <= MATCH_MM + 3 * first.sd).any():
-        return
-    yield (
-        f"the first {thickness:.1f} mm behind the entry are another material than what follows, and no "
-        "stated layer ends there: if a guide lies on the tissue, the tissue begins "
-        f"{first.depth:.1f} mm before the tip, not {entry.depth:.1f}; state guide.thickness_mm (0: no guide) "
+    explained = (np.abs(known.explained - first.at) <= MATCH_MM + 3 * first.sd).any()
+    return None if explained else first
+
+
+def _is_plastic(profile: IntensityProfile, begin: float, end: float) -> bool:
+    """Whether the material between two places along the needle, mm, is bright, and brighter than the next."""
+    length = end - begin
+    inside, after = (
+        profile.around[(profile.s > low) & (profile.s < high)]
+        for low, high in ((begin + length / 4, end - length / 4), (end, end + length / 2))
+    )
+    if not np.isfinite(inside).any() or not np.isfinite(after).any():
+        return False
+    level = float(np.nanmedian(inside))
+    return level >= PLASTIC_HU and level > float(np.nanmedian(after))
+
+
+def _flush_warning(entry: EntryCandidate, face: EntryCandidate) -> str:
+    return (
+        f"the first {face.at - entry.at:.1f} mm behind the entry are another material than what follows, "
+        "and no stated layer ends there: if a guide lies on the tissue, the tissue begins "
+        f"{face.depth:.1f} mm before the tip, not {entry.depth:.1f}; state guide.thickness_mm (0: no guide) "
         "or the layers"
     )

@@ -29,6 +29,10 @@ MAX_PLANE_SD_DEG = 20.0
 MAX_TIP_SD_MM = 0.5
 """Deviation of the tip along the needle, mm, that is spoken of."""
 
+MAX_HIDDEN_LENGTH_MM = 12.0
+"""Length of the needle along which rays run that hide its end, mm, that is spoken of: with less no tip is off
+by more than 0.4 mm on the part `tuning` of `benchmarks/real_scanners.py`."""
+
 MAX_DEPTH_SD_MM = 2.0
 """Deviation of the inserted length, mm, beyond which a scan is refused."""
 
@@ -78,6 +82,12 @@ def _tip_warnings(one: Reconstruction) -> list[str]:
         notes.append(
             "the model of the needle's end does not explain the scan: the tip is taken where a threshold "
             f"sees it, {needle.tip_disagreement:+.2f} mm from there, +- {sd:.2f} mm along the needle"
+        )
+    elif needle.hidden_length > MAX_HIDDEN_LENGTH_MM:
+        notes.append(
+            f"rays run along {needle.hidden_length:.0f} mm of the needle, which lies in the slices, and hide "
+            f"its end: +- {sd:.2f} mm along the needle, and it may be 2 mm off; look at it, or scan the "
+            "needle across the slices"
         )
     elif sd > MAX_TIP_SD_MM:
         notes.append(f"the tip is known to +- {sd:.2f} mm only along the needle")

@@ -89,6 +89,8 @@ class Centerline:
         By how much a threshold sees the needle end later than the fitted model ends, mm.
     tip_source : str
         "model", or "threshold" where the model's tip was not to be trusted.
+    hidden_length : float
+        Length of the needle along which rays run that hide its end, mm.
     sections_s : (S,) array
         Where along the needle cross-sections were taken, mm from its first point.
     residuals : (S, 3) array
@@ -108,6 +110,7 @@ class Centerline:
     bevel_probability: float = np.nan
     tip_disagreement: float = 0.0
     tip_source: TipSource = "model"
+    hidden_length: float = 0.0
 
 
 def trace_needle(
@@ -313,6 +316,7 @@ def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionReco
         end.bevel_probability,
         end.disagreement,
         end.source,
+        end.hidden_length,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd
-from needlefit.imaging.needle.tip_problem import EDGE_SD_MM, ROLL, TIP, TipProblem, U, V
+from needlefit.imaging.needle.tip_problem import EDGE_SD_MM, ROLL, STREAK, TIP, TipProblem, U, V
 from needlefit.imaging.sphere_profile import PointSpread
 from needlefit.imaging.volume import Volume
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
@@ -40,6 +40,8 @@ class TipFit:
         By how much a threshold sees the needle end later than it sees the fitted model end, mm.
     source : str
         What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
+    hidden_length : float
+        Length of the needle along which rays run that hide its end, mm; 0 where they leave no streak.
     """
 
     at: float
@@ -49,6 +51,7 @@ class TipFit:
     bevel_probability: float
     disagreement: float
     source: TipSource
+    hidden_length: float = 0.0
 
 
 def fit_tip(
@@ -74,8 +77,9 @@ def fit_tip(
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
-    hidden = HIDDEN_END_SD_MM * _part_in_slices(volume, axis)
-    along = float(np.linalg.norm([np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, hidden]))
+    hidden = problem.ray * min(1.0, abs(float(best.x[STREAK])) / FULL_STREAK_HU)
+    parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, HIDDEN_END_SD_PER_MM * hidden]
+    along = float(np.linalg.norm(parts))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
     across = float(np.hypot(np.sqrt(variance[[U, V]].mean()), heel))
     at = float(best.x[TIP])
@@ -88,13 +92,7 @@ def fit_tip(
     sided = probability >= MIN_BEVEL_PROBABILITY and source == "model"
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
-    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source)
-
-
-def _part_in_slices(volume: Volume, axis: AxisSpline) -> float:
-    """Return the length of the part within the slices of the needle's unit vector at its end."""
-    tangent = axis_frames(axis, np.array([axis.length])).tangents[0]
-    return float(np.sqrt(max(0.0, 1.0 - float(tangent @ volume.direction[:, 2]) ** 2)))
+    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source, hidden)
 
 
 def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, float, TipSource]:
@@ -116,9 +114,12 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
     return at + away, float(sd), "threshold"
 
 
-HIDDEN_END_SD_MM = 0.15
-"""Deviation of the place along of a needle that lies in the slices, mm: rays along it harden most, and darken
-its end. Set on the part `tuning` of `benchmarks/real_scanners.py`."""
+HIDDEN_END_SD_PER_MM = 0.02
+"""Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and
+hide its end. Set as `BEVEL_RAY_MM`."""
+
+FULL_STREAK_HU = 300.0
+"""Where the streak beyond the tip is weaker, rays along the needle hide less of it, HU. Set likewise."""
 
 DISAGREEMENT_SD = 0.5
 """Deviation of the place along, in parts of the disagreement with a threshold."""

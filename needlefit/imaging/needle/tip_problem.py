@@ -84,10 +84,10 @@ the part `tuning` of `benchmarks/real_scanners.py`: with it none of the sides st
 ROLL_STEPS = 24
 """Angles of the bevel, all round, at which its likelihood is evaluated."""
 
-MEAN_HEIGHT_HU, HEIGHT_SD = 20_000.0, 0.4
+MEAN_HEIGHT_HU, HEIGHT_SD = 20_000.0, 0.7
 """Metal, HU, and the deviation of its logarithm: titanium has 8 000, steel 30 000, hardened 15 000."""
 
-MEAN_BLUR_MM, BLUR_SD, MEAN_BOOST, BOOST_SD, SLICE_BLUR_SD = 0.45, 0.3, 0.5, 1.0, 0.3
+MEAN_BLUR_MM, BLUR_SD, MEAN_BOOST, BOOST_SD, SLICE_BLUR_SD = 0.45, 0.3, 0.5, 1.0, 0.5
 """Scanners' blur and boost and their deviations (of logarithms for blurs)."""
 
 BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD = 0.04, 0.15, 0.08
@@ -96,8 +96,16 @@ BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD = 0.04, 0.15, 0.08
 SWING_SD_MM = 0.1
 """Deviation by which a needle leaves, within the length of its bevel, the course of its shaft, mm."""
 
-DARK_SD, STREAK_SD_HU = 0.5, 1000.0
-"""Deviations of the darkening, and of the streak."""
+STREAK_SD_HU, DARK_SD_PER_MM, MIN_DARK_SD, MAX_DARK_SD = 2000.0, 0.02, 0.05, 0.5
+"""Deviations of the streak, and of the darkening: by the length of the needle that rays pass."""
+
+BEVEL_RAY_MM = 6.0
+"""From so much of the needle on that rays pass, its image shows them rather than the bevel's angle, mm.
+Set, as those of the darkening, on the part `tuning` of `benchmarks/real_scanners.py`, on further volumes of
+its renderer with needles in the slices, and on clean scans of `benchmarks/reconstruction.py --seed 5001`."""
+
+MAX_RAY_MM = 30.0
+"""Rays pass more of a needle in the slices than counts: it is bent, mm."""
 
 FLOOR_HU = -1024.0
 """Where scanners' numbers begin, HU."""
@@ -127,6 +135,14 @@ class AxisVoxels:
     values: Floats
 
 
+def measure_ray(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord) -> float:
+    """Return the length of the needle that rays within one slice pass along its end, mm."""
+    tangent = axis_frames(axis, np.array([axis.length])).tangents[0]
+    steep = abs(float(tangent @ volume.direction[:, 2]))
+    thick = needle.diameter_mm + float(volume.spacing[2])
+    return min(MAX_RAY_MM, thick / max(steep, 1e-6))
+
+
 def bevel_length(needle: ScannedNeedleRecord) -> float:
     """Return the length of the bevel: how far behind the point the tip is cut, mm."""
     return needle.diameter_mm / float(np.tan(np.deg2rad(needle.bevel_deg)))
@@ -154,7 +170,8 @@ class TipProblem:
         self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * RADIAL_REACH_MM]))
         self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(SWING_SD_MM, axis_sd(axis, np.array([axis.length]))[0]))
-        self.means, self.sds = _prior(volume, needle, spread, swing_sd)
+        self.ray = measure_ray(volume, axis, needle)
+        self.means, self.sds = _prior(volume, needle, spread, (swing_sd, self.ray))
         low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
         low[HELD] = np.maximum(low[HELD], self.means - MAX_PRIOR_SD * self.sds)
         high[HELD] = np.minimum(high[HELD], self.means + MAX_PRIOR_SD * self.sds)
@@ -304,12 +321,18 @@ END_STEP_MM = 0.05
 
 
 def _prior(
-    volume: Volume, needle: ScannedNeedleRecord, spread: PointSpread | None, swing_sd: float
+    volume: Volume, needle: ScannedNeedleRecord, spread: PointSpread | None, course: tuple[float, float]
 ) -> tuple[Floats, Floats]:
-    """Return means and deviations of the parameters `HELD`."""
+    """Return means and deviations of the parameters `HELD`.
+
+    `course`: deviation of the swing, and the length of the needle that rays pass, mm.
+    """
+    swing_sd, ray = course
     cot = bevel_length(needle) / needle.diameter_mm
     rolled = needle.bevel_deg < MAX_BEVEL_DEG
     cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) if rolled else BLUNT_COTANGENT_SD
+    cot_sd /= np.hypot(1.0, ray / BEVEL_RAY_MM)
+    dark_sd = np.clip(DARK_SD_PER_MM * ray, MIN_DARK_SD, MAX_DARK_SD)
     if spread is None:
         slice_blur = np.log(expected_slice_blur(float(volume.spacing[2])))
         seen = [np.log(MEAN_BLUR_MM), MEAN_BOOST, slice_blur]
@@ -318,7 +341,7 @@ def _prior(
         seen = [np.log(spread.blur), spread.boost, np.log(spread.slice_blur)]
         seen_sd = [BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD]
     means = np.array([0.0, 0.0, np.log(MEAN_HEIGHT_HU), cot, *seen, 0.0, 0.0])
-    return means, np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *seen_sd, DARK_SD, STREAK_SD_HU])
+    return means, np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *seen_sd, dark_sd, STREAK_SD_HU])
 
 
 def _assign_blocks(near: AxisVoxels) -> NDArray[np.int64]:

@@ -46,6 +46,10 @@ _COLUMNS = (
     *("expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths", "remark_count"),
 )
 
+POOR_DEPTH_SD_MM = 0.5
+"""Deviation of the inserted length, mm, that the first line names."""
+
+MAX_NAMED_SCANS = 5
 
 _SCREEN_COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
@@ -85,7 +89,17 @@ def summarize(found: Run) -> list[str]:
     remarked = len({row["id"] for row in remarks})
     outcome = f"{remarked} with remarks" if remarked else "no remarks"
     listed = [f"{row['id']}: {row['note']}." for row in remarks]
-    return [f"Reconstructed {count} scan{'' if count == 1 else 's'}, {outcome}.", *listed]
+    first = f"Reconstructed {count} scan{'' if count == 1 else 's'}, {outcome}{_name_poor_lengths(found)}."
+    return [first, *listed]
+
+
+def _name_poor_lengths(found: Run) -> str:
+    """Return the scans whose inserted length is poorly known, in words; empty if there is none."""
+    rows = to_records(found.frames["reconstruction"])
+    poor = [row for row in rows if row["depth_sd_mm"] > POOR_DEPTH_SD_MM]
+    words = [f"{row['id']} ± {row['depth_sd_mm']:.1f} mm" for row in poor[:MAX_NAMED_SCANS]]
+    more = f" and {len(poor) - MAX_NAMED_SCANS} more" if len(poor) > MAX_NAMED_SCANS else ""
+    return f"; inserted length poorly known: {', '.join(words)}{more}" if poor else ""
 
 
 def rate(found: Run) -> Status:

@@ -5,6 +5,7 @@ import { ask } from "./server.js";
 import { Views } from "./views.js";
 
 const NOTHING = { needle: null, balls: null, contact: null, tip: null };
+const SAME_BALL_MM = 2;
 const KEYS = { l: "look", n: "needle", e: "contact", t: "tip", b: "ball" };
 
 const byId = (name) => document.getElementById(name);
@@ -19,9 +20,14 @@ const state = {
   busy: true,
   window: () => state.found.windows[state.shade],
   place: (kind) => state.corrections[kind] ?? state.found[kind]?.at ?? null,
-  balls: () => state.corrections.balls?.map((at) => ({ at, residual: null })) ?? state.found.balls,
+  balls: () => state.corrections.balls?.map((at) => ({ ...nearBall(at), at })) ?? state.found.balls,
 };
 const views = new Views(byId("views"), state, use);
+
+/** What was found of a ball that was placed at `at`: the program moves it to the ball that it sees there. */
+function nearBall(at) {
+  return state.found.balls.find((one) => Math.hypot(...one.at.map((x, n) => x - at[n])) < SAME_BALL_MM) ?? {};
+}
 
 function use(place) {
   if (state.busy) return;
