@@ -189,7 +189,7 @@ def derive_reconstruction(
         views=(),
         warnings=(),
     )
-    return replace(found, warnings=(*doubts, *detections.warnings, *collect_warnings(found), *notes))
+    return replace(found, warnings=(*collect_warnings(found, (*doubts, *detections.warnings)), *notes))
 
 
 def _sample_inserted(detections: Detections, begin: float, station: float) -> tuple[Floats, Floats]:

@@ -40,8 +40,8 @@ MAX_LAYER_SD_MM = 0.5
 """Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply."""
 
 
-def collect_warnings(one: Reconstruction) -> tuple[str, ...]:
-    """Return the warnings about a reconstruction, the most important first.
+def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the warnings about a reconstruction, the most important first: its tip, then `earlier` ones.
 
     Raises
     ------
@@ -52,6 +52,7 @@ def collect_warnings(one: Reconstruction) -> tuple[str, ...]:
     found = () if one.registration is None else one.registration.warnings
     return (
         *_tip_warnings(one),
+        *earlier,
         *found,
         *_registration_warnings(one),
         *_placed_warnings(one),

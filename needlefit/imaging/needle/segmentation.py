@@ -15,6 +15,9 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 THRESHOLD_FRACTIONS = (0.4, 0.25, 0.15)
 """Low thresholds to try, as parts of the way from tissue to metal; the high one lies a quarter higher."""
 
+CLIPPED_HU = 3071.0
+"""Largest number of 12 bits, HU: on such a scale metal stands out by about this."""
+
 MIN_METAL_CONTRAST_HU = 500.0
 """What must stand out from tissue by less than this (HU) is no metal."""
 
@@ -175,8 +178,11 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     tissue = median_tissue_hu(volume)
     metal = _metal_hu(volume, tissue, recipe)
     pairs = []
-    for level in THRESHOLD_FRACTIONS:
-        low, high = (tissue + part * (metal - tissue) for part in (level, 1.25 * level))
+    heights = [part * (metal - tissue) for part in THRESHOLD_FRACTIONS]
+    # beside large balls on an extended scale a starved shaft is darker than these
+    heights += [part * CLIPPED_HU for part in THRESHOLD_FRACTIONS if part * CLIPPED_HU < heights[-1]]
+    for height in heights:
+        low, high = tissue + height, tissue + 1.25 * height
         low = low if given.threshold_low_hu is None else given.threshold_low_hu
         high = high if given.threshold_high_hu is None else given.threshold_high_hu
         pairs.append((min(low, high), high))
