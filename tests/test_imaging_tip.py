@@ -10,7 +10,7 @@ from reconstruction_cases import small
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
-from needlefit.imaging.needle import tip
+from needlefit.imaging.needle import tip, tip_problem
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.selection import segment_needle
 from needlefit.imaging.needle.tip_model import RodModel
@@ -98,3 +98,19 @@ def test_an_unknown_length_is_refused_and_an_unsure_tip_is_a_warning():
     assert "0.80 mm" in collect_warnings(unsure)[0]
     fallen = replace(one, needle_axis=replace(one.needle_axis, tip_source="threshold"))
     assert "threshold" in collect_warnings(fallen)[0]
+
+
+def test_what_rays_hide_grows_with_the_needle_that_they_pass_and_shows_in_the_streak(monkeypatch):
+    volume = cases.scan(TRUTH)
+    seen = trace(volume)  # along the slices' normal: rays pass no more than its width and a slice
+    assert 0 <= seen.hidden_length < 2.5
+    monkeypatch.setattr(tip_problem, "measure_ray", lambda *known: 30.0)
+    monkeypatch.setattr(tip, "FULL_STREAK_HU", 1e-3)
+    hidden = trace(volume)
+    assert hidden.hidden_length == 30.0
+    assert hidden.tip_sd[0] >= 30.0 * tip.HIDDEN_END_SD_PER_MM > seen.tip_sd[0]
+    one = small()
+    notes = collect_warnings(
+        replace(one, needle_axis=replace(one.needle_axis, hidden_length=30.0)), ("other",)
+    )
+    assert notes.index("other") == 1 and "30 mm" in notes[0]

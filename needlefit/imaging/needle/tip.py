@@ -118,8 +118,9 @@ HIDDEN_END_SD_PER_MM = 0.02
 """Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and
 hide its end. Set as `BEVEL_RAY_MM`."""
 
-FULL_STREAK_HU = 300.0
-"""Where the streak beyond the tip is weaker, rays along the needle hide less of it, HU. Set likewise."""
+FULL_STREAK_HU = 100.0
+"""Where the streak beyond the tip is weaker, rays along the needle hide less of it, HU. Noise alone leaves
+about half of that."""
 
 DISAGREEMENT_SD = 0.5
 """Deviation of the place along, in parts of the disagreement with a threshold."""
