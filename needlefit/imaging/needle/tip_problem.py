@@ -104,6 +104,9 @@ BEVEL_RAY_MM = 6.0
 Set, as those of the darkening, on the part `tuning` of `benchmarks/real_scanners.py`, on further volumes of
 its renderer with needles in the slices, and on clean scans of `benchmarks/reconstruction.py --seed 5001`."""
 
+END_LENGTH_MM = 15.0
+"""Length of a needle's end, mm, along which rays hide its tip."""
+
 MAX_RAY_MM = 30.0
 """Rays pass more of a needle in the slices than counts: it is bent, mm."""
 
@@ -136,9 +139,12 @@ class AxisVoxels:
 
 
 def measure_ray(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord) -> float:
-    """Return the length of the needle that rays within one slice pass along its end, mm."""
-    tangent = axis_frames(axis, np.array([axis.length])).tangents[0]
-    steep = abs(float(tangent @ volume.direction[:, 2]))
+    """Return the length of the needle that rays within one slice pass along its end, mm.
+
+    Where the needle lies flattest: its direction right at a hidden end is what is least known.
+    """
+    s = np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16)
+    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.direction[:, 2]).min())
     thick = needle.diameter_mm + float(volume.spacing[2])
     return min(MAX_RAY_MM, thick / max(steep, 1e-6))
 
