@@ -107,9 +107,14 @@ def _registration_warnings(one: Reconstruction) -> list[str]:
 
 def _placed_warnings(one: Reconstruction) -> list[str]:
     scan = one.scan
-    placed = {"the tip": scan.tip is not None, "the first contact": scan.contact is not None}
-    by_hand = [name for name, given in placed.items() if given]
-    return [f"placed by hand in the scan: {' and '.join(by_hand)}"] if by_hand else []
+    placed = {
+        "the needle": scan.needle_at,
+        "the markers": scan.fiducials,
+        "the first contact": scan.contact,
+        "the tip": scan.tip,
+    }
+    by_hand = [name for name, given in placed.items() if given is not None]
+    return [f"placed by hand in the scan: {', '.join(by_hand)}"] if by_hand else []
 
 
 def _entry_warnings(one: Reconstruction) -> list[str]:
