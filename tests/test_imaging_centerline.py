@@ -11,8 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.needle.axis_spline import SHIFT_PER_TILT_MM, CrossSections, estimate_shared_sd
-from needlefit.imaging.needle.centerline import trace_needle
+from needlefit.geometry.smoothing_spline import find_empty_pieces
+from needlefit.imaging.needle.axis_spline import (
+    SHIFT_PER_TILT_MM,
+    CrossSections,
+    estimate_shared_sd,
+    fit_axis,
+)
+from needlefit.imaging.needle.centerline import slice_sd, trace_needle
 from needlefit.imaging.needle.segmentation import find_components, list_thresholds
 from needlefit.imaging.needle.selection import segment_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -254,3 +260,23 @@ def test_metal_below_and_above_the_ceiling(hu):
     line = found(cases.scan(truth, hu=hu))
     assert cases.off(line.points, truth).mean() < 0.03
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+
+
+def test_a_gap_without_sections_ends_no_piece_of_the_spline():
+    s = np.concatenate([np.arange(0.0, 20.0, 0.5), np.arange(40.0, 60.1, 0.5)])
+    points = np.column_stack([s, 0.001 * s**2, 0 * s])
+    axis = fit_axis(s, points, np.ones(len(s)), 7.0)
+    assert not len(find_empty_pieces(s, axis.final_weights, axis.spline.t))
+    assert np.abs(axis.spline(30.0) - [30.0, 0.9, 0.0]).max() < 0.01
+
+
+def test_a_needle_within_thick_slices_lies_anywhere_in_them():
+    def deviation(thick, way):
+        s = np.arange(0.0, 60.0, 0.5)
+        axis = fit_axis(s, np.outer(s, np.array(way) / np.linalg.norm(way)), np.ones(len(s)), 7.0)
+        grid = np.zeros((4, 4, 4), np.float32)
+        return slice_sd(Volume(grid, np.zeros(3), np.array([0.5, 0.5, thick]), np.eye(3)), axis, cases.RECIPE)
+
+    assert 0.2 < deviation(2.0, [1, 0, 0]) < 2 / np.sqrt(12)
+    assert deviation(0.4, [1, 0, 0]) < 0.03
+    assert deviation(2.0, [0, 0, 1]) < 0.03

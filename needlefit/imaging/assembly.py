@@ -218,7 +218,9 @@ def _same_surfaces(one: Sequence[Surface], other: Sequence[Surface]) -> bool:
     )
 
 
-_FAULT_LOCATION = re.compile(r"centerlines/(?P<curve>[^/]+)\.csv|insertions\.csv:(?P<line>\d+)")
+_FAULT_LOCATION = re.compile(
+    r"(centerlines|sections)/(?P<curve>[^/]+)\.(csv|toml)|insertions\.csv:(?P<line>\d+)"
+)
 
 
 def assemble_checked(

@@ -138,12 +138,12 @@ def trace_needle(
     if tip is not None:
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip, recipe))
         end = _place_tip(axis, tip, recipe)
-        return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
+        return _sample_centerline(volume, add_tip(axis, end, recipe), end, recipe)
     axis = refine_axis(volume, axis, recipe, heel)
     end = fit_tip(volume, axis, recipe.needle, axis.length + heel, spread, rough=True)
     axis = refine_axis(volume, axis, recipe, heel, end.at)
     end = fit_tip(volume, axis, recipe.needle, end.at, spread)
-    return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
+    return _sample_centerline(volume, add_tip(axis, end, recipe), end, recipe)
 
 
 def _orient_to(axis: AxisSpline, tip: Floats) -> AxisSpline:
@@ -283,13 +283,29 @@ def _find_usable_sections(found: CrossSections, recipe: ReconstructionRecord) ->
     return shown
 
 
-def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord) -> Centerline:
+def slice_sd(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> float:
+    """Return the deviation across of a needle that stays within a slice, in any one direction, mm.
+
+    The thicker the slice, the less shows where in it the needle lies; one that leaves it between two knots
+    shows that.
+    """
+    thick, wide = float(volume.spacing[2]), recipe.needle.diameter_mm
+    ends = axis.spline(np.array([0.0, axis.length]))
+    steep = float((ends[1] - ends[0]) @ volume.direction[:, 2]) / float(np.linalg.norm(ends[1] - ends[0]))
+    left = recipe.centerline.knot_spacing_mm * steep / thick
+    return float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2))
+
+
+def _sample_centerline(
+    volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord
+) -> Centerline:
     """Return the points every station from the first cross-section to the tip."""
     count = int(np.ceil(end.at / recipe.centerline.station_spacing_mm)) + 1
     s = np.linspace(0.0, end.at, count)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
-    sd = np.maximum(np.hypot(axis_sd(axis, s), SYSTEMATIC_SD_MM), swung)
+    shared = float(np.hypot(SYSTEMATIC_SD_MM, slice_sd(volume, axis, recipe)))
+    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), shared)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
     sections = axis.s[:-1]  # the last is the tip
     beside = axis.points[:-1] - axis.spline(sections)
@@ -302,7 +318,7 @@ def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionReco
         weights=axis.final_weights,
         knots=axis.spline.t,
         sigma=float(np.sqrt(axis.variance)),
-        shared_sd=float(np.hypot(axis.shared_sd, SYSTEMATIC_SD_MM)),
+        shared_sd=float(np.hypot(axis.shared_sd, shared)),
     )
     return Centerline(
         points,
