@@ -86,9 +86,9 @@ def _tip_warnings(one: Reconstruction) -> list[str]:
         )
     elif needle.hidden_length > MAX_HIDDEN_LENGTH_MM:
         notes.append(
-            f"rays run along {needle.hidden_length:.0f} mm of the needle, which lies in the slices, and hide "
-            f"its end: +- {sd:.2f} mm along the needle, and it may be 2 mm off; look at it, or scan the "
-            "needle across the slices"
+            f"rays run along {needle.hidden_length:.0f} mm of the needle, which lies in the slices, and may "
+            f"hide its end: +- {sd:.2f} mm along the needle, and some are 2 mm off and more; look at it, or "
+            "scan the needle across the slices"
         )
     elif sd > MAX_TIP_SD_MM:
         notes.append(f"the tip is known to +- {sd:.2f} mm only along the needle")

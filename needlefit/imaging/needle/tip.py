@@ -8,7 +8,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd
-from needlefit.imaging.needle.tip_problem import EDGE_SD_MM, ROLL, STREAK, TIP, TipProblem, U, V
+from needlefit.imaging.needle.tip_problem import EDGE_SD_MM, ROLL, TIP, TipProblem, U, V
 from needlefit.imaging.sphere_profile import PointSpread
 from needlefit.imaging.volume import Volume
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
@@ -41,7 +41,7 @@ class TipFit:
     source : str
         What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
     hidden_length : float
-        Length of the needle along which rays run that hide its end, mm; 0 where they leave no streak.
+        Length of the needle along which rays run that may hide its end, mm.
     """
 
     at: float
@@ -77,8 +77,7 @@ def fit_tip(
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
-    hidden = problem.ray * min(1.0, abs(float(best.x[STREAK])) / FULL_STREAK_HU)
-    parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, HIDDEN_END_SD_PER_MM * hidden]
+    parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, HIDDEN_END_SD_PER_MM * problem.ray]
     along = float(np.linalg.norm(parts))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
     across = float(np.hypot(np.sqrt(variance[[U, V]].mean()), heel))
@@ -92,7 +91,7 @@ def fit_tip(
     sided = probability >= MIN_BEVEL_PROBABILITY and source == "model"
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
-    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source, hidden)
+    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source, problem.ray)
 
 
 def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, float, TipSource]:
@@ -117,10 +116,6 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
 HIDDEN_END_SD_PER_MM = 0.02
 """Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and
 hide its end. Set as `BEVEL_RAY_MM`."""
-
-FULL_STREAK_HU = 100.0
-"""Where the streak beyond the tip is weaker, rays along the needle hide less of it, HU. Noise alone leaves
-about half of that."""
 
 DISAGREEMENT_SD = 0.5
 """Deviation of the place along, in parts of the disagreement with a threshold."""
