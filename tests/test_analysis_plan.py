@@ -99,7 +99,7 @@ def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
     theta = job().parameters.theta({**SOFT, "bevel_spread": 0.1})
     fit = Fit(tuple(theta), {}, 0.0, (), 1, 0, interrupted=False)
     learned = PosteriorFit(fit, Draws(theta[None], "importance"), 0.0)
-    known = WeightedPosterior(job().problem(fold), learned, theta[None], np.ones(1))
+    known = WeightedPosterior(job().problem(fold), learned, theta[None], np.ones(1), 0.1)
     unknown = {one.specimen: None for one in job().dataset.insertions}  # the stated spread alone is left
     # so small that no draw meets a bound
     stated = job().recipe.specimens.model_copy(update={"modulus_factor": 2.0, "bevel_factor": 1.2})
@@ -121,7 +121,7 @@ def test_the_template_s_specimen_decides_unless_the_study_does():
     fit = Fit((), {}, 0.0, (), 1, 0, interrupted=False)
     draws = Draws(np.empty((1, 0)), "importance")
     problem, learned = job().problem(job().folds[0]), PosteriorFit(fit, draws, 0.0)
-    known = WeightedPosterior(problem, learned, draws.thetas, np.ones(1))
+    known = WeightedPosterior(problem, learned, draws.thetas, np.ones(1), 0.1)
     tuned = {one.specimen for one in job().folds[0].tune}
     other = next(one.id for one in job().dataset.insertions if one.specimen not in tuned)
     for template, stated, differs in (

@@ -91,7 +91,7 @@ def test_they_are_printed_typeset_and_drawn(report: Path) -> None:
     assert "End error" in (report / "validation.tex").read_text(encoding="utf-8")
     page = (report / "report.html").read_text(encoding="utf-8")
     assert page.count("End error") >= 4 and "plain parabola" in page
-    assert "parabola" in set(pd.read_csv(report / "baselines.csv")["method"])
+    assert "parabola" in set(pd.read_csv(report / "errors.csv")["method"])
     assert json.loads((report / "run.json").read_text())["versions"][EXAMPLE] == VERSION
 
 

@@ -15,6 +15,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.inference.forward_model import make_batch, predict
 from needlefit.inference.importance.fit_posterior import sample_about_fit
+from needlefit.inference.importance.pareto import MAX_PARETO_K
 from needlefit.inference.importance.sampler import Effort
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions
@@ -165,12 +166,15 @@ class WeightedPosterior:
     thetas : (B, P) array
     weights : (B,) array
         They sum to 1.
+    k : float
+        Pareto's k of the weights.
     """
 
     problem: Problem
     learned: PosteriorFit
     thetas: Floats
     weights: Floats
+    k: float
 
     @property
     def sets(self) -> list[dict[str, float]]:
@@ -205,15 +209,18 @@ def weigh_posterior(job: Job, settings: Settings) -> WeightedPosterior | None:
     learned = fit_posterior(job, problem, ("now",), settings)
     if settings.stop():
         return None
-    if learned.sampled or not problem.names:
-        thetas = learned.draws.thetas
-        return WeightedPosterior(problem, learned, thetas, np.full(len(thetas), 1 / len(thetas)))
     rng = random_stream(job.recipe.seed, job.name, "now", "more")
-    found = sample_about_fit(problem, learned.fit, rng, settings.jobs, PLANNING_EFFORT)
+    found = None
+    if problem.names and not learned.sampled:
+        found = sample_about_fit(problem, learned.fit, rng, settings.jobs, PLANNING_EFFORT)
+    if found is None or found.k > MAX_PARETO_K:  # the fewer draws of the fit are certified, or marked
+        thetas = learned.draws.thetas
+        return WeightedPosterior(problem, learned, thetas, np.full(len(thetas), 1 / len(thetas)), learned.k)
     weights = np.exp(found.log_weights)
     order = np.argsort(weights, kind="stable")
     heavy = np.sort(order[np.cumsum(weights[order]) > DROPPED_WEIGHT])
-    return WeightedPosterior(problem, learned, found.thetas[heavy], weights[heavy] / weights[heavy].sum())
+    kept = weights[heavy] / weights[heavy].sum()
+    return WeightedPosterior(problem, learned, found.thetas[heavy], kept, found.k)
 
 
 def predict_tips(known: WeightedPosterior, insertion: Insertion) -> Floats:
@@ -229,7 +236,7 @@ def describe_posterior(known: WeightedPosterior) -> Row:
     learned = known.learned
     return {
         "insertions": len(known.problem.insertions),
-        "pareto_k": learned.k,
+        "pareto_k": known.k,
         "sampled": learned.sampled,
         "draws": len(known.thetas),
         "ess": 1 / float(np.sum(known.weights**2)),

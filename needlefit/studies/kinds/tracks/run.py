@@ -181,7 +181,8 @@ def summarize_parameters(fit: str, problem: Problem, draws: Draws) -> Iterator[R
             "parameter": name,
             **dict(zip(heads, np.percentile(values, PERCENTILES).tolist(), strict=True)),
         }
-        yield row | {"sd_ratio": sd / before, "determined": is_determined_by_data(name, sd, before)}
+        determined = not draws.faults and is_determined_by_data(name, sd, before)
+        yield row | {"sd_ratio": sd / before, "determined": determined}
 
 
 @dataclass
