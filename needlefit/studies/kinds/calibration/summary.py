@@ -65,6 +65,7 @@ def name_quantity(name: str) -> str:
 def lay_out_calibration(found: Run) -> TableLayout:
     """Return a row per quantity: true values covered by each central interval, and the range by chance."""
     outside = found.frames["ranks"].query("not passes").groupby("quantity").size()
+    calibrated = "yes" if found.run["conclusive"] else "undecided"
     rows = [
         {
             **row,
@@ -72,7 +73,7 @@ def lay_out_calibration(found: Run) -> TableLayout:
             "ranks": f"{out} of {RANK_DRAWS} outside"
             if (out := outside.get(row["quantity"], 0))
             else "inside",
-            "calibrated": "NO" if row["quantity"] in found.run["not_calibrated"] else "yes",
+            "calibrated": "NO" if row["quantity"] in found.run["not_calibrated"] else calibrated,
             "quantity": name_quantity(row["quantity"]),
         }
         for row in to_records(found.frames["coverage"])

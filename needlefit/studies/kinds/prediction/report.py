@@ -130,9 +130,18 @@ def summarize(found: Run) -> list[str]:
     sure = "no interval: its draws are not certified" if found.faults else f"95 % {low} to {high} mm"
     return [
         f"The tip is predicted at y = {format_mm(row['needle_median_mm'])} mm ({sure}), "
-        f"{row['s_mm']:g} mm deep.",
+        f"{row['s_mm']:g} mm deep{_name_specimen(found)}.",
         *describe_specimen(found),
     ]
+
+
+def _name_specimen(found: Run) -> str:
+    """Return the specimen that a prediction is for; earlier results do not have it."""
+    rows = found.frames.get("specimens", pd.DataFrame(columns=["specimen_treatment"]))
+    known = set(rows["specimen_treatment"])
+    if not known:
+        return ""
+    return ", in a new specimen" if "others" in known else ", in a specimen that was fitted"
 
 
 def judge(found: Run) -> list[Verdict]:
