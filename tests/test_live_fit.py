@@ -42,6 +42,7 @@ def test_the_mode_is_a_maximum_of_the_posterior() -> None:
     )  # the synthetic needle's own is about that
 
 
+@pytest.mark.slow
 def test_draws_lie_about_the_mode() -> None:
     found = draw_about(mode(), shown().insertion, 1)
     assert len(found.spread) == SHOWN_DRAWS and found.certified and found.ess >= 100
@@ -51,6 +52,7 @@ def test_draws_lie_about_the_mode() -> None:
     assert np.array_equal(again.mu, found.mu)
 
 
+@pytest.mark.slow
 def test_points_that_are_moved_move_the_fit() -> None:
     original = shown().insertion.planar
     ramp = np.linspace(0, 0.3, KNOTS)

@@ -64,12 +64,14 @@ def test_a_stop_drops_what_runs(address):
     assert time.monotonic() - begin < 2
 
 
+@pytest.mark.slow
 def test_a_worker_of_other_versions_is_refused(address, monkeypatch):
     monkeypatch.setattr(cluster, "describe_code", lambda: {"numpy": "0.1"})
     with connect(address) as pool, pytest.raises(ConfigError, match=r"numpy .* instead of"):
         list(pool.run(square, [1.0]))
 
 
+@pytest.mark.slow
 def test_a_lost_scheduler_is_an_error(tmp_path):
     with start_scheduler(tmp_path) as (address, server), start_worker(address), connect(address) as pool:
         results = pool.run(nap, [0.5] * 8)
@@ -111,6 +113,7 @@ def test_an_address_is_secured(address, secured):
         assert caught.value.where == f"--scheduler {address}"
 
 
+@pytest.mark.slow
 def test_an_encrypted_scheduler_works_for_who_has_the_certificates(tmp_path, monkeypatch):
     keys = Security.temporary().get_tls_config_for_role("client")
     files = {}
@@ -142,6 +145,7 @@ def test_no_scheduler_answers(monkeypatch):
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its files of keys stay open
 def test_the_slurm_job_has_what_the_file_states(tmp_path):
     keys = {"jobs": 3, "cores": 4, "processes": 4, "memory": "8GB", "walltime": "01:30:00", "queue": "short"}
