@@ -105,16 +105,8 @@ def _build_insertion(
     """Render an insertion, reconstruct it from what was written, and keep no volume."""
     with TemporaryDirectory() as scratch:
         write_layers(Path(scratch), [planned])
-        return _reconstruct_insertion(Path(scratch), seed, recipe, planned)
-
-
-def _reconstruct_insertion(
-    scratch: Path, seed: int, recipe: ReconstructionRecord, planned: PlannedInsertion
-) -> ReconstructedInsertion:
-    scanned = render_insertion(scratch, planned, seed)
-    reconstruction = reconstruct(scanned.scan, recipe)
-    # volumes are large: each process keeps one at a time
-    scanned.scan.volume.unlink()
+        scanned = render_insertion(Path(scratch), planned, seed)
+        reconstruction = reconstruct(scanned.scan, recipe)
     return ReconstructedInsertion(scanned.insertion, scanned.exposure, reconstruction)
 
 
