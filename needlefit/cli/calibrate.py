@@ -10,7 +10,6 @@ from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import Execution, open_pool
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.show_results import show_run, show_warnings
-from needlefit.project.threads import count_cores
 from needlefit.schemas.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
@@ -92,7 +91,7 @@ def calibrate(
         runs = {f"calibrate-{name}{ending}{f'-{one}' if one else ''}": one for one in _controls(control)}
         execution.prepare(runs)
         found = {}
-        with open_pool(jobs or count_cores(), scheduler, insecure) as pool:
+        with open_pool(jobs, scheduler, insecure) as pool:
             execution = replace(execution, pool=pool)
             for folder, one in runs.items():
                 options_ = {"target": target, "control": one, "sampled": sample, **source, **given}

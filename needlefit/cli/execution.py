@@ -120,12 +120,12 @@ class Execution:
 
 
 @contextmanager
-def open_pool(jobs: int, scheduler: str | None, insecure: bool) -> "Iterator[TaskPool]":
-    """Open the pool that the options name: `jobs` processes of this machine, or the workers of a cluster."""
+def open_pool(jobs: int | None, scheduler: str | None, insecure: bool) -> "Iterator[TaskPool]":
+    """Open the pool that the options name: `jobs` processes (a core each), or the workers of a cluster."""
     from needlefit.project.tasks import LocalPool
 
     if scheduler is None:
-        yield LocalPool(jobs)
+        yield LocalPool(jobs or count_cores())
         return
     from needlefit.project.cluster import connect
 

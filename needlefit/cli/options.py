@@ -59,7 +59,7 @@ Seed = Annotated[
     int | None, typer.Option(min=0, max=MAX_SEED, help="Seed of all randomness (default: the recipe's).")
 ]
 Jobs = Annotated[
-    int | None, typer.Option(min=1, help="Threads (default: all cores); they do not change the result.")
+    int | None, typer.Option(min=1, help="Cores to use (default: all); they do not change the result.")
 ]
 Scheduler = Annotated[
     str | None,

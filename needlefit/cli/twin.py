@@ -41,7 +41,7 @@ def twin_build(
     with (
         replace_folder(out) as fresh,
         show_progress(context.find_root().obj.quiet) as report,
-        open_pool(jobs or count_cores(), scheduler, insecure) as pool,
+        open_pool(jobs, scheduler, insecure) as pool,
     ):
         build_dataset(fresh, seed, pool=pool, progress=report)
     screen.print_line(f"{out}: synthetic dataset, seed {seed}")

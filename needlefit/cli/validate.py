@@ -10,7 +10,6 @@ from needlefit.cli import options, screen
 from needlefit.cli.execution import Execution, open_pool, require_no_faults
 from needlefit.cli.exit_codes import catch_interrupts
 from needlefit.cli.options import complete_studies
-from needlefit.project.threads import count_cores
 
 if TYPE_CHECKING:
     from needlefit.cli.run_study import StudyOutcomes
@@ -66,7 +65,7 @@ def validate(
         execution.prepare([*(work.name for work in todo), *_combined_report_names(study)])
         if reference:
             execution.prepare([f"reference/{work.name}" for work in todo], replaces_posterior=True)
-        with open_pool(jobs or count_cores(), scheduler, insecure) as pool:
+        with open_pool(jobs, scheduler, insecure) as pool:
             done = run_studies(replace(execution, pool=pool), todo, json)
         if _combined_report_names(study):
             _write_combined_report(execution, study, done, json)

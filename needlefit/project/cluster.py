@@ -62,7 +62,7 @@ class ClusterPool:
     @property
     def size(self) -> int:
         """Tasks that run at once: one on each worker that is connected now."""
-        return max(1, self._count_workers())
+        return max(1, self._require_workers())
 
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop
@@ -82,10 +82,10 @@ class ClusterPool:
         running: dict[Future[tuple[Result, str]], int] = {}
         try:
             while (waiting or running) and not stop():
-                while waiting and len(running) < TASKS_PER_WORKER * self.size:
+                wanted = TASKS_PER_WORKER * self.size  # asks the scheduler: once a round
+                while waiting and len(running) < wanted:
                     n = waiting.pop()
                     running[self._submit("task", _run_task, pickle.dumps(items[n]), shared)] = n
-                self._require_scheduler()
                 try:
                     done = wait(list(running), timeout=STOP_POLL_S, return_when="FIRST_COMPLETED").done
                 except TimeoutError:
@@ -104,15 +104,14 @@ class ClusterPool:
         digest = hashlib.sha256(data + b"".join(str(one.key).encode() for one in work)).hexdigest()
         return self.client.submit(function, data, *work, key=f"needlefit-{kind}-{digest}", pure=True)
 
-    def _count_workers(self) -> int:
-        return len(self.client.scheduler_info()["workers"])
-
-    def _require_scheduler(self) -> None:
-        """Raise a ConfigError if the scheduler is lost; note once if no worker is there."""
+    def _require_workers(self) -> int:
+        """Return how many workers are connected; ConfigError if the scheduler is lost."""
         if self.client.status != "running":
             raise _lost_scheduler()
-        if not self._count_workers():
+        count = len(self.client.scheduler_info()["workers"])
+        if not count:
             self._note_once("no worker is connected to the scheduler; waiting for one")
+        return count
 
     def _note_once(self, line: str) -> None:
         if line not in self._noted:

@@ -97,6 +97,11 @@ def format_symbol(parameter: str) -> str:
     }.get(parameter, parameter)
 
 
+def format_bare_symbol(parameter: str) -> str:
+    """Return the symbol of a parameter without its unit: `mu1_pa` is μ₁."""
+    return format_symbol(parameter).split(" (")[0]
+
+
 _STRESS_UNITS = ((1e6, "MPa"), (1e3, "kPa"))
 
 
@@ -149,7 +154,7 @@ def insert_symbols(words: str) -> str:
 
     Exponents stay `^0.28`: what sets the sentence raises them, because Unicode has no raised point.
     """
-    named = _PARAMETER_PATTERN.sub(lambda found: format_symbol(found[0]).split(" (")[0], words)
+    named = _PARAMETER_PATTERN.sub(lambda found: format_bare_symbol(found[0]), words)
     true = _MINUS_PATTERN.sub("−", named)
     return _POWER_PATTERN.sub(lambda found: typeset(found[0]), true).replace(" * ", " · ")
 

@@ -112,7 +112,7 @@ def identify(problem: Problem, fit: Fit) -> Identifiability:
     found = principal_directions(information, names, prior_information(noisy))
     ends = [s.theta for s in select_within_tolerance(fit)] or [fit.theta]
     equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
-    bounds = dict(zip(names, _find_bounds(problem, theta), strict=True))
+    bounds = dict(zip(names, find_bounds(problem, theta), strict=True))
     ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
     prior = problem.parameters.prior
     informed = {n: not bounds[n] and sds[n] < MAX_SD_RATIO * prior.sd(n) for n in names}
@@ -192,7 +192,8 @@ def _is_determined(name: str, sd: float, spread: float) -> bool:
     return sd < limit and spread < MAX_RANGE_SD * limit
 
 
-def _find_bounds(problem: Problem, theta: Floats) -> list[str]:
+def find_bounds(problem: Problem, theta: Floats) -> list[str]:
+    """Return at which bound of its search each parameter lies: `lower`, `upper`, or empty."""
     place = (theta - problem.lower) / (problem.upper - problem.lower)
     return ["lower" if p < BOUND_FRACTION else "upper" if p > 1 - BOUND_FRACTION else "" for p in place]
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from needlefit.reporting.number_format import format_symbol, insert_symbols
+from needlefit.reporting.number_format import format_bare_symbol, insert_symbols
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.table_layout import TableLayout
@@ -59,7 +59,7 @@ def is_of_synthetic_truths(run: Mapping[str, Any]) -> bool:
 
 def name_quantity(name: str) -> str:
     """Return the printed name of a ranked quantity."""
-    return QUANTITY_NAMES.get(name, format_symbol(name).split(" (")[0])
+    return QUANTITY_NAMES.get(name, format_bare_symbol(name))
 
 
 def lay_out_calibration(found: Run) -> TableLayout:

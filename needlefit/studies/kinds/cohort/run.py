@@ -5,7 +5,6 @@ cohort, but for the tables of results.
 """
 
 import glob
-import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -15,12 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.sources import compute_digest
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.inference.identifiability.identify import BOUND_FRACTION
+from needlefit.inference.identifiability.identify import find_bounds
 from needlefit.inference.identifiability.precision import posterior_sds
-from needlefit.inference.problem import Problem
 from needlefit.metrics import compute_metrics, list_metrics
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
@@ -67,7 +65,7 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
         str(file.parent): partial(_fit_dataset, name, file, record, settings) for file in files
     }
     columns = {**FRAMES, "errors": (*FRAMES["errors"], *(metric.name for metric in list_metrics()))}
-    also = {"datasets_sha256": {str(file.parent): _digest(file.parent) for file in files}}
+    also = {"datasets_sha256": {str(file.parent): _digest(file) for file in files}}
     found = run_analysis(name, record, settings, AnalysisPlan((), tasks, columns, _conclude, also))
     made = (found.frames["fits"]["origin"] == "synthetic").any()
     title = f"{len(files)} dataset{'s' * (len(files) > 1)}"
@@ -99,15 +97,10 @@ def find_datasets(record: CohortRecord) -> list[Path]:
     return list(found)
 
 
-def _digest(folder: Path) -> str:
-    """Return a digest of all files of a dataset."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            with path.open("rb") as content:
-                part = hashlib.file_digest(content, "sha256").hexdigest()
-            digest.update(f"{path.relative_to(folder).as_posix()} {part}\n".encode())
-    return digest.hexdigest()
+def _digest(dataset: Path) -> str:
+    """Return a digest of a dataset and of all files beside it."""
+    files = [path for path in dataset.parent.rglob("*") if path.is_file() and path != dataset]
+    return compute_digest(dataset, (dataset.parent,), files)
 
 
 def _fit_dataset(name: str, file: Path, record: CohortRecord, settings: Settings) -> FrameRows:
@@ -144,17 +137,11 @@ def _fit_specimen(
     theta = np.array(fit.theta)
     sds, converged = posterior_sds(problem, theta), not fit.fault
     rows: list[Row] = [
-        {"parameter": one, "value": fit.values[one], "sd": sd, "at_bound": ends, "converged": converged}
-        for (one, sd), ends in zip(sds.items(), _at_bounds(problem, theta), strict=True)
+        {"parameter": one, "value": fit.values[one], "sd": sd, "at_bound": bool(end), "converged": converged}
+        for (one, sd), end in zip(sds.items(), find_bounds(problem, theta), strict=True)
     ]
     every = pd.DataFrame([compute_metrics(one) for one in problem.compare(theta)])
     return rows, {"converged": converged, **{str(name): value for name, value in every.mean().items()}}
-
-
-def _at_bounds(problem: Problem, theta: Floats) -> list[bool]:
-    """Return which parameters lie at a bound of their search."""
-    place = (theta - problem.lower) / (problem.upper - problem.lower)
-    return [bool(one < BOUND_FRACTION or one > 1 - BOUND_FRACTION) for one in place]
 
 
 def _conclude(frames: Frames) -> tuple[str, ...]:

@@ -8,11 +8,11 @@ from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.labels import method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
+    format_bare_symbol,
     format_metric,
     format_number,
     format_quantity,
     format_quantity_range,
-    format_symbol,
     insert_symbols,
     typeset,
 )
@@ -125,7 +125,7 @@ def _describe_parameter(name: str, rows: list[Row], published: Mapping[str, floa
         else:
             interval = NO_INTERVAL if NO_INTERVAL in texts else ""
     return {
-        "parameter": format_symbol(name).split(" (")[0],
+        "parameter": format_bare_symbol(name),
         "fitted": fitted if fixed or all(one["determined"] for one in rows) else NOT_DETERMINED,
         "interval_95": interval,
         "hand_tuned": format_quantity(name, published.get(name)),

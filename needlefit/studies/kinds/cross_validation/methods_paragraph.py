@@ -7,7 +7,7 @@ from importlib.resources import files
 from typing import Any
 
 from needlefit.reporting.latex import escape_latex
-from needlefit.reporting.number_format import format_number, format_symbol
+from needlefit.reporting.number_format import format_bare_symbol, format_number
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.run import Run
 
@@ -110,10 +110,8 @@ def _describe_data(results: Run, run: Mapping[str, Any]) -> Iterator[CitedSenten
 
 def _describe_fit(results: Run, run: Mapping[str, Any]) -> str:
     parameters = run["medium"]["parameters"]
-    free = [format_symbol(name).split(" (")[0] for name, how in parameters.items() if how["bounds"]]
-    held = [
-        format_symbol(name).split(" (")[0] for name, how in parameters.items() if how["fixed"] is not None
-    ]
+    free = [format_bare_symbol(name) for name, how in parameters.items() if how["bounds"]]
+    held = [format_bare_symbol(name) for name, how in parameters.items() if how["fixed"] is not None]
     counts = sorted({len(fold["tune"]) for fold in run["folds"]})
     count = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     folds = f", in each of {len(run['folds'])} folds" if len(run["folds"]) > 1 else ""

@@ -15,7 +15,7 @@ from needlefit.arrays import Floats
 from needlefit.inference.identifiability.information import Direction, principal_directions
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
-from needlefit.reporting.number_format import choose_printed_unit, format_symbol, insert_symbols
+from needlefit.reporting.number_format import choose_printed_unit, format_bare_symbol, insert_symbols
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
@@ -68,7 +68,7 @@ def describe_outside_fits(results: Run) -> str:
     if not rows:
         return ""
     several = len(results.posteriors) > 1
-    names = [format_symbol(row["parameter"]).split(" (")[0] for row in rows]
+    names = [format_bare_symbol(row["parameter"]) for row in rows]
     where = [f"{name} in {row['fold']}" if several else name for name, row in zip(names, rows, strict=True)]
     by_metric = (results.frames["starts"].query("fit == 'fitted'")["minimized"] == "metric").any()
     why = _METRIC_FIT_NOTE if by_metric else _MODE_NOTE

@@ -5,9 +5,9 @@ from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.labels import layers_name, medium_name, method_name
 from needlefit.reporting.number_format import (
     MISSING,
+    format_bare_symbol,
     format_metric,
     format_quantity,
-    format_symbol,
     join_metrics,
     join_words,
 )
@@ -272,7 +272,7 @@ def _summarize_fit(results: Run) -> str:
 
 
 def _join_symbols(names: list[str]) -> str:
-    return ", ".join(format_symbol(name).split(" (")[0] for name in names)
+    return ", ".join(format_bare_symbol(name) for name in names)
 
 
 def _name_headline() -> str:

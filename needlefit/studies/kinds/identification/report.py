@@ -17,8 +17,8 @@ from needlefit.reporting import document
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures.profiles import draw_profiles
 from needlefit.reporting.number_format import (
+    format_bare_symbol,
     format_number,
-    format_symbol,
     insert_symbols,
     join_words,
 )
@@ -69,7 +69,7 @@ def judge(found: Run) -> list[Verdict]:
 
 
 def _symbol(row: Row) -> str:
-    return format_symbol(str(row["parameter"])).split(" (")[0]
+    return format_bare_symbol(str(row["parameter"]))
 
 
 def describe_design(found: Run) -> list[str]:

@@ -18,7 +18,7 @@ from needlefit.reporting.figures.style import (
     separate_positions,
 )
 from needlefit.reporting.labels import GREY, INK, entry_name
-from needlefit.reporting.number_format import format_mm, format_symbol, insert_symbols
+from needlefit.reporting.number_format import format_bare_symbol, format_mm, format_symbol, insert_symbols
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
@@ -151,7 +151,7 @@ def _describe_parameters(result: Run, best: Row) -> str:
     for row in to_records(select_candidate(result.frames["parameters"], best)):
         name = str(row["parameter"])
         now, after = (_format_precision(name, row[key]) for key in ("sd_now", "sd_after"))
-        label = format_symbol(name).split(" (")[0]
+        label = format_bare_symbol(name)
         if name == LEAST_KNOWN:
             label = f"worst-determined combination, {insert_symbols(str(row['combination']))},"
         parts.append(f"{label} {after} (now {now})")

@@ -25,6 +25,7 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.studies.job import Job
 from needlefit.studies.kinds.plan.schema import EntryPlaneRecord, ObstacleRecord, PlanRecord
 from needlefit.studies.kinds.plan.search import (
+    PATH_POINTS,
     Goal,
     compute_clearances,
     compute_residuals,
@@ -34,9 +35,6 @@ from needlefit.studies.planned_draws import MAX_LAYERS
 from needlefit.studies.planned_insertions import planned_layers
 
 Values = dict[str, float]
-
-PATH_POINTS = 41
-"""Points of a needle, entry to tip."""
 
 DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05])
 """Of the differences: offset (mm), angle (degrees), depth (mm). Where a boundary passes a constraint point,

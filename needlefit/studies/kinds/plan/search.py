@@ -15,6 +15,9 @@ from scipy.optimize import least_squares
 from needlefit.arrays import Bools, Floats
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 
+PATH_POINTS = 41
+"""Points of a needle, entry to tip."""
+
 UNSOLVED_MISS_MM = 100.0
 """The miss that stands for a needle without a solution, mm."""
 

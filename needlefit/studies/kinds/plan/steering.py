@@ -26,6 +26,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, make_lattice
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.kinds.plan.search import (
+    PATH_POINTS,
     Goal,
     compute_clearances,
     compute_misses,
@@ -38,9 +39,6 @@ from needlefit.studies.proportions import wilson_interval
 
 SEARCH_DRAWS = 32
 """Draws on which a plan is sought: as many as the kernel solves at once. The others test it."""
-
-PATH_POINTS = 41
-"""Points of a needle, entry to tip."""
 
 BASE_STEP_MM = 5.0
 """The base moves in steps of so much inserted depth."""

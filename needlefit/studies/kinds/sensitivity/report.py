@@ -12,10 +12,10 @@ from needlefit.reporting.document import Block
 from needlefit.reporting.labels import layers_name, medium_name
 from needlefit.reporting.number_format import (
     MISSING,
+    format_bare_symbol,
     format_metric,
     format_number,
     format_signed_mm,
-    format_symbol,
     typeset,
 )
 from needlefit.reporting.table import Table, part, pivot
@@ -158,7 +158,7 @@ def _describe_parameter_change(result: Run) -> str:
     size = np.abs(np.log(changed_parameters["ratio"].to_numpy(dtype=np.float64)))
     row = to_records(changed_parameters.iloc[[int(size.argmax())]])[0]
     changed = still["change"].to_dict()[row["aspect"], row["variation"], row["study"]]
-    name = format_symbol(row["parameter"]).split(" (")[0]
+    name = format_bare_symbol(row["parameter"])
     return (
         f"Parameters change more than errors: with {row['aspect']}: {row['variation']}, {name} of "
         f"{medium_name(row['study'])} changes by a factor of {typeset(format_number(row['ratio']))}, and the "

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid, plot
 from needlefit.reporting.labels import GREY, POPULATION_NAMES
-from needlefit.reporting.number_format import format_symbol
+from needlefit.reporting.number_format import format_bare_symbol
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.kinds.specimens.run import BEST_DETERMINED
 from needlefit.studies.run import Run
@@ -116,5 +116,5 @@ def _paint_intervals(axes: Axes, rows: pd.DataFrame) -> None:
 
 
 def _axis_label(name: str) -> str:
-    called = format_symbol(name).split(" (")[0]
+    called = format_bare_symbol(name)
     return f"ln {called}" if is_logarithmic(name) else called

@@ -13,9 +13,9 @@ from needlefit.reporting.document import Block
 from needlefit.reporting.labels import POPULATION_NAMES
 from needlefit.reporting.number_format import (
     MISSING,
+    format_bare_symbol,
     format_mm,
     format_quantity_range,
-    format_symbol,
     insert_symbols,
     join_words,
 )
@@ -252,7 +252,7 @@ def _is_logarithmic(name: str) -> bool:
 def _name_parameter(row: Row) -> str:
     if row["parameter"] == BEST_DETERMINED:
         return insert_symbols(str(row["combination"]))
-    return format_symbol(str(row["parameter"])).split(" (")[0]
+    return format_bare_symbol(str(row["parameter"]))
 
 
 def _replace_minus(words: str) -> str:

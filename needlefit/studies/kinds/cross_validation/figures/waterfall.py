@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, choose_width, draw_grid, plot
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, method_colour, method_name
-from needlefit.reporting.number_format import format_quantity, format_symbol
+from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.run import Run
 
@@ -144,7 +144,7 @@ def _paint_ends(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
         for x, side, bound in ((0, "left", "bound_low"), (1, "right", "bound_high")):
             summary = format_quantity(name, float(bounds[bound]))
             axes.text(x, y - 0.17, summary, ha=side, va="bottom", color=GREY)
-    axes.set_yticks(range(len(parameters)), [format_symbol(name).split(" (")[0] for name in parameters])
+    axes.set_yticks(range(len(parameters)), [format_bare_symbol(name) for name in parameters])
     axes.set_ylim(len(parameters) - 0.45, -0.65)
     axes.set_xlim(-0.03, 1.03)
     axes.set_xticks([])
