@@ -5,9 +5,11 @@
 Every seed is another twin: its nine insertions across the four layers of phantom 2 are rendered as CT
 volumes and reconstructed (`needlefit twin ct`, `needlefit reconstruct`), or, with `--shipped`, are those of
 data/twin. mu1 to mu4 and b are fitted free, once with the stored cross-sections (`stored`) and once with the
-points of the centrelines (`points`), from three starts; intervals are Gauss-Newton. A row is a likelihood:
-how many of seeds x 5 parameters the 95 % intervals cover, the rms of errors over their deviations, the median
-deviation of ln mu1, and chi^2 of the residuals at the true parameters over their number.
+points of the centrelines (`points`), from three starts; intervals are Gauss-Newton. `unscanned` is the fit to
+the true needles with the errors of the axis that scans leave (`needlefit.synthetic.build.build_unscanned`).
+A row is a fit: how many of seeds x 5 parameters the 95 % intervals cover, the rms of errors over their
+deviations, the median deviation of ln mu1, the median width of the intervals over that of `unscanned`, and
+chi^2 of the residuals at the true parameters over their number.
 """
 
 import argparse
@@ -31,7 +33,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.tasks import LocalPool, run_in_order
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
-from needlefit.synthetic.build import describe_dataset
+from needlefit.synthetic.build import build_unscanned, describe_dataset
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
 from needlefit.synthetic.exposure import WHOLE_BOX_SETUP
 from needlefit.synthetic.insertion import TWIN_SEED
@@ -39,7 +41,9 @@ from needlefit.synthetic.scans import make_recipe, render_insertion, write_layer
 from needlefit.synthetic.truth import draw_specimen
 
 MEDIUM = "phantom2"
-LIKELIHOODS = {"stored": LikelihoodRecord(), "points": LikelihoodRecord(measurement="points")}
+POINTS = LikelihoodRecord(measurement="points")
+FITS = {"stored": (True, LikelihoodRecord()), "points": (True, POINTS), "unscanned": (False, POINTS)}
+"""Whether the needles are scanned, and the likelihood."""
 STARTS = (0.0, -0.7, 0.7)
 """Of the searches, in ln of every parameter from the truth."""
 NORMAL = 1.96
@@ -59,12 +63,17 @@ class Fit:
 def scan_needles(folder: Path, seed: int, jobs: int) -> Dataset:
     """Return the reconstructed four-layer insertions of the twin of `seed`, written into `folder`."""
     if not (folder / "dataset.toml").exists():
-        plan = [one for one in list_planned_insertions() if one.medium == MEDIUM and one.layers == 4]
+        plan = list_four_layer_insertions()
         with TemporaryDirectory() as scratch:
             write_layers(Path(scratch), plan)
             found = list(run_in_order(partial(_scan_one, Path(scratch), seed), plan, LocalPool(jobs)))
             assemble_dataset(folder, found, make_recipe([WHOLE_BOX_SETUP]), describe_dataset(seed))
     return read(folder)
+
+
+def list_four_layer_insertions() -> list[PlannedInsertion]:
+    """Return the planned insertions across all four layers."""
+    return [one for one in list_planned_insertions() if one.medium == MEDIUM and one.layers == 4]
 
 
 def _scan_one(folder: Path, seed: int, planned: PlannedInsertion) -> Reconstruction:
@@ -98,7 +107,9 @@ def fit(dataset: Dataset, seed: int, likelihood: LikelihoodRecord) -> Fit:
     slopes = problem.jacobian(theta)[1]
     sds = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
     residuals = problem.residuals(truth)
-    return Fit(problem.names, np.exp(theta), theta - truth, sds, float(np.mean(residuals**2)))
+    known = [problem.names.index(name) for name in true_values(seed)]
+    chi2 = float(np.mean(residuals**2))
+    return Fit(tuple(true_values(seed)), np.exp(theta)[known], (theta - truth)[known], sds[known], chi2)
 
 
 def _descend(problem: Problem, start: np.ndarray) -> tuple[float, np.ndarray]:
@@ -109,13 +120,14 @@ def _descend(problem: Problem, start: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def tabulate(fits: dict[str, list[Fit]]) -> pd.DataFrame:
-    """Return a row for every likelihood."""
-    rows = []
+    """Return a row for every fit."""
+    rows, reference = [], np.array([one.sds for one in fits["unscanned"]])
     for name, some in fits.items():
         z = np.array([one.errors / one.sds for one in some])
         mu1 = [one.sds[0] for one in some]
-        row = {"likelihood": name, "sets": len(some), "covered": int(np.sum(np.abs(z) < NORMAL))}
+        row = {"fit": name, "sets": len(some), "covered": int(np.sum(np.abs(z) < NORMAL))}
         row |= {"of": z.size, "rms_z": np.sqrt(np.mean(z**2)), "sd_ln_mu1": np.median(mu1)}
+        row["width"] = np.median(np.array([one.sds for one in some]) / reference)
         rows.append(row | {"chi2": np.mean([one.chi2 for one in some])})
     return pd.DataFrame(rows)
 
@@ -137,19 +149,21 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    fits: dict[str, list[Fit]] = {name: [] for name in LIKELIHOODS}
+    fits: dict[str, list[Fit]] = {name: [] for name in FITS}
     with TemporaryDirectory() as scratch:
         home = arguments.keep or Path(scratch)
         seeds = range(arguments.first, arguments.first + arguments.seeds)
         for seed in [TWIN_SEED] if arguments.shipped else seeds:
-            shipped = arguments.shipped
-            dataset = (
+            scanned = (
                 read(find_file("dataset", "twin"))
-                if shipped
+                if arguments.shipped
                 else scan_needles(home / str(seed), seed, arguments.jobs)
             )
-            for name, likelihood in LIKELIHOODS.items():
-                fits[name].append(fit(dataset, seed, likelihood))
+            unscanned = home / f"{seed}-unscanned"
+            if not unscanned.exists():
+                build_unscanned(unscanned, seed, list_four_layer_insertions())
+            for name, (of_scans, likelihood) in FITS.items():
+                fits[name].append(fit(scanned if of_scans else read(unscanned), seed, likelihood))
                 if not arguments.json:
                     print(seed, name, describe(fits[name][-1]), flush=True)
     table = tabulate(fits)

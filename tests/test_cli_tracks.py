@@ -122,6 +122,11 @@ def test_runs_are_predicted_scored_and_printed(project, capsys):
     shape = held.groupby("method")["aligned_rms_mm"].mean()
     assert shape["fitted"] < 0.7 * shape["straight"]  # the truth is the model's own, and the guide moved
     assert not readings.loc[~readings["scored"], "median_mm"].notna().any()
+    certified, uncertified = (
+        readings[(readings["method"] == "fitted") == of].dropna(subset="median_mm") for of in (False, True)
+    )
+    assert certified["low_mm"].notna().all() and uncertified["low_mm"].isna().all() and len(uncertified)
+    assert "fitted" not in set(pd.read_csv(folder / "coverage.csv")["method"])
     record = json.loads((folder / "run.json").read_text())
     assert str(project) not in json.dumps(record) and record["fits"]["gel"]["tune"][0] == "rest0"
     deep = pd.read_csv(folder / "depths.csv").query("method == 'fitted'")

@@ -19,8 +19,9 @@ Source = Literal["posterior", "importance"]
 class Draws:
     """Draws of theta (B, P) from a posterior, by MCMC or by importance sampling.
 
-    `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` and
-    `effective_sample_size` are those of the weights, NaN of a sampled posterior.
+    `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is
+    that of the weights, NaN of a sampled posterior; `effective_sample_size` is of the weights, or the
+    smallest of the parameters of the chains, of which these draws are a part.
     """
 
     thetas: Floats
@@ -42,7 +43,8 @@ def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> 
     chosen = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(np.int64)]
     sets = (dict(zip(posterior.names, values.tolist(), strict=True)) for values in chosen)
     thetas = np.array([parameters.theta(values) for values in sets])
-    return Draws(thetas, "posterior", posterior.faults)
+    every = posterior.convergence.ess_bulk.sum(axis=0)[: len(posterior.names)]
+    return Draws(thetas, "posterior", posterior.faults, effective_sample_size=float(every.min()))
 
 
 def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -> float:

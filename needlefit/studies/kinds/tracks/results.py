@@ -68,6 +68,8 @@ def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
     for medium, group in held.groupby("medium", sort=False):
         for measure in MEASURES:
             wide = group.pivot_table(index="run", columns="method", values=measure, sort=False)
+            if "fitted" not in wide:  # its draws are not certified: no CRPS
+                continue
             for method in [name for name in list_track_methods() if name in wide]:
                 gap = (wide[method] - wide["fitted"]).to_numpy(dtype=np.float64)
                 half = _half_width(gap)
@@ -78,7 +80,7 @@ def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
 
 def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the coverage of last-reading intervals and whole-track bands: columns `COVERAGE_COLUMNS`."""
-    rows, held = [], runs[runs["role"] == "validate"]
+    rows, held = [], runs[runs["role"] == "validate"].dropna(subset="track_pit")  # uncertified: no interval
     parts = [(str(medium), group) for medium, group in held.groupby("medium", sort=False)]
     for medium, group in [*parts, ("all", held)]:
         for method, some in group.groupby("method", sort=False):

@@ -44,7 +44,7 @@ from needlefit.studies.kinds.tracks.results import (
     list_track_methods,
 )
 from needlefit.studies.kinds.tracks.schema import TrackFitRecord, TrackStudyRecord
-from needlefit.studies.kinds.tracks.score import predict_runs, tabulate_tuned
+from needlefit.studies.kinds.tracks.score import predict_runs, remove_intervals, tabulate_tuned
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.posterior_fit import PREDICTION_DRAWS
 from needlefit.studies.provenance import (
@@ -327,8 +327,11 @@ def _predict_runs(
         else:
             drawn = _draw_model_tips(task, draws, jobs, rng)
         head: Row = {"fit": task.name, "method": method}
+        uncertified = bool(draws.faults) and method not in BASELINES
         tables.runs += [{**head, "role": "tune", **row} for row in tabulate_tuned(tuned, drawn)]
         for row, readings in predict_runs(tuned, held, drawn, placed_by, rng):
+            if uncertified:
+                row, *readings = map(remove_intervals, (row, *readings))
             tables.runs.append({**head, "role": "validate", **row})
             tables.readings += [{**head, **one} for one in readings]
 

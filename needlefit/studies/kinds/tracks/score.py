@@ -78,6 +78,14 @@ def _score_prediction(mixture: PredictiveMixture, measured: Floats, rng: np.rand
     return row
 
 
+_INTERVAL_KEYS = ("low_", "high_", "crps_", "track_", "end_in_", "end_width_", "points_in_")
+
+
+def remove_intervals(row: Row) -> Row:
+    """Return a row without what only certified draws can predict: intervals and the scores of these."""
+    return {key: np.nan if key.startswith(_INTERVAL_KEYS) else value for key, value in row.items()}
+
+
 def _reading_rows(track: TipTrack, mixture: PredictiveMixture, placed: int) -> Iterator[Row]:
     predicted = {"median_mm": quantile(mixture, 0.5)}
     for level in INTERVAL_PROBABILITIES:
