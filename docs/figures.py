@@ -1,7 +1,7 @@
 """Draw the schematics of the documentation, and record and animate the insertion of its first page.
 
 python docs/figures.py                 writes docs/figures/{needle,frames,cell,layers}.svg
-python docs/figures.py --animation     writes docs/figures/steering.csv and steering.gif too (a minute)
+python docs/figures.py --animation     writes docs/figures/steering.{csv,gif,html} too (a minute)
 """
 
 import argparse
@@ -41,10 +41,9 @@ def main() -> None:
             figure.savefig(FOLDER / f"{name}.svg", metadata={"Date": None}, transparent=False)
     if options.animation:
         record(FOLDER / "steering.csv")
-        command = ["simulate", "--recording", str(FOLDER / "steering.csv"), "--animation"]
-        subprocess.run(
-            [sys.executable, "-m", "needlefit", *command, str(FOLDER / "steering.gif")], check=True
-        )
+        replay = [sys.executable, "-m", "needlefit", "simulate", "--recording", str(FOLDER / "steering.csv")]
+        outputs = ["--animation", str(FOLDER / "steering.gif"), "--html", str(FOLDER / "steering.html")]
+        subprocess.run([*replay, *outputs], check=True)
 
 
 # --- the schematics -------------------------------------------------------------------------------------
