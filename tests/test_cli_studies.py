@@ -79,7 +79,7 @@ def test_a_warning_names_its_page_and_with_strict_ends_in_exit_code_5(stub, caps
     results = study(1)
     stub(dataclasses.replace(results, run={**results.run, **warned}))
     assert run("validate", "mine") == 0
-    assert "docs/troubleshooting.md#parameter-at-bound" in capsys.readouterr().err
+    assert "needlefit explain parameter-at-bound" in capsys.readouterr().err
     assert run("validate", "mine", "--out", "again", "--strict", "--json") == 5
     found = json.loads(capsys.readouterr().out)
     assert [one["kind"] for one in found["warnings"]] == ["parameter_at_bound"]
