@@ -5,12 +5,12 @@ import pandas as pd
 from needlefit.inference.identifiability.information import (
     short_name,
 )
+from needlefit.reporting.interval_text import NO_INTERVAL, format_interval, typeset_interval
 from needlefit.reporting.number_format import choose_printed_unit, format_number, format_quantity_range
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS
-from needlefit.studies.parameter_intervals import NO_INTERVAL, format_interval, typeset_interval
 
 
 def describe_verdicts(identification: pd.DataFrame) -> list[str]:

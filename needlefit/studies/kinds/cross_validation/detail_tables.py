@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
+from needlefit.reporting.interval_text import NO_INTERVAL, format_interval, typeset_interval
 from needlefit.reporting.labels import method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
@@ -27,7 +28,6 @@ from needlefit.studies.kinds.cross_validation.parameter_table import (
 )
 from needlefit.studies.kinds.cross_validation.tables import study_label
 from needlefit.studies.paper.claims import Claim
-from needlefit.studies.parameter_intervals import NO_INTERVAL, format_interval, typeset_interval
 from needlefit.studies.run import Run
 from needlefit.studies.summary import compare_methods
 
@@ -184,17 +184,16 @@ def lay_out_directions(results: Run) -> TableLayout:
     cells = [
         {
             "fold": row["fold"] if folds else "",
-            "sd": row["sd"],
             "known_combination": insert_symbols(str(row["note"])),
             "origin": results.origin,
         }
         for row in rows
     ]
-    columns = ("fold", "sd", "known_combination")
+    columns = ("fold", "known_combination")
     caption = "Best- and worst-determined combinations of parameters."
     notes = (
         "Linear about the fitted point, and only as far as the model and the stated noise hold: along a "
-        "curved ridge the combination turns, so a point far along it may lie many of these deviations away.",
+        "curved ridge the combination turns, so these figures hold near the fit only.",
     )
     return Table("directions", caption, cells, columns, notes=notes).lay_out(drop_empty=True)
 

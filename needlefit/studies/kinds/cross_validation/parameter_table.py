@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pandas as pd
 
+from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.reporting.number_format import format_number
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.kinds.cross_validation.comparability import compare_parameter_row
@@ -74,6 +75,8 @@ def _parameter_rows(results: Run) -> list[Row]:
     found = []
     for row in rows:
         key = (row["fold"], row["parameter"])
+        if row["method"] == "fitted_metric" and row["parameter"] in HYPERPARAMETERS:
+            continue  # of the likelihood: errors do not depend on them
         of_fit = row["method"] in ("fitted", "fitted_metric")
         known = bool(determined[key] if of_fit else row["determined"])
         words = compare_parameter_row(results, key in published)
