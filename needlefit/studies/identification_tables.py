@@ -34,7 +34,8 @@ def _describe_interval(row: Row) -> str:
     if text == NO_INTERVAL:
         return "not determined: its 95 % interval spans most of its bounds"
     text = format_quantity_range(str(row["parameter"]), row["interval_low"], row["interval_high"])
-    return f"{'' if row['determined'] else 'not determined: '}95 % CI {text}"
+    known = row["determined"] or row.get("note")  # the note says which assumption it needs
+    return f"{'' if known else 'not determined: '}95 % CI {text}"
 
 
 def format_small_mm(value: float) -> str:
