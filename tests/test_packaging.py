@@ -13,6 +13,7 @@ import pytest
 
 import needlefit
 from needlefit.project.locate import shipped_folder
+from needlefit.project.troubleshooting import read_sections
 
 ROOT = shipped_folder()
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not run from the repository")
@@ -97,6 +98,11 @@ def test_it_finds_everything_that_ships(installed, tmp_path):
 
     here = [f"{kind}/{name}" for kind in locate._PATTERNS for name in locate.list_names(kind)]
     assert set(call(sys.executable, "-c", code, env=installed, cwd=tmp_path).split()) == set(here)
+
+
+def test_the_wheel_explains_warnings(installed, tmp_path):
+    out = call(sys.executable, "-m", "needlefit", "explain", "--json", env=installed, cwd=tmp_path)
+    assert [one["key"] for one in json.loads(out)] == list(read_sections())
 
 
 def test_init_from_the_wheel_gives_a_project(installed, tmp_path):

@@ -7,11 +7,10 @@ import pytest
 from inference_cases import TRUTH, two_layers
 
 from needlefit.inference.draws import Draws
+from needlefit.reporting.interval_text import NO_INTERVAL, format_interval
 from needlefit.studies.parameter_intervals import (
-    NO_INTERVAL,
     ParameterInterval,
     add_intervals,
-    format_interval,
     intervals_of_draws,
 )
 

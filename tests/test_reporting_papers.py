@@ -12,6 +12,7 @@ from needlefit.reporting.document import Document
 from needlefit.reporting.latex import format_table_macros
 from needlefit.reporting.paper_example import compile_example, format_example
 from needlefit.reporting.table_layout import TableColumn, TableLayout
+from needlefit.studies.kinds.cross_validation.detail_tables import lay_out_parameters
 from needlefit.studies.kinds.cross_validation.macros import format_macros
 from needlefit.studies.kinds.cross_validation.methods_paragraph import (
     compose_methods,
@@ -160,3 +161,13 @@ def test_the_example_inputs_every_table_and_the_methods(tmp_path):
     )
     assert set(re.findall(r"\\input\{(\w+)\}", text)) == {"numbers", "methods", "validation", "parameters"}
     assert r"\title{A \& B}" in text and r"\begin{figure}" in text and r"\caption{50 \%}" in text
+
+
+def test_macros_of_parameters_have_the_interval_of_the_table_and_keys_without_notes():
+    results = study(5)
+    layout = lay_out_parameters([results])
+    text = format_macros([results])
+    keys = re.findall(r"^\\nf\w+\{study5-parameters-([^}]+)\}", text, re.M)
+    heads = [column.label for column in layout.columns]
+    notes = [row[heads.index("Note")] for row in layout.rows]
+    assert keys and not any(re.search("determined|known|fixed|tied", key) for key in keys), (keys, notes)

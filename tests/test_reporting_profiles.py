@@ -34,7 +34,8 @@ def frames(sds):
     rows.append({**about, **open_, "low": -3.0, "high": 5.0})
     points += [{"parameter": "alpha1", "value": x, "deviance": 0.0, "slope": 0.0} for x in (-3.0, 1.0, 5.0)]
     made = pd.DataFrame(points).assign(fold="all", threshold=DEVIANCE_95)
-    return pd.DataFrame(rows).assign(fold="all"), made
+    judged = pd.DataFrame(rows).assign(fold="all", draw_source="profile", bound_low=1.0, bound_high=1e9)
+    return judged.assign(interval_low=judged["low"], interval_high=judged["high"]), made
 
 
 def test_narrow_and_broad_profiles_are_drawn_the_same_every_time(tmp_path):

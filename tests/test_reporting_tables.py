@@ -10,6 +10,7 @@ import pytest
 from reporting_results import stereo, study
 
 from needlefit.errors import DataError
+from needlefit.reporting.interval_text import NO_INTERVAL
 from needlefit.reporting.latex import escape_latex, format_cell, format_latex
 from needlefit.reporting.number_format import (
     format_mm,
@@ -46,7 +47,6 @@ from needlefit.studies.kinds.cross_validation.sentences import (
     summarize_errors,
 )
 from needlefit.studies.kinds.cross_validation.tables import list_groups, tabulate_tuning, tabulate_validation
-from needlefit.studies.parameter_intervals import NO_INTERVAL
 from needlefit.studies.report import describe_run
 from needlefit.studies.run import Run, restore_run, store_run
 from needlefit.studies.summary import aggregate, compare_methods

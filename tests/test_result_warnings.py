@@ -6,11 +6,11 @@ from pathlib import Path
 
 import needlefit
 from needlefit.project.result_warnings import (
-    TROUBLESHOOTING_PAGE,
     ResultWarning,
     read_warnings,
     warnings_entry,
 )
+from needlefit.project.troubleshooting import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.unit_warnings import WARNING_KIND
 
 
@@ -39,7 +39,13 @@ def _kinds_in_sources() -> set[str]:
 
 
 def test_every_kind_of_warning_has_a_section_that_explains_it():
-    page = Path(__file__).parents[1] / TROUBLESHOOTING_PAGE
-    anchors = set(re.findall(r"^\((.+)\)=$", page.read_text(encoding="utf-8"), re.MULTILINE))
-    wanted = {ResultWarning(kind, "").help_page for kind in _kinds_in_sources()}
-    assert wanted <= {f"{TROUBLESHOOTING_PAGE}#{anchor}" for anchor in anchors}
+    sections = read_sections()
+    page = (Path(__file__).parents[1] / TROUBLESHOOTING_PAGE).read_text(encoding="utf-8")
+    assert set(sections) == set(re.findall(r"^\((.+)\)=$", page, re.MULTILINE))
+    assert {ResultWarning(kind, "").help_key for kind in _kinds_in_sources()} <= set(sections)
+    for one in sections.values():
+        assert (
+            one.title
+            and one.paragraphs
+            and not re.search(r"\]\(|\*\*|^#", "\n".join(one.paragraphs), re.MULTILINE)
+        )

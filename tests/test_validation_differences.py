@@ -50,7 +50,7 @@ def test_inputs_are_named_by_their_path_and_matter_by_what_follows(first, tmp_pa
     assert [(one.what, one.where, one.before, one.after, one.matters) for one in found] == [
         ("input", "recipe.seed", 1, 2, None)
     ]
-    assert re.findall(r"\d+ \w+", summarize_differences(found)) == ["1 key"]
+    assert re.findall(r"\d+ \w+", summarize_differences(found)) == ["1 input"]
 
 
 @pytest.mark.parametrize(("part", "matters"), [(0.3, False), (0.7, True)])
@@ -100,7 +100,7 @@ def test_the_command_prints_what_matters_first(first, tmp_path, capsys):
     second = write(tmp_path / "b", errors=changed, recipe={"seed": 2, "starts": 8})
     assert run("diff", str(first), str(second)) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert re.findall(r"\d+ \w+", lines[0]) == ["1 of", "1 change", "1 key"]
+    assert re.findall(r"\d+ \w+", lines[0]) == ["1 relevant", "1 input"]
     assert run("diff", str(first), str(second), "--json") == 0
     assert [row["matters"] for row in json.loads(capsys.readouterr().out)] == [None, True]
 

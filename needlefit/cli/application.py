@@ -13,6 +13,7 @@ from needlefit.cli.calibrate import calibrate
 from needlefit.cli.check import check
 from needlefit.cli.credibility import credibility
 from needlefit.cli.diff import diff
+from needlefit.cli.explain import explain
 from needlefit.cli.identify import identify
 from needlefit.cli.import_data import import_data
 from needlefit.cli.material import material
@@ -60,6 +61,7 @@ _COMMANDS: Mapping[str, Mapping[Callable[..., None] | str, str]] = {
     },
     "Report": {
         report: "report study3 --explain",
+        explain: "explain coverage",
         diff: "diff reports/study3 old/study3",
         paper: "paper",
         migrate: "migrate reports --dry-run",

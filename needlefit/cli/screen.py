@@ -162,13 +162,13 @@ def _is_number_as_text(value: object) -> bool:
 
 
 def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning]) -> None:
-    """Print warnings to stderr, each with the page that explains it.
+    """Print warnings to stderr, each with the command that explains it.
 
     With `--strict` the command then ends with exit code 5.
     """
     for one in warnings:
         invocation.warned = True
-        print_note(f"needlefit: warning: {one} ({one.help_page})")
+        print_note(f"needlefit: warning: {one} ({one.help_command})")
 
 
 def locate_warning(one: ResultWarning, folder: Path) -> ResultWarning:

@@ -11,9 +11,6 @@ from typing import Any
 WARNINGS_KEY = "warnings"
 """Of `run.json` and of `--json`."""
 
-TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"
-"""Has a section for every kind of warning."""
-
 
 @dataclass(frozen=True)
 class ResultWarning:
@@ -37,9 +34,14 @@ class ResultWarning:
     fix: str = ""
 
     @property
-    def help_page(self) -> str:
-        """The section of the documentation that explains it."""
-        return f"{TROUBLESHOOTING_PAGE}#{self.kind.replace('_', '-')}"
+    def help_key(self) -> str:
+        """The key of the section of the page on troubleshooting that explains it."""
+        return self.kind.replace("_", "-")
+
+    @property
+    def help_command(self) -> str:
+        """The command that prints this section."""
+        return f"needlefit explain {self.help_key}"
 
     def __str__(self) -> str:
         head = f"{self.where}: {self.what}" if self.where else self.what

@@ -54,9 +54,9 @@ def heading(words: str) -> Block:
     return {"kind": "heading", "text": words}
 
 
-def subheading(words: str) -> Block:
-    """Return the heading of a part of a section."""
-    return {"kind": "subheading", "text": words}
+def subheading(words: str, target: str = "") -> Block:
+    """Return the heading of a part of a section; links lead to its `target`."""
+    return {"kind": "subheading", "text": words, "target": target}
 
 
 def verdict(words: str, status: Literal["pass", "warn", "fail"]) -> Block:
@@ -79,9 +79,9 @@ def bullets(items: Sequence[str]) -> Block:
     return {"kind": "list", "items": [_prose_block(words) for words in items]}
 
 
-def warning(words: str) -> Block:
-    """Return a warning: a paragraph in prominent type."""
-    return {"kind": "warning", "text": _prose_block(words)}
+def warning(words: str, link: tuple[str, str] = ("", "")) -> Block:
+    """Return a warning: a paragraph in prominent type; `link` is the target and the text of its link."""
+    return {"kind": "warning", "text": _prose_block(words), "target": link[0], "link": link[1]}
 
 
 def gap_box(words: str) -> Block:

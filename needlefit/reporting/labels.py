@@ -160,9 +160,10 @@ CONVERGENCE_CAPTION = (
 )
 PROFILES_CAPTION = (
     "Profile likelihoods: deviance with one parameter fixed and all others fitted again (solid; dots were "
-    "computed). The 95 % interval is shaded. Where the curve stays under the dashed line up to a bound, the "
-    "data do not limit the parameter on that side. Dashed curve: the Fisher information at the optimum. "
-    "Flat profiles of fixed parameters are not drawn."
+    "computed). Shaded and written above: the 95 % interval of the tables. It is that of the posterior draws "
+    "where they are certified, so it need not end where the profile crosses the dashed line. A curve that "
+    "stays under this line up to a bound does not limit the parameter on that side. Dashed curve: the Fisher "
+    "information at the optimum. Flat profiles of fixed parameters are not drawn."
 )
 BASELINES_CAPTION = (
     "Mean in-plane error of the fitted model and of the baselines on the same held-out points (logarithmic "

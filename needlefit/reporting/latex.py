@@ -7,6 +7,7 @@ from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined
 
+from needlefit.reporting.columns import find_column
 from needlefit.reporting.number_format import MISSING
 from needlefit.reporting.table_layout import TableColumn, TableLayout
 
@@ -181,13 +182,22 @@ def _define(key: str, words: str) -> str:
 
 
 def _cells(table: TableLayout) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield every cell that stands at the right, with the words that say which it is."""
-    words = [i for i, column in enumerate(table.columns) if column.align == "left"]
+    """Yield every number, range or cell at the right, with the words that say which it is.
+
+    Notes are no part of these words, nor are ranges: both change with the data.
+    """
+    words = [
+        i
+        for i, column in enumerate(table.columns)
+        if column.align == "left"
+        and column.label != find_column("note").label
+        and not any(_RANGE_PATTERN.fullmatch(row[i]) for row in table.rows)
+    ]
     above: dict[int, str] = {}
     for row in table.rows:
         above = {i: row[i] or above.get(i, "") for i in words}
         for i, column in enumerate(table.columns):
-            if i not in words and row[i] not in ("", MISSING):
+            if i not in words and not column.wide and row[i] not in ("", MISSING):
                 yield (table.name, *above.values(), f"{column.label} {column.unit}"), row[i]
 
 

@@ -14,21 +14,28 @@ MAX_CELL_LETTERS = 40
 
 
 def summarize_differences(found: Sequence[Difference]) -> str:
-    """Return one sentence: whether any difference matters."""
+    """Return whether any difference matters, and how many there are."""
     results = [one for one in found if one.matters is not None]
     if not found:
         return "No difference."
-    if not results:
-        return f"No result differs; the inputs differ in {count_words(len(found), 'key')}."
-    mattering = sum(bool(one.matters) for one in results)
     inputs = len(found) - len(results)
-    because = (
-        f" The inputs differ in {count_words(inputs, 'key')}." if inputs else " The inputs are the same."
-    )
-    if not mattering:
-        return f"No change matters; {count_words(len(results), 'result')} changed slightly.{because}"
-    verb = "matters" if mattering == 1 else "matter"
-    return f"{mattering} of {count_words(len(results), 'change')} {verb}.{because}"
+    because = f"{count_words(inputs, 'input')} {_differ(inputs)}" if inputs else "the inputs are the same"
+    if not results:
+        return f"No result differs; {because}."
+    relevant = sum(bool(one.matters) for one in results)
+    rounding = sum(one.slight and not one.matters for one in results)
+    small = len(results) - relevant - rounding
+    parts = [
+        f"{count_words(count, 'number')} {_differ(count)} {how}"
+        for count, how in ((small, "too little to matter"), (rounding, "by rounding"))
+        if count
+    ]
+    head = f"{count_words(relevant, 'relevant change')}." if relevant else "No relevant change."
+    return f"{head} {'; '.join([*parts, because])}."
+
+
+def _differ(count: int) -> str:
+    return "differs" if count == 1 else "differ"
 
 
 def lay_out_differences(found: Sequence[Difference], everything: bool = False) -> TableLayout:
@@ -53,7 +60,7 @@ def lay_out_differences(found: Sequence[Difference], everything: bool = False) -
         "mean error changed by more than 0.005 mm (a CRPS by more than 10 %) and by more than two standard "
         "errors on the same insertions, or if a verdict or state changed."
     )
-    hidden = (f"Not shown: {count_words(left, 'change')} without consequence (`--all` prints all).",)
+    hidden = (f"Not shown: {left} not relevant (`--all` prints them).",)
     notes = (*((note,) if everything or any(one.matters for one in rows) else ()), *(hidden if left else ()))
     caption = "Changes from A (first run) to B (second run)."
     return Table(

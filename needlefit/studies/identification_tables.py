@@ -5,12 +5,12 @@ import pandas as pd
 from needlefit.inference.identifiability.information import (
     short_name,
 )
+from needlefit.reporting.interval_text import NO_INTERVAL, format_interval, typeset_interval
 from needlefit.reporting.number_format import choose_printed_unit, format_number, format_quantity_range
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS
-from needlefit.studies.parameter_intervals import NO_INTERVAL, format_interval, typeset_interval
 
 
 def describe_verdicts(identification: pd.DataFrame) -> list[str]:
@@ -34,7 +34,8 @@ def _describe_interval(row: Row) -> str:
     if text == NO_INTERVAL:
         return "not determined: its 95 % interval spans most of its bounds"
     text = format_quantity_range(str(row["parameter"]), row["interval_low"], row["interval_high"])
-    return f"{'' if row['determined'] else 'not determined: '}95 % CI {text}"
+    known = row["determined"] or row.get("note")  # the note says which assumption it needs
+    return f"{'' if known else 'not determined: '}95 % CI {text}"
 
 
 def format_small_mm(value: float) -> str:

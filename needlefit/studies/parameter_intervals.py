@@ -15,14 +15,10 @@ from needlefit.inference.identifiability.assessment import AGREEMENT_FACTOR, NOR
 from needlefit.inference.identifiability.precision import MAX_ALPHA_SD, MAX_LOG_SD
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.reporting.number_format import format_number, typeset
+from needlefit.reporting.interval_text import interval_width
 
 Row = dict[str, Any]
 
-MAX_BOUNDS_SHARE = 0.5
-"""Part of the width of its bounds that an interval may have, in ln (alpha: itself), to be printed."""
-
-NO_INTERVAL = "not determined"
 NO_SOURCE = {"interval_low": math.nan, "interval_high": math.nan, "draw_source": ""}
 _PERCENTILES = (2.5, 97.5)
 
@@ -37,7 +33,7 @@ class ParameterInterval:
 
     def width(self, name: str) -> float:
         """Return the width of the coordinate: of ln for moduli and lengths."""
-        return math.log(self.high / self.low) if is_logarithmic(name) else self.high - self.low
+        return interval_width(name, self.low, self.high)
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than that of a parameter called determined."""
@@ -96,25 +92,7 @@ def add_intervals(
             found = one and ParameterInterval(factor * one.low, factor * one.high, one.source)
         row |= NO_SOURCE if found is None else found.columns()
         if found is not None and row["determined"] and not found.is_narrow(name):
-            row |= {"determined": False, "note": f"its 95 % interval is wide ({found.source})"}
+            row |= {"determined": False, "note": "not determined: its 95 % interval is wide"}
         if name in judged:
             judged[name] |= found.columns() if found else profiles[name].columns()
             judged[name]["determined"] = bool(judged[name]["determined"] and row["determined"])
-
-
-def format_interval(row: Row, unit: float = 1.0) -> str:
-    """Return the printed interval of a row, moduli in `unit` Pa; `NO_INTERVAL` where it spans most bounds."""
-    low, high = row.get("interval_low"), row.get("interval_high")
-    if low is None or high is None or not math.isfinite(low):
-        return ""
-    name = str(row["parameter"])
-    bounds = [float(row.get(end) or math.nan) for end in ("bound_low", "bound_high")]
-    whole = ParameterInterval(bounds[0], bounds[1], "").width(name)  # NaN without bounds
-    if ParameterInterval(low, high, "").width(name) > MAX_BOUNDS_SHARE * whole:
-        return NO_INTERVAL
-    return f"{format_number(low / unit)} to {format_number(high / unit)}"
-
-
-def typeset_interval(row: Row, unit: float = 1.0) -> str:
-    """Return `format_interval` as it is printed in books."""
-    return " to ".join(map(typeset, format_interval(row, unit).split(" to ")))

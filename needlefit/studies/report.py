@@ -1,8 +1,9 @@
 """The report of a run: what every kind of study provides, and the folder that is written from it."""
 
 import shutil
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from needlefit.project.atomic_write import replace_folder
 from needlefit.project.ownership import listed_files
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
 from needlefit.project.threads import one_thread
+from needlefit.project.troubleshooting import HelpSection, read_sections
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.labels import SYNTHETIC_NOTE
@@ -220,7 +222,8 @@ def label_figures(figures: FigurePaths, synthetic: bool) -> None:
 
 
 def write_report(report: Document, folder: Path, name: str = "report") -> None:
-    """Write a report as PDF and as HTML."""
+    """Write a report as PDF and as HTML; it ends with the sections that its warnings link to."""
+    report = replace(report, blocks=(*report.blocks, *_help_blocks(report.blocks)))
     (folder / f"{name}.pdf").write_bytes(document.compile_pdf(report))
     (folder / f"{name}.html").write_bytes(document.compile_html(report))
 
@@ -234,7 +237,7 @@ def compose_run_report(result: Run, figures: FigurePaths) -> Document:
         *verdict_blocks(result),
         *([document.bullets(sentences)] if sentences else []),
         *_fault_blocks(result),
-        *_list_warning_blocks(result),
+        *compose_warnings(list_run_warnings(result)),
         *page.compose(result, figures),
         *_run_blocks(result),
     ]
@@ -253,7 +256,7 @@ def verdict_blocks(result: Run, named: bool = False) -> list[Block]:
 def format_notebook_html(result: Run) -> str:
     """Return what a notebook shows of a run: title, warnings, results in words, tables."""
     page = find_kind(result.kind).report
-    warned = _list_warning_blocks(result)
+    warned = compose_warnings(list_run_warnings(result), linked=False)
     blocks = state_blocks(result) + _fault_blocks(result)
     if result.interrupted and result.kind != "fit":
         blocks += warned
@@ -266,11 +269,33 @@ def format_notebook_html(result: Run) -> str:
 
 def warning_blocks(result: Run) -> list[Block]:
     """Return what must be read before any number, and the warnings."""
-    return state_blocks(result) + _fault_blocks(result) + _list_warning_blocks(result)
+    return state_blocks(result) + _fault_blocks(result) + compose_warnings(list_run_warnings(result))
 
 
-def _list_warning_blocks(result: Run) -> list[Block]:
-    return [document.warning(f"Warning: {one} ({one.help_page}).") for one in list_run_warnings(result)]
+def compose_warnings(warnings: Iterable[ResultWarning], linked: bool = True, head: str = "") -> list[Block]:
+    """Return warnings, each linked to its section of the report, or with the command that prints it."""
+    return [
+        document.warning(f"Warning: {head}{one}.", (one.help_key, "What to do"))
+        if linked
+        else document.warning(f"Warning: {head}{one} ({one.help_command}).")
+        for one in warnings
+    ]
+
+
+def _help_blocks(blocks: Iterable[Block]) -> list[Block]:
+    """Return the sections of the page on troubleshooting that warnings link to, each once."""
+    keys = dict.fromkeys(block["target"] for block in blocks if block["kind"] == "warning")
+    found = [block for key in keys if key for block in _compose_help(read_sections()[key])]
+    return [document.heading("What the warnings mean"), *found] if found else []
+
+
+def _compose_help(section: HelpSection) -> Iterator[Block]:
+    yield document.subheading(section.title, section.key)
+    for is_item, texts in groupby(section.paragraphs, lambda words: words.startswith("- ")):
+        if is_item:
+            yield document.bullets([words.removeprefix("- ") for words in texts])
+        else:
+            yield from map(document.text, texts)
 
 
 def state_blocks(result: Run) -> list[Block]:

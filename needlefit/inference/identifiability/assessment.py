@@ -111,7 +111,7 @@ def _describe_profile(parameter: ParameterProfile, low: float, high: float) -> s
 def _describe_flat(parameter: ParameterProfile) -> str:
     low, high = (to_value(parameter.name, end) for end in parameter.bounds)
     tip_range_mm = parameter.tip_range_mm
-    tip = "" if tip_range_mm is None else f" and no tip moves by more than {_print_small(tip_range_mm)} mm"
+    tip = "" if tip_range_mm is None else f" and the tip moves by {_print_small(tip_range_mm)} mm"
     return (
         f"not identifiable: over its whole range, {_print(low)} to {_print(high)}, the deviance rises by "
         f"{_print_small(parameter.profile.rise)}{tip}"
@@ -181,7 +181,7 @@ def _compare_starts(parameter: ParameterProfile, equal: tuple[float, float] | No
 
 
 def _print_small(value: float) -> str:
-    return "less than 1e-4" if value < 1e-4 else f"{value:.2g}"
+    return "less than 1e-4" if value < 1e-4 else f"at most {value:.2g}"
 
 
 def _print(value: float) -> str:

@@ -28,7 +28,11 @@ MIN_MODEL_ERROR = 0.01
 """Standard deviation of the model's error, as part of the rms deflection of the tips, at least: a fit takes
 up much of what its model misses, so that its residuals are too small to say."""
 
-STATED_TIES, NO_MODEL_ERROR = "only under the stated ties", "only without model error"
+STATED_TIES = "determined only because it is tied to other parameters"
+NO_MODEL_ERROR = "determined only if the model has no error"
+CONDITIONS = (STATED_TIES, NO_MODEL_ERROR)
+"""Assumptions without which a parameter is not determined, as its note states them."""
+
 LOOSENED = "ties loosened and a model error"
 
 

@@ -125,13 +125,13 @@ def identify(problem: Problem, fit: Fit) -> Identifiability:
     notes = {n: _explain_undetermined(problem, theta, n, sds[n]) for n in names}
     for k, n in enumerate(names):
         if bounds[n]:
-            notes[n] = f"at its {bounds[n]} bound: the data say no more than this"
+            notes[n] = f"not determined: it lies at its {bounds[n]} bound"
         elif determined[n]:
             notes[n] = f"determined, also with {LOOSENED}"
         elif conditions[n]:
-            notes[n] = f"not determined: {conditions[n]}"
-        else:
-            notes[n] += _describe_combination(k, found)
+            notes[n] = conditions[n]
+        elif combination := _describe_combination(k, found):
+            notes[n] = notes[n].replace("not determined", "not determined alone", 1) + f"; {combination}"
         notes[n] += prior.describe(n)
     return Identifiability(
         sds=sds,
@@ -205,15 +205,14 @@ def _explain_undetermined(problem: Problem, theta: Floats, name: str, sd: float)
     moved = tip_range(problem, theta, name)
     low, high = problem.parameters.bounds[name]
     return (
-        f"not determined: going through its whole range, {low:g} to {high:g}, it moves no tip by more "
-        f"than {moved:.2g} mm"
+        f"not determined: over its whole range, {low:g} to {high:g}, the tip moves by at most {moved:.2g} mm"
     )
 
 
 def _describe_combination(k: int, found: tuple[Direction, ...]) -> str:
-    """Return in which best-known combination the parameter k is known, if it is known in any."""
+    """Return the best-known combination that the parameter k is part of, and how well it is known, if any."""
     for direction in found:
         named = abs(direction.weights[k]) >= MIN_NAMED_WEIGHT
         if named and direction.sd < MAX_LOG_SD and direction.is_informed:
-            return f"; only a combination is: {direction.words}"
+            return direction.words
     return ""

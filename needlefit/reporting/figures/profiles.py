@@ -14,6 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, choose_width, plot
+from needlefit.reporting.interval_text import NO_INTERVAL, typeset_interval
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR
 from needlefit.reporting.number_format import choose_printed_unit, format_number, typeset
 from needlefit.reporting.table_files import Row, to_records
@@ -48,7 +49,10 @@ def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, origin: 
 
 
 _PANEL_KEYS = ("fold", "parameter")
-_VERDICT_COLUMNS = ("status", "fisher_sd", "low", "high", "end_low", "end_high", "rise")
+_VERDICT_COLUMNS = (
+    *("status", "fisher_sd", "low", "high", "end_low", "end_high", "rise"),
+    *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
+)
 """Columns of the identification that the figure shows."""
 
 
@@ -104,14 +108,12 @@ def _paint_panel(axes: Axes, row: Row, points: pd.DataFrame) -> None:
 
 
 def _paint_interval(axes: Axes, row: Row, curve: tuple[Floats, Floats], threshold: float) -> None:
-    """Shade what is within the threshold; write the ends of the interval under it."""
+    """Shade the 95 % interval of the tables; of a profile alone, what is within the threshold."""
     where, deviance = curve
-    axes.fill_between(
-        where, 0, MAX_DEVIANCE, where=list(deviance <= threshold), color=PROFILE_COLOUR, alpha=0.1, lw=0
-    )
-    for side in ("low", "high"):
-        if row[f"end_{side}"] == "closed":
-            axes.plot([row[side]] * 2, [0, threshold], color=PROFILE_COLOUR, lw=0.6)
+    inside = deviance <= threshold
+    if _is_of_draws(row):
+        inside = (where >= row["interval_low"]) & (where <= row["interval_high"])
+    axes.fill_between(where, 0, MAX_DEVIANCE, where=list(inside), color=PROFILE_COLOUR, alpha=0.1, lw=0)
 
 
 def _paint_parabola(
@@ -159,9 +161,8 @@ def _panel_title(row: Row) -> str:
 
 def _describe_state(row: Row) -> str:
     low, high = row["end_low"] == "closed", row["end_high"] == "closed"
-    if low and high:
-        unit = _choose_unit(row)[1]
-        return f"{_format_tick(row['low'] / unit)} to {_format_tick(row['high'] / unit)}"
+    if _is_of_draws(row) or (low and high):
+        return typeset_interval(row, _choose_unit(row)[1])
     if "lost" in (row["end_low"], row["end_high"]):
         return "could not be followed to its end"
     if not low and not high:
@@ -170,14 +171,20 @@ def _describe_state(row: Row) -> str:
     return f"{end}, open"
 
 
+def _is_of_draws(row: Row) -> bool:
+    return row["draw_source"] not in (None, "", "profile")
+
+
 def _is_flat(row: Row) -> bool:
     """Return whether the deviance hardly rises over the whole range of a parameter."""
     return (row["rise"] or 0) < 1 and "closed" not in (row["end_low"], row["end_high"])
 
 
 def _choose_colour(row: Row) -> str:
-    """Return the colour of the verdict: that of a warning where the interval is open."""
-    return INK if row["end_low"] == row["end_high"] == "closed" else WARNING_COLOUR
+    """Return the colour of the verdict: that of a warning where the interval is open or none is printed."""
+    if _describe_state(row) == NO_INTERVAL:
+        return WARNING_COLOUR
+    return INK if _is_of_draws(row) or row["end_low"] == row["end_high"] == "closed" else WARNING_COLOUR
 
 
 def choose_log_ticks(low: float, high: float) -> list[float]:

@@ -3,8 +3,10 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 
+from needlefit.inference.identifiability.conditions import CONDITIONS
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
+from needlefit.reporting.interval_text import NO_INTERVAL, format_interval, typeset_interval
 from needlefit.reporting.labels import method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
@@ -20,21 +22,24 @@ from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.kinds.cross_validation.parameter_table import (
+    CONDITIONAL,
     METHODS,
     NOT_DETERMINED,
     arrange_parameters,
+    is_conditional,
     tabulate_parameters,
 )
 from needlefit.studies.kinds.cross_validation.tables import study_label
 from needlefit.studies.paper.claims import Claim
-from needlefit.studies.parameter_intervals import NO_INTERVAL, format_interval, typeset_interval
 from needlefit.studies.run import Run
 from needlefit.studies.summary import compare_methods
 
 _INTERVAL_NOTE = (
-    "“95 % interval” is that of the posterior draws if they are certified, else that of the profile "
-    "likelihood; “not determined” where it spans more than half of the bounds. Model error is not "
-    "included. μ is an effective foundation modulus of this model, not a material constant."
+    "Fitted: “not determined” if many values fit equally well, “conditional” if the value is determined only "
+    "under the assumption in the note. “95 % interval”: of the posterior draws if they are certified, else "
+    "of the profile likelihood; with the ties between parameters, without model error; “not determined” "
+    "where it spans more than half of the bounds. μ is an effective foundation modulus of this model, not a "
+    "material constant."
 )
 # the column "Fitted" says it
 _NOT_DETERMINED_PREFIX = re.compile(r"^not determined(?:[:;] | \(([^()]*)\)|$)")
@@ -117,6 +122,11 @@ def _describe_parameter(name: str, rows: list[Row], published: Mapping[str, floa
     fixed = row["status"] == "fixed"
     fitted = format_quantity_range(name, min(values), max(values)) if values else ""
     interval = ""
+    loose = [] if fixed else [one for one in rows if not one["determined"]]
+    conditional = loose and all(map(is_conditional, loose))
+    conditions = [one for one in CONDITIONS if any(one in str(row["note"]) for row in loose)] * bool(
+        conditional
+    )
     if not fixed:
         texts = [format_interval(one) for one in rows]
         lows, highs = ([one[f"interval_{end}"] for one in rows] for end in ("low", "high"))
@@ -126,10 +136,10 @@ def _describe_parameter(name: str, rows: list[Row], published: Mapping[str, floa
             interval = NO_INTERVAL if NO_INTERVAL in texts else ""
     return {
         "parameter": format_bare_symbol(name),
-        "fitted": fitted if fixed or all(one["determined"] for one in rows) else NOT_DETERMINED,
+        "fitted": fitted if not loose else CONDITIONAL if conditions else NOT_DETERMINED,
         "interval_95": interval,
         "hand_tuned": format_quantity(name, published.get(name)),
-        "note": "fixed" if fixed else "",
+        "note": "fixed" if fixed else "; ".join(conditions),
     }
 
 
@@ -184,17 +194,16 @@ def lay_out_directions(results: Run) -> TableLayout:
     cells = [
         {
             "fold": row["fold"] if folds else "",
-            "sd": row["sd"],
             "known_combination": insert_symbols(str(row["note"])),
             "origin": results.origin,
         }
         for row in rows
     ]
-    columns = ("fold", "sd", "known_combination")
+    columns = ("fold", "known_combination")
     caption = "Best- and worst-determined combinations of parameters."
     notes = (
         "Linear about the fitted point, and only as far as the model and the stated noise hold: along a "
-        "curved ridge the combination turns, so a point far along it may lie many of these deviations away.",
+        "curved ridge the combination turns, so these figures hold near the fit only.",
     )
     return Table("directions", caption, cells, columns, notes=notes).lay_out(drop_empty=True)
 
@@ -229,7 +238,9 @@ def _parameter_cells(row: Row) -> Row:
 
 def format_in_unit(text: str, unit: float) -> str:
     """Return a value of the files in another unit; words stay."""
-    return typeset(text if unit == 1 or text in ("", NOT_DETERMINED) else format_number(float(text) / unit))
+    return typeset(
+        text if unit == 1 or text in ("", NOT_DETERMINED, CONDITIONAL) else format_number(float(text) / unit)
+    )
 
 
 def _format_status(row: Row) -> str:

@@ -6,11 +6,17 @@ import pandas as pd
 
 from needlefit.inference.identifiability.information import UNINFORMED_SD_RATIO
 from needlefit.reporting.number_format import insert_symbols
+from needlefit.reporting.table_files import to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.identification_tables import describe_verdicts
 from needlefit.studies.kinds.cross_validation.detail_tables import lay_out_baselines
 from needlefit.studies.kinds.cross_validation.files import lay_out_tables
-from needlefit.studies.kinds.cross_validation.parameter_table import arrange_parameters, tabulate_parameters
+from needlefit.studies.kinds.cross_validation.parameter_table import (
+    NOT_DETERMINED,
+    arrange_parameters,
+    is_conditional,
+    tabulate_parameters,
+)
 from needlefit.studies.kinds.cross_validation.posterior import (
     describe_outside_fits,
     describe_unconverged,
@@ -86,9 +92,10 @@ def _describe_undetermined(results: Run) -> Iterator[str]:
         return
     free = table[table["status"] == "free"]
     loose = free[~free["determined"].astype(bool)].drop_duplicates(["parameter", "note"])
-    for row in loose.itertuples():
-        why = str(row.note or "").removeprefix("not determined").lstrip(":; ")
-        yield f"{row.parameter} is not identifiable{f': {why}' if why else ''}."
+    judged = set(results.frames["identification"]["parameter"])  # `describe_verdicts` names their conditions
+    for row in to_records(loose):
+        if not (row["parameter"] in judged and is_conditional(row)):
+            yield f"{row['parameter']}: {row['note'] or NOT_DETERMINED}."
     directions = results.frames["directions"]
     informed = directions[~(directions["sd_ratio"].astype(float) >= UNINFORMED_SD_RATIO)]
     if len(informed):

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 from needlefit.metrics import list_metrics
 from needlefit.reporting import latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
-from needlefit.reporting.number_format import choose_printed_unit, format_number, typeset
+from needlefit.reporting.interval_text import typeset_interval
+from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.cross_validation import detail_tables, score_tables
@@ -21,8 +22,8 @@ def format_macros(results: Sequence[Run]) -> str:
 
     A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
     beside it or `-over-floor` after it for the multiple of its noise floor; `<run>-<parameter>`, with `-low`,
-    `-high` and `-interval` of its 95 % interval, all in the unit of the tables, `-unit`; or that of a cell of
-    a table (`format_table_macros`).
+    `-high` and `-interval` of its 95 % interval (`-interval` alone where that is "not determined"), all in
+    the unit of the tables, `-unit`; or that of a cell of a table (`format_table_macros`).
     """
     return latex.format_macros(number for one in results for number in _list_numbers(one))
 
@@ -78,7 +79,7 @@ def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
         yield key, detail_tables.format_in_unit(row["fitted"], scale)
         if unit := label.partition(" (")[2].rstrip(")"):
             yield f"{key}-unit", unit
-        ends = [row[end] for end in ("interval_low", "interval_high")]
-        if all(format_number(end) for end in ends):
-            low, high = (typeset(format_number(end / scale)) for end in ends)
-            yield from ((f"{key}-low", low), (f"{key}-high", high), (f"{key}-interval", f"{low} to {high}"))
+        if interval := typeset_interval(row, scale):
+            yield f"{key}-interval", interval
+            low, to, high = interval.partition(" to ")
+            yield from ((f"{key}-low", low), (f"{key}-high", high)) if to else ()

@@ -4,13 +4,17 @@ from collections.abc import Callable
 
 import pandas as pd
 
+from needlefit.inference.identifiability.conditions import CONDITIONS
+from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.reporting.number_format import format_number
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.kinds.cross_validation.comparability import compare_parameter_row
 from needlefit.studies.kinds.cross_validation.tables import study_label
 from needlefit.studies.run import Run
 
-NOT_DETERMINED = "not determined"
+NOT_DETERMINED, CONDITIONAL = "not determined", "conditional"
+"""Printed in place of a value: the data do not determine it, or only under the assumption in its note."""
+
 _SEARCHED_STATUSES = ("free", "tied")
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "value_used"),
@@ -25,11 +29,12 @@ METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
 def tabulate_parameters(*results: Run) -> pd.DataFrame:
     """Return one row per study, fold, parameter and method.
 
-    `value` is as printed: a parameter that the data cannot determine reads "not determined", in both fits
-    alike. `value_used` is the number that the predictions were made with; where `determined` is false it is
-    one of many that do as well, and no estimate. `sd` is of ln for moduli and lengths, of the value for
-    alpha; it stands where errors have their noise floor, for of a parameter there is none. `comparable` says
-    what makes ours and the paper's comparable or not.
+    `value` is as printed: a parameter that the data cannot determine reads "not determined", one that they
+    determine only under an assumption "conditional", in both fits alike. `value_used` is the number that the
+    predictions were made with; where `determined` is false it is one of many that do as well, and no
+    estimate. `sd` is of ln for moduli and lengths, of the value for alpha; it stands where errors have their
+    noise floor, for of a parameter there is none. `comparable` says what makes ours and the paper's
+    comparable or not.
     """
     rows = [row for one in results for row in _parameter_rows(one)]
     return pd.DataFrame(rows, columns=list(_PARAMETER_COLUMNS))
@@ -54,6 +59,17 @@ def find_undetermined(results: Run) -> list[str]:
     )
 
 
+def find_conditional(results: Run) -> list[str]:
+    """Return those of `find_undetermined` that are determined under an assumption, in every fold."""
+    loose = _find_parameters(results, lambda row: not row["determined"] and not is_conditional(row))
+    return [name for name in find_undetermined(results) if name not in loose]
+
+
+def is_conditional(row: Row) -> bool:
+    """Return whether a parameter is determined only under the assumption that its note names."""
+    return any(condition in str(row["note"]) for condition in CONDITIONS)
+
+
 def find_fixed(results: Run) -> list[str]:
     """Return the parameters that were given, not estimated, in the order of the model."""
     return _find_parameters(results, lambda row: row["status"] == "fixed")
@@ -69,22 +85,25 @@ def _find_parameters(results: Run, wanted: Callable[[Row], bool]) -> list[str]:
 def _parameter_rows(results: Run) -> list[Row]:
     rows = to_records(results.frames["parameters"])
     determined = {(r["fold"], r["parameter"]): r["determined"] for r in rows if r["method"] == "fitted"}
+    notes = {(r["fold"], r["parameter"]): r["note"] for r in rows if r["method"] == "fitted"}
     published = {(r["fold"], r["parameter"]) for r in rows if r["method"] == "hand_tuned"}
     about = {"study": study_label(results), "medium": results.record.medium, "origin": results.origin}
     found = []
     for row in rows:
         key = (row["fold"], row["parameter"])
+        if row["method"] == "fitted_metric" and row["parameter"] in HYPERPARAMETERS:
+            continue  # of the likelihood: errors do not depend on them
         of_fit = row["method"] in ("fitted", "fitted_metric")
         known = bool(determined[key] if of_fit else row["determined"])
         words = compare_parameter_row(results, key in published)
-        judged = {**row, "determined": known}
+        judged = {**row, "determined": known, "note": notes[key] if of_fit else row["note"]}
         printed = {"value": _format_published(judged), "value_used": row["value"]}
-        found.append({**about, **judged, **printed, "comparable": words})
+        found.append({**about, **judged, **printed, "note": row["note"], "comparable": words})
     return found
 
 
 def _format_published(row: Row) -> str:
-    """Return the cell of one parameter; the status decides whether it could have been determined at all."""
+    """Return the cell of one parameter: its value if the data determine it or it was given."""
     if row["status"] in _SEARCHED_STATUSES and not row["determined"]:
-        return NOT_DETERMINED
+        return CONDITIONAL if is_conditional(row) else NOT_DETERMINED
     return format_number(row["value"])

@@ -19,7 +19,11 @@ from needlefit.reporting.number_format import choose_printed_unit, format_bare_s
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
-from needlefit.studies.kinds.cross_validation.parameter_table import NOT_DETERMINED
+from needlefit.studies.kinds.cross_validation.parameter_table import (
+    CONDITIONAL,
+    NOT_DETERMINED,
+    is_conditional,
+)
 from needlefit.studies.run import Run
 
 
@@ -88,11 +92,12 @@ _MODE_NOTE = (
 def lay_out_posterior(results: Run) -> TableLayout:
     """Return the percentiles beside the fitted value."""
     table = to_records(tabulate_percentiles(results))
+    fitted = {(str(row["fold"]), str(row["parameter"])): row for row in _fitted_rows(results)}
     several = len(results.posteriors) > 1
     rows = [
         {
             **_scale_percentiles(row),
-            **_mark_fit(row),
+            **_mark_fit(row, fitted),
             "fold": row["fold"] if several else "",
             "state": "" if row["converged"] else "NOT CONVERGED",
         }
@@ -115,9 +120,10 @@ def _scale_percentiles(row: Row) -> Row:
     return {**row, **scaled, "parameter": label}
 
 
-def _mark_fit(row: Row) -> Row:
+def _mark_fit(row: Row, fitted: Mapping[tuple[str, str], Row]) -> Row:
     if row["determined"] is False:
-        return {"fit_value_used": NOT_DETERMINED, "mark": ""}
+        conditional = is_conditional(fitted[str(row["fold"]), str(row["parameter"])])
+        return {"fit_value_used": CONDITIONAL if conditional else NOT_DETERMINED, "mark": ""}
     return {"mark": "‡" if row["fit_in_central_95"] is False else ""}
 
 

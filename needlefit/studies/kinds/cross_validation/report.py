@@ -35,7 +35,14 @@ from needlefit.studies.kinds.cross_validation.tables import (
     tabulate_tuning,
 )
 from needlefit.studies.kinds.cross_validation.verdict import describe_evidence, judge, warn_of_coverage
-from needlefit.studies.report import FigurePaths, StudyReport, list_run_warnings, state_blocks, verdict_blocks
+from needlefit.studies.report import (
+    FigurePaths,
+    StudyReport,
+    compose_warnings,
+    list_run_warnings,
+    state_blocks,
+    verdict_blocks,
+)
 from needlefit.studies.run import Run
 
 
@@ -212,15 +219,12 @@ def _join_equal(blocks: Iterable[Block]) -> list[Block]:
 
 def _overview_warnings(results: Sequence[Run]) -> list[Block]:
     """Return what did not converge, and the warnings of all runs, each with the name of its run."""
-    items = [
-        f"{one.title.partition(':')[0]}: {words}."
-        for one in results
-        for words in (
-            *(f"NOT CONVERGED: {fault}" for fault in one.faults),
-            *(f"{warning} ({warning.help_page})" for warning in list_run_warnings(one)),
-        )
-    ]
-    return [document.subheading("Warnings"), document.bullets(items)] if items else []
+    blocks = []
+    for one in results:
+        name = one.title.partition(":")[0]
+        blocks += [document.warning(f"{name}: NOT CONVERGED: {fault}.") for fault in one.faults]
+        blocks += compose_warnings(list_run_warnings(one), head=f"{name}: ")
+    return [document.subheading("Warnings"), *blocks] if blocks else []
 
 
 def _overview_predictions(results: Sequence[Run], figures: FigurePaths) -> list[Block]:

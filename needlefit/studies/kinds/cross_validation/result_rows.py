@@ -303,7 +303,9 @@ def _describe_profile(judged: Assessment | None) -> str:
     return (
         ""
         if judged is None
-        else f"; freed, {'its profile is flat' if judged.flat else judged.profile_verdict}"
+        else "; the data do not determine it"
+        if judged.flat
+        else f"; if fitted: {judged.profile_verdict}"
     )
 
 

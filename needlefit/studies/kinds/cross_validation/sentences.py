@@ -12,7 +12,11 @@ from needlefit.reporting.number_format import (
     join_words,
 )
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies.kinds.cross_validation.parameter_table import find_fixed, find_undetermined
+from needlefit.studies.kinds.cross_validation.parameter_table import (
+    find_conditional,
+    find_fixed,
+    find_undetermined,
+)
 from needlefit.studies.kinds.cross_validation.tables import ScoredGroup, list_held_out_groups, study_label
 from needlefit.studies.run import Run
 from needlefit.studies.summary import aggregate, beats_fit, compare_methods, count_reasons
@@ -167,10 +171,21 @@ def describe_undetermined(results: Run) -> str:
             f"The data determine every free parameter, given this model and the stated noise.{alone}{summary}"
         )
     where = ", in at least one fold" if results.frames["parameters"]["fold"].nunique() > 1 else ""
-    return (
-        f"The data do not determine {_join_symbols(open_ones)}{where}: many values fit equally well within "
-        f"tolerance. The predictions use one of them, which is no estimate.{alone}{summary}"
+    conditional = find_conditional(results)
+    loose = [name for name in open_ones if name not in conditional]
+    found = (
+        f"The data do not determine {_join_symbols(loose)}{where}: many values fit equally well within "
+        "tolerance. The predictions use one of them, which is no estimate."
+        if loose
+        else ""
     )
+    found += (
+        f" The data determine {_join_symbols(conditional)} only under an assumption, which the note in the "
+        "table names."
+        if conditional
+        else ""
+    )
+    return f"{found.strip()}{alone}{summary}"
 
 
 def describe_prediction_set(results: Run) -> str:

@@ -13,7 +13,7 @@ from needlefit.reporting.labels import layers_name, medium_name
 from needlefit.reporting.number_format import format_symbol, join_words
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.fit_warnings import verdict_warnings
-from needlefit.studies.kinds.cross_validation.parameter_table import find_undetermined
+from needlefit.studies.kinds.cross_validation.parameter_table import find_conditional, find_undetermined
 from needlefit.studies.kinds.cross_validation.tables import (
     BY_MEDIA,
     ScoredGroup,
@@ -222,10 +222,16 @@ def _open_fit(kinds: set[str], undetermined: bool) -> tuple[str, Status]:
 def _describe_determined(results: Run) -> str:
     rows = results.frames["parameters"].query("method == 'fitted' and status != 'fixed'")
     names, loose = list(dict.fromkeys(rows["parameter"])), find_undetermined(results)
+    conditional = find_conditional(results)
     known = [name for name in names if name not in loose]
+    loose = [name for name in loose if name not in conditional]
     parts = [
         f"{words} {join_words([format_symbol(name).split(' (')[0] for name in some])}"
-        for words, some in (("identifiable:", known), ("not identifiable:", loose))
+        for words, some in (
+            ("identifiable:", known),
+            ("identifiable under assumptions:", conditional),
+            ("not identifiable:", loose),
+        )
         if some
     ]
     return "; ".join(parts) or "all parameters are fixed"

@@ -41,9 +41,6 @@ def _compare_identifications(before: pd.DataFrame, after: pd.DataFrame) -> Itera
 
 _VERDICT_NAMES = {True: "determined", False: "not determined"}
 
-
-_VERDICT_NAMES = {True: "determined", False: "not determined"}
-
 IDENTIFICATION_COMPARISON = TableComparison(
     TableSchema(texts=("parameter",), numbers=("sd",), flags=("determined",)), _compare_identifications
 )

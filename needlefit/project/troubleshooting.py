@@ -1,0 +1,53 @@
+"""The sections of the page on troubleshooting, which ships with the package: what each warning means."""
+
+import posixpath
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+from needlefit.project.input_files import read_text
+from needlefit.project.locate import shipped_folder
+
+TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"
+"""Has a section for every kind of warning."""
+
+_SECTION_PATTERN = re.compile(
+    r"^\((?P<key>[\w-]+)\)=\n#+ (?P<title>.+)\n(?P<body>(?:(?!\([\w-]+\)=|#).*\n)*)", re.MULTILINE
+)
+_LINK_PATTERN = re.compile(r"\[([^\]]+)\]\(([^)#]*)(?:#[^)]*)?\)")
+
+
+@dataclass(frozen=True)
+class HelpSection:
+    """One section: its key, such as "parameter-at-bound", its heading, its paragraphs and items of lists.
+
+    An item of a list begins with "- ".
+    """
+
+    key: str
+    title: str
+    paragraphs: tuple[str, ...]
+
+
+@cache
+def read_sections() -> dict[str, HelpSection]:
+    """Return the sections of the page by key."""
+    page = read_text(shipped_folder() / TROUBLESHOOTING_PAGE)
+    found = (
+        HelpSection(match["key"], match["title"], tuple(_split_paragraphs(match["body"])))
+        for match in _SECTION_PATTERN.finditer(page)
+    )
+    return {one.key: one for one in found}
+
+
+def _split_paragraphs(body: str) -> Iterator[str]:
+    """Yield paragraphs and items as plain text: another page is named in place of a link."""
+    for part in re.split(r"\n\s*\n|\n(?=- )", body.strip()):
+        plain = _LINK_PATTERN.sub(_name_page, " ".join(part.split()))
+        yield plain.replace("**", "")
+
+
+def _name_page(link: re.Match[str]) -> str:
+    page = posixpath.normpath(posixpath.join(posixpath.dirname(TROUBLESHOOTING_PAGE), link[2]))
+    return f"{link[1]} ({page})" if link[2] else link[1]
