@@ -8,7 +8,7 @@ from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
-from needlefit.imaging.batch import ReconstructionFailure
+from needlefit.imaging.batch import ReconstructionFailure, add_findings
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.project.atomic_write import replace_folder
 from needlefit.project.progress import Progress
@@ -159,6 +159,8 @@ def write_reconstruction(
     """
     with replace_folder(folder) as fresh:
         kept, failures = assemble_checked(fresh, ones, recipe, description)
+        by_id = {one.scan.id: one for one in ones}
+        failures = tuple(add_findings(one, by_id[one.scan.id], recipe) for one in failures)
         if not kept:
             return None, failures
         refused = (*refused, *failures)
