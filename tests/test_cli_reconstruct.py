@@ -125,11 +125,13 @@ def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
 
 
 @pytest.mark.usefixtures("searched_once")
-def test_proposed_layers_stand_beside_the_stated_ones(tmp_path):
+def test_proposed_layers_stand_beside_the_stated_ones(tmp_path, capsys):
     out = tmp_path / "out"
     words = ("reconstruct", VOLUME, "--markers", MARKERS, "--layers", LAYERS[0], "auto", "--out", out)
     assert run(*words, "-q") == 0
     proposed = pd.read_csv(out / "proposed_layers.csv").iloc[0]
+    printed = capsys.readouterr().out
+    assert f"{out}/proposed/" in printed and f"{proposed['depth_mm']:.2f} ± " in printed
     assert proposed["depth_mm"] == pytest.approx(19.0, abs=3 * proposed["depth_sd_mm"] + 0.2)
     assert (proposed["out_of"], proposed["into"]) == (1, 2)
     assert read_surface(out / "proposed" / "sample_proposed2.stl", "sheet", 2).mesh.faces.shape[0] > 100

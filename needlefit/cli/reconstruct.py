@@ -232,7 +232,11 @@ def _show(
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
-    from needlefit.studies.kinds.reconstruction.report import lay_out_first, summarize
+    from needlefit.studies.kinds.reconstruction.report import (
+        describe_proposals,
+        lay_out_first,
+        summarize,
+    )
 
     if as_json is not None:
         rows = found.frames["reconstruction"].to_dict(orient="records") if found else []
@@ -240,6 +244,9 @@ def _show(
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         about = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
+        proposed = found.frames.get("proposed_layers") if found else None
+        if proposed is not None:
+            about["proposed_layers"] = proposed.to_dict(orient="records")
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()
@@ -248,6 +255,8 @@ def _show(
         for remark in summarize(found)[1:]:
             screen.print_text(remark)
         screen.print_line(f"written: {out}/ (figures of each scan in {out}/quality/)")
+        for line in describe_proposals(found, out):
+            screen.print_text(line)
 
 
 def _write_refused(out: Path, failed: "Sequence[ReconstructionFailure]") -> Path | None:
