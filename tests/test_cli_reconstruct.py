@@ -20,7 +20,7 @@ from needlefit.cli.reconstruct import repeat_option
 from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.datasets.sources import ScanVolume, find_volume
-from needlefit.geometry.surfaces import read_surface
+from needlefit.geometry.surfaces import make_sheet, read_surface, write_surface
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.volume import Volume
@@ -125,11 +125,13 @@ def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
 
 
 @pytest.mark.usefixtures("searched_once")
-def test_proposed_layers_stand_beside_the_stated_ones(tmp_path):
+def test_proposed_layers_stand_beside_the_stated_ones(tmp_path, capsys):
     out = tmp_path / "out"
     words = ("reconstruct", VOLUME, "--markers", MARKERS, "--layers", LAYERS[0], "auto", "--out", out)
     assert run(*words, "-q") == 0
     proposed = pd.read_csv(out / "proposed_layers.csv").iloc[0]
+    printed = capsys.readouterr().out
+    assert f"{out}/proposed/" in printed and f"{proposed['depth_mm']:.2f} ± " in printed
     assert proposed["depth_mm"] == pytest.approx(19.0, abs=3 * proposed["depth_sd_mm"] + 0.2)
     assert (proposed["out_of"], proposed["into"]) == (1, 2)
     assert read_surface(out / "proposed" / "sample_proposed2.stl", "sheet", 2).mesh.faces.shape[0] > 100
@@ -429,6 +431,24 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
     if pages:  # the scan could be read: its page says what was found
         assert {"out.refused/refused.csv", "out.refused/candidates.csv"} < pages
         assert sum(name.startswith("out.refused/quality/") for name in pages) == 1
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        {"layers": "3", "layers_alternative": "3"},  # refused with the scan
+        {"entry_y_mm": "-2.5"},  # with the row of the dataset that it would give
+        {"surfaces": "turned.stl=sheet:2", "layers": "", "layers_alternative": ""},  # with the whole dataset
+    ],
+)
+@pytest.mark.usefixtures("searched_once")
+def test_every_refused_scan_that_can_be_read_has_a_page(spoil, tmp_path):
+    write_surface(make_sheet("turned", (-14.0, -2.5, -3.0), (1, 0, 0), 8.0, into=2), tmp_path / "turned.stl")
+    assert run("reconstruct", table(tmp_path, **spoil), "--out", tmp_path / "out", "-q") == 3
+    assert not (tmp_path / "out").exists() and not (tmp_path / "out.partial").exists()
+    candidates = pd.read_csv(tmp_path / "out.refused" / "candidates.csv")
+    assert {"tube", "ball", "entry"} <= set(candidates["kind"])
+    assert (tmp_path / "out.refused" / "quality" / "sample.pdf").is_file()
 
 
 @pytest.mark.usefixtures("searched_once")

@@ -1,5 +1,6 @@
 """The needle's axis and tip from scans of needles of known equation."""
 
+import re
 from pathlib import Path
 
 import ct_cases as cases
@@ -21,6 +22,8 @@ from needlefit.imaging.needle.axis_spline import (
 from needlefit.imaging.needle.centerline import slice_sd, trace_needle
 from needlefit.imaging.needle.segmentation import find_components, list_thresholds
 from needlefit.imaging.needle.selection import segment_needle
+from needlefit.imaging.reconstruct import examine
+from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.load import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -143,6 +146,19 @@ def test_balls_alone_are_no_needle():
 def test_a_tip_beyond_the_volume():
     with pytest.raises(DataError, match=r"volume.* tip"):
         found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0))))
+
+
+@pytest.mark.parametrize("contact", [None, cases.ENTRY])
+def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, contact):
+    """The base lies in air, 28 mm before the face; the volume ends 5 or 12 mm before the tip."""
+    for top in (35.0, 28.0):
+        size = (48, 48, int((top + 22.0) / cases.SPACING))
+        cut = cases.scan(cases.axis(), grid=cases.grid(size=size, origin=np.array([0, 0, -22.0])))
+        scan = Scan("cut", tmp_path / "cut.nrrd", "box", contact=contact)
+        refused = examine(cut, scan, cases.RECIPE).error
+        assert refused is not None and "entry_direction" in refused.fix
+        soft = [float(length) for length in re.findall(r"(\d+) mm", refused.what)]
+        assert_allclose(soft, [top - 12.0, 0.0], atol=1.5)
 
 
 def test_an_entry_direction_that_points_out_of_the_volume():

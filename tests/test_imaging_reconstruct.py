@@ -1,5 +1,8 @@
 """Where the tissue begins: by its own surface, unless the scan itself shows another place."""
 
+import re
+from pathlib import Path
+
 import ct_cases as cases
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ from reconstruction_cases import small_scan
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
-from needlefit.imaging.reconstruct import reconstruct
+from needlefit.imaging.reconstruct import examine, reconstruct
 from needlefit.imaging.scan import LayerSource, Scan
 from needlefit.imaging.volume_files import write_volume
 
@@ -36,6 +39,21 @@ def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
     with pytest.raises(DataError, match=r"own surface .*\b8\.[01] mm") as error:
         reconstruct(scan(tmp_path, face(FACE + 8.0)), cases.RECIPE)
     assert "state the stage" in error.value.fix
+
+
+@pytest.mark.parametrize(
+    ("before_tip", "words"), [(-2.0, r"\b2\.\d mm beyond"), (0.8, r"0\.\d+ mm before"), (4.0, "")]
+)
+def test_a_contact_lies_before_the_tip(before_tip, words):
+    """The page examines a scan as the command does: one rule for both."""
+    placed = np.array([11.0, 11.0, 40.0 - before_tip])
+    volume = cases.scan(cases.axis())
+    found = examine(volume, Scan("one", Path("one.nrrd"), "box", contact=placed), cases.RECIPE)
+    if words:
+        assert found.error is not None and re.search(words, found.error.what)
+    else:
+        assert found.reconstruction is not None
+        assert found.reconstruction.depth == pytest.approx(before_tip, abs=0.15)
 
 
 def test_a_surface_drawn_along_the_needle_is_refused(tmp_path):

@@ -147,6 +147,15 @@ def test_a_small_wrong_scale_is_remarked_and_not_applied():
     assert whole.factor == pytest.approx(1 / 1.004, abs=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("unit", "mm"), [("metres", 1000), ("centimetres", 10), ("inches", 25.4), ("micrometres", 0.001)]
+)
+def test_another_unit_is_named(unit, mm):
+    for found in (FOUND, FOUND[1:]):
+        error = refused(found, LAYOUT / mm, 0.1)
+        assert unit in error and f"{mm:g}" in error
+
+
 def test_unrelated_markers_are_refused():
     rng = np.random.default_rng(8)
     assert "no pairing" in refused(rng.uniform(-40, 40, (7, 3)), LAYOUT, 0.1)

@@ -125,7 +125,12 @@ def reconstruct(
         context.find_root().obj
     ) as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.imaging.assembly import DatasetDescription
-        from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
+        from needlefit.imaging.batch import (
+            ReconstructionBatch,
+            ReconstructionFailure,
+            add_findings,
+            reconstruct_all,
+        )
         from needlefit.imaging.label_export import require_dicom
         from needlefit.project.checkpoint_folder import claim_checkpoint, remove_checkpoint
         from needlefit.project.load import load
@@ -166,9 +171,14 @@ def reconstruct(
             written = None
             if ones:
                 about = DatasetDescription(out.resolve().name, title)
-                written, faulty = write_reconstruction(
-                    out, ones, record, about, report, refused=failed, exports=exports
-                )
+                faulty: Sequence[ReconstructionFailure]
+                try:
+                    written, faulty = write_reconstruction(
+                        out, ones, record, about, report, refused=failed, exports=exports
+                    )
+                except DataError as error:  # it belongs to no single scan
+                    whole = [ReconstructionFailure(one.scan, error) for one in ones]
+                    faulty = [add_findings(*pair, record) for pair in zip(whole, ones, strict=True)]
                 failed = [*failed, *faulty]
             pages = out if written else _write_refused(out, failed)
             if pages != _refused_folder(out):  # those of an earlier run would be taken for this one's
@@ -222,7 +232,11 @@ def _show(
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
-    from needlefit.studies.kinds.reconstruction.report import lay_out_first, summarize
+    from needlefit.studies.kinds.reconstruction.report import (
+        describe_proposals,
+        lay_out_first,
+        summarize,
+    )
 
     if as_json is not None:
         rows = found.frames["reconstruction"].to_dict(orient="records") if found else []
@@ -230,6 +244,9 @@ def _show(
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         about = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
+        proposed = found.frames.get("proposed_layers") if found else None
+        if proposed is not None:
+            about["proposed_layers"] = proposed.to_dict(orient="records")
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()
@@ -238,6 +255,8 @@ def _show(
         for remark in summarize(found)[1:]:
             screen.print_text(remark)
         screen.print_line(f"written: {out}/ (figures of each scan in {out}/quality/)")
+        for line in describe_proposals(found, out):
+            screen.print_text(line)
 
 
 def _write_refused(out: Path, failed: "Sequence[ReconstructionFailure]") -> Path | None:
@@ -261,8 +280,10 @@ def _refused_folder(out: Path) -> Path:
 def _print_failures(
     found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path | None
 ) -> None:
-    for one in failed:
-        screen.print_note(f"needlefit: {_describe_failure(one)}")
+    errors = {id(one.error): one for one in failed}  # a fault of the whole dataset is one of every scan
+    for key, one in errors.items():
+        alike = [other.scan.id for other in failed if id(other.error) == key]
+        screen.print_note(f"needlefit: {_describe_failure(one, ', '.join(alike))}")
     if failed and pages:
         screen.print_note(f"needlefit: what was found in refused scans: {pages}/quality/")
     if failed and found:
@@ -284,13 +305,13 @@ def _view_command(scans: list[Path], failure: "ReconstructionFailure", recipe: s
     return shlex.join([*words, "--recipe", recipe] if recipe != "default" else words)
 
 
-def _describe_failure(failure: "ReconstructionFailure") -> str:
-    """Return the error of a scan, behind its id unless the error begins with the volume of that name."""
+def _describe_failure(failure: "ReconstructionFailure", ids: str) -> str:
+    """Return an error, behind the ids of its scans unless it begins with the volume of that name."""
     from needlefit.imaging.scan_table import scan_id
 
     error, scan = failure.error, failure.scan
     named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id
-    return str(error) if named else f"{scan.id}: {error}"
+    return str(error) if named and scan.id == ids else f"{ids}: {error}"
 
 
 LAYERS_OPTION = "--layers"

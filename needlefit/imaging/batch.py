@@ -12,7 +12,7 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.findings import Findings, collect_findings
 from needlefit.imaging.packed_scan import PackedScan, PackedScans, list_scan_files, unpack_scan
-from needlefit.imaging.reconstruct import add_views, examine
+from needlefit.imaging.reconstruct import Examination, add_views, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume_files import read_volume
@@ -107,6 +107,19 @@ def try_reconstruct(
     if isinstance(found, ReconstructionFailure):
         return replace(found, error=scan.original(found.error, folder))
     return found
+
+
+def add_findings(
+    failure: ReconstructionFailure, one: Reconstruction, recipe: ReconstructionRecord
+) -> ReconstructionFailure:
+    """Return the failure of a scan that was reconstructed (`one`), with what was found in it."""
+    try:
+        volume = read_volume(one.scan.volume, one.scan.series)
+    except NeedlefitError:  # the scan was moved: its page says why it is refused, and no more
+        return failure
+    profile = replace(one.profile, s=one.profile.s - one.profile.s[0])
+    found = Examination(one.scan, None, one.needle_axis, one.markers, one.registration, profile)
+    return replace(failure, findings=collect_findings(volume, found, recipe))
 
 
 @one_thread

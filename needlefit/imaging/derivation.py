@@ -7,10 +7,11 @@ from typing import Literal
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.insertion_table import MIN_DEPTH_MM
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
-from needlefit.geometry.frames import Frame, make_entry_frame
+from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
 from needlefit.imaging.detections import Detections
@@ -104,11 +105,15 @@ def _project_contact(detections: Detections, contact: Floats) -> float:
     s = arc_length(points)
     fine = np.arange(0.0, s[-1], 0.05)
     away = np.linalg.norm(interpolate_at_arc(points, fine) - contact, axis=1)
+    beyond = float((contact - points[-1]) @ normalize(points[-1] - points[-2]))
+    found = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
     if away.min() > entry.MAX_ENTRY_DISTANCE_MM:
+        found = f"{away.min():.1f} mm beside the needle"
+    if found:
         raise DataError(
-            f"the first contact that was placed lies {away.min():.1f} mm beside the needle",
+            f"the first contact that was placed lies {found}",
             where=", ".join(CONTACT_COLUMNS),
-            expected=f"a point within {entry.MAX_ENTRY_DISTANCE_MM:g} mm of it, LPS",
+            expected=f"a point within {entry.MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS",
             fix="place it on the needle; RAS has x and y of the other sign",
         )
     return float(fine[np.argmin(away)])
@@ -160,7 +165,7 @@ def derive_reconstruction(
     refuse_tunnels(scan, surfaces, detections.world)
     pose, shaft, doubts = estimate_first_contact(detections, scan, surfaces, recipe)
     begin = entry.find_entry_arc_length(detections.world, pose)
-    points, sd = _sample_inserted(detections, begin, recipe.centerline.station_spacing_mm)
+    points, sd = _sample_inserted(detections, begin, recipe.centerline.station_spacing_mm, scan)
     frame, plane = _find_bending_frame(detections, scan, pose, points, recipe)
     layers = find_crossed_layers(
         points, frame, surfaces, estimate_layer_errors(scan, recipe, sd, pose, detections.registration)
@@ -192,9 +197,18 @@ def derive_reconstruction(
     return replace(found, warnings=(*collect_warnings(found, (*doubts, *detections.warnings)), *notes))
 
 
-def _sample_inserted(detections: Detections, begin: float, station: float) -> tuple[Floats, Floats]:
+def _sample_inserted(
+    detections: Detections, begin: float, station: float, scan: Scan
+) -> tuple[Floats, Floats]:
     """Return the needle from `begin` (mm along it) to its tip: points (N, 3), world, and deviations (N,)."""
     along = arc_length(detections.world)
+    if along[-1] - begin < MIN_DEPTH_MM:
+        raise DataError(
+            f"the needle enters the tissue {along[-1] - begin:.2f} mm before its tip",
+            where=str(scan.volume),
+            expected=f"at least {MIN_DEPTH_MM:g} mm of it in the tissue",
+            fix="look at entry and tip (needlefit view SCAN), and place the one that is wrong",
+        )
     count = int(np.ceil((along[-1] - begin) / station)) + 1
     s = np.linspace(begin, along[-1], count)
     return interpolate_at_arc(detections.world, s), np.interp(s, along, detections.needle_axis.sd)

@@ -236,21 +236,29 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
     cut = [_is_at_edge(volume, end) for end in ends]
     where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
     direction = recipe.centerline.entry_direction
+    soft = _soft_lengths(volume, axis)
+    clear = max(soft) >= CLEAR_SOFT_RATIO * min(soft) and max(soft) > 0
+    forward = soft[1] > soft[0]
     if direction is not None:
         forward = bool((ends[1] - ends[0]) @ np.asarray(direction) > 0)
     elif cut[0] != cut[1]:
-        forward = cut[0]
-    else:
-        soft = _soft_lengths(volume, axis)
-        unclear = max(soft) < CLEAR_SOFT_RATIO * min(soft) or max(soft) == 0
-        if unclear and not all(cut):
+        if clear and cut[1 if forward else 0]:
             raise DataError(
-                "both ends of the needle lie in " + ("air" if max(soft) == 0 else "tissue"),
+                "the end of the needle that leaves the volume lies in soft material over "
+                f"{max(soft):.0f} mm, the other end over {min(soft):.0f} mm",
                 where=f"ends at L, P, S = {where} mm",
-                expected="one end in tissue or the other beyond the volume",
-                fix="set centerline.entry_direction (LPS, from base to tip) in the recipe",
+                expected="the tip, in tissue, within the scan",
+                fix="scan with the tip in view; or, if the end in view is the tip, set "
+                "centerline.entry_direction (LPS, from base to tip) in the recipe",
             )
-        forward = soft[1] > soft[0]
+        forward = cut[0]
+    elif not clear and not all(cut):
+        raise DataError(
+            "both ends of the needle lie in " + ("air" if max(soft) == 0 else "tissue"),
+            where=f"ends at L, P, S = {where} mm",
+            expected="one end in tissue or the other beyond the volume",
+            fix="set centerline.entry_direction (LPS, from base to tip) in the recipe",
+        )
     if cut[1 if forward else 0]:
         raise DataError(
             "the needle leaves the volume with its tip",
@@ -355,14 +363,14 @@ def _is_at_edge(volume: Volume, point: Floats) -> bool:
 def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:
     """Return how far from each end the needle is surrounded by soft material without a break, mm.
 
-    0 where an end stands in air or, held by a hub, in metal.
+    0 where an end stands in air or, held by a hub, in metal. An end that leaves the volume is where the
+    volume ends.
     """
     s = np.arange(-END_REACH_MM, axis.length + END_REACH_MM + 1e-6, 1.0)
     plane = disc_points(5.0)
     values = sample_planes(volume, axis_frames(axis, s), plane[np.hypot(*plane.T) > 3.0])
-    values = np.where(np.isfinite(values).any(axis=1, keepdims=True), values, -np.inf)  # outside is no tissue
-    middle: Floats = np.nanmedian(values, axis=1)
-    hard = [n for n, hu in enumerate(middle.tolist()) if not MAX_AIR_HU < hu < MAX_SOFT_HU]
-    if not hard:
-        return float(len(s)), float(len(s))
-    return float(hard[0]), float(len(s) - 1 - hard[-1])
+    middle: Floats = np.nanmedian(values[np.isfinite(values).any(axis=1)], axis=1)
+    hard = np.flatnonzero((middle <= MAX_AIR_HU) | (middle >= MAX_SOFT_HU))
+    if not len(hard):
+        return float(len(middle)), float(len(middle))
+    return float(hard[0]), float(len(middle) - 1 - hard[-1])

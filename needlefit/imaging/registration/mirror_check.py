@@ -11,18 +11,26 @@ Scale is estimated and reported, never applied: a wrong spacing is corrected in 
 it too.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import pinvh
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets, mirror, scale_noise, stretch
+from needlefit.imaging.registration.marker_sets import (
+    KNOWN_SET,
+    MIN_MARKERS,
+    MarkerSets,
+    mirror,
+    scale_noise,
+    stretch,
+)
 from needlefit.imaging.registration.pairing import (
     MAX_WRONG_PAIRING_PROBABILITY,
     chi2_limit,
@@ -38,6 +46,7 @@ from needlefit.imaging.registration.rigid import (
     invert_covariances,
     motion_jacobian,
 )
+from needlefit.project.unit_warnings import LENGTH_UNITS
 
 SCALED_AXES = {
     "in all directions": (1.0, 1.0, 1.0),
@@ -209,6 +218,27 @@ def misfit_error(sets: MarkerSets, reached: int) -> DataError | None:
             expected="distances between markers as in the world; no scale is ever fitted",
             fix="correct the voxel spacing or slice distance of the scan, or the known markers' units",
         )
+    return None
+
+
+MAX_EXTENT_RATIO = 2.5
+"""The extents of two sets of markers differ by no larger factor, some missing and others spurious."""
+
+
+def unit_error(sets: MarkerSets) -> DataError | None:
+    """Return the error of known places in another unit than mm; None if they fit in none."""
+    for unit, factor in LENGTH_UNITS.items():
+        scaled = replace(sets, known=factor * sets.known)
+        alike = 1 / MAX_EXTENT_RATIO < scaled.extent / pdist(sets.found).max() < MAX_EXTENT_RATIO
+        fitting = try_find_largest_pairings(scaled) if alike else []
+        if fitting and not may_be_chance(scaled, len(fitting[0].pairs)):
+            return DataError(
+                f"multiplied by {factor:g}, {len(fitting[0].pairs)} of the {len(sets.known)} known markers "
+                f"fit: this looks like {unit}",
+                where=KNOWN_SET,
+                expected="places in mm",
+                fix=f"multiply the known places by {factor:g}",
+            )
     return None
 
 

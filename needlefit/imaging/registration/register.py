@@ -22,6 +22,7 @@ from needlefit.imaging.registration.mirror_check import (
     ScaleEstimate,
     estimate_scales,
     sign_change_error,
+    unit_error,
 )
 from needlefit.imaging.registration.pairing import MIN_CHI2_GAP, Pairing
 from needlefit.imaging.registration.pairing_selection import check_given_pairs, select_pairing
@@ -208,12 +209,15 @@ def register(
         pairing disproves; RAS read as LPS, if a rough pose shows it.
     """
     sets = make_marker_sets(found, known, found_sd, known_sd)
-    _refuse_collinear(sets.known, sets.typical_sd)  # before pairing, which would try them all
-    chosen = (
-        select_pairing(sets, rough)
-        if pairs is None
-        else check_given_pairs(sets, np.asarray(pairs, dtype=np.int64))
-    )
+    try:
+        _refuse_collinear(sets.known, sets.typical_sd)  # before pairing, which would try them all
+        chosen = (
+            select_pairing(sets, rough)
+            if pairs is None
+            else check_given_pairs(sets, np.asarray(pairs, dtype=np.int64))
+        )
+    except DataError as refused:
+        raise unit_error(sets) or refused from None
     alignment, paired = chosen.best.alignment, chosen.best.pairs
     # the residuals of markers on a line say nothing of the turn about it
     _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(alignment.noise.max())))

@@ -8,7 +8,7 @@ from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
-from needlefit.imaging.batch import ReconstructionFailure
+from needlefit.imaging.batch import ReconstructionFailure, add_findings
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.project.atomic_write import replace_folder
 from needlefit.project.progress import Progress
@@ -102,6 +102,21 @@ def _name_poor_lengths(found: Run) -> str:
     return f"; inserted length poorly known: {', '.join(words)}{more}" if poor else ""
 
 
+def describe_proposals(found: Run, folder: Path) -> list[str]:
+    """Return where in each scan layers are proposed; nothing if nobody asked."""
+    if "proposed_layers" not in found.frames:
+        return []
+    rows = to_records(found.frames["proposed_layers"])
+    if not rows:
+        return ["proposed layers: none; the scans show no interface"]
+    lines = [f"proposed layers: {len(rows)}, which nothing uses: {folder}/proposed/"]
+    for id_ in dict.fromkeys(row["id"] for row in rows):
+        own = [row for row in rows if row["id"] == id_]
+        depths = ", ".join(f"{row['depth_mm']:.2f} ± {row['depth_sd_mm']:.2f}" for row in own)
+        lines.append(f"{id_}: proposed at a depth of {depths} mm")
+    return lines
+
+
 def rate(found: Run) -> Status:
     """Return "warn" if a quality check remarks something."""
     return "warn" if len(found.frames["remarks"]) else "pass"
@@ -159,6 +174,8 @@ def write_reconstruction(
     """
     with replace_folder(folder) as fresh:
         kept, failures = assemble_checked(fresh, ones, recipe, description)
+        by_id = {one.scan.id: one for one in ones}
+        failures = tuple(add_findings(one, by_id[one.scan.id], recipe) for one in failures)
         if not kept:
             return None, failures
         refused = (*refused, *failures)
