@@ -1,6 +1,7 @@
 """A scan that is examined and corrected: slices, corrections, the session and its server."""
 
 import asyncio
+import copy
 import dataclasses
 import functools
 from contextlib import asynccontextmanager
@@ -135,6 +136,35 @@ def test_corrections_are_used_kept_and_repeated(session, tmp_path):
     assert repeated["inserted"] == pytest.approx(corrected["inserted"], abs=1e-6)
     session.again({})
     assert session.describe()["inserted"] == found["inserted"]
+
+
+def test_only_saving_writes_and_never_over_what_another_session_saved(session, tmp_path):
+    folder = tmp_path / "scans" / "sample"
+    tip = session.describe()["tip"]["at"]
+    balls = [one["at"] for one in session.describe()["balls"]]
+
+    def kept():
+        return {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def begin() -> ScanSession:
+        one = copy.copy(session)  # examined already
+        one._folder, one._saved_to = folder, None
+        return one
+
+    first, second = begin(), begin()
+    first.again({"balls": balls})
+    assert kept() == {} and first.unsaved
+    assert first.save().parent == folder and not first.unsaved
+    assert first.keep_unsaved() is None
+    before = kept()
+    first.again({"balls": balls, "tip": tip})
+    second.again({"tip": tip})
+    assert kept() == before
+    assert second.save().parent.name == "sample-2"
+    assert first.keep_unsaved().parent.name == "sample-3"
+    assert {path: kept()[path] for path in before} == before
+    first.again({"balls": balls[:4]})
+    assert first.save().parent.name == "sample-3" and len(kept()) == 5
 
 
 def test_a_refused_scan_shows_how_far_it_got(session):

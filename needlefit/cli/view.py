@@ -107,8 +107,8 @@ def _examine(
     from needlefit.viewer.serving.scan_page import ScanPage
 
     _serve(serve, ScanPage(session), port, browser)
-    if session.corrections.any:
-        path = session.save()
+    path = session.keep_unsaved()
+    if path is not None:
         screen.print_line(f"corrected: {path}")
         screen.print_note(f"reconstruct it: {session.command(path)}")
 

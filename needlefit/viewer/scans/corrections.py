@@ -17,6 +17,9 @@ MAX_BALLS = 64
 
 BALLS_FILE = "balls.csv"
 
+DIGITS = 3
+"""Decimals of a place, mm: as many as the files keep, so that these give the same numbers again."""
+
 
 @dataclass(frozen=True)
 class Corrections:
@@ -71,7 +74,7 @@ def _read_point(given: object, name: str) -> Floats | None:
         return None
     if not isinstance(given, Sequence) or len(given) != 3 or not all(_is_number(x) for x in given):
         raise DataError(f"{name} is {json.dumps(given)[:60]}", expected="three numbers, LPS, mm")
-    return np.array(given, dtype=np.float64)
+    return np.array([round(float(x), DIGITS) for x in given])
 
 
 def _read_points(given: object) -> Floats | None:
@@ -104,7 +107,7 @@ def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
     fiducials = scan.fiducials
     if corrections.balls is not None:
         fiducials = folder / BALLS_FILE
-        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.3f}" for x in ball) for ball in corrections.balls)]
+        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.{DIGITS}f}" for x in ball) for ball in corrections.balls)]
         fiducials.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return replace(
         scan,

@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -48,15 +49,22 @@ class ScanSession:
     Parameters
     ----------
     folder : Path
-        Where corrections are kept: a table of this one scan, and the files that it names.
+        Where corrections are saved: a table of this one scan, and the files that it names. Where it exists
+        already, that of an earlier session or of another scan, a numbered one beside it is taken.
+
+    Attributes
+    ----------
+    unsaved : bool
+        Whether corrections are in use that were not saved.
     """
 
     def __init__(self, scan: Scan, recipe: ReconstructionRecord, recipe_name: str, folder: Path) -> None:
-        self.scan, self.recipe, self.recipe_name, self.folder = scan, recipe, recipe_name, folder
+        self.scan, self.recipe, self.recipe_name = scan, recipe, recipe_name
+        self._folder, self.unsaved = folder, False
+        self._saved_to: Path | None = None
         self.volume: Volume = read_volume(scan.volume, scan.series)
         self.axes = list_slice_axes(self.volume)
         self.corrections = Corrections()
-        self.corrected = scan
         self.found = self._first = examine(self.volume, scan, recipe)
         self.course = self._make_course()
 
@@ -69,22 +77,29 @@ class ScanSession:
             If a correction is no place, or balls are given to a scan without markers.
         """
         given = read_corrections(content)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        corrected = correct_scan(self.scan, given, self.folder)
-        found = examine(self.volume, corrected, self.recipe) if given.any else self._first
-        self.corrections, self.corrected, self.found = given, corrected, found
-        self.course = self._make_course()
+        self.found = self._examine(given) if given.any else self._first
+        self.corrections = given
+        self.course, self.unsaved = self._make_course(), given.any
 
     def save(self) -> Path:
-        """Write the corrected scan as a table of scans; return its path."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / TABLE_FILE
-        write_scan_table(self.corrected, path)
+        """Write the corrected scan as a table of scans; return its path. Replaces what this session saved."""
+        folder = self._saved_to or _make_new_folder(self._folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / TABLE_FILE
+        write_scan_table(correct_scan(self.scan, self.corrections, folder), path)
+        self._saved_to, self.unsaved = folder, False
         return path
+
+    def keep_unsaved(self) -> Path | None:
+        """Write corrections that nobody saved beside those that somebody did; return the table's path."""
+        if not self.unsaved:
+            return None
+        self._saved_to = None
+        return self.save()
 
     def command(self, table: Path) -> str:
         """Return the command that repeats what was done."""
-        words = ["needlefit", "reconstruct", str(table), "--out", f"{self.scan.id}_dataset"]
+        words = ["needlefit", "reconstruct", str(table), "--out", f"{table.parent.name}_dataset"]
         return shlex.join([*words, "--recipe", self.recipe_name] if self.recipe_name != "default" else words)
 
     def cut(self, request: Mapping[str, Any]) -> bytes:
@@ -137,6 +152,10 @@ class ScanSession:
             "has_markers": self.scan.markers is not None,
         }
 
+    def _examine(self, given: Corrections) -> Examination:
+        with TemporaryDirectory(prefix="needlefit-") as folder:
+            return examine(self.volume, correct_scan(self.scan, given, Path(folder)), self.recipe)
+
     def _make_course(self) -> NeedleCourse | None:
         axis = self.found.needle_axis
         return None if axis is None else make_course(axis.points)
@@ -164,7 +183,7 @@ class ScanSession:
         if axis is None:
             return None
         along, across = axis.tip_sd.tolist()
-        placed = self.corrected.tip is not None
+        placed = self.found.scan.tip is not None
         return {"at": axis.tip.tolist(), "along_sd": along, "across_sd": across, "placed": placed}
 
     def _describe_contact(self) -> dict[str, Any] | None:
@@ -172,7 +191,7 @@ class ScanSession:
         if one is None:
             return None
         at = one.patient.to_local(one.points[:1])[0]
-        placed = self.corrected.contact is not None
+        placed = self.found.scan.contact is not None
         return {"at": at.tolist(), "along_sd": one.pose.along_sd, "source": one.pose.source, "placed": placed}
 
     def _describe_balls(self) -> list[dict[str, Any]]:
@@ -194,6 +213,20 @@ class ScanSession:
             return None
         parts = {name: np.round(getattr(course, name), 4).tolist() for name in ("points", "u", "v")}
         return {**parts, "rows": len(course.aside), "pixel": PIXEL_MM, "half_width": HALF_WIDTH_MM}
+
+
+def _make_new_folder(folder: Path) -> Path:
+    """Make a folder that was not there, of this name or with a number behind it; return it."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    new, number = folder, 1
+    while True:
+        try:
+            new.mkdir()
+        except FileExistsError:
+            number += 1
+            new = folder.with_name(f"{folder.name}-{number}")
+        else:
+            return new
 
 
 def _thin(points: Floats) -> Floats:
