@@ -10,6 +10,7 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 import pytest
+from test_cli import run
 
 from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.errors import ConfigError, DataError
@@ -27,6 +28,13 @@ SAMPLE = Path(__file__).parents[1] / "data/sample_scan/scans.csv"
 @pytest.fixture(scope="module")
 def session(tmp_path_factory) -> ScanSession:
     return open_session(str(SAMPLE), None, [], "default", tmp_path_factory.mktemp("scans"))
+
+
+@pytest.fixture(scope="module")
+def free_session(session, tmp_path_factory) -> ScanSession:
+    """A session of the scan without its stage: the entry is where the scan shows it."""
+    scan = dataclasses.replace(session.scan, stage=None)
+    return ScanSession(scan, session.recipe, "default", tmp_path_factory.mktemp("free") / "free")
 
 
 def turned(columns) -> Volume:
@@ -168,11 +176,45 @@ def test_only_saving_writes_and_never_over_what_another_session_saved(session, t
 
 
 def test_a_refused_scan_shows_how_far_it_got(session):
-    session.again({"balls": [[0.0, 0.0, 0.0]]})
+    session.again({"balls": [one["at"] for one in session.describe()["balls"][:3]]})
     found = session.describe()
     session.again({})
     assert found["error"]["what"] and found["inserted"] is None
     assert found["tip"] is not None and found["tubes"][0]["chosen"]
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_too_few_balls_change_nothing(session, count):
+    before = session.describe()
+    with pytest.raises(DataError, match=f"{count} "):
+        session.again({"balls": [one["at"] for one in before["balls"][:count]]})
+    assert session.describe() == before
+
+
+def test_placed_balls_that_fit_nothing_are_named_without_their_file(session):
+    session.again({"balls": [[0.0, 0.0, 900.0 + n] for n in range(4)]})
+    error = session.describe()["error"]
+    session.again({})
+    assert error["where"] == "balls placed by hand"
+
+
+def test_an_entry_is_not_placed_beside_the_stage(session):
+    with pytest.raises(DataError, match="entry"):
+        session.again({"contact": session.describe()["tip"]["at"]})
+
+
+def test_what_a_dataset_may_not_hold_is_refused_on_the_page_and_by_the_command(
+    free_session, tmp_path, capsys
+):
+    found = free_session.describe()
+    axis = np.array(found["axis"])
+    free_session.again({"contact": (axis[-1] + 0.3 * (axis[-1] - axis[-2])).tolist()})
+    error = free_session.describe()["error"]
+    table = free_session.save()
+    free_session.again({})
+    assert found["error"] is None and error is not None
+    assert run("reconstruct", str(table), "--out", str(tmp_path / "out"), "-q") == 3
+    assert error["what"] in capsys.readouterr().err
 
 
 def test_a_needle_picked_beside_every_tube_is_an_error_of_the_scan(session):

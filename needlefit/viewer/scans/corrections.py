@@ -10,6 +10,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
+from needlefit.imaging.registration.marker_sets import MIN_MARKERS
 from needlefit.imaging.scan import Scan
 
 MAX_BALLS = 64
@@ -90,19 +91,37 @@ def _is_number(given: object) -> bool:
     return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e6
 
 
+def _require_balls(count: int, scan: Scan) -> None:
+    if scan.markers is None:
+        raise DataError(
+            "balls were placed, but the scan has no known places to lay them on",
+            expected="the markers' known places in the world",
+            fix="start the page with --markers FILE, or with a table of scans that names them",
+        )
+    if count < MIN_MARKERS:
+        raise DataError(
+            f"{count} of at least {MIN_MARKERS} balls are left",
+            expected=f"{MIN_MARKERS} or more that are not on a line: they register the scan to the world",
+            fix="add balls, or take the removal back",
+        )
+
+
 def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
     """Return the scan with the corrections; the balls that it then names are written to `folder`.
 
     Raises
     ------
     DataError
-        If balls are given to a scan without markers.
+        If balls are given to a scan without markers, or too few, or an entry beside that of the stage.
     """
-    if corrections.balls is not None and scan.markers is None:
+    if corrections.balls is not None:
+        _require_balls(len(corrections.balls), scan)
+    if corrections.contact is not None and scan.stage is not None:
         raise DataError(
-            "balls were placed, but the scan has no known places to lay them on",
-            expected="the markers' known places in the world",
-            fix="start the page with --markers FILE, or with a table of scans that names them",
+            "an entry was placed, but the table of scans states the entry",
+            where="entry_x_mm ... pose_angle_sd_deg",
+            expected="one of both",
+            fix="take the placed entry back, or empty these cells of the table and start the page again",
         )
     fiducials = scan.fiducials
     if corrections.balls is not None:

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length
+from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.findings import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
@@ -65,7 +67,7 @@ class ScanSession:
         self.volume: Volume = read_volume(scan.volume, scan.series)
         self.axes = list_slice_axes(self.volume)
         self.corrections = Corrections()
-        self.found = self._first = examine(self.volume, scan, recipe)
+        self.found = self._first = self._examine_as_written(scan)
         self.course = self._make_course()
 
     def again(self, content: object) -> None:
@@ -153,8 +155,21 @@ class ScanSession:
         }
 
     def _examine(self, given: Corrections) -> Examination:
+        with TemporaryDirectory(prefix="needlefit-") as name:
+            found = self._examine_as_written(correct_scan(self.scan, given, Path(name)))
+            if found.error is not None and found.error.where.startswith(name):
+                return replace(found, error=found.error.at("balls placed by hand"))
+            return found
+
+    def _examine_as_written(self, scan: Scan) -> Examination:
+        """Return what is found in a scan; what a dataset may not hold is refused, as when it is written."""
+        found = examine(self.volume, scan, self.recipe)
+        if found.reconstruction is None:
+            return found
         with TemporaryDirectory(prefix="needlefit-") as folder:
-            return examine(self.volume, correct_scan(self.scan, given, Path(folder)), self.recipe)
+            about = DatasetDescription(scan.id)
+            _, refused = assemble_checked(Path(folder), [found.reconstruction], self.recipe, about)
+        return replace(found, reconstruction=None, error=refused[0].error) if refused else found
 
     def _make_course(self) -> NeedleCourse | None:
         axis = self.found.needle_axis
