@@ -27,14 +27,14 @@ SAMPLE = Path(__file__).parents[1] / "data/sample_scan/scans.csv"
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory) -> ScanSession:
-    return open_session(str(SAMPLE), None, [], "default", tmp_path_factory.mktemp("scans"))
+    return open_session(str(SAMPLE), {}, None, tmp_path_factory.mktemp("scans"))
 
 
 @pytest.fixture(scope="module")
 def free_session(session, tmp_path_factory) -> ScanSession:
     """A session of the scan without its stage: the entry is where the scan shows it."""
     scan = dataclasses.replace(session.scan, stage=None)
-    return ScanSession(scan, session.recipe, "default", tmp_path_factory.mktemp("free") / "free")
+    return ScanSession(scan, session.recipe, session._recipe_file, tmp_path_factory.mktemp("free") / "free")
 
 
 def turned(columns) -> Volume:
@@ -99,8 +99,10 @@ def test_corrections_that_are_no_places_are_refused(content):
 
 def test_a_scan_is_written_as_the_row_from_which_it_is_read(tmp_path):
     (scan,) = read_scans(SAMPLE)
-    placed = dataclasses.replace(scan, tip=np.array([1.5, -2.25, 3.0]), contact=np.array([0.5, 0.25, 9.0]))
-    write_scan_table(placed, tmp_path / "scans.csv")
+    placed = dataclasses.replace(
+        scan, tip=np.array([1.5, -2.25, 3.0]), contact=np.array([0.5, 0.25, 9.0]), propose_layers=True
+    )
+    write_scan_table([placed], tmp_path / "scans.csv")
     (again,) = read_scans(tmp_path / "scans.csv")
     for field in dataclasses.fields(scan):
         before, after = getattr(placed, field.name), getattr(again, field.name)
@@ -140,7 +142,7 @@ def test_corrections_are_used_kept_and_repeated(session, tmp_path):
     assert corrected["tip"]["placed"] and corrected["tip"]["along_sd"] == 0.3
     assert corrected["inserted"]["depth"] == pytest.approx(found["inserted"]["depth"] - 0.8, abs=0.05)
     table = session.save()
-    repeated = open_session(str(table), None, [], "default", tmp_path).describe()
+    repeated = open_session(str(table.parent), {}, None, tmp_path).describe()
     assert repeated["inserted"] == pytest.approx(corrected["inserted"], abs=1e-6)
     session.again({})
     assert session.describe()["inserted"] == found["inserted"]
@@ -172,7 +174,7 @@ def test_only_saving_writes_and_never_over_what_another_session_saved(session, t
     assert first.keep_unsaved().parent.name == "sample-3"
     assert {path: kept()[path] for path in before} == before
     first.again({"balls": balls[:4]})
-    assert first.save().parent.name == "sample-3" and len(kept()) == 5
+    assert first.save().parent.name == "sample-3" and len(kept()) == 8
 
 
 def test_a_refused_scan_shows_how_far_it_got(session):
@@ -230,13 +232,20 @@ def test_targets_that_are_scans_are_recognised(tmp_path, monkeypatch):
     (tmp_path / "run").mkdir()
     (tmp_path / "run/run.json").write_text("{}")
     volume = SAMPLE.parent / "volumes/sample.nrrd"
-    scans = ["sample_scan", str(SAMPLE), f"{SAMPLE}/sample", str(volume), str(volume.parent)]
-    assert [names_scan(one) for one in scans] == 5 * [True]
+    scans = [
+        "sample_scan",
+        str(SAMPLE),
+        f"{SAMPLE}/sample",
+        str(volume),
+        str(volume.parent),
+        str(SAMPLE.parent),
+    ]
+    assert [names_scan(one) for one in scans] == 6 * [True]
     assert [names_scan(one) for one in (None, "phantom2", "a.toml", "run", "twin/x")] == 5 * [False]
     with pytest.raises(ConfigError):
-        open_session(f"{SAMPLE}/other", None, [], "default", tmp_path)
+        open_session(f"{SAMPLE}/other", {}, None, tmp_path)
     with pytest.raises(ConfigError):
-        open_session(str(SAMPLE), tmp_path / "m.csv", [], "default", tmp_path)
+        open_session(str(SAMPLE), {"markers": tmp_path / "m.csv"}, None, tmp_path)
 
 
 @asynccontextmanager

@@ -1,6 +1,7 @@
 """A scan under examination: what was found, what a person corrected, and what came of it."""
 
 import shlex
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +34,7 @@ from needlefit.viewer.scans.slices import (
     make_course,
 )
 
-TABLE_FILE = "scans.csv"
+TABLE_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
 
 SHOWN_POINTS = 60
 """Points of a line that are sent to the page."""
@@ -50,6 +51,8 @@ class ScanSession:
 
     Parameters
     ----------
+    recipe_file : Path
+        From which `recipe` was read; it is saved beside corrections.
     folder : Path
         Where corrections are saved: a table of this one scan, and the files that it names. Where it exists
         already, that of an earlier session or of another scan, a numbered one beside it is taken.
@@ -60,8 +63,8 @@ class ScanSession:
         Whether corrections are in use that were not saved.
     """
 
-    def __init__(self, scan: Scan, recipe: ReconstructionRecord, recipe_name: str, folder: Path) -> None:
-        self.scan, self.recipe, self.recipe_name = scan, recipe, recipe_name
+    def __init__(self, scan: Scan, recipe: ReconstructionRecord, recipe_file: Path, folder: Path) -> None:
+        self.scan, self.recipe, self._recipe_file = scan, recipe, recipe_file
         self._folder, self.unsaved = folder, False
         self._saved_to: Path | None = None
         self.volume: Volume = read_volume(scan.volume, scan.series)
@@ -88,7 +91,8 @@ class ScanSession:
         folder = self._saved_to or _make_new_folder(self._folder)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / TABLE_FILE
-        write_scan_table(correct_scan(self.scan, self.corrections, folder), path)
+        write_scan_table([correct_scan(self.scan, self.corrections, folder)], path)
+        shutil.copyfile(self._recipe_file, folder / RECIPE_FILE)
         self._saved_to, self.unsaved = folder, False
         return path
 
@@ -101,8 +105,8 @@ class ScanSession:
 
     def command(self, table: Path) -> str:
         """Return the command that repeats what was done."""
-        words = ["needlefit", "reconstruct", str(table), "--out", f"{table.parent.name}_dataset"]
-        return shlex.join([*words, "--recipe", self.recipe_name] if self.recipe_name != "default" else words)
+        recipe, out = str(table.with_name(RECIPE_FILE)), f"{table.parent.name}_dataset"
+        return shlex.join(["needlefit", "reconstruct", str(table), "--recipe", recipe, "--out", out])
 
     def cut(self, request: Mapping[str, Any]) -> bytes:
         """Return a slice as PNG.
