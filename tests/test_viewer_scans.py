@@ -1,6 +1,7 @@
 """A scan that is examined and corrected: slices, corrections, the session and its server."""
 
 import asyncio
+import copy
 import dataclasses
 import functools
 from contextlib import asynccontextmanager
@@ -9,6 +10,7 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 import pytest
+from test_cli import run
 
 from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.errors import ConfigError, DataError
@@ -25,7 +27,14 @@ SAMPLE = Path(__file__).parents[1] / "data/sample_scan/scans.csv"
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory) -> ScanSession:
-    return open_session(str(SAMPLE), None, [], "default", tmp_path_factory.mktemp("scans"))
+    return open_session(str(SAMPLE), {}, None, tmp_path_factory.mktemp("scans"))
+
+
+@pytest.fixture(scope="module")
+def free_session(session, tmp_path_factory) -> ScanSession:
+    """A session of the scan without its stage: the entry is where the scan shows it."""
+    scan = dataclasses.replace(session.scan, stage=None)
+    return ScanSession(scan, session.recipe, session._recipe_file, tmp_path_factory.mktemp("free") / "free")
 
 
 def turned(columns) -> Volume:
@@ -90,8 +99,10 @@ def test_corrections_that_are_no_places_are_refused(content):
 
 def test_a_scan_is_written_as_the_row_from_which_it_is_read(tmp_path):
     (scan,) = read_scans(SAMPLE)
-    placed = dataclasses.replace(scan, tip=np.array([1.5, -2.25, 3.0]), contact=np.array([0.5, 0.25, 9.0]))
-    write_scan_table(placed, tmp_path / "scans.csv")
+    placed = dataclasses.replace(
+        scan, tip=np.array([1.5, -2.25, 3.0]), contact=np.array([0.5, 0.25, 9.0]), propose_layers=True
+    )
+    write_scan_table([placed], tmp_path / "scans.csv")
     (again,) = read_scans(tmp_path / "scans.csv")
     for field in dataclasses.fields(scan):
         before, after = getattr(placed, field.name), getattr(again, field.name)
@@ -131,18 +142,81 @@ def test_corrections_are_used_kept_and_repeated(session, tmp_path):
     assert corrected["tip"]["placed"] and corrected["tip"]["along_sd"] == 0.3
     assert corrected["inserted"]["depth"] == pytest.approx(found["inserted"]["depth"] - 0.8, abs=0.05)
     table = session.save()
-    repeated = open_session(str(table), None, [], "default", tmp_path).describe()
+    repeated = open_session(str(table.parent), {}, None, tmp_path).describe()
     assert repeated["inserted"] == pytest.approx(corrected["inserted"], abs=1e-6)
     session.again({})
     assert session.describe()["inserted"] == found["inserted"]
 
 
+def test_only_saving_writes_and_never_over_what_another_session_saved(session, tmp_path):
+    folder = tmp_path / "scans" / "sample"
+    tip = session.describe()["tip"]["at"]
+    balls = [one["at"] for one in session.describe()["balls"]]
+
+    def kept():
+        return {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def begin() -> ScanSession:
+        one = copy.copy(session)  # examined already
+        one._folder, one._saved_to = folder, None
+        return one
+
+    first, second = begin(), begin()
+    first.again({"balls": balls})
+    assert kept() == {} and first.unsaved
+    assert first.save().parent == folder and not first.unsaved
+    assert first.keep_unsaved() is None
+    before = kept()
+    first.again({"balls": balls, "tip": tip})
+    second.again({"tip": tip})
+    assert kept() == before
+    assert second.save().parent.name == "sample-2"
+    assert first.keep_unsaved().parent.name == "sample-3"
+    assert {path: kept()[path] for path in before} == before
+    first.again({"balls": balls[:4]})
+    assert first.save().parent.name == "sample-3" and len(kept()) == 8
+
+
 def test_a_refused_scan_shows_how_far_it_got(session):
-    session.again({"balls": [[0.0, 0.0, 0.0]]})
+    session.again({"balls": [one["at"] for one in session.describe()["balls"][:3]]})
     found = session.describe()
     session.again({})
     assert found["error"]["what"] and found["inserted"] is None
     assert found["tip"] is not None and found["tubes"][0]["chosen"]
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_too_few_balls_change_nothing(session, count):
+    before = session.describe()
+    with pytest.raises(DataError, match=f"{count} "):
+        session.again({"balls": [one["at"] for one in before["balls"][:count]]})
+    assert session.describe() == before
+
+
+def test_placed_balls_that_fit_nothing_are_named_without_their_file(session):
+    session.again({"balls": [[0.0, 0.0, 900.0 + n] for n in range(4)]})
+    error = session.describe()["error"]
+    session.again({})
+    assert error["where"] == "balls placed by hand"
+
+
+def test_an_entry_is_not_placed_beside_the_stage(session):
+    with pytest.raises(DataError, match="entry"):
+        session.again({"contact": session.describe()["tip"]["at"]})
+
+
+def test_what_a_dataset_may_not_hold_is_refused_on_the_page_and_by_the_command(
+    free_session, tmp_path, capsys
+):
+    found = free_session.describe()
+    axis = np.array(found["axis"])
+    free_session.again({"contact": (axis[-1] + 0.3 * (axis[-1] - axis[-2])).tolist()})
+    error = free_session.describe()["error"]
+    table = free_session.save()
+    free_session.again({})
+    assert found["error"] is None and error is not None
+    assert run("reconstruct", str(table), "--out", str(tmp_path / "out"), "-q") == 3
+    assert error["what"] in capsys.readouterr().err
 
 
 def test_a_needle_picked_beside_every_tube_is_an_error_of_the_scan(session):
@@ -158,13 +232,20 @@ def test_targets_that_are_scans_are_recognised(tmp_path, monkeypatch):
     (tmp_path / "run").mkdir()
     (tmp_path / "run/run.json").write_text("{}")
     volume = SAMPLE.parent / "volumes/sample.nrrd"
-    scans = ["sample_scan", str(SAMPLE), f"{SAMPLE}/sample", str(volume), str(volume.parent)]
-    assert [names_scan(one) for one in scans] == 5 * [True]
+    scans = [
+        "sample_scan",
+        str(SAMPLE),
+        f"{SAMPLE}/sample",
+        str(volume),
+        str(volume.parent),
+        str(SAMPLE.parent),
+    ]
+    assert [names_scan(one) for one in scans] == 6 * [True]
     assert [names_scan(one) for one in (None, "phantom2", "a.toml", "run", "twin/x")] == 5 * [False]
     with pytest.raises(ConfigError):
-        open_session(f"{SAMPLE}/other", None, [], "default", tmp_path)
+        open_session(f"{SAMPLE}/other", {}, None, tmp_path)
     with pytest.raises(ConfigError):
-        open_session(str(SAMPLE), tmp_path / "m.csv", [], "default", tmp_path)
+        open_session(str(SAMPLE), {"markers": tmp_path / "m.csv"}, None, tmp_path)
 
 
 @asynccontextmanager

@@ -117,7 +117,7 @@ def build() -> typer.Typer:
     app.callback()(_needlefit)
     for command, example in (pair for group in _COMMANDS.values() for pair in group.items()):
         if not isinstance(command, str):
-            form = MultiFileCommand if command is reconstruct else None
+            form = MultiFileCommand if command in (reconstruct, view) else None
             epilog = f"Example: needlefit {example}"
             app.command(_name(command), cls=form, epilog=epilog)(_with_plugins(command))
     about = "Build the synthetic dataset, or render its CT volumes."

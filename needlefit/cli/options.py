@@ -1,7 +1,7 @@
 """Options that several commands share."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -121,8 +121,9 @@ def complete_reconstructions(incomplete: str) -> list[str]:
 
 
 def complete_view_targets(incomplete: str) -> list[str]:
-    """Return the scenes, runs and datasets whose names begin so."""
-    return _with_prefix([*list_names("scene"), *list_runs(), *list_names("dataset")], incomplete)
+    """Return the scenes, runs, datasets and tables of scans whose names begin so."""
+    names = [name for kind in ("scene", "dataset", "scans") for name in list_names(kind)]
+    return _with_prefix([*names, *list_runs()], incomplete)
 
 
 def _with_prefix(known: list[str], incomplete: str) -> list[str]:
@@ -158,6 +159,50 @@ Set = Annotated[
         "from 1: layers.1.mu_pa=3e5 is the first layer's. May be repeated.",
     ),
 ]
+Markers = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Known places of the markers in the world: .csv, .fcsv, .mrk.json."),
+]
+Fiducials = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="The markers as placed in the scan by hand (.fcsv, .mrk.json)."),
+]
+Layers = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILES...",
+        help="STL, PLY, OBJ from the entry inwards; or a segmentation; auto proposes some.",
+    ),
+]
+LayersIn = Annotated[
+    Literal["world", "scan"] | None, typer.Option(help="Frame of the surfaces (default: world).")
+]
+Mask = Annotated[Path | None, typer.Option(metavar="FILE", help="The needle's voxels, segmented elsewhere.")]
+Series = Annotated[
+    str | None,
+    typer.Option(metavar="NUMBER|UID", help="Which DICOM series, where a folder holds several."),
+]
+Medium = Annotated[str | None, typer.Option(help="Name of what was punctured (default: medium).")]
+
+
+def name_scan_files(
+    markers: Path | None,
+    fiducials: Path | None,
+    layers: list[str] | None,
+    layers_in: str | None,
+    mask: Path | None,
+    series: str | None,
+    medium: str | None,
+) -> dict[str, Any]:
+    """Return those options of a scan that are given, as `make_scans` takes them."""
+    named = {"markers": markers, "fiducials": fiducials, "layers": layers, "surfaces_in": layers_in}
+    named |= {"mask": mask, "series": series, "medium": medium}
+    return {name: value for name, value in named.items() if value not in (None, [])}
+
+
+def scan_option(name: str) -> str:
+    """Return the option of a keyword of `make_scans`."""
+    return "--layers-in" if name == "surfaces_in" else f"--{name}"
 
 
 def scene_record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from needlefit.imaging.batch import ReconstructionFailure
     from needlefit.imaging.scan import Scan
     from needlefit.project.result_warnings import ResultWarning
+    from needlefit.schemas.reconstruction import ReconstructionRecord
     from needlefit.studies.run import Run
 
 
@@ -53,34 +54,13 @@ def reconstruct(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the dataset.")],
-    markers: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Known places of the markers in the world: .csv, .fcsv, .mrk.json."
-        ),
-    ] = None,
-    fiducials: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The markers as placed in the scan by hand (.fcsv, .mrk.json)."),
-    ] = None,
-    layers: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="FILES...",
-            help="STL, PLY, OBJ from the entry inwards; or a segmentation; auto proposes some.",
-        ),
-    ] = None,
-    layers_in: Annotated[
-        Literal["world", "scan"] | None, typer.Option(help="Frame of the surfaces (default: world).")
-    ] = None,
-    mask: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The needle's voxels, segmented elsewhere.")
-    ] = None,
-    series: Annotated[
-        str | None,
-        typer.Option(metavar="NUMBER|UID", help="Which DICOM series, where a folder holds several."),
-    ] = None,
-    medium: Annotated[str | None, typer.Option(help="Name of what was punctured (default: medium).")] = None,
+    markers: options.Markers = None,
+    fiducials: options.Fiducials = None,
+    layers: options.Layers = None,
+    layers_in: options.LayersIn = None,
+    mask: options.Mask = None,
+    series: options.Series = None,
+    medium: options.Medium = None,
     recipe: Annotated[
         str,
         typer.Option(
@@ -111,15 +91,7 @@ def reconstruct(
     DATASET takes the dataset, its tables, and for every scan a quality page (quality/) and files for 3D
     Slicer (slicer/). A scan that fails is reported with its fix (exit code 3); the others are written.
     """
-    named = {
-        "markers": markers,
-        "fiducials": fiducials,
-        "layers": layers,
-        "surfaces_in": layers_in,
-        "mask": mask,
-        "series": series,
-        "medium": medium,
-    }
+    named = options.name_scan_files(markers, fiducials, layers, layers_in, mask, series, medium)
     invocation = context.find_root().obj
     with catch_interrupts(
         context.find_root().obj
@@ -151,7 +123,7 @@ def reconstruct(
         keep = out.resolve().with_name(f"{out.resolve().name}.partial")
         require_own_checkpoint(keep)
         require_replaceable(_refused_folder(out))
-        wanted = _scans(scans, {name: value for name, value in named.items() if value not in (None, [])})
+        wanted = _scans(scans, named)
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
         if "seg" in exports:
@@ -180,7 +152,7 @@ def reconstruct(
                     whole = [ReconstructionFailure(one.scan, error) for one in ones]
                     faulty = [add_findings(*pair, record) for pair in zip(whole, ones, strict=True)]
                 failed = [*failed, *faulty]
-            pages = out if written else _write_refused(out, failed)
+            pages = out if written else _write_refused(out, failed, record)
             if pages != _refused_folder(out):  # those of an earlier run would be taken for this one's
                 remove_result(_refused_folder(out), print_remark)
     warnings = warnings_in(out) if written else []
@@ -188,7 +160,7 @@ def reconstruct(
         screen.print_text(f"{judge_run(written)[0].sentence}.")
     _print_failures(written, failed, pages)
     for failure in failed:
-        command = _view_command(scans, failure, recipe)
+        command = _view_command(scans, failure, named, recipe)
         screen.print_note(f"needlefit: look at it and correct it: {command}")
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if json else None)
@@ -243,7 +215,7 @@ def _show(
         errors = [
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
-        about = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
+        about: dict[str, Any] = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
         proposed = found.frames.get("proposed_layers") if found else None
         if proposed is not None:
             about["proposed_layers"] = proposed.to_dict(orient="records")
@@ -259,7 +231,9 @@ def _show(
             screen.print_text(line)
 
 
-def _write_refused(out: Path, failed: "Sequence[ReconstructionFailure]") -> Path | None:
+def _write_refused(
+    out: Path, failed: "Sequence[ReconstructionFailure]", recipe: "ReconstructionRecord"
+) -> Path | None:
     """Write the pages of refused scans beside the dataset that could not be written; return their folder.
 
     None where no scan could be read.
@@ -268,7 +242,7 @@ def _write_refused(out: Path, failed: "Sequence[ReconstructionFailure]") -> Path
         return None
     from needlefit.studies.kinds.reconstruction.refused import write_refused
 
-    write_refused(failed, _refused_folder(out))
+    write_refused(failed, recipe, _refused_folder(out))
     return _refused_folder(out)
 
 
@@ -291,17 +265,16 @@ def _print_failures(
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")
 
 
-def _view_command(scans: list[Path], failure: "ReconstructionFailure", recipe: str) -> str:
-    """Return the command that shows a scan that failed."""
-    scan, words = failure.scan, ["needlefit", "view"]
+def _view_command(
+    scans: list[Path], failure: "ReconstructionFailure", named: dict[str, Any], recipe: str
+) -> str:
+    """Return the command that shows a scan that failed, with the options that name its files."""
+    scan = failure.scan
     table = scans[0].suffix.lower() == ".csv" or not path_exists(scans[0])  # the latter by its bare name
-    if table:
-        words.append(f"{scans[0]}/{scan.id}")
-    else:
-        words.append(str(scan.volume))
-        words += ["--markers", str(scan.markers)] if scan.markers else []
-        for layer in scan.surfaces:
-            words += ["--layers", layer.name_file(str(layer.path))]
+    words = ["needlefit", "view", f"{scans[0]}/{scan.id}" if table else str(scan.volume)]
+    for name, value in named.items():
+        for one in value if isinstance(value, list) else [value]:
+            words += [options.scan_option(name), str(one)]
     return shlex.join([*words, "--recipe", recipe] if recipe != "default" else words)
 
 

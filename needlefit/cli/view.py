@@ -5,7 +5,7 @@ import signal
 import threading
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -32,7 +32,8 @@ def view(
             autocompletion=complete_view_targets,
             show_default=False,
             help="What to steer: a scene, a run's fitted insertion with its predictive band, or a measured "
-            "insertion. Or a scan to examine: a volume, or TABLE.csv[/ID] with a table of scans.",
+            "insertion. Or a scan to examine: a volume, TABLE.csv[/ID] with a table of scans, or the folder "
+            "of one: DATASET.refused[/ID].",
         ),
     ] = None,
     recording: Annotated[
@@ -45,16 +46,22 @@ def view(
         Literal["new", "same"],
         typer.Option(help="Predictive band of a run: for a new specimen, or for the specimens fitted."),
     ] = "new",
-    markers: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Scan only: file with the known positions of its markers."),
-    ] = None,
-    layers: Annotated[
-        list[str] | None, typer.Option(metavar="FILE", help="Scan only: a surface, or a segmentation.")
-    ] = None,
+    markers: options.Markers = None,
+    fiducials: options.Fiducials = None,
+    layers: options.Layers = None,
+    layers_in: options.LayersIn = None,
+    mask: options.Mask = None,
+    series: options.Series = None,
+    medium: options.Medium = None,
     recipe: Annotated[
-        str, typer.Option(metavar="RECIPE", help="Scan only: a name in configs/reconstruction, or a path.")
-    ] = "default",
+        str | None,
+        typer.Option(
+            metavar="RECIPE",
+            autocompletion=options.complete_reconstructions,
+            show_default=False,
+            help="configs/reconstruction, or a path (default: recipe.toml of the folder, or default).",
+        ),
+    ] = None,
     port: Annotated[
         int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: any free one).")
     ] = 0,
@@ -69,15 +76,18 @@ def view(
 
     Only this machine can open the page. Each needle is recorded to a CSV in OUT/view/;
     `needlefit simulate --recording LOG` replays it. For a SCAN, the page shows what `needlefit reconstruct`
-    finds, and saves your corrections to OUT/scans/ as a table of scans. Ctrl-C ends.
+    finds, and saves your corrections to OUT/scans/ as a table of scans; --markers to --recipe are for scans
+    alone, as there. Ctrl-C ends.
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
+    named = options.name_scan_files(markers, fiducials, layers, layers_in, mask, series, medium)
     if recording is None and target is not None and names_scan(target):
-        _examine(target, markers, layers or [], recipe, out / "scans", port, browser)
+        _examine(target, named, recipe, out / "scans", port, browser)
         return
-    if markers is not None or layers:
-        raise typer.BadParameter("only a scan has markers and layers", param_hint="--markers, --layers")
+    if named or recipe is not None:
+        hints = ", ".join(map(options.scan_option, named)) or "--recipe"
+        raise typer.BadParameter("is for scans alone", param_hint=hints)
     require_writable(out / "view")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
@@ -91,24 +101,18 @@ def view(
 
 
 def _examine(
-    target: str,
-    markers: Path | None,
-    layers: list[str],
-    recipe: str,
-    folder: Path,
-    port: int,
-    browser: bool,
+    target: str, named: dict[str, Any], recipe: str | None, folder: Path, port: int, browser: bool
 ) -> None:
     """Serve the page of a scan."""
     require_writable(folder)
     serve = _server()
     screen.print_note(f"needlefit: examining {target}")
-    session = open_session(target, markers, layers, recipe, folder)
+    session = open_session(target, named, recipe, folder)
     from needlefit.viewer.serving.scan_page import ScanPage
 
     _serve(serve, ScanPage(session), port, browser)
-    if session.corrections.any:
-        path = session.save()
+    path = session.keep_unsaved()
+    if path is not None:
         screen.print_line(f"corrected: {path}")
         screen.print_note(f"reconstruct it: {session.command(path)}")
 

@@ -206,14 +206,26 @@ def _repeated_id_faults(ids: Iterable[str], places: Iterable[str]) -> Iterator[F
         first.setdefault(id_, place)
 
 
-def write_scan_table(scan: Scan, path: Path) -> None:
-    """Write a table of one scan, from which `read_scans` reads the same; paths are relative to its folder."""
-    folder = path.parent
+def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None) -> None:
+    """Write a table of scans, from which `read_scans` reads the same.
+
+    Paths are relative to its folder, or to `home`, where that will stand.
+    """
+    rows = [_to_row(scan, home or path.parent) for scan in scans]
+    columns = [name for name in SCAN_COLUMNS if any(row.get(name) for row in rows)]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _to_row(scan: Scan, folder: Path) -> dict[str, str]:
     row = {"id": scan.id, "scan": _relative(scan.volume, folder), "medium": scan.medium}
     row |= {"specimen": scan.specimen, "series": scan.series or "", "surfaces_in": scan.surfaces_in}
     for name, named in (("mask", scan.mask), ("markers", scan.markers), ("fiducials", scan.fiducials)):
         row[name] = "" if named is None else _relative(named, folder)
-    row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
+    layers = [layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces]
+    row["surfaces"] = ";".join([*layers, *([PROPOSE_LAYERS] if scan.propose_layers else [])])
     stage = scan.stage
     if stage is not None:
         values = [*stage.entry, *stage.direction, stage.shift_sd, np.degrees(stage.angle_sd)]
@@ -229,11 +241,7 @@ def write_scan_table(scan: Scan, path: Path) -> None:
     counts = {"layers": scan.layers, "layers_alternative": scan.layers_alternative}
     row |= {name: "" if count is None else str(count) for name, count in counts.items()}
     lengths = {"guide_distance_mm": scan.guide_distance, "expected_depth_mm": scan.expected_depth}
-    row |= {name: "" if length is None else f"{length:.10g}" for name, length in lengths.items()}
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, list(row), lineterminator="\n")
-        table.writeheader()
-        table.writerow(row)
+    return row | {name: "" if length is None else f"{length:.10g}" for name, length in lengths.items()}
 
 
 def _format_numbers(names: Sequence[str], values: Sequence[float] | Floats) -> dict[str, str]:

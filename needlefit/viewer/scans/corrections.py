@@ -10,12 +10,16 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
+from needlefit.imaging.registration.marker_sets import MIN_MARKERS
 from needlefit.imaging.scan import Scan
 
 MAX_BALLS = 64
 """Balls that may be placed by hand."""
 
 BALLS_FILE = "balls.csv"
+
+DIGITS = 3
+"""Decimals of a place, mm: as many as the files keep, so that these give the same numbers again."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,7 @@ def _read_point(given: object, name: str) -> Floats | None:
         return None
     if not isinstance(given, Sequence) or len(given) != 3 or not all(_is_number(x) for x in given):
         raise DataError(f"{name} is {json.dumps(given)[:60]}", expected="three numbers, LPS, mm")
-    return np.array(given, dtype=np.float64)
+    return np.array([round(float(x), DIGITS) for x in given])
 
 
 def _read_points(given: object) -> Floats | None:
@@ -87,24 +91,42 @@ def _is_number(given: object) -> bool:
     return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e6
 
 
+def _require_balls(count: int, scan: Scan) -> None:
+    if scan.markers is None:
+        raise DataError(
+            "balls were placed, but the scan has no known places to lay them on",
+            expected="the markers' known places in the world",
+            fix="start the page with --markers FILE, or with a table of scans that names them",
+        )
+    if count < MIN_MARKERS:
+        raise DataError(
+            f"{count} of at least {MIN_MARKERS} balls are left",
+            expected=f"{MIN_MARKERS} or more that are not on a line: they register the scan to the world",
+            fix="add balls, or take the removal back",
+        )
+
+
 def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
     """Return the scan with the corrections; the balls that it then names are written to `folder`.
 
     Raises
     ------
     DataError
-        If balls are given to a scan without markers.
+        If balls are given to a scan without markers, or too few, or an entry beside that of the stage.
     """
-    if corrections.balls is not None and scan.markers is None:
+    if corrections.balls is not None:
+        _require_balls(len(corrections.balls), scan)
+    if corrections.contact is not None and scan.stage is not None:
         raise DataError(
-            "balls were placed, but the scan has no known places to lay them on",
-            expected="the markers' known places in the world",
-            fix="start the page with --markers FILE, or with a table of scans that names them",
+            "an entry was placed, but the table of scans states the entry",
+            where="entry_x_mm ... pose_angle_sd_deg",
+            expected="one of both",
+            fix="take the placed entry back, or empty these cells of the table and start the page again",
         )
     fiducials = scan.fiducials
     if corrections.balls is not None:
         fiducials = folder / BALLS_FILE
-        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.3f}" for x in ball) for ball in corrections.balls)]
+        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.{DIGITS}f}" for x in ball) for ball in corrections.balls)]
         fiducials.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return replace(
         scan,

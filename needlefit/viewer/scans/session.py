@@ -1,8 +1,11 @@
 """A scan under examination: what was found, what a person corrected, and what came of it."""
 
 import shlex
+import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -10,6 +13,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length
+from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.findings import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
@@ -30,7 +34,7 @@ from needlefit.viewer.scans.slices import (
     make_course,
 )
 
-TABLE_FILE = "scans.csv"
+TABLE_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
 
 SHOWN_POINTS = 60
 """Points of a line that are sent to the page."""
@@ -47,17 +51,26 @@ class ScanSession:
 
     Parameters
     ----------
+    recipe_file : Path
+        From which `recipe` was read; it is saved beside corrections.
     folder : Path
-        Where corrections are kept: a table of this one scan, and the files that it names.
+        Where corrections are saved: a table of this one scan, and the files that it names. Where it exists
+        already, that of an earlier session or of another scan, a numbered one beside it is taken.
+
+    Attributes
+    ----------
+    unsaved : bool
+        Whether corrections are in use that were not saved.
     """
 
-    def __init__(self, scan: Scan, recipe: ReconstructionRecord, recipe_name: str, folder: Path) -> None:
-        self.scan, self.recipe, self.recipe_name, self.folder = scan, recipe, recipe_name, folder
+    def __init__(self, scan: Scan, recipe: ReconstructionRecord, recipe_file: Path, folder: Path) -> None:
+        self.scan, self.recipe, self._recipe_file = scan, recipe, recipe_file
+        self._folder, self.unsaved = folder, False
+        self._saved_to: Path | None = None
         self.volume: Volume = read_volume(scan.volume, scan.series)
         self.axes = list_slice_axes(self.volume)
         self.corrections = Corrections()
-        self.corrected = scan
-        self.found = self._first = examine(self.volume, scan, recipe)
+        self.found = self._first = self._examine_as_written(scan)
         self.course = self._make_course()
 
     def again(self, content: object) -> None:
@@ -69,23 +82,31 @@ class ScanSession:
             If a correction is no place, or balls are given to a scan without markers.
         """
         given = read_corrections(content)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        corrected = correct_scan(self.scan, given, self.folder)
-        found = examine(self.volume, corrected, self.recipe) if given.any else self._first
-        self.corrections, self.corrected, self.found = given, corrected, found
-        self.course = self._make_course()
+        self.found = self._examine(given) if given.any else self._first
+        self.corrections = given
+        self.course, self.unsaved = self._make_course(), given.any
 
     def save(self) -> Path:
-        """Write the corrected scan as a table of scans; return its path."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / TABLE_FILE
-        write_scan_table(self.corrected, path)
+        """Write the corrected scan as a table of scans; return its path. Replaces what this session saved."""
+        folder = self._saved_to or _make_new_folder(self._folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / TABLE_FILE
+        write_scan_table([correct_scan(self.scan, self.corrections, folder)], path)
+        shutil.copyfile(self._recipe_file, folder / RECIPE_FILE)
+        self._saved_to, self.unsaved = folder, False
         return path
+
+    def keep_unsaved(self) -> Path | None:
+        """Write corrections that nobody saved beside those that somebody did; return the table's path."""
+        if not self.unsaved:
+            return None
+        self._saved_to = None
+        return self.save()
 
     def command(self, table: Path) -> str:
         """Return the command that repeats what was done."""
-        words = ["needlefit", "reconstruct", str(table), "--out", f"{self.scan.id}_dataset"]
-        return shlex.join([*words, "--recipe", self.recipe_name] if self.recipe_name != "default" else words)
+        recipe, out = str(table.with_name(RECIPE_FILE)), f"{table.parent.name}_dataset"
+        return shlex.join(["needlefit", "reconstruct", str(table), "--recipe", recipe, "--out", out])
 
     def cut(self, request: Mapping[str, Any]) -> bytes:
         """Return a slice as PNG.
@@ -137,6 +158,23 @@ class ScanSession:
             "has_markers": self.scan.markers is not None,
         }
 
+    def _examine(self, given: Corrections) -> Examination:
+        with TemporaryDirectory(prefix="needlefit-") as name:
+            found = self._examine_as_written(correct_scan(self.scan, given, Path(name)))
+            if found.error is not None and found.error.where.startswith(name):
+                return replace(found, error=found.error.at("balls placed by hand"))
+            return found
+
+    def _examine_as_written(self, scan: Scan) -> Examination:
+        """Return what is found in a scan; what a dataset may not hold is refused, as when it is written."""
+        found = examine(self.volume, scan, self.recipe)
+        if found.reconstruction is None:
+            return found
+        with TemporaryDirectory(prefix="needlefit-") as folder:
+            about = DatasetDescription(scan.id)
+            _, refused = assemble_checked(Path(folder), [found.reconstruction], self.recipe, about)
+        return replace(found, reconstruction=None, error=refused[0].error) if refused else found
+
     def _make_course(self) -> NeedleCourse | None:
         axis = self.found.needle_axis
         return None if axis is None else make_course(axis.points)
@@ -164,7 +202,7 @@ class ScanSession:
         if axis is None:
             return None
         along, across = axis.tip_sd.tolist()
-        placed = self.corrected.tip is not None
+        placed = self.found.scan.tip is not None
         return {"at": axis.tip.tolist(), "along_sd": along, "across_sd": across, "placed": placed}
 
     def _describe_contact(self) -> dict[str, Any] | None:
@@ -172,7 +210,7 @@ class ScanSession:
         if one is None:
             return None
         at = one.patient.to_local(one.points[:1])[0]
-        placed = self.corrected.contact is not None
+        placed = self.found.scan.contact is not None
         return {"at": at.tolist(), "along_sd": one.pose.along_sd, "source": one.pose.source, "placed": placed}
 
     def _describe_balls(self) -> list[dict[str, Any]]:
@@ -194,6 +232,20 @@ class ScanSession:
             return None
         parts = {name: np.round(getattr(course, name), 4).tolist() for name in ("points", "u", "v")}
         return {**parts, "rows": len(course.aside), "pixel": PIXEL_MM, "half_width": HALF_WIDTH_MM}
+
+
+def _make_new_folder(folder: Path) -> Path:
+    """Make a folder that was not there, of this name or with a number behind it; return it."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    new, number = folder, 1
+    while True:
+        try:
+            new.mkdir()
+        except FileExistsError:
+            number += 1
+            new = folder.with_name(f"{folder.name}-{number}")
+        else:
+            return new
 
 
 def _thin(points: Floats) -> Floats:

@@ -9,13 +9,18 @@ from needlefit.arrays import Floats
 from needlefit.errors import NeedlefitError
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.findings import Findings
+from needlefit.imaging.scan_table import write_scan_table
 from needlefit.project.atomic_write import replace_folder
+from needlefit.project.toml_text import dumps
 from needlefit.reporting import document
 from needlefit.reporting.figures.style import draw
 from needlefit.reporting.labels import medium_name
 from needlefit.reporting.table_files import write_csv
+from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.kinds.reconstruction.quality import Fact, write_scan_page
 from needlefit.studies.kinds.reconstruction.refused_figures import paint_across, paint_along
+
+SCANS_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
 
 REFUSED_COLUMNS = ("id", "scan", "note")
 CANDIDATE_COLUMNS = (
@@ -29,8 +34,12 @@ _ALONG_CAPTION = (
 _ACROSS_CAPTION = "Largest brightness through the scan, along k."
 
 
-def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
+def write_refused(
+    failures: Sequence[ReconstructionFailure], recipe: ReconstructionRecord, folder: Path
+) -> None:
     """Write a folder of refused scans alone: `quality/<id>.pdf`, `refused.csv` and `candidates.csv`.
+
+    Their table and their recipe are written beside these, from which the scans are opened again.
 
     Raises
     ------
@@ -41,6 +50,10 @@ def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> No
         write_refused_pages(failures, fresh / "quality")
         for name, frame in tabulate_failures(failures).items():
             write_csv(frame, fresh / f"{name}.csv")
+        write_scan_table([one.scan for one in failures], fresh / SCANS_FILE, folder)
+        (fresh / RECIPE_FILE).write_text(
+            dumps(recipe.model_dump(mode="json", by_alias=True)), encoding="utf-8"
+        )
 
 
 def write_refused_pages(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
