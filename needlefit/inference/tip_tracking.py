@@ -1,0 +1,209 @@
+"""Estimate the moduli and the bevel's strength of one needle while a tracker follows its tip.
+
+    theta = (ln mu_1, ..., ln mu_L, ln b) ~ N(m, P)
+    y_k = y(d_k; theta) + c_0 + c_1 d_k + e_k,    e_k ~ N(0, s^2 + (y'_k s_d)^2)
+
+for readings y_k of the tip at depths d_k: s and s_d are the errors of a reading across and along the needle,
+c_0 ~ N(0, shift^2) and c_1 ~ N(0, slope^2) those of the tracker's registration, which all readings share.
+The state is (theta, c_0, c_1). The estimate is its mode, found by Gauss-Newton with the exact Jacobian, and
+the Gaussian about it. One simulation gives the tip and its derivatives at all depths behind it. Every update
+therefore linearises all readings anew: an iterated extended Kalman filter without process noise, and without
+the linearisation errors of its past. An estimate can be the prior of the next insertion.
+
+B. M. Bell, F. W. Cathey, The iterated Kalman filter update as a Gauss-Newton method, IEEE Trans. Automat.
+Contr. 38 (1993) 294-297.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from needlefit.arrays import Floats
+from needlefit.inference.simulated_points import extrapolate_tip
+from needlefit.mechanics.control import ModelOptions, Step
+from needlefit.mechanics.linearize import linearize_steps
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.tissue import Tissue
+
+MIN_PRIOR_SD = 1e-3
+"""Standard deviation that is added to every parameter's prior: draws may tie two parameters exactly."""
+
+MAX_ITERATIONS, MAX_STEP, TOLERANCE = 12, 1.0, 1e-3
+"""Of Gauss-Newton: the largest step of a logarithm, and the change, in posterior deviations, that ends it."""
+
+
+class TrackedNeedle(NamedTuple):
+    """The insertion whose tip is tracked: `steps` lead from first contact to the deepest reading."""
+
+    needle: Needle
+    tissue: Tissue
+    steps: Sequence[Step]
+    rules: ModelOptions
+    first_cell: float
+
+
+class TipNoise(NamedTuple):
+    """Standard deviations: of a reading across and along the needle, mm; of the registration, mm and 1."""
+
+    across: float
+    along: float
+    shift: float
+    slope: float
+
+
+REGISTRATION = 2
+"""Entries of the state behind theta: c_0, mm, and c_1."""
+
+
+@dataclass(frozen=True)
+class TrackingEstimate:
+    """A Gaussian of the state: logarithms of the moduli (MPa) and of b (mm) or theta (rad), then c_0, c_1.
+
+    Attributes
+    ----------
+    mean : (P + 2,) array
+    covariance : (P + 2, P + 2) array
+    readings : int
+        Number of readings behind it; 0: what was known before.
+    """
+
+    mean: Floats
+    covariance: Floats
+    readings: int = 0
+
+    @property
+    def theta(self) -> Floats:
+        """Means of the logarithms (P,)."""
+        return self.mean[:-REGISTRATION]
+
+    @property
+    def sd(self) -> Floats:
+        """Standard deviations (P,) of theta."""
+        found: Floats = np.sqrt(np.diag(self.covariance))[:-REGISTRATION]
+        return found
+
+    def interval(self) -> Floats:
+        """Return median and 95 % limits (3, P) of the parameters: low, median, high (MPa; mm or rad)."""
+        limits: Floats = np.exp(self.theta + np.array([-1.96, 0.0, 1.96])[:, None] * self.sd)
+        return limits
+
+    def transform(self, normal: Floats) -> Floats:
+        """Return the parameters (B, P) of standard normal draws (B, P)."""
+        spread, axes = np.linalg.eigh(self.covariance[:-REGISTRATION, :-REGISTRATION])
+        drawn: Floats = np.exp(self.theta + normal @ (axes * np.sqrt(np.maximum(spread, 0.0))).T)
+        return drawn
+
+
+def make_prior_from_draws(mu: Floats, strength: Floats, noise: TipNoise) -> TrackingEstimate:
+    """Return the Gaussian of draws of a posterior: moduli (B, L), MPa, and bevels (B,), mm or rad."""
+    logs = np.log(np.column_stack([mu, strength]))
+    return _make_prior(logs.mean(axis=0), np.atleast_2d(np.cov(logs.T)), noise)
+
+
+def make_prior_from_factors(
+    mu: Floats, strength: float, factors: tuple[float, float], noise: TipNoise
+) -> TrackingEstimate:
+    """Return independent log-normal priors about values; `factors` of mu and b are one standard deviation."""
+    sds = np.log([factors[0]] * len(mu) + [factors[1]])
+    return _make_prior(np.log(np.append(mu, strength)), np.diag(sds**2), noise)
+
+
+def _make_prior(theta: Floats, covariance: Floats, noise: TipNoise) -> TrackingEstimate:
+    least = MIN_PRIOR_SD**2 * np.eye(len(theta))
+    registration = np.diag([noise.shift**2, noise.slope**2])
+    return TrackingEstimate(
+        np.append(theta, [0.0, 0.0]), np.asarray(block_diag(covariance + least, registration))
+    )
+
+
+def set_parameters(tracked: TrackedNeedle, theta: Floats) -> TrackedNeedle:
+    """Return the insertion with other moduli and another strength of its bevel throughout."""
+    values, angle = np.exp(theta), tracked.rules.path_angle
+    strength = float(values[-1])
+    bevels = [
+        replace(step.bevel, cut_angle=strength) if angle else replace(step.bevel, offset=strength)
+        for step in tracked.steps
+    ]
+    steps = [replace(step, bevel=bevel) for step, bevel in zip(tracked.steps, bevels, strict=True)]
+    return tracked._replace(tissue=replace(tracked.tissue, mu=values[:-1]), steps=steps)
+
+
+def estimate_parameters(
+    tracked: TrackedNeedle,
+    readings: Floats,
+    prior: TrackingEstimate,
+    noise: TipNoise,
+    start: TrackingEstimate | None = None,
+) -> TrackingEstimate | None:
+    """Return the estimate from all readings of a tip since the prior; None where no needle is found.
+
+    Parameters
+    ----------
+    readings : (n, 2) array
+        Depth and deflection of the tip as it was first there, mm, in C.
+    prior : TrackingEstimate
+    noise : TipNoise
+    start : TrackingEstimate, optional
+        Where Gauss-Newton begins: the last estimate; by default the prior.
+    """
+    state = (start or prior).mean
+    precision = np.linalg.inv(prior.covariance)
+    found = _linearize(tracked, state, readings[:, 0])
+    if found is None:
+        return None
+    # The weights stay those of the start: they depend on the slope of the tip's path alone.
+    weights = 1 / (noise.across**2 + (found.by_depth * noise.along) ** 2)
+
+    def objective(state: Floats, tip: Floats) -> float:
+        off, away = readings[:, 1] - tip, state - prior.mean
+        return float(off @ (weights * off) + away @ precision @ away)
+
+    value = objective(state, found.tip)
+    for _ in range(MAX_ITERATIONS):
+        weighted = weights[:, None] * found.by_state
+        downhill = weighted.T @ (readings[:, 1] - found.tip) - precision @ (state - prior.mean)
+        step = np.linalg.solve(precision + weighted.T @ found.by_state, downhill)
+        decrease = float(step @ downhill)  # of twice the objective, to first order
+        step *= min(1.0, MAX_STEP / max(float(np.abs(step[:-REGISTRATION]).max()), 1e-12))
+        for _ in range(MAX_ITERATIONS):
+            tried = _linearize(tracked, state + step, readings[:, 0])
+            if tried is not None and objective(state + step, tried.tip) <= value:
+                break
+            step *= 0.5
+        else:
+            break
+        state, found = state + step, tried
+        value = objective(state, found.tip)
+        if decrease < TOLERANCE**2 * len(state):
+            break
+    covariance = np.linalg.inv(precision + (weights[:, None] * found.by_state).T @ found.by_state)
+    return TrackingEstimate(state, np.asarray(covariance), prior.readings + len(readings))
+
+
+class _LinearizedTip(NamedTuple):
+    """Predicted readings (n,), their derivatives by the state (n, P + 2) and by depth (n,)."""
+
+    tip: Floats
+    by_state: Floats
+    by_depth: Floats
+
+
+def _linearize(tracked: TrackedNeedle, state: Floats, depths: Floats) -> _LinearizedTip | None:
+    """Return the readings that a state predicts at depths (n,); None where no needle is found."""
+    theta, (shift, slope) = state[:-REGISTRATION], state[-REGISTRATION:]
+    needle, tissue, steps, rules, first_cell = set_parameters(tracked, theta)
+    strength = "cut_angle" if rules.path_angle else "offset"
+    lattice = Lattice(first_cell, rules.spacing)
+    shape, jacobian = linearize_steps(needle, tissue, steps, rules, lattice, wrt=("mu", strength))
+    if not shape.converged:
+        return None
+    passed, track = shape.constraints[:, 0], shape.tip_track[:, 0]
+    tip = extrapolate_tip(passed, track, depths) + shift + slope * depths
+    by_parameter = extrapolate_tip(passed, jacobian.tip_track.T, depths).T  # (n, P)
+    by_state = np.column_stack([by_parameter * np.exp(theta), np.ones(len(depths)), depths])
+    by_depth = np.interp(depths, passed, np.gradient(track, passed)) if len(passed) > 1 else 0.0 * depths
+    return _LinearizedTip(tip, by_state, by_depth)
