@@ -86,7 +86,7 @@ def test_every_row_passes_or_is_stated_and_every_group_has_one(cases, monkeypatc
     assert [row.verdict for row in found.rows if row.group is Group.STATED] == ["stated"] * 3
     assert all(row.verdict == "passes" for row in found.rows if row.group is not Group.STATED)
     assert [done for _, done, _ in seen] == list(range(len(find_checks())))
-    assert len(found.curves) == 9 and found.traces == ()
+    assert len(found.curves) == 10 and found.traces == ()
 
 
 def test_titles_are_the_keys_of_random_streams_and_differ():
