@@ -9,6 +9,8 @@ import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
+from sphinx.application import Sphinx
+
 os.environ["NUMBA_DISABLE_JIT"] = "1"  # compiled functions are read as Python; nothing is compiled
 sys.path.insert(0, str(Path(__file__).parent / "_site"))
 
@@ -69,3 +71,8 @@ nitpick_ignore_regex = [
     # Type variables: what stands for them is the caller's.
     ("py:class", r"(needlefit\.[a-z.]+\.)?(R|T|Given|Item|Result|Returned|Value)"),
 ]
+
+
+def setup(app: Sphinx) -> None:
+    """Read the glossary at every build: the search drops index entries of other pages."""
+    app.connect("env-get-outdated", lambda *_: ["glossary"])
