@@ -74,5 +74,5 @@ nitpick_ignore_regex = [
 
 
 def setup(app: Sphinx) -> None:
-    """Read the glossary at every build: the search drops index entries of other pages."""
+    """Read the glossary at every build: the search index loses index entries of pages that are not read."""
     app.connect("env-get-outdated", lambda *_: ["glossary"])
