@@ -129,12 +129,12 @@ def test_the_title_names_the_frame_where_it_is_not_the_world():
 
 def test_the_layers_of_a_picture_are_all_called_in_the_same_way():
     one = dataclasses.replace(scene(), layer_names=("fat", "muscle"))
-    assert label_layers(one, {0: 1.0, 1: 1.0}) == {0: "fat\n2 × 10⁵ Pa", 1: "muscle\n3.3 × 10⁷ Pa"}
+    assert label_layers(one, {0: 1.0, 1: 1.0}) == {0: "fat\n200 kPa", 1: "muscle\n33 MPa"}
     assert label_layers(one, {0: 0.5, 1: 0.5}) == {0: "fat", 1: "muscle"}
-    assert label_layers(one, {0: 1.0, 1: 0.2}) == {0: "1\n2 × 10⁵ Pa", 1: "2"}
+    assert label_layers(one, {0: 1.0, 1: 0.2}) == {0: "1\n200 kPa", 1: "2"}
     long = dataclasses.replace(one, layer_names=("", "the muscle below the second fascia"))
     assert label_layers(long, {0: 1.0, 1: 1.0})[1].startswith("layer 2")
-    assert label_layers(one, {1: 1.0}) == {1: "muscle\n3.3 × 10⁷ Pa"}
+    assert label_layers(one, {1: 1.0}) == {1: "muscle\n33 MPa"}
 
 
 @pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])

@@ -15,7 +15,7 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_p
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.figures import look
 from needlefit.reporting.labels import GREY, INK
-from needlefit.reporting.number_format import format_number, typeset
+from needlefit.reporting.number_format import format_quantity
 
 _LETTER_WIDTH_IN, _LABEL_MARGIN_IN, _MODULUS_WIDTH_IN = 0.055, 0.05, 0.58  # inches, of 6.5 point type
 Colour = tuple[float, float, float, float]
@@ -53,7 +53,7 @@ def _format_modulus(scene: Scene, layer: int, width: float, before: str) -> str:
     """Return a layer's modulus, below its name or, where it is given, behind; "" where there is no room."""
     if width <= _MODULUS_WIDTH_IN + _LETTER_WIDTH_IN * len(before):
         return ""
-    return f"{', ' if before else chr(10)}{typeset(format_number(scene.tissue.mu[layer] * 1e6))} Pa"
+    return f"{', ' if before else chr(10)}{format_quantity('mu_pa', scene.tissue.mu[layer] * 1e6)}"
 
 
 Floats = NDArray[np.float64]
