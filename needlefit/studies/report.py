@@ -64,14 +64,14 @@ def run_to_json(result: Run) -> dict[str, Any]:
 def judge_by_summary(result: Run) -> list[Verdict]:
     """Return the first sentence of the summary as the verdict; warnings make it "warn" at best."""
     report = find_kind(result.kind).report
-    warned: Status = "warn" if read_warnings(result.run) else "pass"
+    warned: Status = "warn" if read_warnings(result.run) else "none"
     status = max(report.rate(result), warned, key=STATUSES.index)
     return [Verdict(sentence.rstrip("."), status) for sentence in report.summarize(result)[:1]]
 
 
-def rate_as_pass(result: Run) -> Status:
-    """Return "pass": of kinds whose answer is neither good nor bad."""
-    return "pass"
+def rate_as_none(result: Run) -> Status:
+    """Return "none": of kinds whose answer is neither good nor bad."""
+    return "none"
 
 
 def lay_out_first_table(result: Run) -> list[TableLayout]:
@@ -154,7 +154,7 @@ class StudyReport:
     compares_only_these: bool = False
     tabulate: Callable[[Run], Mapping[str, pd.DataFrame]] = tabulate_frames
     judge: Callable[[Run], list[Verdict]] = judge_by_summary
-    rate: Callable[[Run], Status] = rate_as_pass
+    rate: Callable[[Run], Status] = rate_as_none
     explore: Callable[[Run], dict[str, Any] | None] = lambda result: None
     lay_out_first: Callable[[Run], list[TableLayout]] = lay_out_first_table
     explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = explain_by_report
