@@ -241,9 +241,8 @@ def compose_run_report(result: Run, figures: FigurePaths) -> Document:
         *page.compose(result, figures),
         *_run_blocks(result),
     ]
-    subtitle = " ".join(
-        words for words in (f"{result.name} · {result.dataset_title}.", result.question) if words
-    )
+    data = "" if result.synthetic else f" · {result.dataset_title}"  # the first block names synthetic data
+    subtitle = f"{result.name}{data}. {result.question}".strip()
     return Document(result.title, subtitle, result.synthetic, tuple(blocks), page.explore(result))
 
 
@@ -346,6 +345,10 @@ _OMITTED_RUN_KEYS = (
 )
 
 
+_OMITTED_DATA_KEYS = ("notes", "origin")
+"""Of a dataset: they stand elsewhere in a report."""
+
+
 def describe_run(run: Mapping[str, object]) -> list[tuple[str, str]]:
     """Return the settings of the run, one line per key; what the report shows elsewhere is left to
     run.json.
@@ -359,7 +362,11 @@ def describe_run(run: Mapping[str, object]) -> list[tuple[str, str]]:
 def _format_value(value: object) -> str:
     """Return a value of run.json on one line; digests are cut, notes stand elsewhere."""
     if isinstance(value, Mapping):
-        pairs = ((str(key), _format_value(item)) for key, item in sorted(value.items()) if key != "notes")
+        pairs = (
+            (str(key), _format_value(item))
+            for key, item in sorted(value.items())
+            if key not in _OMITTED_DATA_KEYS
+        )
         return "; ".join(f"{key.replace('_', ' ')} {line}" for key, line in pairs if line)
     if isinstance(value, list | tuple):
         return ", ".join(_format_value(item) for item in value)

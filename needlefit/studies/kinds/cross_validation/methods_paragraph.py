@@ -33,8 +33,9 @@ def compose_methods(results: Run) -> tuple[CitedSentence, ...]:
 
 
 def format_methods_text(results: Run) -> str:
-    """Return the paragraph as plain text, without citations."""
-    return " ".join(sentence.words for sentence in compose_methods(results))
+    """Return the paragraph as plain text, without citations and, of synthetic data, what its page says."""
+    data = tuple(_describe_data(results, results.run))
+    return " ".join(sentence.words for sentence in compose_methods(results) if sentence not in data)
 
 
 def format_methods_latex(results: Run) -> str:
