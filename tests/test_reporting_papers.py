@@ -61,7 +61,7 @@ def test_the_methods_paragraph_describes_this_run():
     assert re.search(r"BOBYQA\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
 
 
-def test_the_text_for_a_paper_says_that_data_are_synthetic_and_that_of_the_page_does_not():
+def test_methods_tex_names_synthetic_data_and_the_page_leaves_that_to_its_head():
     assert "synthetic" in format_methods_latex(run_of()) and "synthetic" not in format_methods_text(run_of())
 
 

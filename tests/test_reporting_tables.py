@@ -274,8 +274,8 @@ def test_an_undetermined_parameter_is_no_number_in_the_second_fit():
     assert all(row["fitted_metric"] == row["fitted"] for row in rows.values())
     assert rows["alpha1"]["fitted_metric"] == NOT_DETERMINED
     assert table.set_index(["parameter", "method"]).loc[("alpha1", "fitted_metric"), "value_used"] == 1
-    assert "By errors" in {column.label for column in lay_out_parameters([both]).columns}
-    assert "By errors" not in {column.label for column in lay_out_parameters([one]).columns}
+    assert "Error-minimising fit" in {column.label for column in lay_out_parameters([both]).columns}
+    assert "Error-minimising fit" not in {column.label for column in lay_out_parameters([one]).columns}
 
 
 def test_a_fixed_parameter_is_given_and_marked_as_fixed():

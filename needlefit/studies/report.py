@@ -91,7 +91,7 @@ def warn_of_nothing(result: Run) -> tuple[ResultWarning, ...]:
 
 
 QUALIFYING_WARNINGS = (
-    *("worse_than_baseline", "parameter_at_bound", "coverage"),
+    *("worse_than_baseline", "parameter_at_bound", "coverage", "wide_intervals"),
     *("noise_too_large", "noise_too_small"),
 )
 """Kinds of warnings that qualify the verdict; they come first."""

@@ -34,7 +34,12 @@ from needlefit.studies.kinds.cross_validation.tables import (
     list_held_out_groups,
     tabulate_tuning,
 )
-from needlefit.studies.kinds.cross_validation.verdict import describe_evidence, judge, warn_of_coverage
+from needlefit.studies.kinds.cross_validation.verdict import (
+    describe_evidence,
+    judge,
+    warn_of_coverage,
+    warn_of_width,
+)
 from needlefit.studies.report import (
     FigurePaths,
     StudyReport,
@@ -268,5 +273,5 @@ REPORT = StudyReport(
         detail_tables.lay_out_values(results),
     ],
     explain=explain,
-    warn=warn_of_coverage,
+    warn=lambda results: [*warn_of_coverage(results), *warn_of_width(results)],
 )
