@@ -22,7 +22,13 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.atomic_write import create_folder
-from needlefit.reporting.figures.style import draw, draw_grid, separate_positions
+from needlefit.reporting.figures.style import (
+    choose_vertical_scale,
+    describe_scale,
+    draw,
+    draw_grid,
+    separate_positions,
+)
 from needlefit.reporting.labels import GREY, INK
 
 PICTURE_FILE = "import.png"
@@ -176,11 +182,15 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
         _label_tips(axes, ones)
     toward = f"toward the {side} (mm)" if all(one.side > 0 for one in ones) else "(mm)"
     axes.set(
-        title="Each from its entry (vertical scale exaggerated)",
         xlabel="x, along the entry direction (mm)",
         ylabel=f"y, {toward}",
     )
     draw_grid(axes, "y")
+    low, high = axes.get_ylim()
+    left, right = axes.get_xlim()
+    shown = (low - 0.05, high + 0.05)  # needles that are nearly straight need some height
+    factor = choose_vertical_scale(right - left, shown[1] - shown[0])
+    axes.set(ylim=shown, aspect=factor, title=f"Each from its entry ({describe_scale(factor)})")
 
 
 def _label_tips(axes: Axes, ones: Sequence[Insertion]) -> None:

@@ -159,8 +159,8 @@ def warn_of_width(results: Run) -> Iterator[ResultWarning]:
             study = f" (`needlefit validate {name}`)" if (name := _find_adaptation(results, group)) else ""
             yield ResultWarning(
                 "wide_intervals",
-                f"the 95 % predictive intervals of tips on {medium} are {width:.2g} mm wide (median), and the "
-                f"tips are deflected by {deflection:.2g} mm: too wide for aiming",
+                f"the 95 % predictive intervals of tips on {medium} are {width:.2g} mm wide (median), and "
+                f"the tips are deflected by {deflection:.2g} mm: too wide for aiming",
                 fix=f"measure an insertion into {medium} first; a study of kind adaptation{study} measures "
                 "what each insertion gains"
                 if new
