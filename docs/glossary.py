@@ -80,7 +80,8 @@ TERMS = (
         "noise floor",
         "",
         "mm",
-        "The error that perfect parameters would still show, because measurements err.",
+        "The mean error that perfect parameters would still show if measurements err as stated. A mean "
+        "far below it shows that they err less than stated.",
         "studies.md",
         "needlefit/datasets/noise.py",
     ),

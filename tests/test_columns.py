@@ -74,7 +74,7 @@ def test_a_template_composes_columns():
 
 def test_a_number_in_a_key_stands_in_the_heading():
     assert [find_column(key).label for key in ("p2.5", "q05", "alpha3")] == ["2.5 %", "5 %", "α3"]
-    assert (find_column("tip_in_95").label, find_column("tip_in_95").unit) == ("Tips in", "95 %")
+    assert (find_column("tip_in_95").label, find_column("tip_in_95").unit) == ("Tip coverage", "95 %")
 
 
 def test_pivoted_rows_have_a_column_for_each_place():

@@ -39,7 +39,9 @@ RUN = {
 
 
 def run_of(**changed):
-    return dataclasses.replace(study(1), run=RUN | changed)
+    one, run = study(1), RUN | changed
+    starts = one.frames["starts"].assign(minimized=run["recipe"]["minimize"])
+    return dataclasses.replace(one.with_frames(starts=starts), run=run)
 
 
 def test_the_methods_paragraph_describes_this_run():
@@ -48,9 +50,19 @@ def test_the_methods_paragraph_describes_this_run():
     assert re.search(r"α₁ was\b[^.]*\bfixed\b", text) and "α₁ were" not in text
     assert "16 starts" in text and "elements of 0.5 mm" in text and "needlefit 9.8.7" in text
     assert "3 insertions held out" in text and "R-hat" not in text
+    assert re.search(r"posterior-mode\b[^.]*\b3 insertions", text) and "predicted with" not in text
+    tied = {"mu2_pa": {"bounds": None, "fixed": None, "tie": "mu1_pa", "spread": None}}
+    medium = {"parameters": RUN["medium"]["parameters"] | tied}
+    assert re.search(r"μ₂ to μ₁\b[^.]*\bln 1\.2\b", format_methods_text(run_of(medium=medium)))
+    free = format_methods_text(dataclasses.replace(stereo(), run=RUN))
+    assert "rotated and shifted" in free and "rotated and shifted" not in text
     other = RECIPE | {"minimize": "metric", "algorithm": "bobyqa+neldermead", "starts": 5}
     changed = format_methods_text(run_of(recipe=other))
     assert re.search(r"BOBYQA\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
+
+
+def test_methods_tex_names_synthetic_data_and_the_page_leaves_that_to_its_head():
+    assert "synthetic" in format_methods_latex(run_of()) and "synthetic" not in format_methods_text(run_of())
 
 
 def test_citations_and_entries_correspond():

@@ -226,7 +226,7 @@ def test_a_needle_that_ends_at_a_boundary_is_counted_both_ways():
 
 def test_parameter_rows_have_a_comparability_note_and_no_floor():
     rows = to_records(tabulate_parameters(study(1)))
-    assert all("synthetic" in row["comparable"] and "by hand" in row["comparable"] for row in rows)
+    assert all("simulated" in row["comparable"] and "by hand" in row["comparable"] for row in rows)
     assert all("no such value" in row["comparable"] for row in to_records(tabulate_parameters(stereo())))
     notes = lay_out_parameters([study(1)]).notes
     assert any("no noise floor" in note for note in notes)
@@ -234,7 +234,7 @@ def test_parameter_rows_have_a_comparability_note_and_no_floor():
 
 def test_rows_carry_notes_on_comparability():
     twin = to_records(tabulate_validation(study(1)))[0]["comparable"]
-    assert "synthetic" in twin
+    assert "simulated" in twin
     assert "by hand" in twin
     short = to_records(tabulate_tuning(study(5)))
     by_media = next(row for row in short if row["grouping"] == "media")
@@ -242,7 +242,7 @@ def test_rows_carry_notes_on_comparability():
     aligned = study(1).with_frames(errors=study(1).frames["errors"].assign(comparison="aligned"))
     assert to_records(tabulate_validation(aligned))[0]["comparable"].startswith("Not comparable")
     measured = to_records(tabulate_validation(study(1, "measured")))[0]["comparable"]
-    assert "paper's" in measured and "synthetic" not in measured
+    assert "paper's" in measured and "simulated" not in measured
 
 
 def test_tuning_rows_stand_beside_the_papers_by_layers_and_by_media():
@@ -274,8 +274,8 @@ def test_an_undetermined_parameter_is_no_number_in_the_second_fit():
     assert all(row["fitted_metric"] == row["fitted"] for row in rows.values())
     assert rows["alpha1"]["fitted_metric"] == NOT_DETERMINED
     assert table.set_index(["parameter", "method"]).loc[("alpha1", "fitted_metric"), "value_used"] == 1
-    assert "By errors" in {column.label for column in lay_out_parameters([both]).columns}
-    assert "By errors" not in {column.label for column in lay_out_parameters([one]).columns}
+    assert "Error-minimising fit" in {column.label for column in lay_out_parameters([both]).columns}
+    assert "Error-minimising fit" not in {column.label for column in lay_out_parameters([one]).columns}
 
 
 def test_a_fixed_parameter_is_given_and_marked_as_fixed():

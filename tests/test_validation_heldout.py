@@ -148,7 +148,7 @@ def test_the_table_counts_covered_insertions(job, few_draws):
     rows[0] |= {"tip_in_50": True, "tip_in_95": True}
     rows[1] |= {"tip_in_50": False, "tip_in_95": True}
     table = lay_out_coverage(study(2).with_frames(predictive=pd.DataFrame(rows)))
-    assert table.rows[0][3:5] == ("1 of 2 (9–91 %)", "2 of 2 (34–100 %)")
+    assert table.rows[0][3:6] == ("2", "1 (9–91 %)", "2 (34–100 %)")
     assert "posterior" in table.caption
 
 

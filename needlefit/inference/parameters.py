@@ -106,7 +106,7 @@ class Parameters:
         names = _ordered_names(record)
         every = {name: parse_tie(name, p.tie) for name, p in table.items() if p.tie is not None}
         resolve_ties(every, frozenset(names))  # checks those with a spread too
-        soft = {name: spread for name in every if (spread := _find_spread(name, table[name])) > 1}
+        soft = {name: spread for name in every if (spread := find_tie_spread(name, table[name])) > 1}
         for name in names:
             _check_positive(name, table[name])
             _check_alpha(name, table[name], record.law)
@@ -298,7 +298,7 @@ def loosen_ties(parameters: Parameters) -> Parameters:
     )
 
 
-def _find_spread(name: str, parameter: ParameterRecord) -> float:
+def find_tie_spread(name: str, parameter: ParameterRecord) -> float:
     """Return the spread of a tie: the stated one, or, without a factor, that of two casts of one material."""
     if parameter.spread is None:
         one_material = dimension(name) == "modulus" and "*" not in str(parameter.tie)

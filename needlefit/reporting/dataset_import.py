@@ -22,7 +22,11 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.atomic_write import create_folder
-from needlefit.reporting.figures.style import draw, draw_grid, separate_positions
+from needlefit.reporting.figures.style import (
+    draw,
+    draw_grid,
+    separate_positions,
+)
 from needlefit.reporting.labels import GREY, INK
 
 PICTURE_FILE = "import.png"
@@ -100,7 +104,16 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     left, right = figure.subplots(1, 2)
     _draw_world(left, dataset.insertions, [*plan.layers.surfaces, *([plan.tissue] if plan.tissue else [])])
     _draw_shapes(right, dataset, "bevel" if plan.insertions[0].row.bevel is not None else "bend")
+    figure.draw_without_rendering()  # the layout decides the scales
+    for axes, words in ((left, "World: all needles from the side"), (right, "Each from its entry")):
+        axes.set_title(f"{words}\n(vertical scale × {_find_scale(axes):.2g})")
     return figure
+
+
+def _find_scale(axes: Axes) -> float:
+    """Return how many times larger heights are drawn than lengths."""
+    drawn, (left, right), (low, high) = axes.get_window_extent(), axes.get_xlim(), axes.get_ylim()
+    return float(drawn.height / (high - low) / (drawn.width / (right - left)))
 
 
 def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[Surface]) -> None:
@@ -126,7 +139,7 @@ def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[
         margin = 0.1 * max(high - low, 10.0)
         limits(low - margin, high + margin)
     axes.set(
-        title="World: all needles from the side",
+        title="\n",  # its two lines, with the scale, follow the layout
         xlabel=f"{_name_axis(along)} (mm)",
         ylabel=f"{_name_axis(across)} (mm)",
     )
@@ -176,7 +189,7 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
         _label_tips(axes, ones)
     toward = f"toward the {side} (mm)" if all(one.side > 0 for one in ones) else "(mm)"
     axes.set(
-        title="Each from its entry (vertical scale exaggerated)",
+        title="\n",
         xlabel="x, along the entry direction (mm)",
         ylabel=f"y, {toward}",
     )

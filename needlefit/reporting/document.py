@@ -59,8 +59,8 @@ def subheading(words: str, target: str = "") -> Block:
     return {"kind": "subheading", "text": words, "target": target}
 
 
-def verdict(words: str, status: Literal["pass", "warn", "fail"]) -> Block:
-    """Return the answer of a run or of one of its groups, with its badge."""
+def verdict(words: str, status: Literal["none", "pass", "warn", "fail"]) -> Block:
+    """Return the answer of a run or of one of its groups, with its badge unless its status is "none"."""
     return {"kind": "verdict", "text": _prose_block(words), "status": status}
 
 

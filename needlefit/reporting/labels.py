@@ -62,7 +62,7 @@ def rgb(colour: str) -> tuple[float, float, float]:
 
 SYNTHETIC_NOTE = (
     "Synthetic data: agreement with the paper shows consistency and is no evidence for the model, because "
-    "the synthetic dataset was built from the paper's parameters and design."
+    "the dataset was built from the paper's parameters and design."
 )
 
 
@@ -126,7 +126,7 @@ SCHEMATIC_CAPTION = (
 )
 OVERLAYS_CAPTION = (
     "Measured needles (dots) and model (lines), one panel per insertion, all with the same axes. Number: tip "
-    "error. Bands: 50 % and 95 % predictive bands of held-out insertions."
+    "error. Bands: 50 % and 95 % predictive bands of held-out insertions; those that leave a panel are wider."
 )
 RESIDUALS_CAPTION = (
     "Deflection minus that of the fitted needle at the same depth, positive toward the bevel: insertions "

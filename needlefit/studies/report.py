@@ -64,14 +64,14 @@ def run_to_json(result: Run) -> dict[str, Any]:
 def judge_by_summary(result: Run) -> list[Verdict]:
     """Return the first sentence of the summary as the verdict; warnings make it "warn" at best."""
     report = find_kind(result.kind).report
-    warned: Status = "warn" if read_warnings(result.run) else "pass"
+    warned: Status = "warn" if read_warnings(result.run) else "none"
     status = max(report.rate(result), warned, key=STATUSES.index)
     return [Verdict(sentence.rstrip("."), status) for sentence in report.summarize(result)[:1]]
 
 
-def rate_as_pass(result: Run) -> Status:
-    """Return "pass": of kinds whose answer is neither good nor bad."""
-    return "pass"
+def rate_as_none(result: Run) -> Status:
+    """Return "none": of kinds whose answer is neither good nor bad."""
+    return "none"
 
 
 def lay_out_first_table(result: Run) -> list[TableLayout]:
@@ -91,7 +91,7 @@ def warn_of_nothing(result: Run) -> tuple[ResultWarning, ...]:
 
 
 QUALIFYING_WARNINGS = (
-    *("worse_than_baseline", "parameter_at_bound", "coverage"),
+    *("worse_than_baseline", "parameter_at_bound", "coverage", "wide_intervals"),
     *("noise_too_large", "noise_too_small"),
 )
 """Kinds of warnings that qualify the verdict; they come first."""
@@ -154,7 +154,7 @@ class StudyReport:
     compares_only_these: bool = False
     tabulate: Callable[[Run], Mapping[str, pd.DataFrame]] = tabulate_frames
     judge: Callable[[Run], list[Verdict]] = judge_by_summary
-    rate: Callable[[Run], Status] = rate_as_pass
+    rate: Callable[[Run], Status] = rate_as_none
     explore: Callable[[Run], dict[str, Any] | None] = lambda result: None
     lay_out_first: Callable[[Run], list[TableLayout]] = lay_out_first_table
     explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = explain_by_report
@@ -241,9 +241,8 @@ def compose_run_report(result: Run, figures: FigurePaths) -> Document:
         *page.compose(result, figures),
         *_run_blocks(result),
     ]
-    subtitle = " ".join(
-        words for words in (f"{result.name} · {result.dataset_title}.", result.question) if words
-    )
+    data = "" if result.synthetic else f" · {result.dataset_title}"  # the first block names synthetic data
+    subtitle = f"{result.name}{data}. {result.question}".strip()
     return Document(result.title, subtitle, result.synthetic, tuple(blocks), page.explore(result))
 
 
@@ -346,6 +345,10 @@ _OMITTED_RUN_KEYS = (
 )
 
 
+_OMITTED_DATA_KEYS = ("notes", "origin")
+"""Of a dataset: they stand elsewhere in a report."""
+
+
 def describe_run(run: Mapping[str, object]) -> list[tuple[str, str]]:
     """Return the settings of the run, one line per key; what the report shows elsewhere is left to
     run.json.
@@ -359,7 +362,11 @@ def describe_run(run: Mapping[str, object]) -> list[tuple[str, str]]:
 def _format_value(value: object) -> str:
     """Return a value of run.json on one line; digests are cut, notes stand elsewhere."""
     if isinstance(value, Mapping):
-        pairs = ((str(key), _format_value(item)) for key, item in sorted(value.items()) if key != "notes")
+        pairs = (
+            (str(key), _format_value(item))
+            for key, item in sorted(value.items())
+            if key not in _OMITTED_DATA_KEYS
+        )
         return "; ".join(f"{key.replace('_', ' ')} {line}" for key, line in pairs if line)
     if isinstance(value, list | tuple):
         return ", ".join(_format_value(item) for item in value)

@@ -10,9 +10,9 @@ from needlefit.reporting.number_format import format_mm
 if TYPE_CHECKING:
     from needlefit.studies.run import Run
 
-Status = Literal["pass", "warn", "fail"]
-STATUSES: tuple[Status, ...] = ("pass", "warn", "fail")
-"""From the best to the worst."""
+Status = Literal["none", "pass", "warn", "fail"]
+STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
+"""From the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge."""
 
 VERDICTS_KEY = "verdicts"
 """Of `--json`."""
@@ -26,8 +26,8 @@ class Verdict:
     ----------
     sentence : str
         The answer, with its most important numbers.
-    status : "pass", "warn" or "fail"
-        Whether the result can be relied on, only with care, or not.
+    status : "none", "pass", "warn" or "fail"
+        Whether the result can be relied on, only with care, or not; "none" where this was not tested.
     group : str
         What it is about, such as "phantom 1, 3 layers"; empty: the whole run.
     numbers : mapping

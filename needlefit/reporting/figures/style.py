@@ -156,6 +156,11 @@ def choose_vertical_scale(width: float, height: float) -> int:
     return fitting[-1] if fitting else 1
 
 
+def describe_scale(factor: int) -> str:
+    """Return how much the vertical scale is exaggerated, as text."""
+    return "drawn to scale" if factor == 1 else f"exaggerated × {factor}"
+
+
 def is_synthetic(frame: pd.DataFrame) -> bool:
     """Return whether a figure's table contains synthetic data."""
     return bool((frame["origin"] == "synthetic").any())

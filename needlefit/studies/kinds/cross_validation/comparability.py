@@ -34,10 +34,10 @@ def compare_parameter_row(results: Run, printed: bool) -> str:
     """Return the sentence on comparability of a parameter; `printed`: the paper has a value."""
     if not printed:
         return "The paper has no such value."
-    needles = "on synthetic data" if results.origin == "synthetic" else "on other needles"
+    needles = "to simulated needles" if results.origin == "synthetic" else "to other needles"
     return (
         f"Same model, as far as the paper states it: ours fitted {needles}, the paper's tuned by hand on its "
-        "own real ones; a parameter has no noise floor."
+        "real ones; a parameter has no noise floor."
     )
 
 
@@ -45,7 +45,7 @@ def _describe_comparability(results: Run, insertions: int, paper_insertions: int
     if (results.frames["errors"]["comparison"] == "aligned").any():
         return "Not comparable: our errors are after rigid alignment, the paper's in the world frame."
     data = (
-        "ours are of synthetic data, the paper's of real needles"
+        "ours are of simulated needles, the paper's of real ones"
         if results.origin == "synthetic"
         else "the needles are not the paper's"
     )

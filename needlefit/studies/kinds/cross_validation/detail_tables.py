@@ -44,7 +44,7 @@ _INTERVAL_NOTE = (
 # the column "Fitted" says it
 _NOT_DETERMINED_PREFIX = re.compile(r"^not determined(?:[:;] | \(([^()]*)\)|$)")
 _METRIC_FIT_NOTE = (
-    "“By errors” is the second fit, which minimises IPE, TE and EDP; what the data do "
+    "The error-minimising fit is the second fit, which minimises IPE, TE and EDP; what the data do "
     "not determine is no estimate there either."
 )
 _PUBLISHED_NOTE = (

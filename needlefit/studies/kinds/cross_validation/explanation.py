@@ -95,7 +95,8 @@ def _describe_undetermined(results: Run) -> Iterator[str]:
     judged = set(results.frames["identification"]["parameter"])  # `describe_verdicts` names their conditions
     for row in to_records(loose):
         if not (row["parameter"] in judged and is_conditional(row)):
-            yield f"{row['parameter']}: {row['note'] or NOT_DETERMINED}."
+            note = str(row["note"] or NOT_DETERMINED)
+            yield f"{row['parameter']}: {note if 'determined' in note else f'{NOT_DETERMINED}: {note}'}."
     directions = results.frames["directions"]
     informed = directions[~(directions["sd_ratio"].astype(float) >= UNINFORMED_SD_RATIO)]
     if len(informed):

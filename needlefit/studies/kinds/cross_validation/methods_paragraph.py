@@ -1,13 +1,17 @@
 """Compose the methods paragraph of a paper from a run, with the references it cites."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
+from needlefit.inference.parameters import find_tie_spread
+from needlefit.inference.ties import BEVEL_SPREAD, parse_tie
 from needlefit.reporting.latex import escape_latex
 from needlefit.reporting.number_format import format_bare_symbol, format_number
+from needlefit.schemas.medium import ParameterRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.run import Run
 
@@ -29,8 +33,9 @@ def compose_methods(results: Run) -> tuple[CitedSentence, ...]:
 
 
 def format_methods_text(results: Run) -> str:
-    """Return the paragraph as plain text, without citations."""
-    return " ".join(sentence.words for sentence in compose_methods(results))
+    """Return the paragraph as plain text, without citations and, of synthetic data, what its page says."""
+    data = tuple(_describe_data(results, results.run))
+    return " ".join(sentence.words for sentence in compose_methods(results) if sentence not in data)
 
 
 def format_methods_latex(results: Run) -> str:
@@ -75,13 +80,16 @@ def _iterate_sentences(results: Run, run: Mapping[str, Any]) -> Iterator[CitedSe
         f"{format_number(rules['element_mm'])} mm).",
         ("wang-bevel-tip", "needlefit"),
     )
+    by_metric = _minimizes_metric(results, recipe)
     yield CitedSentence(_describe_fit(results, run))
-    yield CitedSentence(_describe_objective(recipe))
+    yield from map(CitedSentence, _describe_ties(run["medium"]["parameters"], by_metric))
+    yield from map(CitedSentence, _describe_objective(results, recipe, by_metric))
     yield CitedSentence(_describe_search(recipe))
     yield from _describe_posterior(results, recipe)
     if isinstance(results.record, StudyRecord):
-        yield _describe_held_out(results, run)
-    yield from _describe_predictions(results)
+        yield _describe_held_out(run, "least-error" if by_metric else "posterior-mode")
+    yield from _describe_alignment(results)
+    yield from _describe_predictions(results, recipe)
     named = ("python", "numpy", "scipy", "numba", "nlopt")
     listed = ", ".join(f"{_PACKAGE_NAMES[name]} {versions[name]}" for name in named if name in versions)
     yield CitedSentence(
@@ -125,9 +133,40 @@ def _describe_fit(results: Run, run: Mapping[str, Any]) -> str:
     )
 
 
-def _describe_objective(recipe: Mapping[str, Any]) -> str:
-    if recipe["minimize"] == "metric":
-        return "The fit minimises a weighted mean of the in-plane, tip and error-to-deflection errors."
+def _minimizes_metric(results: Run, recipe: Mapping[str, Any]) -> bool:
+    """Return whether the fit minimises errors: by its recipe, or because the data state no noise."""
+    starts = results.frames["starts"].query("fit == 'fitted'")
+    return recipe["minimize"] == "metric" or bool((starts["minimized"] == "metric").any())
+
+
+def _describe_ties(parameters: Mapping[str, Mapping[str, Any]], exact_alone: bool) -> Iterator[str]:
+    """Yield which parameters are tied: those with a spread by the prior, the others exactly."""
+    exact: list[str] = []
+    soft: defaultdict[float, list[str]] = defaultdict(list)
+    for name, how in parameters.items():
+        if (tie := how.get("tie")) is None:
+            continue
+        factor, source = parse_tie(name, tie)
+        at = (
+            f"{format_bare_symbol(source)}"
+            if factor == 1
+            else f"{format_number(factor)} times {format_bare_symbol(source)}"
+        )
+        spread = find_tie_spread(name, ParameterRecord(tie=tie, spread=how.get("spread")))
+        (exact if spread == 1 or exact_alone else soft[spread]).append(f"{format_bare_symbol(name)} to {at}")
+    if exact:
+        yield f"Exactly tied: {_join_names(exact)}."
+    for spread, pairs in soft.items():
+        yield (
+            f"Tied with a spread: {_join_names(pairs)}; the logarithm of each ratio has a normal prior with "
+            f"mean 0 and standard deviation ln {format_number(spread)}."
+        )
+
+
+def _describe_objective(results: Run, recipe: Mapping[str, Any], by_metric: bool) -> Iterator[str]:
+    if by_metric:
+        yield "The fit minimises a weighted mean of the in-plane, tip and error-to-deflection errors."
+        return
     how = recipe["likelihood"]
     noise = {
         "correlated": "errors that are correlated along the needle and an in-plane pose error of each "
@@ -139,10 +178,16 @@ def _describe_objective(recipe: Mapping[str, Any]) -> str:
         "quadrature": ", and errors of the layer depths and the insertion depth (marginalised by quadrature)",
         "fixed": "",
     }[how["depths"]]
-    return (
+    yield (
         f"The fit is the mode of the posterior density. The likelihood includes {noise}{depths}; the "
         "prior is uniform in the logarithms of moduli and lengths within their bounds."
     )
+    if (results.frames["parameters"]["parameter"] == BEVEL_SPREAD).any():
+        yield (
+            "The bevel offset differs between insertions: its logarithm is normal about ln b with a standard "
+            "deviation that is estimated too, with a half-normal prior of scale "
+            f"{format_number(how['bevel_spread'])}; the offsets of single insertions are marginalised."
+        )
 
 
 def _describe_search(recipe: Mapping[str, Any]) -> str:
@@ -150,9 +195,9 @@ def _describe_search(recipe: Mapping[str, Any]) -> str:
     algorithm = " and then ".join(
         algorithm_names.get(part, part.upper()) for part in recipe["algorithm"].split("+")
     )
-    summary = f"It was found by {algorithm} from {recipe['starts']} starts of a Halton sequence."
+    summary = f"The fit was found by {algorithm} from {recipe['starts']} starts of a Halton sequence."
     both = recipe["metric"] and recipe["minimize"] == "posterior"
-    return summary + (" A second fit minimises IPE, TE and EDP instead." if both else "")
+    return summary + (" A second fit minimises IPE, TE and EDP instead, with exact ties." if both else "")
 
 
 def _describe_posterior(results: Run, recipe: Mapping[str, Any]) -> Iterator[CitedSentence]:
@@ -170,32 +215,60 @@ def _describe_posterior(results: Run, recipe: Mapping[str, Any]) -> Iterator[Cit
     )
 
 
-def _describe_held_out(results: Run, run: Mapping[str, Any]) -> CitedSentence:
+def _describe_held_out(run: Mapping[str, Any], values: str) -> CitedSentence:
     held = len({one for fold in run["folds"] for one in fold["validate"]})
     return CitedSentence(
-        f"Errors are those of {held} insertion{'' if held == 1 else 's'} held out of the fit: the mean "
-        "in-plane error along the needle (IPE), the error at the tip (TE), and the tip error as a percentage "
-        "of the measured tip deflection, EDP = 100 TE / |deflection|."
+        f"Errors are those of the needle simulated with the {values} parameters, on {held} "
+        f"insertion{'' if held == 1 else 's'} held out of the fit: the mean in-plane error along the needle "
+        "(IPE), the error at the tip (TE), and the tip error as a percentage of the measured tip deflection, "
+        "EDP = 100 TE / |deflection|."
     )
 
 
-def _describe_predictions(results: Run) -> Iterator[CitedSentence]:
-    """Say of which draws held-out needles were predicted, and what was drawn with them."""
+def _describe_alignment(results: Run) -> Iterator[CitedSentence]:
+    """Say how shapes of a pose that is not known were compared."""
+    if (results.frames["errors"]["comparison"] == "aligned").any():
+        yield CitedSentence(
+            "The pose of the measured shapes in the world is not known: before errors were computed, each "
+            "simulated shape was rotated and shifted in the plane onto the measured one by least squares; in "
+            "the likelihood the pose is free."
+        )
+
+
+def _describe_predictions(results: Run, recipe: Mapping[str, Any]) -> Iterator[CitedSentence]:
+    """Say from which draws predictive intervals were computed, and what was drawn with them."""
     predictions = results.frames["predictive"]
     if predictions.empty:
         return
     count = predictions["draws"].iloc[0]
-    rest = "with depth, pose and point errors drawn from their stated distributions"
+    rest = (
+        "with a bevel offset of its own and errors of layer depths, tip depth, pose and points drawn from "
+        "their stated distributions"
+    )
     if (predictions["draw_source"] == "posterior").all():
-        yield CitedSentence(f"They were predicted with {count} draws of that posterior, and {rest}.")
+        yield CitedSentence(f"Predictive intervals are of {count} draws of that posterior, each {rest}.")
+        yield from _describe_new_specimens(results, recipe)
         return
     worst = results.frames["draws"]["pareto_k"].max()
     state = f", Pareto k at most {worst:.2f}" if math.isfinite(worst) else ""
     yield CitedSentence(
-        f"They were predicted with {count} draws from the posterior by Pareto-smoothed importance sampling "
-        f"around the fitted modes{state}, and {rest}.",
+        f"Predictive intervals are of {count} draws from the posterior by Pareto-smoothed importance "
+        f"sampling around the fitted modes{state}, each {rest}.",
         ("vehtari-pareto",),
     )
+    yield from _describe_new_specimens(results, recipe)
+
+
+def _describe_new_specimens(results: Run, recipe: Mapping[str, Any]) -> Iterator[CitedSentence]:
+    """Say how draws differ in specimens that were not fitted."""
+    how = recipe.get("specimens")
+    if how and (results.frames["predictive"]["specimen_treatment"] == "others").any():
+        mu, b = (format_number(how[f"{name}_factor"]) for name in ("modulus", "bevel"))
+        yield CitedSentence(
+            "In specimens that were not fitted, moduli and bevel offset of each draw also vary between "
+            "specimens: their logarithms are normal, with standard deviations that have half-normal "
+            f"priors of scale ln {mu} and ln {b} and are updated with the other specimens of the dataset."
+        )
 
 
 def _join_names(names: list[str]) -> str:

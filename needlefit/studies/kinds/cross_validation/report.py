@@ -34,7 +34,12 @@ from needlefit.studies.kinds.cross_validation.tables import (
     list_held_out_groups,
     tabulate_tuning,
 )
-from needlefit.studies.kinds.cross_validation.verdict import describe_evidence, judge, warn_of_coverage
+from needlefit.studies.kinds.cross_validation.verdict import (
+    describe_evidence,
+    judge,
+    warn_of_coverage,
+    warn_of_width,
+)
 from needlefit.studies.report import (
     FigurePaths,
     StudyReport,
@@ -123,7 +128,7 @@ def _methods_blocks(results: Run) -> list[Block]:
     return [
         document.heading("Methods"),
         document.text(summary),
-        document.note("The same as LaTeX, with citations: methods.tex and references.bib."),
+        document.note("As LaTeX, with the origin of the data and citations: methods.tex and references.bib."),
     ]
 
 
@@ -137,8 +142,13 @@ def tuning_blocks(results: Sequence[Run]) -> list[Block]:
 
 def _data_blocks(results: Run) -> list[Block]:
     notes = results.run.get("dataset", {}).get("notes", ())
+    if results.synthetic:  # every page says it already
+        notes = [
+            f"{note[:1].upper()}{note[1:]}" for note in (one.removeprefix("Synthetic: ") for one in notes)
+        ]
+    title = "" if results.synthetic else f"{results.dataset_title}. "
     return [
-        document.text(f"{results.dataset_title}. {sentences.describe_noise_floor(results)}"),
+        document.text(f"{title}{sentences.describe_noise_floor(results)}"),
         *(document.note(note) for note in notes),
         document.table(score_tables.lay_out_design([results])),
     ]
@@ -205,7 +215,7 @@ def compose_overview(
         *_overview_contradictions(),
         *appendix,
     ]
-    data = "; ".join(dict.fromkeys(one.dataset_title for one in results))
+    data = "; ".join(dict.fromkeys(one.name if one.synthetic else one.dataset_title for one in results))
     return Document("Validation studies", data, synthetic, tuple(blocks))
 
 
@@ -263,5 +273,5 @@ REPORT = StudyReport(
         detail_tables.lay_out_values(results),
     ],
     explain=explain,
-    warn=warn_of_coverage,
+    warn=lambda results: [*warn_of_coverage(results), *warn_of_width(results)],
 )

@@ -24,7 +24,7 @@ from needlefit.studies.kinds.cross_validation.tables import (
     study_label,
     tabulate_tuning,
 )
-from needlefit.studies.kinds.cross_validation.verdict import find_best_baseline, judge
+from needlefit.studies.kinds.cross_validation.verdict import find_best_baseline, judge, median_width
 from needlefit.studies.proportions import Proportion, estimate_proportion
 from needlefit.studies.run import Run
 
@@ -290,10 +290,11 @@ def _name_group(head: Row) -> str:
 
 
 _COVERAGE_NOTES = (
-    "Insertions whose tip (whole shape) lies inside its predicted interval (band), with the 95 % confidence "
-    "interval of the share. Well-calibrated predictions give 50 % and 95 %. With five specimens or more, all "
-    "insertions into one specimen count as one trial; with fewer, the confidence interval does not include "
-    "differences between specimens. CRPS: score of the whole predictive distribution; lower is better.",
+    "Number of insertions whose tip (whole shape) lies inside its predicted interval (band), with the 95 % "
+    "confidence interval of the share. Width: median width of the 95 % intervals of tips. Well-calibrated "
+    "predictions give 50 % and 95 %. With five specimens or more, all insertions into one specimen count as "
+    "one trial; with fewer, the confidence interval does not include differences between specimens. CRPS: "
+    "mean score of the whole predictive distribution of the tip; lower is better.",
     "The intervals include the uncertainty of the parameters and the stated errors of layer depths, tip "
     "depth, pose and points, not model error. Layers begin where each simulated needle crosses the surfaces.",
 )
@@ -302,8 +303,8 @@ _DRAW_SOURCE_NAMES = {
     "importance": "importance-weighted draws of the posterior",
 }
 COVERAGE_COLUMNS = (
-    *("tip_in_50", "tip_in_95", "shape_in_50", "shape_in_95"),
-    *("tip_crps_mm", "shape_crps_mm", "tip_interval_score_mm"),
+    *("insertions", "tip_in_50", "tip_in_95", "tip_95_width_mm"),
+    *("shape_in_50", "shape_in_95", "tip_crps_mm"),
 )
 """Columns of how well needles were predicted."""
 
@@ -326,7 +327,7 @@ def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
     ]
     notes = (*_COVERAGE_NOTES, *describe_spread(predicted))
     sources = (_DRAW_SOURCE_NAMES[str(source)] for source in pd.unique(predicted["draw_source"]))
-    caption = f"How well held-out needles were predicted, by {' and '.join(sources)}."
+    caption = f"Coverage of the predictive intervals on held-out insertions, by {' and '.join(sources)}."
     heads = _COVERAGE_GROUPS[not named :]
     columns = (*heads, *COVERAGE_COLUMNS)
     groups = _COVERAGE_GROUPS[:1]
@@ -346,26 +347,29 @@ def describe_spread(predicted: pd.DataFrame) -> Iterator[str]:
         f"estimated from {count} other specimens and the prior in the recipe; two or three leave it "
         "uncertain. “Training only” uses the parameters of the tuned specimens unchanged."
     )
-    width = float((other["tip_95_high_mm"] - other["tip_95_low_mm"]).median())
-    yield (
-        f"In new specimens the 95 % intervals of tips are {width:.2g} mm wide (median). Where this is too "
-        "wide, measure one insertion into the new specimen first: a study of kind “adaptation” estimates how "
-        "much narrower the intervals become."
-    )
 
 
 _COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
 
 
 def tabulate_coverage(predictions: pd.DataFrame) -> Row:
-    """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within intervals, mean scores."""
+    """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within intervals, width, mean score."""
     independent_groups = group_independent(list(predictions["insertion"]), list(predictions["specimen"]))
     return {
-        name: predictions[name].mean()
-        if name.endswith("_mm")
-        else format_proportion(estimate_proportion(list(predictions[name]), independent_groups))
-        for name in COVERAGE_COLUMNS
+        **{
+            name: format_share(estimate_proportion(list(predictions[name]), independent_groups))
+            for name in COVERAGE_COLUMNS
+            if "_in_" in name
+        },
+        "insertions": len(predictions),
+        "tip_95_width_mm": median_width(predictions),
+        "tip_crps_mm": predictions["tip_crps_mm"].mean(),
     }
+
+
+def format_share(found: Proportion) -> str:
+    """Return how many of a number in the same row, with the interval of the share: "9 (60–98 %)"."""
+    return f"{found.hits} ({100 * found.low:.0f}–{100 * found.high:.0f} %)"
 
 
 def format_proportion(found: Proportion) -> str:

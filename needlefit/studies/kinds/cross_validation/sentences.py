@@ -251,8 +251,8 @@ def describe_noise_floor(results: Run) -> str:
     ]
     return (
         "Noise floor, the mean errors of perfect parameters with the stated measurement noise: "
-        f"{', '.join(cells)}. Differences below it are not significant. Errors below the floor mean that the "
-        "stated noise is too large."
+        f"{', '.join(cells)}. Differences below it are not significant. Means far below it show that the "
+        "measurements err less than stated."
     )
 
 

@@ -8,6 +8,8 @@ import pandas as pd
 
 from needlefit.datasets.select import group_independent
 from needlefit.inference.baselines import BASELINES
+from needlefit.project.input_files import read_toml
+from needlefit.project.locate import find_file, list_names
 from needlefit.project.result_warnings import ResultWarning, read_warnings
 from needlefit.reporting.labels import layers_name, medium_name
 from needlefit.reporting.number_format import format_symbol, join_words
@@ -138,8 +140,50 @@ def warn_of_coverage(results: Run) -> Iterator[ResultWarning]:
             )
 
 
+MAX_AIMING_WIDTH_MM = 2.0
+"""Width of the 95 % interval of a tip up to which it serves for aiming, whatever the deflection."""
+
+
+def median_width(predictive: pd.DataFrame) -> float:
+    """Return the median width of the 95 % intervals of tips, mm."""
+    return float((predictive["tip_95_high_mm"] - predictive["tip_95_low_mm"]).median())
+
+
+def warn_of_width(results: Run) -> Iterator[ResultWarning]:
+    """Yield the held-out groups whose tips have wide intervals: wider than the tips are deflected."""
+    for group in list_held_out_groups(results):
+        rows = _select_group(results.frames["predictive"], group)
+        width, deflection = median_width(rows), float(rows["tip_measured_mm"].abs().median())
+        if width > max(MAX_AIMING_WIDTH_MM, deflection):
+            medium, new = medium_name(group.head["medium"]), (rows["specimen_treatment"] == "others").any()
+            study = f" (`needlefit validate {name}`)" if (name := _find_adaptation(results, group)) else ""
+            yield ResultWarning(
+                "wide_intervals",
+                f"the 95 % predictive intervals of tips on {medium} are {width:.2g} mm wide (median), and "
+                f"the tips are deflected by {deflection:.2g} mm: too wide for aiming",
+                fix=f"measure an insertion into {medium} first; a study of kind adaptation{study} measures "
+                "what each insertion gains"
+                if new
+                else "add insertions, or fix what the data do not determine",
+            )
+
+
+def _find_adaptation(results: Run, group: ScoredGroup) -> str:
+    """Return the name of a study that adds insertions of the held-out medium to a fit as this one, if any."""
+    fitted = getattr(results.record, "medium", "")
+    for name in list_names("study"):
+        found = read_toml(find_file("study", name))
+        if found.get("kind") == "adaptation" and found.get("dataset") == results.record.dataset:
+            media = (found.get("old", {}).get("medium"), found.get("new", {}).get("medium"))
+            if media == (fitted, group.head["medium"]):
+                return name
+    return ""
+
+
 def describe_evidence(results: Run) -> str:
-    """Return what a verdict rests on: insertions fitted to and held out, coverage of the 95 % intervals."""
+    """Return what a verdict rests on: insertions fitted to and held out, coverage of the 95 % intervals,
+    and their width.
+    """
     folds = results.run.get("folds", ())
     fitted = sorted({len(fold["tune"]) for fold in folds})
     counts = " to ".join(dict.fromkeys(str(count) for count in (*fitted[:1], *fitted[-1:])))
@@ -153,7 +197,9 @@ def describe_evidence(results: Run) -> str:
         for what, level, found in list_coverages(results.frames["predictive"])
         if level == 95 and found.trials
     ]
-    parts += [f"The 95 % predictive intervals cover {join_words(covered)}"] if covered else []
+    width = median_width(results.frames["predictive"]) if covered else 0.0
+    wide = f"those of tips are {width:.2g} mm wide (median)"
+    parts += [f"The 95 % predictive intervals cover {join_words(covered)}; {wide}"] if covered else []
     return "".join(f"{one}. " for one in parts).strip()
 
 

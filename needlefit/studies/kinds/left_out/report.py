@@ -214,9 +214,9 @@ def _lay_out_coverage(result: Run) -> TableLayout:
         for (fit, group), predictions in result.frames["predictive"].groupby(["fit", "left_out"], sort=False)
     ]
     notes = (
-        "Share of left-out insertions whose tip (whole shape) lies inside its predictive interval (band). "
-        "Brackets: 95 % confidence interval of that share. Where Pareto k is above 0.7, the posterior was "
-        "sampled.",
+        "Number of left-out insertions whose tip (whole shape) lies inside its predictive interval (band). "
+        "Brackets: 95 % confidence interval of the share. Width: median width of the 95 % intervals of tips. "
+        "Where Pareto k is above 0.7, the posterior was sampled.",
     )
     caption = "Coverage of the predictive intervals on left-out insertions."
     return Table("coverage", caption, rows, ("fit", "left_out", *COVERAGE_COLUMNS), notes=notes).lay_out()

@@ -145,11 +145,12 @@ def _name_specimen(found: Run) -> str:
 
 
 def judge(found: Run) -> list[Verdict]:
-    """Return where the tip will be, with its 95 % interval; it fails without one."""
+    """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
     row = find_tip(found)
     keys = ("s_mm", "needle_median_mm", "needle_95_low_mm", "needle_95_high_mm")
-    status: Status = "fail" if found.faults else "pass"
-    return [Verdict(summarize(found)[0].rstrip("."), status, "", {key: row[key] for key in keys})]
+    status: Status = "fail" if found.faults else "none"
+    sentence = f"{summarize(found)[0].rstrip('.')}; not validated by this run"
+    return [Verdict(sentence, status, "", {key: row[key] for key in keys})]
 
 
 _TREATMENTS = {

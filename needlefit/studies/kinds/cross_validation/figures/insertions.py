@@ -21,6 +21,7 @@ from needlefit.reporting.figures.style import (
     choose_vertical_scale,
     choose_width,
     count_legend_columns,
+    describe_scale,
     draw_grid,
     fit_height,
     plot,
@@ -144,6 +145,7 @@ def draw_legend(figure: Figure, present: set[str], method_names: Mapping[str, st
 
 
 _OVERLAY_METHODS = ("hand_tuned", "fitted")
+_CURVES = ("measured", *_OVERLAY_METHODS)  # they fill the panels; wide bands leave them
 _OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn as a dot, or half of these
 _ROW_MARGIN_IN = 0.32  # inches of each row beside its panel
 
@@ -176,7 +178,7 @@ def _panel_titles(results: Run, role: str) -> dict[InsertionKey, str]:
 def _paint_overlays(points: pd.DataFrame, titles: dict[InsertionKey, str], names: dict[str, str]) -> Figure:
     width = choose_width()
     columns = _count_columns(len(titles), width)
-    x, y = _find_range(points[["x_mm"]]), _find_range(points[HEIGHT_COLUMNS])
+    x, y = _find_range(points[["x_mm"]]), _find_limits(points, points["curve"].isin(_CURVES))
     factor = choose_vertical_scale(x[1] - x[0], y[1] - y[0])
     wide = (width - 0.4) / columns - 0.12
     high = min(factor * (y[1] - y[0]) / (x[1] - x[0]), 1.0) * wide
@@ -197,11 +199,6 @@ def _finish(figure: Figure, points: pd.DataFrame, names: dict[str, str], factor:
     draw_legend(figure, set(points["curve"]), names)
     fit_height(figure)
     return figure
-
-
-def describe_scale(factor: int) -> str:
-    """Return how much deflections are exaggerated, as text."""
-    return "drawn to scale" if factor == 1 else f"exaggerated × {factor}"
 
 
 def _count_columns(panels: int, width: float) -> int:
@@ -365,7 +362,7 @@ def _paint_residuals(points: pd.DataFrame, names: dict[str, str], wanted: list[I
         _paint_residual_panel(axes, mine)
         if number % columns == 0:
             axes.set_ylabel("deflection\nminus fit (mm)")
-    axes.set_ylim(_find_limits(points))
+    axes.set_ylim(_find_limits(points, ~points["curve"].isin(list_residual_methods())))
     figure.supxlabel("depth (mm)")
     draw_legend(figure, {"fitted", *points["curve"]}, names)
     return figure
@@ -383,10 +380,9 @@ def _paint_residual_panel(axes: Axes, points: pd.DataFrame) -> None:
     draw_grid(axes, "y")
 
 
-def _find_limits(points: pd.DataFrame) -> tuple[float, float]:
-    """Return what holds all measured points and bands, and of baselines what lies not much farther."""
-    near = points[~points["curve"].isin(list_residual_methods())]
-    every, own = (frame[HEIGHT_COLUMNS].to_numpy(dtype=np.float64) for frame in (points, near))
+def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, float]:
+    """Return a range of heights: of the points marked as near, and of the others what is not much farther."""
+    every, own = (frame[HEIGHT_COLUMNS].to_numpy(dtype=np.float64) for frame in (points, points[near]))
     low, high = float(np.nanmin(own)), float(np.nanmax(own))
-    far, room = 0.5 * (high - low), 0.06 * (high - low)
+    far, room = 0.5 * (high - low), 0.06 * max(high - low, 0.2)
     return max(low - far, float(np.nanmin(every))) - room, min(high + far, float(np.nanmax(every))) + room
