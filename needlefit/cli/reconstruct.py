@@ -131,7 +131,6 @@ def reconstruct(
             add_findings,
             reconstruct_all,
         )
-        from needlefit.imaging.label_export import require_dicom
         from needlefit.project.checkpoint_folder import claim_checkpoint, remove_checkpoint
         from needlefit.project.load import load
         from needlefit.project.locate import find_file
@@ -154,9 +153,6 @@ def reconstruct(
         wanted = _scans(scans, {name: value for name, value in named.items() if value not in (None, [])})
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
-        if "seg" in exports:
-            for one in wanted:
-                require_dicom(one)
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         lock = claim_checkpoint(keep, CHECKPOINT_WORK, resume, print_remark)
         with show_progress(invocation.quiet) as report:
@@ -243,7 +239,7 @@ def _show(
         errors = [
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
-        about = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
+        about: dict[str, object] = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
         proposed = found.frames.get("proposed_layers") if found else None
         if proposed is not None:
             about["proposed_layers"] = proposed.to_dict(orient="records")
