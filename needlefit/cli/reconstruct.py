@@ -183,7 +183,7 @@ def reconstruct(
     if written and not json:
         screen.print_text(f"{judge_run(written)[0].sentence}.")
     _print_failures(written, failed, pages)
-    for failure in failed:
+    for failure in (one for one in failed if one.findings):  # others cannot be read
         command = _view_command(scans, failure, recipe)
         screen.print_note(f"needlefit: look at it and correct it: {command}")
     print_warnings(invocation, warnings)
@@ -258,9 +258,9 @@ def _show(
 def _write_refused(out: Path, failed: "Sequence[ReconstructionFailure]") -> Path | None:
     """Write the pages of refused scans beside the dataset that could not be written; return their folder.
 
-    None where no scan could be read.
+    None where there are none.
     """
-    if not any(one.findings for one in failed):
+    if not failed:
         return None
     from needlefit.studies.kinds.reconstruction.refused import write_refused
 
@@ -281,7 +281,7 @@ def _print_failures(
         alike = [other.scan.id for other in failed if id(other.error) == key]
         screen.print_note(f"needlefit: {_describe_failure(one, ', '.join(alike))}")
     if failed and pages:
-        screen.print_note(f"needlefit: what was found in refused scans: {pages}/quality/")
+        screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")
