@@ -24,6 +24,7 @@ from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.datasets.sources import ScanVolume, find_volume
 from needlefit.geometry.surfaces import make_sheet, read_surface, write_surface
+from needlefit.imaging.image_files import write_image
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.scan_table import make_scans
@@ -360,6 +361,15 @@ def truncated(folder):
     return [folder / "cut.nrrd"]
 
 
+def not_finite(folder):
+    """As other programs mark what lies outside the scan."""
+    volume = read_volume(VOLUME)
+    values = volume.values.copy()
+    values[3:6, 10:20, 5:8] = np.nan
+    write_image(dataclasses.replace(volume, values=values), folder / "outside.nrrd", "")
+    return [folder / "outside.nrrd"]
+
+
 def no_decoder(folder):
     from pydicom import dcmread
     from pydicom.encaps import encapsulate
@@ -411,6 +421,7 @@ def short_needle(folder):
         (short_needle, r"sample\.nrrd: gives no insertion.*20 mm long"),
         (holes, "hole"),
         (truncated, "cut short|shorter|ends"),
+        (not_finite, "90 voxels"),
         (no_decoder, "decod|transfer syntax|compress"),
         (bomb, "claims"),
     ],
@@ -432,9 +443,10 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
     after = files(tmp_path)
     pages = {name for name in after if name.startswith("out.refused/")}
     assert {name: after[name] for name in after.keys() - pages} == before
-    if pages:  # the scan could be read: its page says what was found
-        assert {"out.refused/refused.csv", "out.refused/candidates.csv"} < pages
-        assert sum(name.startswith("out.refused/quality/") for name in pages) == 1
+    assert {"out.refused/refused.csv", "out.refused/candidates.csv"} < pages
+    assert sum(name.startswith("out.refused/quality/") for name in pages) == 1
+    cannot_be_read = spoil in (two_series, truncated, not_finite, no_decoder, bomb)
+    assert ("needlefit view" in printed) != cannot_be_read
 
 
 @pytest.mark.parametrize(

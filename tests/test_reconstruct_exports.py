@@ -14,12 +14,11 @@ from test_cli import run
 
 from needlefit.datasets.importing.slicer_scene import read_scene
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError
-from needlefit.imaging.label_export import require_dicom
-from needlefit.imaging.scan import Scan
 from needlefit.imaging.volume_files import read_segments, read_volume
+from needlefit.project.locate import shipped_folder
 
 pytestmark = pytest.mark.slow
+SAMPLE = shipped_folder() / "data" / "sample_scan"
 BOX_MM = (8, 5, 6)
 BOTH = ("--export", "scene", "--export", "seg", "-q")
 
@@ -106,6 +105,17 @@ def test_the_same_scan_gives_the_same_bytes(exported):
         assert (again / "slicer" / name).read_bytes() == (exported / "one/slicer" / name).read_bytes()
 
 
-def test_a_dicom_segmentation_needs_a_dicom_series(tmp_path):
-    with pytest.raises(ConfigError):
-        require_dicom(Scan("a", tmp_path / "a.nrrd", "gel"))
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_scan_that_is_not_dicom_gets_a_segmentation_of_slicer(tmp_path, packed):
+    scan = SAMPLE / "volumes/sample.nrrd"
+    if packed:
+        with zipfile.ZipFile(tmp_path / "sample.zip", "w") as archive:
+            archive.write(scan, "sample.nrrd")
+        scan = tmp_path / "sample.zip"
+    assert run("reconstruct", str(scan), "--out", str(tmp_path / "one"), *BOTH) == 0
+    names = {path.name for path in (tmp_path / "one/slicer").iterdir()}
+    assert {"sample.seg.nrrd", "sample.mrb"} < names and "sample.seg.dcm" not in names
+    found = slicerio.read_segmentation(str(tmp_path / "one/slicer/sample.seg.nrrd"))
+    assert [segment["name"] for segment in found["segments"]] == ["needle"]
+    remarks = (tmp_path / "one/remarks.csv").read_text()
+    assert remarks.count("sample.seg.nrrd") == 1

@@ -103,7 +103,6 @@ def reconstruct(
             add_findings,
             reconstruct_all,
         )
-        from needlefit.imaging.label_export import require_dicom
         from needlefit.project.checkpoint_folder import claim_checkpoint, remove_checkpoint
         from needlefit.project.load import load
         from needlefit.project.locate import find_file
@@ -126,9 +125,6 @@ def reconstruct(
         wanted = _scans(scans, named)
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
-        if "seg" in exports:
-            for one in wanted:
-                require_dicom(one)
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         lock = claim_checkpoint(keep, CHECKPOINT_WORK, resume, print_remark)
         with show_progress(invocation.quiet) as report:
@@ -159,7 +155,7 @@ def reconstruct(
     if written and not json:
         screen.print_text(f"{judge_run(written)[0].sentence}.")
     _print_failures(written, failed, pages)
-    for failure in failed:
+    for failure in (one for one in failed if one.findings):  # others cannot be read
         command = _view_command(scans, failure, named, recipe)
         screen.print_note(f"needlefit: look at it and correct it: {command}")
     print_warnings(invocation, warnings)
@@ -236,9 +232,9 @@ def _write_refused(
 ) -> Path | None:
     """Write the pages of refused scans beside the dataset that could not be written; return their folder.
 
-    None where no scan could be read.
+    None where there are none.
     """
-    if not any(one.findings for one in failed):
+    if not failed:
         return None
     from needlefit.studies.kinds.reconstruction.refused import write_refused
 
@@ -259,7 +255,7 @@ def _print_failures(
         alike = [other.scan.id for other in failed if id(other.error) == key]
         screen.print_note(f"needlefit: {_describe_failure(one, ', '.join(alike))}")
     if failed and pages:
-        screen.print_note(f"needlefit: what was found in refused scans: {pages}/quality/")
+        screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")

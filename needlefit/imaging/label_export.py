@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.errors import ConfigError
+from needlefit.errors import DataError
 from needlefit.geometry.meshes import make_tube
 from needlefit.geometry.surfaces import Surface, map_surface
 from needlefit.geometry.voxels import fill_mesh
@@ -67,22 +67,6 @@ def _direction_across(one: Reconstruction) -> NDArray[np.float64]:
     return across
 
 
-def require_dicom(scan: Scan) -> None:
-    """Refuse a DICOM segmentation of a scan that is no DICOM series, before anything is computed.
-
-    Raises
-    ------
-    ConfigError
-    """
-    if scan.volume.name.lower().endswith(IMAGE_SUFFIXES):
-        raise ConfigError(
-            "is no DICOM series, so that no DICOM segmentation can refer to its slices",
-            where=str(scan.volume),
-            expected="a DICOM series with --export seg",
-            fix="give the DICOM series itself, or use --export scene, whose segmentation needs none",
-        )
-
-
 def write_dicom_segmentation(scan: Scan, marked: MarkedVoxels, path: Path) -> None:
     """Write a DICOM segmentation that refers to the slices of a scan; the same content gives the same bytes.
 
@@ -93,6 +77,13 @@ def write_dicom_segmentation(scan: Scan, marked: MarkedVoxels, path: Path) -> No
     ConfigError
         If a package is missing.
     """
+    if scan.volume.name.lower().endswith(IMAGE_SUFFIXES):
+        raise DataError(
+            "the scan is no DICOM series",
+            where=str(scan.volume),
+            expected="slices that a DICOM segmentation can refer to",
+            fix="give the DICOM series itself",
+        )
     with explain_missing_packages(), unpacked(scan.volume) as place, TemporaryDirectory() as folder:
         labels, written = Path(folder) / "labels.npy", Path(folder) / "segmentation.dcm"
         np.save(labels, marked.values)

@@ -147,13 +147,11 @@ def _describe_ties(parameters: Mapping[str, Mapping[str, Any]], exact_alone: boo
         if (tie := how.get("tie")) is None:
             continue
         factor, source = parse_tie(name, tie)
-        at = (
-            f"{format_bare_symbol(source)}"
-            if factor == 1
-            else f"{format_number(factor)} times {format_bare_symbol(source)}"
-        )
+        times = "" if factor == 1 else f"{format_number(factor)} times "
         spread = find_tie_spread(name, ParameterRecord(tie=tie, spread=how.get("spread")))
-        (exact if spread == 1 or exact_alone else soft[spread]).append(f"{format_bare_symbol(name)} to {at}")
+        (exact if spread == 1 or exact_alone else soft[spread]).append(
+            f"{format_bare_symbol(name)} to {times}{format_bare_symbol(source)}"
+        )
     if exact:
         yield f"Exactly tied: {_join_names(exact)}."
     for spread, pairs in soft.items():

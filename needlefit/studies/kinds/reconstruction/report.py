@@ -181,17 +181,19 @@ def write_reconstruction(
         refused = (*refused, *failures)
         volumes = {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept}
         write_volumes(fresh, volumes, folder)
+        written = []
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
-            write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
-            export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
+            notes = export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
+            written.append(replace(one, warnings=(*one.warnings, *notes)))
+            write_quality(written[-1], fresh / "quality" / f"{one.scan.id}.pdf")
             _write_proposals(one, fresh / "proposed")
         title = f"Reconstruction: {description.title or description.name}"
         options = {"title": title, "scans": [one.scan.id for one in kept], "recipe": recipe}
         record = KIND.make_record(**options)
         assert isinstance(record, ReconstructionBatchRecord)
-        found = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
+        found = tabulate_batch(description.name, record, written, check_all(fresh)[1])
         if refused:
             found = replace(found, frames={**found.frames, **tabulate_failures(refused)})
             write_refused_pages(refused, fresh / "quality")
