@@ -282,6 +282,7 @@ async def test_requests_without_the_token_are_refused(session):
             ("cut", {"view": "coronal", "index": 5, "low": 0, "high": 9}, 200),
             ("cut", {"view": "nowhere"}, 422),
             ("again", {"tip": 3}, 422),
+            ("save", {"tip": [1, 2, 3]}, 422),  # not what is in use
         ):
             async with client.post(f"{base}/scan/{name}", json=content, headers=own) as answer:
                 assert answer.status == status

@@ -18,6 +18,7 @@ from needlefit.imaging.findings import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.registration.marker_sets import MIN_MARKERS
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.scan_table import write_scan_table
 from needlefit.imaging.volume import Volume, grid_to_json
@@ -85,6 +86,22 @@ class ScanSession:
         self.found = self._examine(given) if given.any else self._first
         self.corrections = given
         self.course, self.unsaved = self._make_course(), given.any
+
+    def save_shown(self, content: object) -> Path:
+        """Save the corrections in use, as `save`, if they are those that a page shows.
+
+        Raises
+        ------
+        DataError
+            If another window has changed them.
+        """
+        if read_corrections(content).to_json() != self.corrections.to_json():
+            raise DataError(
+                "the corrections were changed in another window",
+                expected="those that this page shows",
+                fix="reload the page",
+            )
+        return self.save()
 
     def save(self) -> Path:
         """Write the corrected scan as a table of scans; return its path. Replaces what this session saved."""
@@ -156,6 +173,8 @@ class ScanSession:
             "course": self._describe_course(),
             "corrections": self.corrections.to_json(),
             "has_markers": self.scan.markers is not None,
+            "min_balls": MIN_MARKERS,
+            "entry_stated": self.scan.stage is not None,
         }
 
     def _examine(self, given: Corrections) -> Examination:

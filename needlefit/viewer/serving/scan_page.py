@@ -44,10 +44,11 @@ class ScanPage:
             await self._run(lambda: self.session.again(content))
             return _as_json(await asyncio.to_thread(self.session.describe))
 
-    async def save(self, _: web.Request) -> web.Response:
+    async def save(self, request: web.Request) -> web.Response:
         """Write the corrected scan as a table of scans."""
+        content = await _read(request)
         async with self._examining:
-            path = await self._run(self.session.save)
+            path = await self._run(lambda: self.session.save_shown(content))
         return _as_json({"table": str(path), "command": self.session.command(path)})
 
     async def _run(self, work: Callable[[], Any]) -> Any:  # noqa: ANN401 - what `work` returns

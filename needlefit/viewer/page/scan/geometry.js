@@ -24,7 +24,8 @@ export class PlaneSlice {
     this.columns = grid.size[axes.right];
     this.rows = grid.size[axes.down];
     this.count = grid.size[axes.normal];
-    this.aspect = (this.rows * grid.spacing[axes.down]) / (this.columns * grid.spacing[axes.right]);
+    this.width = this.columns * grid.spacing[axes.right]; // mm
+    this.aspect = (this.rows * grid.spacing[axes.down]) / this.width;
     this.index = this.count >> 1;
   }
 
@@ -65,6 +66,7 @@ export class NeedleSlice {
   constructor(course, angle) {
     Object.assign(this, course, { name: "needle", angle });
     this.columns = course.points.length;
+    this.width = this.columns * this.pixel; // mm
     this.aspect = course.rows / this.columns;
   }
 

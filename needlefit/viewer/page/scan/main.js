@@ -1,6 +1,6 @@
 /** The page of a scan: its state, its tools, and what follows from a click. */
 
-import { showFault, showLists, showSaved, showVerdict } from "./panel.js";
+import { showFault, showLists, showSaved, showVerdict, showWaiting } from "./panel.js";
 import { ask } from "./server.js";
 import { Views } from "./views.js";
 
@@ -22,7 +22,14 @@ const state = {
   place: (kind) => state.corrections[kind] ?? state.found[kind]?.at ?? null,
   balls: () => state.corrections.balls?.map((at) => ({ ...nearBall(at), at })) ?? state.found.balls,
 };
-const views = new Views(byId("views"), state, use);
+const HINTS = {
+  look: "Click a slice: the others go through that point.",
+  needle: "Click the bright tube that is the needle.",
+  contact: "Click where the needle enters the tissue, best in the slice along the needle.",
+  tip: "Click where the needle ends, best in the slice along the needle.",
+  ball: "Click the centre of a marker ball; Remove in the list deletes one.",
+};
+const views = new Views(byId("views"), state, { use, look });
 
 /** What was found of a ball that was placed at `at`: the program moves it to the ball that it sees there. */
 function nearBall(at) {
@@ -38,8 +45,14 @@ function use(place) {
 
 function look(place) {
   state.cursor = place;
-  byId("cursor").textContent = `L, P, S = ${place.map((x) => x.toFixed(1)).join(", ")} mm`;
   views.show(place);
+  hint();
+}
+
+/** Say what a click does, and where the crosshair is. */
+function hint() {
+  const at = state.cursor ? ` Crosshair: ${state.cursor.map((x, n) => `${"LPS"[n]} ${x.toFixed(1)}`).join(", ")} mm.` : "";
+  byId("hint").textContent = HINTS[state.tool] + at;
 }
 
 function correct(change) {
@@ -68,8 +81,20 @@ function refresh() {
   byId("clear").disabled = state.busy || !isCorrected();
   byId("again").disabled = state.busy || !isNew();
   byId("save").disabled = state.busy || isNew() || !isCorrected();
+  byId("again").classList.toggle("on", !byId("again").disabled);
+  forbid("contact", state.found.entry_stated && "The table of scans states the entry (entry_x_mm ...)");
+  forbid("ball", !state.found.has_markers && "The scan has no known places of markers: start the page with --markers");
   showLists(state, act);
+  showWaiting(!state.busy && isNew());
   views.draw();
+}
+
+/** Switch a tool off, with the reason; `false`: it may be used. */
+function forbid(tool, reason) {
+  const one = document.querySelector(`[data-tool="${tool}"]`);
+  one.dataset.title ??= one.title;
+  one.disabled = Boolean(reason);
+  one.title = reason || one.dataset.title;
 }
 
 function take(found) {
@@ -86,13 +111,13 @@ function take(found) {
   refresh();
 }
 
-async function run(work) {
+async function run(work, failed) {
   state.busy = true;
   if (state.found) refresh();
   try {
     await work();
   } catch (reason) {
-    showFault(reason instanceof Error ? { what: reason.message } : reason);
+    showFault(reason instanceof Error ? { what: reason.message } : reason, failed);
   } finally {
     state.busy = false;
     if (state.found) refresh();
@@ -102,11 +127,13 @@ async function run(work) {
 function again() {
   byId("verdict").classList.remove("refused");
   byId("verdict").textContent = "Reconstructing again …";
-  return run(async () => take(await ask("again", state.corrections)));
+  return run(async () => take(await ask("again", state.corrections)), "Not used");
 }
 
 function choose(tool) {
+  if (document.querySelector(`[data-tool="${tool}"]`).disabled) return;
   state.tool = tool;
+  hint();
   for (const one of document.querySelectorAll("[data-tool]")) {
     one.setAttribute("aria-pressed", String(one.dataset.tool === tool));
   }
@@ -127,12 +154,14 @@ for (const one of document.querySelectorAll("[data-window]")) {
 byId("undo").addEventListener("click", undo);
 byId("clear").addEventListener("click", () => correct({ ...NOTHING }));
 byId("again").addEventListener("click", again);
-byId("save").addEventListener("click", () => run(async () => showSaved(await ask("save"))));
+byId("save").addEventListener("click", () => run(async () => showSaved(state, await ask("save", state.corrections)), "Not saved"));
 addEventListener("keydown", (event) => {
-  if (event.target.matches("input, select, textarea")) return;
+  if (event.target.matches("input:not([type=range])")) return;
   if ((event.ctrlKey || event.metaKey) && event.key === "z") undo();
   else if (!event.ctrlKey && !event.metaKey && !event.altKey && KEYS[event.key]) choose(KEYS[event.key]);
 });
+addEventListener("beforeunload", (event) => state.found && isNew() && event.preventDefault());
 addEventListener("resize", () => state.found && views.draw());
 
-run(async () => take(await ask("describe")));
+hint();
+run(async () => take(await ask("describe")), "Not shown");

@@ -1,7 +1,7 @@
 /** The lists of what was found, and the verdict. */
 
 const byId = (name) => document.getElementById(name);
-const shown = (value, digits = 2) => (value === null || value === undefined ? "—" : value.toFixed(digits));
+const shown = (value, digits = 2) => value.toFixed(digits);
 
 function element(tag, content = "", properties = {}) {
   const made = Object.assign(document.createElement(tag), properties);
@@ -10,7 +10,8 @@ function element(tag, content = "", properties = {}) {
 }
 
 function table(heads, rows) {
-  const head = element("tr", heads.map(([name, kind]) => element("th", name, { className: kind ?? "", scope: "col" })));
+  const head = element("tr", heads.map(([name, kind]) =>
+    name ? element("th", name, { className: kind ?? "", scope: "col" }) : element("td")));
   return element("table", [element("thead", head), element("tbody", rows)]);
 }
 
@@ -35,16 +36,23 @@ export function showVerdict(state) {
   place.replaceChildren(...lines.map((content) => element("p", content)));
 }
 
-function refusal({ what, where, expected, fix }) {
+function refusal({ what, where, expected, fix }, verdict = "Refused") {
   const more = [where, expected && `expected: ${expected}`].filter(Boolean).join("; ");
-  const lines = [element("strong", `Refused: ${what}.`), more, fix && `To go on: ${fix}.`];
+  const lines = [element("strong", `${verdict}: ${what}.`), more, fix && `To go on: ${fix}.`];
   return lines.filter(Boolean);
 }
 
 function success({ inserted, warnings }) {
   const count = warnings.length;
-  const noted = count ? `; ${count} ${count === 1 ? "warning" : "warnings"}` : "";
-  return element("strong", `Reconstructed: inserted ${shown(inserted.depth)} ± ${shown(inserted.sd)} mm${noted}.`);
+  const made = element("strong", `Reconstructed: inserted ${shown(inserted.depth)} ± ${shown(inserted.sd)} mm`);
+  if (!count) return [made, "."];
+  return [made, "; ", element("a", `${count} ${count === 1 ? "warning" : "warnings"}`, { href: "#note-part" }), "."];
+}
+
+/** Say that corrections wait to be used. */
+export function showWaiting(waiting) {
+  byId("verdict").querySelector(".waiting")?.remove();
+  if (waiting) byId("verdict").append(element("p", "The corrections are not yet used: reconstruct again.", { className: "waiting" }));
 }
 
 /** Show every list; `act` has what their buttons do. */
@@ -65,16 +73,15 @@ function needles(found, act) {
   const rows = found.tubes.map((one, n) =>
     row(
       [
-        [one.chosen ? [key("needle"), "needle"] : "not the needle"],
-        [shown(one.length, 1), "n"],
-        [shown(one.width, 1), "n"],
+        [[key(one.chosen ? "needle" : "other"), one.chosen ? "needle" : "other tube"]],
+        [`${shown(one.length, 1)} × ${shown(one.width, 1)} mm`, "n"],
         [[button("show", () => act.look(one.middle), `show tube ${n + 1}`),
-          one.chosen ? "" : button("take", () => act.correct({ needle: one.middle }), `take tube ${n + 1} for the needle`)]],
+          one.chosen ? "" : button("take", () => act.correct({ needle: one.middle }), `take tube ${n + 1} for the needle`)], "do"],
       ],
       one.chosen ? "chosen" : "",
     ),
   );
-  return table([["tube"], ["length", "n"], ["width", "n"], [""]], rows);
+  return table([["tube"], ["length × width", "n"], [""]], rows);
 }
 
 function ends(state, act) {
@@ -83,67 +90,78 @@ function ends(state, act) {
   for (const [name, kind, one] of [["entry", "contact", found.contact], ["tip", "tip", found.tip]]) {
     const given = state.corrections[kind];
     const place = given ?? one?.at;
-    const source = given ? "by hand" : one ? (one.placed ? "by hand" : "found") : "not found";
+    const used = one?.placed ?? false;
+    const source = given ? (used ? "by hand" : "by hand, not yet used") : (one && ORIGINS[one.source]) ?? (one ? "found" : "not found");
     rows.push(
       row([
         [[key(kind), name]],
-        [element("span", source, { className: source === "by hand" ? "by-hand" : "" })],
-        [one ? `± ${shown(one.along_sd)}` : "", "n"],
-        [place ? button("show", () => act.look(place), `show the ${name}`) : ""],
+        [element("span", source, { className: given ? "by-hand" : "" })],
+        [one && (used || !given) ? `± ${shown(one.along_sd)} mm` : "", "n"],
+        [place ? button("show", () => act.look(place), `show the ${name}`) : "", "do"],
       ]),
     );
   }
-  const parts = [table([[""], [""], ["along", "n"], [""]], rows)];
-  if (found.entries.length > 1) parts.push(element("p", "Places where soft material begins:", { className: "quiet" }), entries(found, act));
+  const parts = [table([[""], [""], ["along needle", "n"], [""]], rows)];
+  if (found.entries.length > 1) parts.push(element("p", "Places where the tissue may begin:", { className: "quiet" }), entries(found, act));
   return element("div", parts);
 }
 
+const ORIGINS = { stage: "stated (stage)" };
+const SAME_PLACE_MM = 0.5;
+
 function entries(found, act) {
+  const taken = (one) => found.contact && Math.hypot(...one.at.map((x, n) => x - found.contact.at[n])) < SAME_PLACE_MM;
   const rows = found.entries.map((one, n) =>
-    row([
-      [one.change === "rise" ? "from air" : "a step"],
-      [`${shown(one.depth)} ± ${shown(one.sd)}`, "n"],
-      [[button("show", () => act.look(one.at), `show place ${n + 1}`),
-        button("take", () => act.correct({ contact: one.at }), `take place ${n + 1} for the entry`)]],
-    ]),
+    row(
+      [
+        [one.change === "rise" ? "after air" : "in tissue"],
+        [`${shown(one.depth)} ± ${shown(one.sd)} mm`, "n"],
+        [[button("show", () => act.look(one.at), `show place ${n + 1}`),
+          found.entry_stated || taken(one) ? "" : button("take", () => act.correct({ contact: one.at }), `take place ${n + 1} for the entry`)], "do"],
+      ],
+      taken(one) ? "chosen" : "",
+    ),
   );
   return table([[""], ["before the tip", "n"], [""]], rows);
 }
 
 function balls(state, act) {
   const list = state.balls();
-  if (!list.length) return element("p", "None was found.", { className: "quiet" });
+  const least = state.found.min_balls;
+  const few = list.length < least ? [element("p", `${list.length} of at least ${least} balls: add the others.`, { className: "by-hand" })] : [];
+  if (!list.length) return element("div", few);
   const rows = list.map((one, n) =>
     row([
       [[key("ball"), String(n + 1)]],
-      [one.sd === undefined ? "by hand" : `± ${shown(one.sd, 3)}`, "n"],
-      [shown(one.residual), "n"],
-      [[button("show", () => act.look(one.at), `show ball ${n + 1}`), button("remove", () => act.remove(n), `remove ball ${n + 1}`)]],
+      [one.sd === undefined ? "by hand, not yet used" : `± ${shown(one.sd, 3)} mm`, "n"],
+      [one.residual === undefined || one.residual === null ? "—" : `${shown(one.residual)} mm`, "n"],
+      [[button("show", () => act.look(one.at), `show ball ${n + 1}`), button("remove", () => act.remove(n), `remove ball ${n + 1}`)], "do"],
     ]),
   );
-  return table([["ball"], ["centre", "n"], ["residual", "n"], [""]], rows);
+  return element("div", [table([["ball"], ["centre", "n"], ["residual", "n"], [""]], rows), ...few]);
 }
 
 function layers(found, act) {
   const rows = found.layers.map((one, n) =>
     row([
       [[key("layer"), `boundary ${n + 1}`]],
-      [`${shown(one.depth)} ± ${shown(one.sd)}`, "n"],
-      [button("show", () => act.look(one.at), `show boundary ${n + 1}`)],
+      [`${shown(one.depth)} ± ${shown(one.sd)} mm`, "n"],
+      [button("show", () => act.look(one.at), `show boundary ${n + 1}`), "do"],
     ]),
   );
   return table([[""], ["depth", "n"], [""]], rows);
 }
 
 /** Say where corrections were saved, and how to go on. */
-export function showSaved({ table: path, command }) {
-  byId("saved-part").hidden = false;
-  byId("saved").replaceChildren(element("p", path, { className: "quiet" }), element("code", command));
+export function showSaved(state, { table: path, command }) {
+  showVerdict(state);
+  const repeat = element("p", ["To repeat it: ", element("code", command)]);
+  byId("verdict").append(element("p", `Saved: ${path}`), repeat);
 }
 
 /** Show what kept something from being done. */
-export function showFault(reason) {
+export function showFault(reason, verdict) {
   const place = byId("verdict");
   place.classList.add("refused");
-  place.replaceChildren(...refusal(reason).map((content) => element("p", content)));
+  place.replaceChildren(...refusal(reason, verdict).map((content) => element("p", content)));
 }

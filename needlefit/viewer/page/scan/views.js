@@ -6,11 +6,15 @@ import { ask } from "./server.js";
 const NEAR = 2.5; // mm from a slice within which points are drawn on it
 const LINE_NEAR = 4; // mm, of lines
 const PIXELS = 900; // of a canvas, across: twice what most screens show
+const WIDE = 600; // pixels of the screen from which on boundaries have their whole names
+const BARS = [50, 20, 10, 5, 2, 1]; // mm, lengths of a scale bar
+const WIDEST_BAR = 0.3; // of a picture's width
+const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 class View {
-  constructor(slice, state, onPlace) {
+  constructor(slice, state, act) {
     this.slice = slice;
     this.state = state;
     this.image = null;
@@ -18,15 +22,19 @@ class View {
     this.figure = document.createElement("figure");
     this.figure.className = slice.name;
     const caption = document.createElement("figcaption");
-    const name = slice.name === "needle" ? "along the needle, drawn straight" : slice.name;
+    const name = slice.name === "needle" ? "along the needle" : slice.name;
+    const more = Object.assign(document.createElement("span"), { className: "long", textContent: ", drawn straight" });
     this.output = document.createElement("output");
     this.range = Object.assign(document.createElement("input"), { type: "range", min: 0, step: 1 });
     this.range.setAttribute("aria-label", slice.name === "needle" ? "angle about the needle" : `${name} slice`);
     this.range.max = slice.name === "needle" ? 179 : slice.count - 1;
-    caption.append(name, this.range, this.output);
+    const title = document.createElement("span");
+    title.append(name, ...(slice.name === "needle" ? [more] : []));
+    caption.append(title, this.range, this.output);
     this.canvas = document.createElement("canvas");
-    this.canvas.setAttribute("role", "img");
-    this.canvas.setAttribute("aria-label", `${name}: click to use the tool`);
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "application");
+    this.canvas.setAttribute("aria-label", `${name}: click, or Enter, uses the tool; arrows move the point`);
     const frame = document.createElement("div");
     frame.className = "frame";
     frame.append(this.canvas);
@@ -38,7 +46,15 @@ class View {
     });
     this.canvas.addEventListener("click", (event) => {
       const box = this.canvas.getBoundingClientRect();
-      onPlace(slice.place((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height));
+      act.use(slice.place((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height));
+    });
+    this.canvas.addEventListener("keydown", (event) => {
+      const step = STEPS[event.key];
+      if (!step && event.key !== "Enter") return;
+      event.preventDefault();
+      const at = this.cursor();
+      if (!step) act.use(at);
+      else act.look(this.moved(at, step.map((one) => one * (event.shiftKey ? 10 : 1))));
     });
     this.canvas.addEventListener(
       "wheel",
@@ -50,6 +66,21 @@ class View {
       },
       { passive: false },
     );
+  }
+
+  /** The point of the crosshair, on this slice. */
+  cursor() {
+    const { state } = this;
+    const [x, y] = this.slice.project(state.cursor ?? state.place("tip") ?? this.slice.place(0.5, 0.5));
+    return this.slice.place(x, y);
+  }
+
+  /** A point moved by pixels. */
+  moved(place, [right, down]) {
+    const { slice } = this;
+    const [x, y] = slice.project(place);
+    const inside = (part, size) => Math.min(Math.max(part, 0.5 / size), 1 - 0.5 / size);
+    return slice.place(inside(x + right / slice.columns, slice.columns), inside(y + down / slice.rows, slice.rows));
   }
 
   /** Ask for the picture and draw it; of several requests the newest counts. */
@@ -86,15 +117,17 @@ class View {
       if (!one.chosen) this.line(one.line, colour("--other"), 1);
     }
     if (state.found.axis) this.line(state.found.axis, colour("--needle"), 1.2);
-    for (const one of state.found.layers) this.dot(one.at, colour("--layer"), 4);
-    for (const ball of state.balls()) this.cross(ball.at, colour("--ball"), 7);
-    const contact = state.place("contact");
-    const tip = state.place("tip");
-    if (contact) this.dot(contact, colour("--contact"), 5);
-    if (tip) this.dot(tip, colour("--tip"), 5);
+    const kind = canvas.clientWidth > WIDE ? "boundary " : "";
+    state.found.layers.forEach((one, n) => this.dot(one.at, colour("--layer"), 4, slice.name === "needle" ? `${kind}${n + 1}` : "", 1));
+    state.balls().forEach((ball, n) => this.cross(ball.at, colour("--ball"), 7, `ball ${n + 1}`));
+    for (const [kind, name] of [["contact", "entry"], ["tip", "tip"]]) {
+      const at = state.place(kind);
+      if (at) this.dot(at, colour(`--${kind}`), 5, name);
+    }
     if (state.corrections.needle) this.cross(state.corrections.needle, colour("--needle"), 8);
     if (state.cursor) this.hair(state.cursor);
     if (slice.letters) this.letters();
+    this.scaleBar();
   }
 
   at(place) {
@@ -120,7 +153,7 @@ class View {
     paint.stroke();
   }
 
-  dot(place, fill, radius) {
+  dot(place, fill, radius, name, side = -1) {
     const [x, y, away] = this.at(place);
     if (away > NEAR) return;
     const { paint } = this;
@@ -131,9 +164,10 @@ class View {
     paint.strokeStyle = "#fff";
     paint.lineWidth = this.unit;
     paint.stroke();
+    this.text(name, x, y + side * (radius + 9) * this.unit);
   }
 
-  cross(place, stroke, reach) {
+  cross(place, stroke, reach, name = "") {
     const [x, y, away] = this.at(place);
     if (away > NEAR) return;
     const r = reach * this.unit;
@@ -145,6 +179,40 @@ class View {
       this.paint.lineTo(x + dx, y + dy);
     }
     this.paint.stroke();
+    this.text(name, x, y - r - 8 * this.unit);
+  }
+
+  /** Words about a point, inside the picture and readable on any grey. */
+  text(words, x, y, fill = "#fff") {
+    const { paint, canvas, unit } = this;
+    paint.font = `${12 * unit}px system-ui, sans-serif`;
+    paint.textAlign = "center";
+    paint.textBaseline = "middle";
+    const half = paint.measureText(words).width / 2 + 3 * unit;
+    const place = [Math.min(Math.max(x, half), canvas.width - half), Math.max(y, 8 * unit)];
+    paint.strokeStyle = "#000c";
+    paint.lineWidth = 3 * unit;
+    paint.lineJoin = "round";
+    paint.strokeText(words, ...place);
+    paint.fillStyle = fill;
+    paint.fillText(words, ...place);
+  }
+
+  /** A round length in the lower left corner. */
+  scaleBar() {
+    const { paint, canvas, slice, unit } = this;
+    const scale = canvas.width / slice.width; // pixels of a millimetre
+    const length = BARS.find((one) => one * scale < WIDEST_BAR * canvas.width) ?? BARS.at(-1);
+    const [x, y] = [10 * unit, canvas.height - 10 * unit];
+    for (const [stroke, width] of [["#000c", 4], ["#fff", 2]]) {
+      paint.strokeStyle = stroke;
+      paint.lineWidth = width * unit;
+      paint.beginPath();
+      paint.moveTo(x, y);
+      paint.lineTo(x + length * scale, y);
+      paint.stroke();
+    }
+    this.text(`${length} mm`, x + (length * scale) / 2, y - 10 * unit);
   }
 
   hair(place) {
@@ -160,24 +228,21 @@ class View {
   }
 
   letters() {
-    const { paint, canvas, slice, unit } = this;
+    const { canvas, slice, unit } = this;
     const [left, right, top, bottom] = slice.letters;
     const edge = 10 * unit;
-    paint.font = `${12 * unit}px system-ui, sans-serif`;
-    paint.fillStyle = "#ffd866";
-    paint.textAlign = "center";
-    paint.textBaseline = "middle";
-    paint.fillText(left, edge, canvas.height / 2);
-    paint.fillText(right, canvas.width - edge, canvas.height / 2);
-    paint.fillText(top, canvas.width / 2, edge);
-    paint.fillText(bottom, canvas.width / 2, canvas.height - edge);
+    const yellow = "#ffd866";
+    this.text(left, edge, canvas.height / 2, yellow);
+    this.text(right, canvas.width - edge, canvas.height / 2, yellow);
+    this.text(top, canvas.width / 2, edge, yellow);
+    this.text(bottom, canvas.width / 2, canvas.height - edge, yellow);
   }
 }
 
 /** All pictures of a scan, made anew when something else was found. */
 export class Views {
-  constructor(place, state, onPlace) {
-    Object.assign(this, { holder: place, state, onPlace, all: [] });
+  constructor(place, state, act) {
+    Object.assign(this, { holder: place, state, act, all: [] });
   }
 
   /** Make the pictures of what was found; slices stay where they were. */
@@ -191,7 +256,7 @@ export class Views {
       else if (start) slice.show(start);
     }
     if (found.course) slices.push(new NeedleSlice(found.course, before.get("needle")?.angle ?? 0));
-    this.all = slices.map((slice) => new View(slice, this.state, this.onPlace));
+    this.all = slices.map((slice) => new View(slice, this.state, this.act));
     this.holder.replaceChildren(...this.all.map((one) => one.figure));
     this.load();
   }
