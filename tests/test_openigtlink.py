@@ -233,7 +233,16 @@ def test_a_tracker_is_registered_by_a_matrix_or_by_markers() -> None:
     for given in ({"tracker_to_ras": motion.tolist()}, {"markers": markers}):
         frame = register_tracker(record(**given), placement)
         assert frame.rows == pytest.approx(motion[:3], abs=1e-9)
-    for wrong in ({}, {"markers": markers[:2]}, {"markers": markers, "tracker_to_ras": IDENTITY}):
+    right = {"tracker_to_ras": IDENTITY}
+    wrong_devices = ({"tip": "Base"}, {"tip": ""}, {"guides": ["g" * 21]})
+    for wrong in (
+        {},
+        {"markers": markers[:2]},
+        {"markers": markers} | right,
+        *(right | {"devices": one} for one in wrong_devices),
+        *(right | {"server": one} for one in ("host", "host:x", ":1 2")),
+        right | {"max_speed_mm_s": 0},
+    ):
         with pytest.raises(ValidationError):
             type(record()).model_validate({"schema": 1, **wrong})
     line = [m | {"tracker_mm": [float(n), 0.0, 0.0]} for n, m in enumerate(markers)]
@@ -250,6 +259,10 @@ def test_poses_come_as_transform_position_or_point() -> None:
         return read_pose(fields, packed[58:])
 
     assert unpack(pack("Tip", turned)) == pytest.approx(turned, abs=1e-6)
+    for status, known in (("OK", True), ("MISSING", False)):
+        message = pyigtl.TransformMessage(turned, device_name="Tip")
+        message.header_version, message.metadata = 2, {"TransformStatus": status}
+        assert (unpack(message.pack()) is not None) == known
     point = pyigtl.PointMessage(positions=[1.0, 2.0, 3.0], device_name="Tip").pack()
     assert unpack(point)[:3, 3] == pytest.approx([1, 2, 3])
     half = np.sqrt(0.5)  # a quarter turn about z

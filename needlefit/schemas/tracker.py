@@ -1,6 +1,7 @@
 """The file of a tracker: its registration, its errors, and the devices whose transforms are taken."""
 
-from typing import Self
+import re
+from typing import Annotated, Self
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
@@ -9,8 +10,13 @@ from needlefit.schemas.recipe import BetweenSpecimensRecord
 
 Point = tuple[float, float, float]
 
+DeviceName = Annotated[str, Field(min_length=1, max_length=20)]
+"""A device has so many characters in OpenIGTLink."""
+
 MIN_MARKERS = 3
 """Markers that determine a rigid registration."""
+
+MAX_GUIDE_DEVICES = 8
 
 
 class TrackerMarkerRecord(Record):
@@ -29,14 +35,21 @@ class TrackerDevicesRecord(Record):
     toward its tip.
     """
 
-    tip: str = "Tip"
+    tip: DeviceName = "Tip"
     """The needle's tip: depth, and readings for the estimate; its direction is not used."""
-    base: str = "Base"
+    base: DeviceName = "Base"
     """The needle's base: depth, lateral position and slope."""
-    stage: str = "Stage"
+    stage: DeviceName = "Stage"
     """The stage that carries the base: depth and lateral position, by its travel since its first message."""
-    guides: tuple[str, ...] = ("Guide",)
+    guides: tuple[DeviceName, ...] = Field(default=("Guide",), max_length=MAX_GUIDE_DEVICES)
     """The guides in the order of their numbers: position and slope."""
+
+    @model_validator(mode="after")
+    def _differ(self) -> Self:
+        names = (self.tip, self.base, self.stage, *self.guides)
+        if len(set(names)) < len(names):
+            raise ValueError("has the same name twice: give every device its own")
+        return self
 
 
 class TrackerRecord(FileRecord):
@@ -73,6 +86,8 @@ class TrackerRecord(FileRecord):
 
     @model_validator(mode="after")
     def _registered(self) -> Self:
+        if self.server and not re.fullmatch(r"\S+:\d{1,5}", self.server):
+            raise ValueError(f"has server {self.server!r}: give HOST:PORT")
         if self.tracker_to_ras is None and not self.markers:
             raise missing_key("tracker_to_ras")
         if self.tracker_to_ras is not None and self.markers:

@@ -104,7 +104,9 @@ class OpenIGTLinkServer:
             ) from error
         self.address = server.sockets[0].getsockname()[:2]
         jobs = [self._drive, self._send_bands, *([self._connect] if self.tracked.record.server else [])]
-        self._tasks.update(asyncio.create_task(job()) for job in jobs)
+        for job in jobs:
+            self._tasks.add(task := asyncio.create_task(job()))
+            task.add_done_callback(_report_failure)
         yield
         server.close()
         for task in list(self._tasks):
@@ -243,6 +245,12 @@ class OpenIGTLinkServer:
             writer.close()
 
 
+def _report_failure(task: asyncio.Task[None]) -> None:
+    """Print a fault of the program at once, not when it ends."""
+    if not task.cancelled() and (error := task.exception()) is not None:
+        task.get_loop().call_exception_handler({"message": "OpenIGTLink has stopped", "exception": error})
+
+
 async def _skip(reader: asyncio.StreamReader, size: int) -> None:
     """Read a body without keeping it."""
     while size > 0:
@@ -266,6 +274,9 @@ def read_pose(fields: dict[str, object], body: bytes) -> Floats | None:
             return matrix
         message = MessageBase.create_message(kind)
         message.unpack(fields, body)
+        # PLUS and 3D Slicer send on what a tracker does not see, with its last place and this remark.
+        if message.metadata.get("TransformStatus", "OK") != "OK":
+            return None
         if kind == "TRANSFORM":
             return np.asarray(message.matrix, dtype=np.float64)
         matrix[:3, 3] = message.positions[0]

@@ -370,7 +370,8 @@ class TrackedTrial:
     def apply(self, found: TrackingEstimate | None, trial: InteractiveTrial) -> None:
         """Give the needle, its band and its plans the parameters of an estimate."""
         self.number += 1
-        if found is None or trial is not self.trial:
+        # The user may have returned to the prior, or opened another needle, while it was computed.
+        if found is None or self._insertion is None or trial is not self.trial:
             return
         self.estimate = found
         drawn = found.transform(self._normal)
