@@ -30,6 +30,7 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.schemas.tracker import TrackerRecord
 from needlefit.studies.kind import KINDS
 from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
 from needlefit.studies.kinds.tracks.schema import TrackStudyRecord
@@ -72,6 +73,7 @@ SHIPPED: Mapping[str, tuple[type[FileRecord], str, tuple[str, ...]]] = {
     "tracks_dataset": (TrackDatasetRecord, "Dataset of tip tracks", ("data/guided_tips/dataset.toml",)),
     "scene": (SceneRecord, "Scene", ("configs/scenes/phantom1.toml", "configs/scenes/figure1.toml")),
     "reconstruction": (ReconstructionRecord, "Reconstruction", ()),
+    "tracker": (TrackerRecord, "Tracker", ()),
     "cluster": (SlurmRecord, "Slurm cluster", ()),
     "statements": (CredibilityStatementsRecord, "Credibility statements", ()),
     "tracks_study": (TrackStudyRecord, "Study of tip tracks", ("studies/guided_tip.toml",)),

@@ -17,7 +17,9 @@ from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.project.outputs import require_writable
 
 if TYPE_CHECKING:
+    from needlefit.schemas.tracker import TrackerRecord
     from needlefit.viewer.serving.connections import AccessControl
+    from needlefit.viewer.serving.openigtlink import OpenIGTLinkServer
     from needlefit.viewer.serving.server import ServedPage
     from needlefit.viewer.serving.trials import TrialRegistry
     from needlefit.viewer.viewed_scene import ViewedScene
@@ -65,6 +67,19 @@ def view(
     port: Annotated[
         int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: any free one).")
     ] = 0,
+    openigtlink: Annotated[
+        int | None,
+        typer.Option(
+            metavar="PORT", min=0, max=65535, help="Serve OpenIGTLink too (18944 is usual; 0: any free port)."
+        ),
+    ] = None,
+    openigtlink_host: Annotated[
+        str, typer.Option(metavar="HOST", help="Address on which OpenIGTLink is served.")
+    ] = "127.0.0.1",
+    tracker: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="OpenIGTLink only: registration and errors of the tracker (TOML)."),
+    ] = None,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page, or only print its address.")
     ] = True,
@@ -88,13 +103,15 @@ def view(
     if named or recipe is not None:
         hints = ", ".join(map(options.scan_option, named)) or "--recipe"
         raise typer.BadParameter("is for scans alone", param_hint=hints)
+    record = _read_tracker(openigtlink, tracker)
     require_writable(out / "view")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
     trials = _trials(context.find_root().obj, target, recording, out / "view", specimen)
     from needlefit.viewer.serving.steering_page import SteeringPage
 
-    _serve(serve, SteeringPage(trials), port, browser)
+    server = None if record is None else _openigtlink(record, trials, openigtlink_host, openigtlink or 0)
+    _serve(serve, SteeringPage(trials, server), port, browser)
     for path in trials.written():
         screen.print_line(f"recorded: {path}")
         screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
@@ -126,6 +143,8 @@ def _serve(
 
     def ready(access: "AccessControl") -> None:
         screen.print_line(access.address)
+        if (server := getattr(page, "openigtlink", None)) is not None:
+            screen.print_note("needlefit: OpenIGTLink at {}:{}; research use only".format(*server.address))
         screen.print_note("needlefit: Ctrl-C ends")
         if browser:  # some browsers hold up whoever calls them
             threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
@@ -147,6 +166,52 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
             fix="pip install 'needlefit[view]'",
         ) from None
     return serve
+
+
+def _read_tracker(port: int | None, path: Path | None) -> "TrackerRecord | None":
+    """Return the tracker's file; None without OpenIGTLink."""
+    if port is None:
+        if path is not None:
+            raise typer.BadParameter("it is used with --openigtlink alone", param_hint="--tracker")
+        return None
+    from needlefit.errors import ConfigError
+    from needlefit.project.load import load
+    from needlefit.schemas.tracker import TrackerRecord
+
+    if path is None:
+        raise ConfigError(
+            "the tracker is not registered",
+            where="--openigtlink",
+            expected="--tracker FILE with tracker_to_ras, or with markers",
+            fix="where transforms are in RAS already, give the identity as tracker_to_ras",
+        )
+    return load(path, TrackerRecord)
+
+
+def _openigtlink(
+    record: "TrackerRecord", trials: "TrialRegistry", host: str, port: int
+) -> "OpenIGTLinkServer":
+    from needlefit.viewer.serving.tracking import TrackedTrial
+
+    try:
+        from needlefit.viewer.serving.openigtlink import OpenIGTLinkServer
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "pyigtl":
+            raise
+        from needlefit.errors import ConfigError
+
+        raise ConfigError(
+            "OpenIGTLink needs pyigtl, which is not installed",
+            fix="pip install 'needlefit[view,openigtlink]'",
+        ) from None
+    tracked = TrackedTrial(record, trials)
+    if tracked.registration_error is not None:
+        screen.print_note(
+            f"needlefit: markers registered within {tracked.registration_error:.2f} mm (root mean square)"
+        )
+    if host not in ("127.0.0.1", "localhost", "::1"):
+        screen.print_note(f"needlefit: whoever reaches {host} can move the needle of the page: no password")
+    return OpenIGTLinkServer(tracked, host, port)
 
 
 def _trials(

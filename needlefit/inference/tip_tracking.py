@@ -132,6 +132,12 @@ def set_parameters(tracked: TrackedNeedle, theta: Floats) -> TrackedNeedle:
     return tracked._replace(tissue=replace(tracked.tissue, mu=values[:-1]), steps=steps)
 
 
+def _invert(matrix: Floats) -> Floats:
+    """Return the inverse of a covariance or an information matrix."""
+    inverse: Floats = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    return (inverse + inverse.T) / 2
+
+
 def estimate_parameters(
     tracked: TrackedNeedle,
     readings: Floats,
@@ -151,7 +157,7 @@ def estimate_parameters(
         Where Gauss-Newton begins: the last estimate; by default the prior.
     """
     state = (start or prior).mean
-    precision = np.linalg.inv(prior.covariance)
+    precision = _invert(prior.covariance)
     found = _linearize(tracked, state, readings[:, 0])
     if found is None:
         return None
@@ -180,8 +186,8 @@ def estimate_parameters(
         value = objective(state, found.tip)
         if decrease < TOLERANCE**2 * len(state):
             break
-    covariance = np.linalg.inv(precision + (weights[:, None] * found.by_state).T @ found.by_state)
-    return TrackingEstimate(state, np.asarray(covariance), prior.readings + len(readings))
+    covariance = _invert(precision + (weights[:, None] * found.by_state).T @ found.by_state)
+    return TrackingEstimate(state, covariance, prior.readings + len(readings))
 
 
 class _LinearizedTip(NamedTuple):

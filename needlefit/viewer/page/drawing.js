@@ -11,6 +11,7 @@ import { palette, readPalette } from "./palette.js";
 import { slice } from "./slice.js";
 import { listen, now } from "./store.js";
 import { paintArrow, paintInset } from "./painters/inset.js";
+import { paintTrackedTip } from "./tracking.js";
 import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
 
 const picture = document.getElementById("picture");
@@ -66,6 +67,7 @@ function paintForeground(state) {
     }
     paintGuides(before, state);
     paintBase(before, state);
+    paintTrackedTip(before);
     if (view.magnified > 1) paintInset(before, state);
     if (!seesTip()) paintArrow(before, state);
   });
@@ -102,6 +104,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
 recolour();
 listen("band", invalidate);
 listen("aimed", invalidate);
+listen("tracking", invalidate);
 listen("slice", touch);
 let fitted = null;
 listen("state", () => {

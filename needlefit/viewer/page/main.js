@@ -18,6 +18,7 @@ import * as status from "./status.js";
 import { askFrame } from "./steering.js";
 import { listen, now } from "./store.js";
 import "./toolbar.js";
+import "./tracking.js";
 import * as transport from "./transport.js";
 
 const READOUTS = [ // beside the picture, and how often they are refreshed, ms

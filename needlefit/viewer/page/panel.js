@@ -89,15 +89,18 @@ function allHome(event) {
   change([...set, [throughout, null, value]], { at: event.timeStamp });
 }
 
-/** After a fit on the page its values are the ones to go back to. */
 function takeFit({ fault, layers, offset_mm: offset, insertions }) {
-  if (fault) return;
+  if (!fault) takeFitted(layers, offset, `fitted on this page to ${insertions} measured needle${insertions > 1 ? "s" : ""}`);
+}
+
+/** After a fit on the page its values ([mu, alpha] of each layer, strength of the bevel) are the ones to go back to. */
+export function takeFitted(layers, strength, source) {
   const { fitted } = now.scene;
   fitted.layers = layers.map(([mu_pa, alpha]) => ({ mu_pa, alpha }));
-  fitted.offset_mm = offset;
-  const homes = [offset, offset, ...layers.flat()];
+  fitted[strengthOf(fitted).key] = strength;
+  const homes = [strength, strength, ...layers.flat()];
   fields.slice(0, homes.length).forEach(([field], i) => setHome(field, homes[i]));
-  part("note").textContent = `Parameters: fitted on this page to ${insertions} measured needle${insertions > 1 ? "s" : ""}.`;
+  part("note").textContent = `Parameters: ${source}.`;
 }
 
 listen("scene", build);

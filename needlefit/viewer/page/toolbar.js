@@ -31,9 +31,11 @@ listen("scene", ({ measured, band, slice }) => {
   const there = { measured: measured !== null, errors: measured !== null, band, slice, plan: false, reach: false };
   for (const button of shows) button.hidden = there[button.dataset.show] === false;
 });
-listen("ridge", () => { // a fit on the page has a band, too
+const showBand = () => { // a fit or an estimate on the page has a band, too
   for (const button of shows) if (button.dataset.show === "band") button.hidden = false;
-});
+};
+listen("ridge", showBand);
+listen("tracking", ({ readings }) => readings && showBand());
 listen("aimed", () => {
   for (const button of shows) {
     if (button.dataset.show === "plan") button.hidden = aim.plan === null;

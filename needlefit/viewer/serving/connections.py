@@ -6,7 +6,7 @@ import secrets
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from time import monotonic
+from time import monotonic, time
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
@@ -32,6 +32,7 @@ from needlefit.viewer.serving.plans import (
     plan_message,
     region_message,
 )
+from needlefit.viewer.serving.tracking import TrackedTrial
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 from needlefit.viewer.serving.window import Reply, Window
 
@@ -131,6 +132,9 @@ PLAN_INTERVAL_S = 0.1
 FIT_INTERVAL_S = 0.03
 """Pause before the next look for a wish for a fit, s."""
 
+TRACKING_INTERVAL_S, STATUS_INTERVAL_S = 0.03, 0.25
+"""Pause before the next look for a needle that was moved by a tracker, and between two reports of it, s."""
+
 MAX_WINDOWS = 16
 
 CLOSE_NO_TOKEN, CLOSE_TAKEN = 4401, 4409
@@ -140,8 +144,10 @@ CLOSE_NO_TOKEN, CLOSE_TAKEN = 4401, 4409
 class Connections:
     """All connections: one for each window, and one window for each needle, the newest."""
 
-    def __init__(self, access: AccessControl, trials: TrialRegistry) -> None:
-        self.access, self.trials = access, trials
+    def __init__(
+        self, access: AccessControl, trials: TrialRegistry, tracked: TrackedTrial | None = None
+    ) -> None:
+        self.access, self.trials, self.tracked = access, trials, tracked
         self._sockets: dict[str, web.WebSocketResponse] = {}
 
     async def attend(self, request: web.Request) -> web.WebSocketResponse:
@@ -156,6 +162,8 @@ class Connections:
         window = Window(self.trials, self.trials.open(hello.text("needle")))
         await self._take(window.trial, socket)
         sending = [asyncio.create_task(one(window, socket)) for one in (_send_bands, _send_plans, _send_fits)]
+        if self.tracked is not None:
+            sending.append(asyncio.create_task(_send_tracking(window, socket, self.tracked)))
         try:
             await _send(socket, list(window.answer(hello)))
             await self._converse(window, socket)
@@ -200,6 +208,10 @@ class Connections:
                 await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too much, or no text")
                 return
             message, trial = read_message(frame.data), window.trial
+            if self.tracked is not None and message.do == "release_tracker":
+                self.tracked.release()
+            elif self.tracked is not None and message.do == "forget_estimate":
+                self.tracked.forget()
             if message.do == "show":  # reads a dataset: other windows go on meanwhile
                 with suppress(NeedlefitError):  # the reply reports the error
                     await asyncio.to_thread(self.trials.prepare, trial, message.text("insertion"))
@@ -303,3 +315,17 @@ async def _send_fits(window: Window, socket: web.WebSocketResponse) -> None:
             except NeedlefitError as error:
                 await _send(socket, [{"kind": "fit", "fault": {"what": error.what, "fix": error.fix}}])
         await asyncio.sleep(FIT_INTERVAL_S)
+
+
+async def _send_tracking(window: Window, socket: web.WebSocketResponse, tracked: TrackedTrial) -> None:
+    """Send the needle when a tracker has moved it, and what is known of tracker and estimate."""
+    step: Any = None
+    number, reported = -1, 0.0
+    while True:
+        if (now := (window.trial.name, window.trial.steering.number)) != step:
+            step = now
+            await _send(socket, [window.state()])
+        if tracked.number != number or monotonic() - reported > STATUS_INTERVAL_S:
+            number, reported = tracked.number, monotonic()
+            await _send(socket, [tracked.status(time())])
+        await asyncio.sleep(TRACKING_INTERVAL_S)

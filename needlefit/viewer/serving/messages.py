@@ -35,6 +35,7 @@ ACTIONS = frozenset(
     (
         *("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show"),
         *("aim", "markups", "plan", "run", "challenge", "fit", "points", "align"),
+        *("release_tracker", "forget_estimate"),
     )
 )
 

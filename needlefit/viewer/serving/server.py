@@ -50,13 +50,14 @@ async def serve(
     listening = _listen(port)
     access = AccessControl(listening.getsockname()[1])
     runner = web.AppRunner(_application(access, page), access_log=None, shutdown_timeout=2.0)
-    await runner.setup()
     try:
+        await runner.setup()
         await web.SockSite(runner, listening).start()
         ready(access)
         await stop()
     finally:
         await runner.cleanup()
+        listening.close()  # also where the setup failed before anything was served
 
 
 def _application(access: AccessControl, page: ServedPage) -> web.Application:

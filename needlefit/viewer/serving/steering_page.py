@@ -3,6 +3,7 @@
 import asyncio
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from multiprocessing import get_context
+from typing import TYPE_CHECKING
 
 from aiohttp import web
 
@@ -11,6 +12,9 @@ from needlefit.viewer.export import EXPORT_TYPES, export
 from needlefit.viewer.overlay.slice import read_slice
 from needlefit.viewer.serving.connections import AccessControl, Connections
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
+
+if TYPE_CHECKING:
+    from needlefit.viewer.serving.openigtlink import OpenIGTLinkServer
 
 
 class FileRoutes:
@@ -71,16 +75,20 @@ class FileRoutes:
 
 
 class SteeringPage:
-    """The page of the interactive simulation."""
+    """The page of the interactive simulation, and the OpenIGTLink server beside it, if there is one."""
 
     index = "index.html"
 
-    def __init__(self, trials: TrialRegistry) -> None:
-        self.trials = trials
+    def __init__(self, trials: TrialRegistry, openigtlink: "OpenIGTLinkServer | None" = None) -> None:
+        self.trials, self.openigtlink = trials, openigtlink
 
     def add_routes(self, app: web.Application, access: AccessControl) -> None:
         """Add the WebSocket, exports and slices."""
-        connections, files = Connections(access, self.trials), FileRoutes(self.trials)
+        tracked = None
+        if self.openigtlink is not None:
+            tracked = self.openigtlink.tracked
+            app.cleanup_ctx.append(self.openigtlink.run)
+        connections, files = Connections(access, self.trials, tracked), FileRoutes(self.trials)
         app.router.add_get("/ws", connections.attend)
         app.router.add_post("/export/{kind}", files.make)
         app.router.add_post("/slice", files.cut)

@@ -262,10 +262,22 @@ class TrialRegistry:
         self._viewed_scenes: dict[str, ViewedScene] = {}
         self._paths: list[Path] = []
         self._steered: set[str] = set()
+        self._shared: InteractiveTrial | None = None
+
+    def share(self) -> InteractiveTrial:
+        """Return the one trial of all windows, for a tracker that moves it; from the first call on."""
+        if self._shared is None:
+            self._shared = self._begin(self._viewed_scene, self._source)
+        return self._shared
+
+    @property
+    def shared(self) -> bool:
+        """Whether all windows have one trial, which a tracker moves."""
+        return self._shared is not None
 
     def open(self, name: str) -> InteractiveTrial:
         """Return the trial of this name, or a new one if there is none."""
-        trial = self._all.get(name) or self._begin(self._viewed_scene, self._source)
+        trial = self._shared or self._all.get(name) or self._begin(self._viewed_scene, self._source)
         self._steered.add(trial.name)
         return trial
 
@@ -329,6 +341,8 @@ class TrialRegistry:
         other.window_trials[other.shown_insertion] = other
         self._all[other.name] = other
         self._steered.add(other.name)
+        if trial is self._shared:
+            self._shared = other
         return other
 
     def _begin(self, viewed_scene: ViewedScene, source: Recording | None) -> InteractiveTrial:
@@ -339,7 +353,8 @@ class TrialRegistry:
         for old in [one for one in self._all if one not in self._steered and one != name]:
             if len(self._all) <= MAX_TRIALS:
                 break
-            del self._all[old]
+            if self._all[old] is not self._shared:
+                del self._all[old]
         return self._all[name]
 
 

@@ -35,7 +35,10 @@ UNDO_PAUSE_S = 0.4
 """Steps of a recording that are farther apart than this, s, are undone one by one."""
 
 
-_MOVING_NOTHING = ("frame", "hello", "aim", "markups", "fit", "points")
+_MOVING_NOTHING = (
+    *("frame", "hello", "aim", "markups", "fit", "points"),
+    *("release_tracker", "forget_estimate"),
+)
 """Messages that leave a moving needle as it is."""
 
 
@@ -148,15 +151,15 @@ class Window:
             self._motion = None
             yield self._refused(_write_error(error, trial))
         if self.trial is not trial or message.do == "hello":
-            yield scene_message(self.trial)
-        yield self._state()
+            yield scene_message(self.trial) | {"tracked": self.trials.shared}
+        yield self.state()
 
     @property
     def moves(self) -> bool:
         """Whether the needle goes on by itself."""
         return self._motion is not None
 
-    def _state(self) -> Reply:
+    def state(self) -> Reply:
         """Return the needle as it stands."""
         motion = self._motion
         return state_message(self.trial) | {

@@ -1,0 +1,341 @@
+"""The OpenIGTLink side of a tracked needle: what is streamed, what is taken, and the connections.
+
+`pyigtl` packs and unpacks messages. Its own server is not used: it reads a body of any announced size, checks
+no checksum, serves one client, and takes over the process's signals.
+
+No message of this program is a motion command, and nothing is sent to a server that it connects to itself.
+"""
+
+import asyncio
+import json
+import struct
+import time
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from time import monotonic
+
+import numpy as np
+from aiohttp import web
+from pyigtl.messages import (
+    CRC64,
+    MessageBase,
+    PointMessage,
+    PolyDataMessage,
+    StringMessage,
+    TransformMessage,
+)
+
+from needlefit.arrays import Floats
+from needlefit.errors import ConfigError, NeedlefitError
+from needlefit.mechanics.shape import compute_positions
+from needlefit.studies.needles_in_scan import NEEDLE_POINTS
+from needlefit.viewer.overlay.band import NeedleBand, compute_band
+from needlefit.viewer.serving.connections import RateLimit
+from needlefit.viewer.serving.tracking import TrackedTrial
+
+DEFAULT_PORT = 18944
+"""Port that 3D Slicer and PLUS take where none is named."""
+
+MAX_PEERS = 8
+
+MAX_BODY_BYTES = 16 * 1024
+"""Largest body that is read; a transform has 48 bytes."""
+
+MAX_SKIPPED_BYTES = 64 * 1024 * 1024
+"""Largest body that is skipped, such as an image; a larger one is no message, and ends the connection."""
+
+STALLED_S = 5.0
+"""Time after which a peer is dropped that stops within a message, or does not read what it is sent."""
+
+MAX_WAITING_BYTES = 256 * 1024
+"""Unsent bytes beyond which a peer misses messages."""
+
+SEND_INTERVAL_S, BAND_INTERVAL_S, REPEAT_INTERVAL_S = 1 / 60, 0.15, 1.0
+"""Shortest time between two poses sent, and two bands; and the longest between two messages."""
+
+RECONNECT_INTERVAL_S = 1.0
+
+HEADER_VERSIONS = (1, 2)
+"""Of OpenIGTLink 1 and 2, and of 3."""
+
+_POSITION = {12: struct.Struct(">3f"), 28: struct.Struct(">7f")}
+_CHECKSUM = struct.Struct(">Q")
+
+
+class OpenIGTLinkServer:
+    """Streams a tracked needle to all peers, and hands it the poses that they send.
+
+    Parameters
+    ----------
+    tracked : TrackedTrial
+    host : str
+    port : int
+        0: one that is free.
+
+    Attributes
+    ----------
+    address : (str, int)
+        Where it listens.
+    """
+
+    def __init__(self, tracked: TrackedTrial, host: str, port: int) -> None:
+        self.tracked, self.address = tracked, (host, port)
+        self._peers: dict[asyncio.StreamWriter, float] = {}  # since when it reads nothing; 0: it does
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._changed = asyncio.Event()
+        self._band: NeedleBand | None = None
+
+    async def run(self, _: web.Application) -> AsyncIterator[None]:
+        """Serve while the page is served; for `Application.cleanup_ctx`.
+
+        Raises
+        ------
+        ConfigError
+            If the address cannot be used.
+        """
+        try:
+            server = await asyncio.start_server(self._attend, *self.address)
+        except (OSError, OverflowError) as error:
+            raise ConfigError(
+                f"{self.address[0]}:{self.address[1]} cannot be used: {error}",
+                where="--openigtlink",
+                expected="a free port from 1024 to 65535, and an address of this machine",
+                fix="name another port; 0 takes a free one",
+            ) from error
+        self.address = server.sockets[0].getsockname()[:2]
+        jobs = [self._drive, self._send_bands, *([self._connect] if self.tracked.record.server else [])]
+        for job in jobs:
+            self._tasks.add(task := asyncio.create_task(job()))
+            task.add_done_callback(_report_failure)
+        yield
+        server.close()
+        for task in list(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one peer that has connected."""
+        if len(self._peers) >= MAX_PEERS:
+            writer.close()
+            return
+        task = asyncio.current_task()
+        assert task is not None
+        self._tasks.add(task)
+        self._peers[writer] = 0.0
+        self.tracked.count_peers(1)
+        try:
+            self._send(writer, self._pack_needle() + self._pack_status())
+            await self._listen(reader)
+        finally:
+            self._tasks.discard(task)
+            self._drop(writer)
+
+    async def _connect(self) -> None:
+        """Take poses of a server, and connect again when it was lost; nothing is sent to it."""
+        host, _, port = self.tracked.record.server.rpartition(":")
+        while True:
+            with suppress(OSError, TimeoutError):
+                async with asyncio.timeout(STALLED_S):
+                    reader, writer = await asyncio.open_connection(host, int(port))
+                self.tracked.count_peers(1)
+                try:
+                    await self._listen(reader)
+                finally:
+                    self.tracked.count_peers(-1)
+                    writer.close()
+            await asyncio.sleep(RECONNECT_INTERVAL_S)
+
+    async def _listen(self, reader: asyncio.StreamReader) -> None:
+        """Take messages until the peer goes, or sends what is none."""
+        pace = RateLimit()
+        with suppress(OSError, EOFError, TimeoutError, ValueError):
+            while True:
+                header = await reader.readexactly(MessageBase.IGTL_HEADER_SIZE)
+                fields = MessageBase.parse_header(header)
+                size, kind = fields["body_size"], fields["message_type"]
+                if fields["header_version"] not in HEADER_VERSIONS or size > MAX_SKIPPED_BYTES:
+                    raise ValueError("this is no OpenIGTLink header")
+                while not pace.allows():  # the peer waits, and what it sends grows old
+                    await asyncio.sleep(0.01)
+                if kind not in ("TRANSFORM", "POSITION", "POINT") or size > MAX_BODY_BYTES:
+                    self.tracked.ignored += 1
+                    await _skip(reader, size)
+                    continue
+                async with asyncio.timeout(STALLED_S):
+                    body = await reader.readexactly(size)
+                if _CHECKSUM.unpack(header[-8:])[0] != CRC64(body):
+                    self.tracked.ignored += 1
+                    continue
+                pose = read_pose(fields, body)
+                if pose is None:
+                    self.tracked.ignored += 1
+                    continue
+                sent, name = fields["timestamp"], fields["device_name"]
+                if self.tracked.take(name, pose, sent, time.time(), directed=kind != "POINT"):
+                    self._changed.set()
+
+    async def _drive(self) -> None:
+        """Move the needle when poses come, stream it, and estimate its parameters."""
+        shown = number = None
+        repeated = -REPEAT_INTERVAL_S
+        while True:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(0.1):
+                    await self._changed.wait()
+            self._changed.clear()
+            began, tracked = monotonic(), self.tracked
+            wanted = tracked.advance(time.time())
+            if (now := (tracked.trial.name, tracked.trial.steering.number)) != shown:
+                self._broadcast(self._pack_needle())
+                shown = now
+            if tracked.number != number or began - repeated >= REPEAT_INTERVAL_S:
+                self._broadcast(
+                    (b"" if tracked.number != number else self._pack_needle()) + self._pack_status()
+                )
+                number, repeated = tracked.number, began
+            if wanted:
+                trial = tracked.trial
+                with suppress(NeedlefitError):
+                    tracked.apply(await asyncio.to_thread(tracked.compute_estimate), trial)
+                self._changed.set()
+            await asyncio.sleep(max(0.0, began + SEND_INTERVAL_S - monotonic()))
+
+    async def _send_bands(self) -> None:
+        """Stream the band of the needle as it stands, when it has moved and somebody listens."""
+        sent = None
+        while True:
+            trial = self.tracked.trial
+            spread, steering = trial.viewed_scene.spread, trial.steering
+            number = (trial.name, steering.number, id(spread), len(self._peers))
+            if spread is not None and self._peers and number != sent:
+                sent = number
+                self._band = await asyncio.to_thread(
+                    compute_band, spread, trial.scene.needle, steering.now.tissue, steering.input_path(),
+                    trial.scene.rules, steering.first_cell,
+                )  # fmt: skip
+                if self._band is not None:
+                    self._broadcast(pack_band(self.tracked, self._band))
+            await asyncio.sleep(BAND_INTERVAL_S)
+
+    def _pack_needle(self) -> bytes:
+        return pack_needle(self.tracked)
+
+    def _pack_status(self) -> bytes:
+        status = json.dumps(self.tracked.status(time.time()), allow_nan=False)
+        return _pack(StringMessage(status, device_name="NeedlefitStatus"))
+
+    def _broadcast(self, packed: bytes) -> None:
+        for writer in list(self._peers):
+            self._send(writer, packed)
+
+    def _send(self, writer: asyncio.StreamWriter, packed: bytes) -> None:
+        """Send to a peer that keeps up; one that has not read for long is dropped."""
+        if writer.transport.get_write_buffer_size() <= MAX_WAITING_BYTES:
+            self._peers[writer] = 0.0
+            writer.write(packed)
+        elif not self._peers[writer]:
+            self._peers[writer] = monotonic()
+        elif monotonic() - self._peers[writer] > STALLED_S:
+            writer.transport.abort()
+            self._drop(writer)
+
+    def _drop(self, writer: asyncio.StreamWriter) -> None:
+        if self._peers.pop(writer, None) is not None:
+            self.tracked.count_peers(-1)
+            writer.close()
+
+
+def _report_failure(task: asyncio.Task[None]) -> None:
+    """Print a fault of the program at once, not when it ends."""
+    if not task.cancelled() and (error := task.exception()) is not None:
+        task.get_loop().call_exception_handler({"message": "OpenIGTLink has stopped", "exception": error})
+
+
+async def _skip(reader: asyncio.StreamReader, size: int) -> None:
+    """Read a body without keeping it."""
+    while size > 0:
+        async with asyncio.timeout(STALLED_S):
+            part = await reader.read(min(size, MAX_BODY_BYTES))
+        if not part:
+            raise EOFError
+        size -= len(part)
+
+
+def read_pose(fields: dict[str, object], body: bytes) -> Floats | None:
+    """Return the pose (4, 4) in a message; None if there is none."""
+    kind = fields["message_type"]
+    matrix = np.eye(4)
+    try:
+        if kind == "POSITION":  # pyigtl reads points under this name
+            values = _POSITION[len(body)].unpack(body)
+            matrix[:3, 3] = values[:3]
+            if len(values) > 3:
+                matrix[:3, :3] = _rotate(np.array(values[3:]))
+            return matrix
+        message = MessageBase.create_message(kind)
+        message.unpack(fields, body)
+        # PLUS and 3D Slicer send on what a tracker does not see, with its last place and this remark.
+        if message.metadata.get("TransformStatus", "OK") != "OK":
+            return None
+        if kind == "TRANSFORM":
+            return np.asarray(message.matrix, dtype=np.float64)
+        matrix[:3, 3] = message.positions[0]
+    except (struct.error, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    return matrix
+
+
+def _rotate(quaternion: Floats) -> Floats:
+    """Return the rotation of a quaternion (x, y, z, w)."""
+    norm = float(np.linalg.norm(quaternion))
+    if not norm > 0:
+        raise ValueError("this quaternion has no direction")
+    x, y, z, w = quaternion / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def pack_needle(tracked: TrackedTrial) -> bytes:
+    """Return the centreline as POLYDATA and the tip as TRANSFORM, RAS, mm.
+
+    The tip's z axis points along the needle, x to the side to which the bevel turns the cut.
+    """
+    now = tracked.trial.steering.now
+    points = compute_positions(now.shape, np.linspace(now.shape.x[0], now.shape.x[-1], NEEDLE_POINTS))
+    rotation, side = float(now.shape.slope[-1]), now.step.bevel.side
+    along = [np.cos(rotation), np.sin(rotation), 0.0]
+    across = [-side * np.sin(rotation), side * np.cos(rotation), 0.0]
+    x, z = tracked.to_ras_direction(across), tracked.to_ras_direction(along)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    matrix[:3, 3] = tracked.to_ras(points[-1:])[0]
+    return _pack(_make_line(tracked.to_ras(points), "NeedlefitNeedle")) + _pack(
+        TransformMessage(matrix, device_name="NeedlefitTip")
+    )
+
+
+def pack_band(tracked: TrackedTrial, band: NeedleBand) -> bytes:
+    """Return the outline of the 95 % band as POLYDATA, and its two ends at the tip as POINT, RAS, mm."""
+    low, high = (np.column_stack([band.x, edge]) for edge in (band.low, band.high))
+    outline = np.vstack([low, high[::-1], low[:1]])
+    ends = PointMessage(
+        tracked.to_ras(np.vstack([low[-1:], high[-1:]])),
+        names=["tip 2.5 %", "tip 97.5 %"],
+        device_name="NeedlefitTipBand",
+    )
+    return _pack(_make_line(tracked.to_ras(outline), "NeedlefitBand")) + _pack(ends)
+
+
+def _make_line(points: Floats, name: str) -> PolyDataMessage:
+    line = np.array([len(points), *range(len(points))])
+    return PolyDataMessage(points=points, lines=line, device_name=name)
+
+
+def _pack(message: MessageBase) -> bytes:
+    packed: bytes = message.pack()
+    return packed
