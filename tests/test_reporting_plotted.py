@@ -2,7 +2,7 @@
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -38,11 +38,12 @@ def painted(monkeypatch) -> dict[str, Figure]:
     """Figures by the name of their file, as they are painted; their files are left empty."""
     found: dict[str, Figure] = {}
 
-    def keep(figure: Figure, path: Path, **_: object) -> None:
+    def keep(path: Path, paint: Callable[[], Figure]) -> Path:
         path.touch()
-        found[path.stem] = figure
+        found[path.stem] = paint()
+        return path
 
-    monkeypatch.setattr(Figure, "savefig", keep)
+    monkeypatch.setattr(style, "draw", keep)
     return found
 
 

@@ -21,6 +21,7 @@ import typst
 from markupsafe import Markup, escape
 
 from needlefit.project.json_values import to_json_values
+from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table_layout import TableLayout
 
 Block = dict[str, Any]
@@ -173,23 +174,13 @@ def find_version() -> str:
 _LABEL_TEMPLATE = """#set document(date: none)
 #set page(width: auto, height: auto, margin: 0pt)
 #set text(font: "Libertinus Serif", size: 8pt, fill: rgb("#B23A00"))
-#stack(spacing: 2pt, pad(top: 2pt, left: 3pt)[Synthetic data], image("figure.pdf"))
+#stack(spacing: 2pt, pad(top: 2pt, left: 3pt)[Synthetic data], image("{name}"))
 """
 
 
 def label_figure(path: Path) -> bytes:
     """Return a figure with "Synthetic data" above it, as PDF."""
-    return _compile_figure(path.read_bytes(), _LABEL_TEMPLATE, "pdf")
-
-
-def _compile_figure(pdf: bytes, template: str, form: Literal["pdf", "svg"]) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
-        sheet = Path(name) / "sheet.typ"
-        sheet.write_text(template, encoding="utf-8")
-        (Path(name) / "figure.pdf").write_bytes(pdf)
-        found = typst.compile(str(sheet), root=name, format=form, ignore_system_fonts=True)
-    assert isinstance(found, bytes)
-    return found
+    return compile_sheet(path.read_bytes(), ".pdf", _LABEL_TEMPLATE)
 
 
 SVG_SCALE = 1.7
@@ -202,7 +193,6 @@ _SVG_WIDTH_PATTERN = re.compile(rb'<svg [^>]*width="([0-9.]+)pt"')
 _SVG_PATH_PATTERN = re.compile(rb' d="[^"]*"')
 _SVG_DIGITS_PATTERN = re.compile(rb"(\.\d\d)\d+")
 _SVG_INDENT_PATTERN = re.compile(rb"\n\s+")
-_FIGURE_TEMPLATE = '#set page(width: auto, height: auto, margin: 0pt)\n#image("figure.pdf")\n'
 
 
 def compile_html(document: Document) -> bytes:
@@ -263,7 +253,7 @@ def _number_blocks(document: Document) -> Iterator[Block]:
 
 def _encode_figure(pdf: bytes) -> Block:
     """Return a figure as the address of an SVG that holds it, and how wide it is shown, px."""
-    svg = _compile_figure(pdf, _FIGURE_TEMPLATE, "svg")
+    svg = compile_sheet(pdf, ".pdf", form="svg")
     inside, width = _INNER_SVG_PATTERN.search(svg), _SVG_WIDTH_PATTERN.search(svg)
     assert inside is not None and width is not None, "typst sets a PDF as an SVG within its own"
     return {"picture": _shrink_svg(inside[1]), "width": round(SVG_SCALE * float(width[1]))}

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 from needlefit.errors import ConfigError
-from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, fix_width
+from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, draw_together, fix_width
 from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.studies.kind import find_kind
 from needlefit.studies.report import compose_run_report, label_figures
@@ -36,7 +36,7 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
     tables = [path.stem for path in copied if path.suffix == ".tex" and path.name not in known]
     blocks = []
     for word, width in WIDTHS_IN.items():
-        with fix_width(width):
+        with fix_width(width), draw_together():
             drawn = find_kind(result.kind).report.draw(result, folder)
         figures = {}
         for name, path in drawn.items():

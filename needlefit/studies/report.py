@@ -192,6 +192,8 @@ def _copy_files(folder: Path, new: Path) -> None:
 
 def write_files(result: Run, folder: Path) -> None:
     """Write the files of a result, as `write_run`, into a folder that takes the place of another."""
+    from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
+
     page = find_kind(result.kind).report
     for name, frame in page.tabulate(result).items():
         marked = result.origin == "none" or "origin" in frame
@@ -200,7 +202,8 @@ def write_files(result: Run, folder: Path) -> None:
     for table in tables:
         (folder / f"{table.name}.tex").write_text(format_latex(table, result.synthetic), encoding="utf-8")
     (folder / "numbers.tex").write_text(format_table_macros(result.name, tables), encoding="utf-8")
-    figures = page.draw(result, folder)
+    with draw_together():
+        figures = page.draw(result, folder)
     page.write_files(result, folder)
     report = compose_run_report(result, figures)
     write_report(report, folder)

@@ -2,10 +2,12 @@
 of labels.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
+from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 
 import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
 import numpy as np
@@ -16,8 +18,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
+from needlefit.project.forked import compute_in_two_processes
 from needlefit.project.outputs import require_folder
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
+from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table_files import write_csv
 
 TEXT_WIDTH_IN = 7.16
@@ -48,11 +52,7 @@ def choose_width(natural: float = TEXT_WIDTH_IN) -> float:
 
 
 _VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)
-_METADATA: dict[str, dict[str, None]] = {
-    ".pdf": {"CreationDate": None},
-    ".svg": {"Date": None},
-    ".png": {"Software": None},
-}
+_METADATA: dict[str, dict[str, None]] = {".svg": {"Date": None}, ".png": {"Software": None}}
 RC_PARAMS = {
     "font.family": "DejaVu Sans",  # ships with matplotlib
     "font.size": FONT_SIZE_PT,
@@ -77,8 +77,6 @@ RC_PARAMS = {
     "axes.spines.right": False,
     "lines.solid_capstyle": "round",
     "legend.frameon": False,
-    # TrueType: journals reject Type 3 fonts.
-    "pdf.fonttype": 42,
     "svg.fonttype": "path",
     # A fixed salt, or the ids in the file would be random.
     "svg.hashsalt": "needlefit",
@@ -113,7 +111,7 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
         If the suffix is none of .pdf, .png and .svg, or the folder does not exist.
     """
     suffix = path.suffix.lower()
-    if suffix not in _METADATA:
+    if suffix not in (*_METADATA, ".pdf"):
         raise ConfigError(
             f"cannot draw a `{suffix}` file" if suffix else "the file name has no ending",
             where=str(path),
@@ -121,12 +119,51 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
             fix=f"write to {path.stem or 'figure'}.pdf",
         )
     require_folder(path)
-    with matplotlib.style.context(["default", RC_PARAMS]):
+    if suffix != ".pdf":
+        path.write_bytes(_paint_bytes(paint, suffix))
+    elif (waiting := _waiting.get()) is not None:
+        context = copy_context()  # a painter may ask for `fix_width`
+        waiting.append((path, lambda: context.run(_paint_sheet, paint)))
+    else:
+        path.write_bytes(compile_sheet(_paint_sheet(paint), ".svg"))
+    return path
+
+
+def _paint_sheet(paint: Callable[[], Figure]) -> bytes:
+    """Return a figure as SVG with its text as text, whose fonts typst embeds.
+
+    matplotlib takes half of its time to a PDF for the part of a font that is used.
+    """
+    return _paint_bytes(paint, ".svg", {"svg.fonttype": "none"})
+
+
+def _paint_bytes(
+    paint: Callable[[], Figure], suffix: str, style: Mapping[str, str] = MappingProxyType({})
+) -> bytes:
+    drawing = BytesIO()
+    with matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
         figure = paint()
         # A figure made without pyplot has no canvas; without one it cannot be laid out or saved.
         FigureCanvasAgg(figure)
-        figure.savefig(path, format=suffix[1:], metadata=_METADATA[suffix])
-    return path
+        figure.savefig(drawing, format=suffix[1:], metadata=_METADATA[suffix])
+    return drawing.getvalue()
+
+
+_waiting: ContextVar[list[tuple[Path, Callable[[], bytes]]] | None] = ContextVar("waiting", default=None)
+
+
+@contextmanager
+def draw_together() -> Iterator[None]:
+    """Draw all figures (PDF) that are asked for in here when it ends, on two cores where it can."""
+    token = _waiting.set([])
+    try:
+        yield
+        waiting = _waiting.get() or []
+    finally:
+        _waiting.reset(token)
+    drawings = compute_in_two_processes([paint for _, paint in waiting])
+    for (path, _), drawing in zip(waiting, drawings, strict=True):
+        path.write_bytes(compile_sheet(drawing, ".svg"))
 
 
 MAX_HALF_COLUMN_LETTERS = 24
