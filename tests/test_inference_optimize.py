@@ -7,8 +7,11 @@ import pytest
 from inference_cases import Analytic, Squares, box, recipe, squares_recipe
 
 from needlefit.errors import ConfigError, FitError, ModelError
+from needlefit.inference.evaluation_recorder import EvaluationRecorder
 from needlefit.inference.fit import Callbacks, Start, start_from_dict, start_to_dict
+from needlefit.inference.objective import ObjectiveFunction
 from needlefit.inference.optimize import ALGORITHMS, minimize, starting_points
+from needlefit.inference.optimize.local_search import certify_minimum
 
 SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.needs != "jacobian")
 
@@ -211,6 +214,19 @@ def test_a_search_that_ends_too_early_is_flagged():
     loose = squares_recipe(algorithm="neldermead", tolerance=0.2)
     starts = minimize(squares(valley), loose, rng()).starts
     assert {start.stopped for start in starts if start.objective > -7 + 1e-4} == {"stalled"}
+
+
+@pytest.mark.parametrize(("misfit", "reason"), [(0.1, "stalled"), (100.0, "tolerance")])
+def test_a_remaining_gain_counts_in_units_of_the_misfit(misfit, reason):
+    def jacobian(theta):
+        return np.append(np.full(20, misfit), theta), np.append(np.zeros((20, 1)), [[1.0]], axis=0)
+
+    objective = ObjectiveFunction(
+        np.array([-1.0]), np.array([1.0]), lambda theta: 0.0, jacobian=jacobian, absolute_tolerance=1e-9
+    )
+    recorder = EvaluationRecorder(objective, 10, lambda: False)
+    recorder.theta = np.array([3e-3])  # a further step gains 4.5e-6
+    assert certify_minimum(recorder, "tolerance") == reason
 
 
 def test_residuals_that_are_not_the_value_are_found_out():

@@ -125,8 +125,8 @@ def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple
 
 
 MAX_REMAINING_GAIN = 1e-6
-"""Largest gain of the value that a further step may promise; in units of the mean square where nothing says
-what is negligible, so that the unit of the sum of squares means nothing."""
+"""Largest gain of the value that a further step may promise; in units of the mean square where that is above
+1, because rounding grows with it, or where nothing says what is negligible."""
 
 NEGLIGIBLE_STEP = 1e-8
 """A further step that changes no parameter by more than this part of it promises nothing."""
@@ -184,7 +184,8 @@ def _classify_minimum(recorder: EvaluationRecorder, residuals: Floats, jacobian:
     gain = 0.5 * float(residuals @ residuals) - best.cost
     small = np.all(np.abs(best.x * unit) <= NEGLIGIBLE_STEP * np.abs(theta[free]))
     mean = float(residuals @ residuals) / max(1, len(residuals) - len(theta))
-    if not small and gain > MAX_REMAINING_GAIN * (1.0 if objective_function.absolute_tolerance else mean):
+    unit_gain = max(1.0, mean) if objective_function.absolute_tolerance else mean
+    if not small and gain > MAX_REMAINING_GAIN * unit_gain:
         return "stalled"
     return "tolerance" if np.all(free) else "bound"
 
