@@ -49,6 +49,7 @@ from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import ReconstructionFailure, try_reconstruct
 from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.reconstruction_checks import list_tip_warnings
 from needlefit.imaging.scan import LayerSource, Scan
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume
@@ -59,6 +60,8 @@ from needlefit.synthetic.metal import densify
 Floats = NDArray[np.float64]
 
 WRONG_MM = 1.0
+FINE_SPACING_MM = 0.6 + 1e-9
+"""Largest spacing along the needle that is fine."""
 ERRORS = ("tip_along", "tip_across", "entry", "length", "tre", "crossing")
 
 
@@ -102,7 +105,7 @@ def score(row: Row, cache: Path) -> dict[str, object]:
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         found = _reconstruct_checked(write_scan(case, volume, folder), make_recipe(row), folder)
-    line: dict[str, object] = {"id": row.name, **row.levels}
+    line: dict[str, object] = {"id": row.name, **row.levels, "spacing_along": _measure_spacing(case)}
     line |= {"render_s": rendered - start, "seconds": time.process_time() - rendered}
     if isinstance(found, NeedlefitError):
         where = "" if str(volume) in found.where or temporary in found.where else found.where
@@ -115,6 +118,12 @@ def score(row: Row, cache: Path) -> dict[str, object]:
             }
         )
     return line | {"written": True} | _measure_errors(found, case)
+
+
+def _measure_spacing(case: Case) -> float:
+    """Return the voxels' spacing along the needle's end, mm."""
+    end = case.world.rotation @ (case.axis[-1] - case.axis[-2])
+    return float(np.linalg.norm(end * case.grid.spacing) / np.linalg.norm(end))
 
 
 def _reconstruct_checked(
@@ -161,6 +170,7 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
         "bevel_deg": float(angle),
         "bevel_stated": bool(np.isfinite(angle)),
         "bevel_probability": one.needle_axis.bevel_probability,
+        "tip_warned": bool(list_tip_warnings(one)),
         "warnings": len(one.warnings),
         "what": " | ".join(one.warnings),
     }
@@ -180,22 +190,31 @@ def _off_axis(points: Floats, axis: Floats) -> Floats:
     return aside
 
 
-def summarize(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return a line for all volumes and one for every level of every factor."""
+def summarize(rows: pd.DataFrame, statistic: str) -> pd.DataFrame:
+    """Return a line for all volumes, for both spacings along the needle, and for every level of every factor.
+
+    `statistic` ("mean" or "median") is that of the absolute errors of the volumes written.
+    """
+    fine = rows["spacing_along"] <= FINE_SPACING_MM
     groups = [("all", "", rows)]
+    groups += [("spacing", "fine", rows[fine]), ("spacing", "coarse", rows[~fine])]
     groups += [(factor, str(level), part) for factor in FACTORS for level, part in rows.groupby(factor)]
-    lines = []
-    for factor, level, part in groups:
-        done = part[part["written"]]
-        line: dict[str, object] = {"factor": factor, "level": level, "n": len(part)}
-        line |= {"refused": len(part) - len(done), "wrong": int(part["wrong"].sum())}
-        for name in ("axis", "tip_along", "tip_across", "entry", "length", "tre", "crossing", "bevel_deg"):
-            line[name] = done[name].abs().median() if len(done) and name in done else np.nan
-        for name in ("tip_along", "length"):
-            if len(done) and name in done:
-                line[f"in_1sd_{name}"] = (done[name].abs() <= done[f"{name}_sd"]).mean()
-        lines.append(line)
-    return pd.DataFrame(lines)
+    return pd.DataFrame([_summarize_group(*group, statistic) for group in groups])
+
+
+def _summarize_group(factor: str, level: str, part: pd.DataFrame, statistic: str) -> dict[str, object]:
+    done = part[part["written"]]
+    line: dict[str, object] = {"factor": factor, "level": level, "n": len(part)}
+    line |= {"refused": len(part) - len(done), "wrong": int(part["wrong"].sum())}
+    if not len(done):
+        return line
+    line["unwarned"] = int((done["wrong"] & ~done["tip_warned"].astype(bool)).sum())
+    for name in ("tip_along", "tip_across", "axis", "entry", "length", "tre", "crossing", "bevel_deg"):
+        line[name] = done[name].abs().agg(statistic)
+    line["tip/spacing"] = (done["tip_along"].abs() / done["spacing_along"]).agg(statistic)
+    for name in ("tip_along", "length"):
+        line[f"in_1sd_{name}"] = (done[name].abs() <= done[f"{name}_sd"]).mean()
+    return line
 
 
 LARGE_ROW, LARGE_SIZE = "t18", (512, 512, 400)
@@ -264,8 +283,12 @@ def main() -> None:
         if arguments.out:
             pd.DataFrame(lines).sort_values("id").to_csv(arguments.out, index=False)
     rows = pd.DataFrame(lines).sort_values("id")
-    print(summarize(rows).to_string(index=False, float_format=lambda x: f"{x:.3f}", na_rep=""))
-    print("medians of absolute errors, mm, of the volumes written; in_1sd: part within one stated deviation")
+    for statistic in ("mean", "median"):
+        print(f"{statistic} absolute errors of the volumes written, mm")
+        table = summarize(rows, statistic)
+        print(table.to_string(index=False, float_format=lambda x: f"{x:.3f}", na_rep=""))
+    print("spacing: along the needle, at most 0.6 mm (fine) or more; tip/spacing: tip_along in parts of it")
+    print("unwarned: wrong without a warning about the tip; in_1sd: part within one stated deviation")
 
 
 if __name__ == "__main__":

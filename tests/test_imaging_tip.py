@@ -1,5 +1,6 @@
 """The image of a needle's end, what is done where it explains nothing, and when a bevel has a side."""
 
+import re
 from dataclasses import replace
 
 import ct_cases as cases
@@ -11,14 +12,22 @@ from scipy.special import ndtr
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle import tip, tip_problem
-from needlefit.imaging.needle.centerline import trace_needle
+from needlefit.imaging.needle.centerline import (
+    BEVEL_MARGIN_MM,
+    _find_tip,
+    fit_rough_axis,
+    orient_axis,
+    refine_axis,
+    trace_needle,
+)
 from needlefit.imaging.needle.selection import segment_needle
 from needlefit.imaging.needle.tip_model import RodModel
-from needlefit.imaging.reconstruction_checks import MAX_DEPTH_SD_MM, collect_warnings
+from needlefit.imaging.reconstruction_checks import MAX_DEPTH_SD_MM, collect_warnings, list_tip_warnings
 from needlefit.imaging.sphere_profile import PointSpread
 
 RADIUS = 0.635
 TRUTH = cases.axis(tip=(1.0, 2.0, 28.0))
+HEEL = tip_problem.bevel_length(cases.RECIPE.needle) + BEVEL_MARGIN_MM
 
 
 def rod_image(spread, s, u=0.0, *, cotangent=0.0, roll=0.0, normal=(1.0, 0.0, 0.0)):
@@ -31,6 +40,11 @@ def rod_image(spread, s, u=0.0, *, cotangent=0.0, roll=0.0, normal=(1.0, 0.0, 0.
 
 def trace(volume, needle=cases.RECIPE):
     return trace_needle(volume, segment_needle(volume, needle), needle)
+
+
+def _rough_axis(volume):
+    rough = fit_rough_axis(volume, segment_needle(volume, cases.RECIPE), cases.RECIPE)
+    return orient_axis(volume, rough, cases.RECIPE)
 
 
 def test_a_flat_end_fades_as_its_blur_does():
@@ -98,6 +112,29 @@ def test_an_unknown_length_is_refused_and_an_unsure_tip_is_a_warning():
     assert "0.80 mm" in collect_warnings(unsure)[0]
     fallen = replace(one, needle_axis=replace(one.needle_axis, tip_source="threshold"))
     assert "threshold" in collect_warnings(fallen)[0]
+
+
+def test_metal_beyond_the_tip_is_a_warning():
+    """The needle's last 6 mm begin behind a gap of 3 mm."""
+    one = small()
+    assert not any("beyond the tip" in note for note in list_tip_warnings(one))
+    s, core = one.profile.s, one.profile.core.copy()
+    core[(s > one.depth + 3.0) & (s < one.depth + 6.0)] = 2500.0
+    notes = list_tip_warnings(replace(one, profile=replace(one.profile, core=core)))
+    (distance,) = re.findall(r"(\d\.\d) mm beyond", notes[-1])
+    assert_allclose(float(distance), 3.0, atol=0.6)
+
+
+def test_a_tip_behind_a_dark_stretch_is_found():
+    """Rays hide 4 mm of the shaft, and the search begins before them, 10 mm before the tip."""
+    volume = cases.scan(TRUTH)
+    axis = refine_axis(volume, _rough_axis(volume), cases.RECIPE, HEEL)
+    tip_at = _find_tip(volume, axis, cases.RECIPE, axis.length + HEEL, None).at
+    values = volume.values.copy()
+    gap = slice(*(int(z / cases.SPACING) for z in (29.0, 33.0)))
+    values[gap] = np.minimum(values[gap], 100.0)
+    found = _find_tip(replace(volume, values=values), axis, cases.RECIPE, tip_at - 10.0, None)
+    assert abs(found.at - tip_at) < 0.3
 
 
 def test_what_rays_hide_grows_with_the_needle_that_they_pass(monkeypatch):

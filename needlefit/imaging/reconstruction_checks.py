@@ -11,6 +11,7 @@ from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.geometry.surfaces import Surface, find_nearest, transform_surface
 from needlefit.imaging.entry import compare_poses
 from needlefit.imaging.material_runs import find_tissue_edge
+from needlefit.imaging.needle.tip_problem import END_LENGTH_MM
 from needlefit.imaging.reconstruction import Layers, Reconstruction
 from needlefit.imaging.scan import Scan
 
@@ -33,6 +34,9 @@ MAX_HIDDEN_LENGTH_MM = 12.0
 """Length of the needle along which rays run that hide its end, mm, that is spoken of: with less no tip is off
 by more than 0.4 mm on the part `tuning` of `benchmarks/real_scanners.py`."""
 
+TIP_CLEARANCE_MM = 2.0
+"""Distance from the tip, mm, from which on its blur does not show."""
+
 MAX_DEPTH_SD_MM = 2.0
 """Deviation of the inserted length, mm, beyond which a scan is refused."""
 
@@ -51,7 +55,7 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
     _refuse_unknown_depth(one)
     found = () if one.registration is None else one.registration.warnings
     return (
-        *_tip_warnings(one),
+        *list_tip_warnings(one),
         *earlier,
         *found,
         *_registration_warnings(one),
@@ -76,7 +80,8 @@ def _refuse_unknown_depth(one: Reconstruction) -> None:
     )
 
 
-def _tip_warnings(one: Reconstruction) -> list[str]:
+def list_tip_warnings(one: Reconstruction) -> list[str]:
+    """Return what a person should know of the needle's end."""
     needle, notes = one.needle_axis, []
     sd = float(needle.tip_sd[0])
     if needle.tip_source == "threshold":
@@ -92,7 +97,25 @@ def _tip_warnings(one: Reconstruction) -> list[str]:
         )
     elif sd > MAX_TIP_SD_MM:
         notes.append(f"the tip is known to +- {sd:.2f} mm only along the needle")
+    further = _find_metal_beyond(one)
+    if further is not None:
+        notes.append(
+            f"{further:.1f} mm beyond the tip found, on the needle's axis, something is as bright as the "
+            "needle: rays may hide a part of it, and the tip lie further on; look at it"
+        )
     return notes
+
+
+def _find_metal_beyond(one: Reconstruction) -> float | None:
+    """Return how far beyond the tip the axis meets metal again, mm; None if it does not."""
+    profile = one.profile
+    excess = profile.core - profile.around
+    shaft = excess[(profile.s > one.depth - END_LENGTH_MM) & (profile.s < one.depth - TIP_CLEARANCE_MM)]
+    beyond = profile.s > one.depth + TIP_CLEARANCE_MM
+    if not np.isfinite(shaft).any():
+        return None
+    bright = np.flatnonzero(beyond & (excess > np.nanmedian(shaft) / 2))
+    return float(profile.s[bright[0]] - one.depth) if len(bright) else None
 
 
 def _registration_warnings(one: Reconstruction) -> list[str]:

@@ -27,7 +27,7 @@ from needlefit.imaging.needle.axis_spline import (
     select_sections,
 )
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.tip import TipFit, TipSource, fit_tip
+from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, fit_tip
 from needlefit.imaging.needle.tip_problem import bevel_length
 from needlefit.imaging.sphere_profile import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -53,6 +53,9 @@ MAX_EDGE_DISTANCE_MM = 3.0
 
 MAX_PLACED_TIP_DISTANCE_MM = 2.0
 """A tip that was placed by hand lies at most so far beside the needle's surface, mm."""
+MAX_TIPS = 4
+"""How often a tip is looked for: rays may hide a stretch of the shaft before it."""
+
 END_REACH_MM = 4.0
 """Distance beyond an end of the needle from which on its surroundings are looked at, mm."""
 
@@ -140,10 +143,22 @@ def trace_needle(
         end = _place_tip(axis, tip, recipe)
         return _sample_centerline(volume, add_tip(axis, end, recipe), end, recipe)
     axis = refine_axis(volume, axis, recipe, heel)
-    end = fit_tip(volume, axis, recipe.needle, axis.length + heel, spread, rough=True)
+    end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
     axis = refine_axis(volume, axis, recipe, heel, end.at)
     end = fit_tip(volume, axis, recipe.needle, end.at, spread)
     return _sample_centerline(volume, add_tip(axis, end, recipe), end, recipe)
+
+
+def _find_tip(
+    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, guess: float, spread: PointSpread | None
+) -> TipFit:
+    """Return a rough tip near `guess` (mm along the axis), or near where a threshold sees the needle end."""
+    found = [fit_tip(volume, axis, recipe.needle, guess, spread, rough=True)]
+    while len(found) < MAX_TIPS and MAX_DISAGREEMENT_MM < abs(found[-1].disagreement) < np.inf:
+        at, away = found[-1].at, found[-1].disagreement
+        guess = (max(guess, at) if away > 0 else at) + away  # a threshold sees 4 mm ahead only
+        found.append(fit_tip(volume, axis, recipe.needle, guess, spread, rough=True))
+    return min(found, key=lambda one: abs(one.disagreement))
 
 
 def _orient_to(axis: AxisSpline, tip: Floats) -> AxisSpline:
@@ -213,9 +228,10 @@ def refine_axis(
         rough = found = find_centroids(values, plane, recipe.needle.diameter_mm)
         if round_ > 0:
             found = fit_sections(values, plane, fit_sections(values, plane, rough))
-        axis = _fit_axis_through(where, found, recipe, heel)
+        reach = recipe.needle.diameter_mm if round_ == 0 else recipe.needle.diameter_mm / 2
+        axis = _fit_axis_through(where, found, recipe, heel, reach)
         stop = axis.length + 1e-6
-    good = _find_usable_sections(found, recipe)
+    good = _find_usable_sections(found, reach)
     return replace(
         axis,
         shared_sd=estimate_shared_sd(
@@ -270,10 +286,10 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
 
 
 def _fit_axis_through(
-    where: AxisFrames, found: CrossSections, recipe: ReconstructionRecord, heel: float
+    where: AxisFrames, found: CrossSections, recipe: ReconstructionRecord, heel: float, reach: float
 ) -> AxisSpline:
     """Return the spline through the sections that show the needle, to the tip `heel` mm beyond the last."""
-    good = _find_usable_sections(found, recipe)
+    good = _find_usable_sections(found, reach)
     if good.sum() < MIN_SECTIONS:
         raise _too_few_sections_error(int(good.sum()))
     points = where.origins + found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
@@ -284,10 +300,10 @@ def _fit_axis_through(
     return fit_axis(s, points, weights / weights.mean(), recipe.centerline.knot_spacing_mm, s[-1] + heel)
 
 
-def _find_usable_sections(found: CrossSections, recipe: ReconstructionRecord) -> NDArray[np.bool_]:
-    """Whether each section is bright enough, and near enough to where it was looked for, to be the needle."""
+def _find_usable_sections(found: CrossSections, reach: float) -> NDArray[np.bool_]:
+    """Whether each section is bright enough, and within `reach` of where it was looked for, mm."""
     shown: NDArray[np.bool_] = found.amplitude > MIN_RELATIVE_AMPLITUDE * np.median(found.amplitude)
-    shown &= np.linalg.norm(found.shifts, axis=1) < recipe.needle.diameter_mm
+    shown &= np.linalg.norm(found.shifts, axis=1) < reach
     return shown
 
 
