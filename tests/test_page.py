@@ -545,6 +545,28 @@ def test_axe_finds_no_violation(server, chromium, scheme: str) -> None:
     assert [(one["id"], [node["html"][:120] for node in one["nodes"]]) for one in found] == []
 
 
+def test_fields_have_definitions_inside_the_window(page) -> None:
+    terms = page.locator(".field .term")
+    assert terms.count() >= 14  # b twice, mu and alpha of four layers, base, tip
+    for n in (0, 2, 3):
+        terms.nth(n).hover()
+        page.locator("#definition").wait_for(state="visible")
+        box = page.locator("#definition").bounding_box()
+        assert box["y"] >= 0 and box["x"] + box["width"] <= 1280
+        number = page.locator(".field .number").nth(n)
+        assert number.get_attribute("aria-description") == page.inner_text("#definition") != ""
+
+
+def test_what_the_tour_asks_for_is_in_sight_on_a_phone(server, chromium) -> None:
+    with opened(chromium, server, viewport={"width": 390, "height": 844}) as page:
+        page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
+        for name in ("flip", "insert"):
+            box = page.locator(f"#{name}").bounding_box()
+            assert box["x"] >= 0 and box["x"] + box["width"] <= 390
+            assert box["y"] + box["height"] <= 844
+            page.click("#tour-skip")
+
+
 AIM = "import('/page/aim.js').then(({ setAim }) => setAim({ target: [40, 1], obstacles: [[20, 3, 1]] }))"
 
 

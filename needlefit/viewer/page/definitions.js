@@ -14,23 +14,31 @@ export const DEFINITIONS = {
   "base y": "Deflection of the base of the needle, as it is set.",
   "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
   "guides": "Guides that hold the needle.",
+  "b": "Offset of the cut per constraint spacing: how strongly the bevel steers the needle.",
+  "θ": "Angle of the cut against the needle: how strongly the bevel steers it.",
+  "μ": "Shear modulus of the Ogden law of the layer.",
+  "α": "Exponent of the Ogden law: how the tissue stiffens with strain.",
   "noise floor": "Mean error that the stated measurement noise alone would cause.",
 };
+
+const ROOM = 110; // px, of the highest definition
 
 const shown = Object.assign(document.createElement("div"), { id: "definition", role: "tooltip", popover: "auto" });
 document.body.append(shown);
 
-/** A term that shows its definition; plain text where there is none. */
-export function define(name) {
-  if (!(name in DEFINITIONS)) return name;
+/** A term that shows the definition of `name`, itself or `called` otherwise; plain text where there is none. */
+export function define(name, called = name) {
+  if (!(name in DEFINITIONS)) return called;
   const term = document.createElement("button");
-  Object.assign(term, { type: "button", className: "term", textContent: name });
+  Object.assign(term, { type: "button", className: "term", textContent: called });
   term.setAttribute("aria-describedby", shown.id);
   const show = () => {
-    const { left, top } = term.getBoundingClientRect();
+    const { left, top, bottom } = term.getBoundingClientRect();
     shown.textContent = DEFINITIONS[name];
     shown.style.left = `${Math.max(8, Math.min(left, innerWidth - 296))}px`;
-    shown.style.bottom = `${innerHeight - top + 6}px`;
+    const above = top > ROOM;
+    shown.style.bottom = above ? `${innerHeight - top + 6}px` : "auto";
+    shown.style.top = above ? "auto" : `${bottom + 6}px`;
     if (!shown.matches(":popover-open")) shown.showPopover();
   };
   const hide = () => shown.matches(":popover-open") && shown.hidePopover();

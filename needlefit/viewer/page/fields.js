@@ -1,5 +1,6 @@
 /** A number that can be set: a name, a field, and where it has limits a slider with a mark. */
 
+import { define, DEFINITIONS } from "./definitions.js";
 import { newGesture } from "./steering.js";
 import { publish } from "./store.js";
 
@@ -14,7 +15,7 @@ let made = 0;
 /**
  * Make a field and put it at the end of `into`.
  *
- * `about` has its `name` and `unit`, what it is a number `of` where the name alone is not enough, how to
+ * `about` has its `name`, the `symbol` by which it is defined, and `unit`, what it is a number `of` where the name alone is not enough, how to
  * `write` a value and to `read` what is written, and whom to `ask` for another: ask(value, {gesture, at}).
  * With `limits` [low, high] it has a slider too, if `logarithmic` a logarithmic one; what lies beyond them can
  * be typed, and the slider then stands at its end. The arrows add a `step`, or if logarithmic multiply by it.
@@ -66,11 +67,15 @@ function markHome({ part, back, write, value, home }) {
   part.querySelector(".hand").hidden = back.disabled;
 }
 
-function name({ part, number, slider, back, of, name: called, unit, limits }) {
+function name({ part, number, slider, back, of, name: called, symbol, unit, limits }) {
   made += 1;
   number.id = `field-${made}`;
-  part.querySelector("label").htmlFor = number.id;
-  part.querySelector(".name").textContent = called;
+  const term = define(symbol, called);
+  if (symbol) {
+    term.tabIndex = -1; // two stops a field would be too many: the number is described instead
+    number.setAttribute("aria-description", DEFINITIONS[symbol]);
+  }
+  part.querySelector(".name").append(term);
   part.querySelector(".unit").textContent = unit;
   const spoken = [of, called].filter(Boolean).join(" ") + (unit && `, ${unit}`);
   number.setAttribute("aria-label", spoken);

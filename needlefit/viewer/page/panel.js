@@ -38,7 +38,7 @@ function buildBevel({ limits, fitted }) {
   const about = { unit, write: (number) => number.toFixed(digits), limits: limits[key], step };
   const strength = () => now.state.bevel[key];
   for (const [name, input] of [[`${symbol} from here on`, here], [`${symbol} throughout`, throughout]]) {
-    setHome(inputField("bevel-fields", [input, null], { ...about, name }, strength), value);
+    setHome(inputField("bevel-fields", [input, null], { ...about, name, symbol }, strength), value);
   }
 }
 
@@ -47,24 +47,24 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }
     const called = names[i] || `layer ${i + 1}`;
     const layer = () => now.state.layers[i];
     const modulus = { unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05 };
-    const mu = { ...modulus, name: `${called} μ`, limits: limits.mu_pa };
-    const alpha = { name: `${called} α`, unit: "", write: asPower, limits: limits.alpha, step: 0.1 };
+    const mu = { ...modulus, name: `${called} μ`, symbol: "μ", limits: limits.mu_pa };
+    const alpha = { name: `${called} α`, symbol: "α", unit: "", write: asPower, limits: limits.alpha, step: 0.1 };
     setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted.layers[i].mu_pa);
     setHome(inputField("tissue-fields", ["alpha", i + 1], alpha, () => layer().alpha), fitted.layers[i].alpha);
   }
 }
 
 function buildBase({ limits }) {
-  const y = { of: "base", name: "y", unit: "mm", write: asMm, limits: limits.base_y_mm, step: 0.1 };
+  const y = { of: "base", name: "y", symbol: "base y", unit: "mm", write: asMm, limits: limits.base_y_mm, step: 0.1 };
   inputField("base-fields", ["base_y_mm", null], y, () => now.state.base.input_y);
-  const angle = { of: "base", name: "slope", unit: "°", write: asDegrees, limits: [-10, 10], step: 0.1 };
+  const angle = { of: "base", name: "slope", symbol: "base slope", unit: "°", write: asDegrees, limits: [-10, 10], step: 0.1 };
   inputField("base-fields", ["base_slope", null], angle, () => now.state.base.input_slope, ANGLE);
 }
 
 function buildTip() {
-  const y = { of: "tip", name: "deflection", unit: "mm", write: asMm, step: 0.1 };
+  const y = { of: "tip", name: "deflection", symbol: "tip deflection", unit: "mm", write: asMm, step: 0.1 };
   inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.input_y);
-  const angle = { of: "tip", name: "slope", unit: "°", write: asDegrees, step: 0.1 };
+  const angle = { of: "tip", name: "slope", symbol: "tip slope", unit: "°", write: asDegrees, step: 0.1 };
   const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.rotation, ANGLE);
   field.ask = (value, how) => { // a direction is held at a place
     change([["tip_held", null, 1], ["tip_slope", null, slope(value)]], how);

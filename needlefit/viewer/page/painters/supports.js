@@ -3,7 +3,7 @@
 import { guidePlace, basePlace } from "../handles.js";
 import { shortName } from "../names.js";
 import { palette } from "../palette.js";
-import { toPx, toPy } from "../view.js";
+import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
 import { label, ring, straight, turned } from "./strokes.js";
 
@@ -58,6 +58,7 @@ function writeNames(context, guides) {
   const written = [];
   for (const guide of guides.toSorted((one, other) => one.item - other.item)) {
     const [px, py] = [toPx(guide.x), toPy(guide.y) + thickness() / 2 + 26];
+    if (px < view.box.left || px > view.box.left + view.box.width) continue; // out of the picture
     const name = shortName(guide);
     const half = context.measureText(name).width / 2 + 3;
     const overlaps = (one) => Math.abs(one.px - px) < one.half + half && Math.abs(one.py - py) < LINE;
