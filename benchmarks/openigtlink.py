@@ -3,10 +3,10 @@
     python benchmarks/openigtlink.py [--minutes 1] [--rate 60] [--json]
 
 Starts the command with the scene phantom 2, and sends it a base and a tip at a rate (Hz): the tip of a
-simulated needle with twice the moduli and 1.3 times b, read with errors of 0.3 mm, in at 10 mm/s to 100 mm
-and out again, over and over. Latency is the time from a tip sent to the needle that comes back, by a plain
-socket. Every 10 s another client connects and goes; every other one sends garbage first. Memory is that of
-the command's process.
+simulated needle with twice the moduli and 1.3 times b, in at 10 mm/s to 100 mm and out again, over and over;
+tip and base are read with errors of 0.3 mm. Latency is the time from a tip sent to the needle that comes
+back, by a plain socket. Every 10 s another client connects and goes; every other one sends garbage first.
+Memory is that of the command's process.
 """
 
 import argparse
@@ -71,7 +71,7 @@ def measure(port: int, pid: int, minutes: float, rate: float) -> dict[str, objec
             depth = min(place, 2 * DEPTH_MM - place)
             tip = np.array([np.interp(depth, path[:, 0], path[:, k]) for k in (1, 2)])
             tip += ERROR_MM * rng.standard_normal(2)
-            base = pack("Base", [depth - 150.0 + 0.02 * rng.standard_normal(), 0.0])
+            base = pack("Base", np.array([depth - 150.0, 0.0]) + ERROR_MM * rng.standard_normal(2))
             asked = time.perf_counter()
             link.sendall(base + pack("Tip", tip))
             sent += 2

@@ -32,7 +32,7 @@ from needlefit.mechanics.tissue import Tissue
 MIN_PRIOR_SD = 1e-3
 """Standard deviation that is added to every parameter's prior: draws may tie two parameters exactly."""
 
-MAX_ITERATIONS, MAX_STEP, TOLERANCE = 12, 1.0, 1e-3
+MAX_ITERATIONS, MAX_HALVINGS, MAX_STEP, TOLERANCE = 12, 5, 1.0, 1e-2
 """Of Gauss-Newton: the largest step of a logarithm, and the change, in posterior deviations, that ends it."""
 
 
@@ -144,6 +144,7 @@ def estimate_parameters(
     prior: TrackingEstimate,
     noise: TipNoise,
     start: TrackingEstimate | None = None,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> TrackingEstimate | None:
     """Return the estimate from all readings of a tip since the prior; None where no needle is found.
 
@@ -155,6 +156,8 @@ def estimate_parameters(
     noise : TipNoise
     start : TrackingEstimate, optional
         Where Gauss-Newton begins: the last estimate; by default the prior.
+    max_iterations : int
+        A few are enough where the next reading goes on from here.
     """
     state = (start or prior).mean
     precision = _invert(prior.covariance)
@@ -169,13 +172,14 @@ def estimate_parameters(
         return float(off @ (weights * off) + away @ precision @ away)
 
     value = objective(state, found.tip)
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(max_iterations):
         weighted = weights[:, None] * found.by_state
         downhill = weighted.T @ (readings[:, 1] - found.tip) - precision @ (state - prior.mean)
         step = np.linalg.solve(precision + weighted.T @ found.by_state, downhill)
-        decrease = float(step @ downhill)  # of twice the objective, to first order
+        if float(step @ downhill) < TOLERANCE**2 * len(state):  # its length in posterior deviations, squared
+            break
         step *= min(1.0, MAX_STEP / max(float(np.abs(step[:-REGISTRATION]).max()), 1e-12))
-        for _ in range(MAX_ITERATIONS):
+        for _ in range(MAX_HALVINGS):
             tried = _linearize(tracked, state + step, readings[:, 0])
             if tried is not None and objective(state + step, tried.tip) <= value:
                 break
@@ -184,8 +188,6 @@ def estimate_parameters(
             break
         state, found = state + step, tried
         value = objective(state, found.tip)
-        if decrease < TOLERANCE**2 * len(state):
-            break
     covariance = _invert(precision + (weights[:, None] * found.by_state).T @ found.by_state)
     return TrackingEstimate(state, covariance, prior.readings + len(readings))
 

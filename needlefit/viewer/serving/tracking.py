@@ -46,11 +46,17 @@ MIN_MOVE_MM, MIN_TURN = 0.02, 2e-4
 MIN_INSERTION_MM, WITHDRAWAL_MM = 0.05, 1.0
 """The needle follows a tip forward by steps of the first, and back from the second on: readings jitter."""
 
+REST_S = 0.2
+"""A needle that has not moved for so long is at rest: base and guides act at once."""
+
 MAX_AXIS_SLOPE = 1.0
 """Slope of a base or guide beyond which its z axis is not along the needle."""
 
 TRACKING_GESTURE = -1_000_000
 """All poses are one gesture: they are undone together."""
+
+UPDATE_ITERATIONS = 3
+"""Steps of Gauss-Newton after a reading; the next one goes on from there."""
 
 BAND_DRAWS = 100
 """Draws of an estimate, for band and plans."""
@@ -148,6 +154,7 @@ class TrackedTrial:
         self._delay = math.inf
         self._refused = self._frozen = self._unplaced = ""
         self._travel_from = np.zeros(3)
+        self._inserted_at = -math.inf
         self.placement = find_placement(self._trial.viewed_scene)
         self._begin()
 
@@ -186,7 +193,7 @@ class TrackedTrial:
         self.estimate = self._prior = self._own_prior
         self._readings: list[tuple[float, float]] = []
         self._insertion: TrackedNeedle | None = None
-        self._deepest = self._trial.steering.now.step.depth
+        self._deepest = self._held_at = self._trial.steering.now.step.depth
         self.number += 1
 
     def release(self) -> None:
@@ -289,7 +296,7 @@ class TrackedTrial:
         frozen = self.find_frozen(now)
         if not frozen and self.devices:
             try:
-                if changes := self._list_changes(trial):
+                if changes := self._list_changes(trial, now):
                     trial.act(changes, TRACKING_GESTURE)
             except (NeedlefitError, OSError) as error:
                 self._refused = frozen = error.what if isinstance(error, NeedlefitError) else str(error)
@@ -298,7 +305,7 @@ class TrackedTrial:
             self.number += 1
         return not frozen and self._note_reading(trial)
 
-    def _list_changes(self, trial: InteractiveTrial) -> list[Change]:
+    def _list_changes(self, trial: InteractiveTrial, now: float) -> list[Change]:
         step, shape = trial.steering.now.step, trial.steering.now.shape
         poses = {role: known.pose for role, known in self.devices.items()}
         wanted: list[tuple[str, int | None, float, float]] = []  # input, item, value, value now
@@ -332,11 +339,20 @@ class TrackedTrial:
             for name, item, value, present in wanted
             if abs(value - present) >= (MIN_TURN if name.endswith("slope") else MIN_MOVE_MM)
         ]
+        # Every change of what holds the needle begins a new ray where it then cuts on: while it goes in there
+        # is at most one per constraint spacing, or a jittering tracker would make the path long.
+        cut = abs(step.depth - self._held_at)
+        goes_in = now - self._inserted_at < REST_S
+        if changes and goes_in and cut < trial.scene.rules.spacing:
+            changes = []
+        elif changes:
+            self._held_at = step.depth
         if depth is not None:
             depth = min(max(depth, 0.0), trial.steering.reach())
             moved = depth - step.depth
             back = depth == 0.0 or moved <= -WITHDRAWAL_MM
             if moved >= MIN_INSERTION_MM or (moved < 0 and back):
+                self._inserted_at = now
                 changes.append(Change("depth_mm", None, depth))
         return changes
 
@@ -365,7 +381,9 @@ class TrackedTrial:
         """Return the estimate from all readings; it can run in a thread, and changes nothing."""
         assert self._insertion is not None
         readings = np.array(self._readings)
-        return estimate_parameters(self._insertion, readings, self._prior, self.noise, self.estimate)
+        return estimate_parameters(
+            self._insertion, readings, self._prior, self.noise, self.estimate, UPDATE_ITERATIONS
+        )
 
     def apply(self, found: TrackingEstimate | None, trial: InteractiveTrial) -> None:
         """Give the needle, its band and its plans the parameters of an estimate."""
