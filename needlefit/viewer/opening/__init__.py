@@ -77,6 +77,10 @@ def open_recording(recording: Recording) -> ViewedScene:
         found = open_target(head.target)
     except NeedlefitError as error:
         return replace(alone, note=f"{alone.note} What was shown beside it is not found: {error.what}.")
+    if found.record.title != head.scene.title:  # a title of its own changes no needle
+        found = replace(
+            found, record=found.record.model_copy(update={"title": head.scene.title}), title=alone.title
+        )
     if found.record != head.scene:
         return replace(
             alone, note=f"{alone.note} {head.target} has changed since and is not shown beside it."
