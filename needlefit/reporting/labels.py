@@ -132,7 +132,7 @@ RESIDUALS_CAPTION = (
     "Deflection minus that of the fitted needle at the same depth, positive toward the bevel: insertions "
     "with the smallest, the median and the largest tip error. The bands include the uncertainty of the "
     "parameters and the measurement errors, so they need not be centred on the fit. The straight line is not "
-    "drawn; curves that leave a panel lie farther away."
+    "drawn; curves and bands that leave a panel lie farther away."
 )
 WATERFALL_CAPTION = (
     "Waterfall plot. Left: objective of each start minus the best one of its search, sorted, in units of the "

@@ -76,7 +76,11 @@
   const choose = (number) => {
     const one = data.insertions[number];
     rows.forEach((row, i) => row.classList.toggle("chosen", i === number));
-    title.textContent = one.cells.map((words, i) => (i < 3 ? words : `${data.heads[i].split(" (")[0]} ${words}`)).join(" · ");
+    const named = (words, i) => { // "TE (mm)" and 2.47 are TE 2.47 mm
+      const [head, unit] = data.heads[i].replace(")", "").split(" (");
+      return i < 2 ? words : [head, words, unit].filter(Boolean).join(" ");
+    };
+    title.textContent = one.cells.map(named).join(" · ");
     badge.textContent = one.status;
     badge.className = `badge ${one.status}`;
     badge.hidden = !one.status;

@@ -38,6 +38,7 @@ _ROW_NOTES = {  # what a row means; it stands under the table where the row does
     "noise floor": "Noise floor: mean error that perfect parameters would still show, from the measurement "
     "noise stated with the dataset. “÷ floor”: the error as a multiple of it.",
 }
+_FLAGGED_NOTE = "† Some of these insertions are deflected less than the noise floor: EDP means little."
 _ALTERNATE_MARK = "‡"
 _ALTERNATE_NOTE = (
     f"{_ALTERNATE_MARK} An insertion that ends at a boundary is counted the other way in these rows: the "
@@ -105,7 +106,8 @@ def lay_out_summary(results: Sequence[Run]) -> TableLayout:
         for metric in list_metrics()
         if metric.headline or metric.relative
     ]
-    notes = (" ".join([*explained, _ROW_NOTES["noise floor"]]),)
+    marked = any(row["mark"] for row in rows)
+    notes = (" ".join([*explained, _ROW_NOTES["noise floor"], *([_FLAGGED_NOTE] if marked else [])]),)
     lines = pivot(rows, ["number", "row"], ["metric"])
     held_out = any(group.head["grouping"] == HELD_OUT for group in _list_scored_groups(results))
     caption = f"Mean errors on {'held-out' if held_out else 'tuning'} insertions."

@@ -161,8 +161,8 @@ def warn_of_width(results: Run) -> Iterator[ResultWarning]:
                 "wide_intervals",
                 f"the 95 % predictive intervals of tips on {medium} are {width:.2g} mm wide (median), and "
                 f"the tips are deflected by {deflection:.2g} mm: too wide for aiming",
-                fix=f"measure an insertion into {medium} first; a study of kind adaptation{study} measures "
-                "what each insertion gains"
+                fix="measure one insertion into the new specimen first; a study of kind adaptation"
+                f"{study} measures what each insertion gains"
                 if new
                 else "add insertions, or fix what the data do not determine",
             )

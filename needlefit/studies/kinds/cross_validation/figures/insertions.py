@@ -362,7 +362,7 @@ def _paint_residuals(points: pd.DataFrame, names: dict[str, str], wanted: list[I
         _paint_residual_panel(axes, mine)
         if number % columns == 0:
             axes.set_ylabel("deflection\nminus fit (mm)")
-    axes.set_ylim(_find_limits(points, ~points["curve"].isin(list_residual_methods())))
+    axes.set_ylim(_find_limits(points, ~points["curve"].isin([*list_residual_methods(), "95 %"])))
     figure.supxlabel("depth (mm)")
     draw_legend(figure, {"fitted", *points["curve"]}, names)
     return figure
