@@ -11,10 +11,10 @@ from needlefit.imaging.marker_blobs import Blob
 from needlefit.imaging.sphere_fit import MAX_BLUR_MM, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume
 
-DIAMETER_FACTORS = (0.8, 0.9, 1.12, 1.25, 1.4)
-"""Diameters that are tried, in those stated."""
+FIRST_FACTORS, DIAMETER_FACTORS = (0.85, 1.18), (0.8, 0.9, 1.12, 1.25, 1.4)
+"""Diameters that are tried, in those stated: the others only if one of the first explains the balls better."""
 
-MAX_FITTED_BALLS = 3
+MAX_FITTED_BALLS = 2
 """Balls that are fitted with other diameters: those that the stated one explains best."""
 
 MIN_MISFIT = 0.02
@@ -51,6 +51,8 @@ def _measure_factor(volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], dia
         left = [one.misfit if one.spread.blur < 0.99 * MAX_BLUR_MM else np.inf for one in fits]
         return float(np.median(left / own))
 
+    if min(remain(factor) for factor in FIRST_FACTORS) >= 1:
+        return None
     tried = {1.0: 1.0} | {factor: remain(factor) for factor in DIAMETER_FACTORS}
     best = min(tried, key=lambda factor: tried[factor])
     return best if tried[best] < MAX_MISFIT_RATIO else None
