@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from needlefit.errors import DataError
 from needlefit.imaging import batch
 from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
 from needlefit.imaging.header_checks import ImageHeader
 from needlefit.imaging.image_headers import check_nrrd
+from needlefit.imaging.packed_scan import pack_scan
 from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.scan_table import read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
@@ -115,6 +117,14 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
     assert isinstance(found[0], ReconstructionFailure) and str(crashing) in str(found[0].error)
     assert ("SIG" in str(found[0].error)) == (jobs == 1)  # another process has its own check
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
+
+
+def test_an_error_about_unpacked_files_names_those_that_were_packed(sample):
+    packed, folder = pack_scan(sample), Path("/elsewhere/unpacked")
+    parts = {name: f"{name} of {folder}/a.nrrd" for name in ("what", "where", "expected", "fix", "key")}
+    named = packed.original(DataError(**parts), folder)
+    assert isinstance(named, DataError)
+    assert vars(named) == {name: f"{name} of {packed.root}/a.nrrd" for name in parts}
 
 
 def test_an_unexpected_error_in_one_scan_is_its_failure(sample, monkeypatch):

@@ -1,6 +1,7 @@
 """Balls at known places in small synthetic scans, and the files that say where markers are."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -57,6 +58,16 @@ def test_balls_are_found_where_they_are(plain):
     assert off(found).max() < 0.03
     assert (found.sd > 0.002).all()
     assert (found.sd < 0.05).all()
+
+
+@pytest.mark.parametrize(("stated", "warned"), [(3.0, False), (3.3, True), (3.7, True)])
+def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, stated, warned):
+    found = find_markers(plain, recipe(markers={"diameter_mm": stated}), needle_of(plain))
+    assert off(found).max() < 0.03
+    assert len(found.warnings) == warned
+    for warning in found.warnings:
+        measured, given = (float(x) for x in re.findall(r"(\d\.\d) mm", warning))
+        assert (measured, given) == (3.0, stated)
 
 
 def test_the_needle_is_no_marker_even_when_unknown(plain):

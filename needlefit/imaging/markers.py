@@ -10,7 +10,8 @@ from scipy.spatial.distance import cdist
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.errors import DataError
-from needlefit.imaging.marker_blobs import find_blobs
+from needlefit.imaging.marker_blobs import Blob, find_blobs
+from needlefit.imaging.marker_diameter import check_diameter
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.registration.mirror_check import check_axis_signs
 from needlefit.imaging.sphere_fit import MAX_BLUR_MM, SphereFit, fit_sphere
@@ -46,7 +47,7 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
     """
     rules = recipe.markers
     tried: list[Floats] = []
-    balls: list[SphereFit] = []
+    fitted: list[tuple[Blob, SphereFit]] = []
     rejected: list[RejectedMarker] = []
     for blob in find_blobs(volume, rules.diameter_mm, rules.threshold_hu, exclude):
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
@@ -58,14 +59,16 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
         reason = _find_fault(volume, ball, middle, rules)
         if reason is None:
             tried.append(ball.center)
-            balls.append(ball)
+            fitted.append((blob, ball))
         else:
             limit = max_misfit(ball, rules)
             rejected.append(RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason))
+    balls = [ball for _, ball in fitted]
     centers = np.array([ball.center for ball in balls]).reshape(-1, 3)
     sd, misfits = np.array([ball.sd for ball in balls]), np.array([ball.misfit for ball in balls])
     others = tuple(_without_balls(rejected, balls, rules))
-    return MarkerResult(centers, sd, "volume", misfits, others, _median_spread(balls))
+    warnings = check_diameter(volume, fitted, rules.diameter_mm)
+    return MarkerResult(centers, sd, "volume", misfits, others, _median_spread(balls), warnings)
 
 
 def _median_spread(balls: list[SphereFit]) -> PointSpread | None:
@@ -167,7 +170,7 @@ def _move_to_balls(given: MarkerResult, balls: MarkerResult, reach: float) -> Ma
         mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)
         centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
         apart[mark], apart[:, ball] = np.inf, np.inf
-    return MarkerResult(centers, sd, given.source, spread=balls.spread)
+    return MarkerResult(centers, sd, given.source, spread=balls.spread, warnings=balls.warnings)
 
 
 def _refuse_outside(given: MarkerResult, volume: Volume) -> None:

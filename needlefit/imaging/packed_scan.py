@@ -25,10 +25,8 @@ class PackedScan:
 
     def original(self, error: NeedlefitError, unpacked: Path) -> NeedlefitError:
         """Return an error about unpacked files as one about those that were packed."""
-        texts = (error.where, error.expected, error.fix, error.key, error.what)
-        named = (text.replace(str(unpacked), str(self.root)) for text in texts)
-        where, expected, fix, key, what = named
-        return type(error)(what, where=where, expected=expected, fix=fix, key=key)
+        texts = {name: text.replace(str(unpacked), str(self.root)) for name, text in vars(error).items()}
+        return type(error)(**texts)
 
 
 class PackedScans(Sequence[PackedScan]):

@@ -57,6 +57,8 @@ class MarkerResult:
         Other candidates in the volume.
     spread : PointSpread or None
         The scanner's, as the balls show it.
+    warnings : tuple of str
+        What a person should know of the balls.
     """
 
     centers: Floats
@@ -65,6 +67,7 @@ class MarkerResult:
     misfits: Floats = field(default_factory=lambda: np.empty(0))
     rejected: tuple[RejectedMarker, ...] = ()
     spread: PointSpread | None = None
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

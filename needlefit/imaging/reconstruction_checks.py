@@ -57,6 +57,7 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
     return (
         *list_tip_warnings(one),
         *earlier,
+        *(() if one.markers is None else one.markers.warnings),
         *found,
         *_registration_warnings(one),
         *_placed_warnings(one),
