@@ -350,6 +350,13 @@ def unmatched_fiducials_fault(where: str, fix: str) -> Fault:
     return Fault(where, what, "the known places of the markers, too", fix)
 
 
+def placed_contact_fault(where: str) -> Fault:
+    """Return the fault of a first contact that was placed in a scan whose stage states it."""
+    what = "the entry is stated by the stage (entry_x_mm ...) and placed by hand (contact_x_mm ...)"
+    fix = "take the placed entry back, or empty entry_x_mm ... pose_angle_sd_deg"
+    return Fault(where, what, "one of both", fix)
+
+
 def _file_faults(row: ScanRow) -> Iterator[Fault]:
     volume = row.path("scan")
     if volume is None:
@@ -377,6 +384,8 @@ def _stage_faults(row: ScanRow) -> Iterator[Fault]:
         if empty and len(empty) < len(names):
             fix = "fill these, or empty the others"
             yield Fault(row.where, f"{', '.join(empty)} are empty", "all of them, or none", fix)
+    if not np.isnan(row.vector((*STAGE_COLUMNS, *CONTACT_COLUMNS))).any():
+        yield placed_contact_fault(row.where)
     length = float(np.linalg.norm(row.vector(DIRECTION_COLUMNS)))
     if abs(length - 1) > UNIT_VECTOR_TOLERANCE:
         what = f"entry direction has length {length:.4g}"

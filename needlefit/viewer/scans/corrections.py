@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.faults import as_error
 from needlefit.errors import DataError
 from needlefit.imaging.registration.marker_sets import MIN_MARKERS
-from needlefit.imaging.scan import Scan
+from needlefit.imaging.scan import Scan, placed_contact_fault
 
 MAX_BALLS = 64
 """Balls that may be placed by hand."""
@@ -117,12 +118,7 @@ def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
     if corrections.balls is not None:
         _require_balls(len(corrections.balls), scan)
     if corrections.contact is not None and scan.stage is not None:
-        raise DataError(
-            "an entry was placed, but the table of scans states the entry",
-            where="entry_x_mm ... pose_angle_sd_deg",
-            expected="one of both",
-            fix="take the placed entry back, or empty these cells of the table and start the page again",
-        )
+        raise as_error([placed_contact_fault(scan.id)], scan.volume)
     fiducials = scan.fiducials
     if corrections.balls is not None:
         fiducials = folder / BALLS_FILE

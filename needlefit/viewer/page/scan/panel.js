@@ -58,7 +58,7 @@ export function showWaiting(waiting) {
 /** Show every list; `act` has what their buttons do. */
 export function showLists(state, act) {
   const { found } = state;
-  byId("needles").replaceChildren(needles(found, act));
+  byId("needles").replaceChildren(needles(found, act), ...placedNeedle(state.corrections.needle));
   byId("ends").replaceChildren(ends(state, act));
   byId("ball-part").hidden = !found.has_markers;
   byId("balls").replaceChildren(balls(state, act));
@@ -82,6 +82,11 @@ function needles(found, act) {
     ),
   );
   return table([["tube"], ["length × width", "n"], [""]], rows);
+}
+
+function placedNeedle(at) {
+  if (!at) return [];
+  return [element("p", `By hand: the tube at ${at.map((x, n) => `${"LPS"[n]} ${x.toFixed(1)}`).join(", ")} mm.`, { className: "quiet by-hand" })];
 }
 
 function ends(state, act) {

@@ -11,7 +11,7 @@ export async function ask(name, content = {}) {
     headers: { Authorization: `Bearer ${token}`, "Content-Type": "application/json" },
     body: JSON.stringify(content),
   }).catch(() => {
-    throw { what: "there is no line to the program", fix: "start needlefit view again" };
+    throw { what: "the program does not answer", fix: "start needlefit view again" };
   });
   if (answer.ok) return name === "cut" ? answer.blob() : answer.json();
   const text = await answer.text();
