@@ -379,6 +379,21 @@ async def test_garbage_and_wrong_messages_move_nothing(tmp_path) -> None:
 
 
 @visit
+async def test_it_ends_beside_a_peer_without_a_fault(tmp_path) -> None:
+    faults = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: faults.append(context))
+    async with served(tmp_path) as server:
+        reader, writer = await asyncio.open_connection(*server.server.address)
+        await until(lambda: server.tracked.peers == 1)
+    async with asyncio.timeout(5):
+        while await reader.read(1 << 16):
+            pass
+    writer.close()
+    await asyncio.sleep(0.05)
+    assert faults == [] and server.tracked.peers == 0
+
+
+@visit
 async def test_many_messages_and_peers_are_limited(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(openigtlink, "STALLED_S", 0.1)
     monkeypatch.setattr(openigtlink, "MAX_WAITING_BYTES", 1024)

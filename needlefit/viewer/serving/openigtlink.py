@@ -82,6 +82,7 @@ class OpenIGTLinkServer:
         self.tracked, self.address = tracked, (host, port)
         self._peers: dict[asyncio.StreamWriter, float] = {}  # since when it reads nothing; 0: it does
         self._tasks: set[asyncio.Task[None]] = set()
+        self._conversations: set[asyncio.Task[None]] = set()
         self._changed = asyncio.Event()
         self._band: NeedleBand | None = None
 
@@ -109,9 +110,13 @@ class OpenIGTLinkServer:
             task.add_done_callback(_report_failure)
         yield
         server.close()
-        for task in list(self._tasks):
+        for task in self._tasks:
             task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for writer in list(
+            self._peers
+        ):  # their tasks end by themselves: asyncio prints a cancelled one as a fault
+            self._drop(writer)
+        await asyncio.gather(*self._tasks, *self._conversations, return_exceptions=True)
 
     async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one peer that has connected."""
@@ -120,14 +125,14 @@ class OpenIGTLinkServer:
             return
         task = asyncio.current_task()
         assert task is not None
-        self._tasks.add(task)
+        self._conversations.add(task)
         self._peers[writer] = 0.0
         self.tracked.count_peers(1)
         try:
             self._send(writer, self._pack_needle() + self._pack_status())
             await self._listen(reader)
         finally:
-            self._tasks.discard(task)
+            self._conversations.discard(task)
             self._drop(writer)
 
     async def _connect(self) -> None:
