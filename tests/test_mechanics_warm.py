@@ -22,21 +22,25 @@ def test_every_variant_is_compiled_and_inserting_compiles_nothing_else():
 
 def test_compiled_functions_are_not_compiled_again(monkeypatch):
     started = []
-    monkeypatch.setattr(module.subprocess, "run", lambda *words, **options: started.append(words))
+    monkeypatch.setattr(module.subprocess, "Popen", lambda *words, **options: started.append(words))
     precompile(*KERNEL_PARTS)
     assert started == []
 
 
-def test_another_process_compiles_what_is_missing(monkeypatch):
+@pytest.mark.parametrize(
+    ("missing", "groups"), [(["lanes"], [["lanes"]]), (KERNEL_PARTS, [["kernel", "sensitivity"], ["lanes"]])]
+)
+def test_other_processes_compile_what_is_missing(missing, groups, monkeypatch):
     asked = []
-    monkeypatch.setattr(module, "is_complete", lambda part: part != "lanes")
-    monkeypatch.setattr(module.subprocess, "run", lambda words, **options: asked.append(words))
+    monkeypatch.setattr(module, "is_complete", lambda part: part not in missing)
+    monkeypatch.setattr(module.subprocess, "Popen", lambda words, **options: asked.append(words))
     precompile(*KERNEL_PARTS)
-    ((python, flag, program),) = asked
-    assert (python, flag) == (sys.executable, "-c")
-    monkeypatch.setattr(module, "compile_parts", asked.append)
-    exec(program)
-    assert asked[1:] == [["lanes"]]
+    compiled = []
+    monkeypatch.setattr(module, "compile_parts", compiled.append)
+    for python, flag, program in asked:
+        assert (python, flag) == (sys.executable, "-c")
+        exec(program)
+    assert compiled == groups
 
 
 WAIT = """

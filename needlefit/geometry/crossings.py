@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -141,12 +142,16 @@ def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.nda
     return segment, fraction, np.sign(slope[segment, triangle])
 
 
+_search_lock = Lock()
+
+
 def _find_solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarray:
     """Return the layer of the solid that contains each place (K, 3), 0 where there is none."""
     layers = np.zeros(len(places), dtype=np.int64)
     for surface in surfaces:
         if surface.kind == "solid":
-            with np.errstate(over="ignore"):  # trimesh divides by the directions of its rays
+            # trimesh divides by the directions of its rays; its search tree serves one thread at a time
+            with _search_lock, np.errstate(over="ignore"):
                 within = surface.mesh.contains(places)
             layers[within] = surface.into
     return layers

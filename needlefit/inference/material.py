@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from needlefit.arrays import Floats
 from needlefit.datasets.compression import CompressionTest
@@ -106,7 +106,7 @@ def pool(estimates: Sequence[Floats], covariances: Sequence[Floats]) -> tuple[Fl
         return estimates[0], np.full_like(covariances[0], np.nan), covariances[0]
     scatter = np.cov(np.array(estimates).T)
     # few specimens determine the scatter badly: Student's quantile makes the 95 % interval hold
-    small_sample_factor = student.ppf(UPPER_QUANTILE_95, count - 1) / NORMAL_95_HALF_WIDTH_SD
+    small_sample_factor = stdtrit(count - 1, UPPER_QUANTILE_95) / NORMAL_95_HALF_WIDTH_SD
     mean: Floats = np.mean(estimates, axis=0)
     between = _nearest_positive(scatter - np.mean(covariances, axis=0))
     return mean, between, small_sample_factor**2 * (1 + 1 / count) * scatter

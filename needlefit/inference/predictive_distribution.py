@@ -57,27 +57,32 @@ def cdf(mixture: PredictiveMixture, at: ArrayLike) -> Floats:
     values = np.asarray(at, dtype=np.float64)
     away = values - mixture.means  # (B, K)
     with np.errstate(divide="ignore", invalid="ignore"):
+        scaled = away / mixture.sd
+    if not mixture.sd.all():
         # with a deviation of 0 the CDF is a step, and 0 / 0 at the step itself counts as the middle
-        scaled = np.where(away == 0, 0.0, away / mixture.sd)
-    below: Floats = ndtr(scaled).mean(axis=0)
+        scaled = np.where(away == 0, 0.0, scaled)
+    below: Floats = ndtr(scaled, out=scaled).mean(axis=0)
     return below
 
 
-def quantile(mixture: PredictiveMixture, p: float) -> Floats:
-    """Return the quantiles (K,) of probability `p`."""
+def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
+    """Return the quantiles (..., K) of probabilities `p` (...)."""
 
-    def excess(at: Floats, k: Ints) -> Floats:
-        return cdf(PredictiveMixture(mixture.means[:, k], mixture.sd[k]), at) - p
+    def excess(at: Floats, k: Ints, wanted: Floats) -> Floats:
+        return cdf(PredictiveMixture(mixture.means[:, k], mixture.sd[k]), at) - wanted
 
     beyond = BRACKET_SD * mixture.sd + TINY_MM
     bracket = (mixture.means.min(axis=0) - beyond, mixture.means.max(axis=0) + beyond)
-    found: Floats = elementwise.find_root(excess, bracket, args=(np.arange(len(beyond)),)).x
+    wanted = np.asarray(p, dtype=np.float64)[..., None]
+    # one search for all: its overhead is that of thousands of draws
+    found: Floats = elementwise.find_root(excess, bracket, args=(np.arange(len(beyond)), wanted)).x
     return found
 
 
 def interval(mixture: PredictiveMixture, level: float) -> tuple[Floats, Floats]:
     """Return the ends (K,), (K,) of the central interval of probability `level`."""
-    return quantile(mixture, (1 - level) / 2), quantile(mixture, (1 + level) / 2)
+    low, high = quantile(mixture, [(1 - level) / 2, (1 + level) / 2])
+    return low, high
 
 
 def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:

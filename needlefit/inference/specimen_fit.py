@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from needlefit.arrays import Floats
 from needlefit.datasets.compression_loading import SpecimenLoading
@@ -140,7 +140,7 @@ class SpecimenFit:
     @property
     def small_sample_factor(self) -> float:
         """Student's 97.5 % quantile over the normal one, for the few independent points of one specimen."""
-        return float(student.ppf(UPPER_QUANTILE_95, self.effective_points - 2)) / NORMAL_95_HALF_WIDTH_SD
+        return float(stdtrit(self.effective_points - 2, UPPER_QUANTILE_95)) / NORMAL_95_HALF_WIDTH_SD
 
     @property
     def sds(self) -> tuple[float, float]:
@@ -244,7 +244,7 @@ def _compute_profile(
     """
     squares, freedom = of[0], of[1] - 2
     mus, found = _best_mu(specimen, measure, alphas)
-    limit = 1 + student.ppf(UPPER_QUANTILE_95, freedom) ** 2 / freedom
+    limit = 1 + stdtrit(freedom, UPPER_QUANTILE_95) ** 2 / freedom
     return AlphaProfile(alphas, mus, np.maximum(found / squares, 1.0), float(limit))
 
 

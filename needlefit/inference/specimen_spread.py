@@ -24,7 +24,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import logsumexp
-from scipy.stats import gaussian_kde
 
 from needlefit.arrays import Floats
 from needlefit.inference.importance.sampler import Effort, WeightedDraws, sample_by_importance
@@ -162,6 +161,8 @@ def marginal_density(values: Floats, weights: Floats, lowest: float) -> tuple[Fl
 
     Smoothed by kernels, mirrored where the values end.
     """
+    from scipy.stats import gaussian_kde  # late: it takes 0.2 s to load
+
     kernel = gaussian_kde(values, weights=weights)
     wide = 3 * float(np.sqrt(kernel.covariance[0, 0]))
     grid = np.linspace(lowest, float(values.max()) + wide, DENSITY_POINTS)

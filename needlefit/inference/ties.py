@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
+from functools import cache
 
 from needlefit.errors import ConfigError
 
@@ -21,6 +22,7 @@ _NAME = re.compile(
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
 
 
+@cache  # asked for every parameter of every draw
 def dimension(name: str) -> str:
     """Return what the parameter `name` measures: "modulus", "exponent", "length", "angle" or "factor".
 

@@ -1,7 +1,8 @@
-"""Compile the kernel ahead of its use, in a separate process, once for all processes that start together.
+"""Compile the kernel ahead of its use, in separate processes, once for all processes that start together.
 
-The compiled code does not depend on the process that compiles it. A separate process returns the memory (300
-MB) when it ends, and other processes wait for it instead of compiling the same code.
+The compiled code does not depend on the process that compiles it. Separate processes return the memory (300
+MB each) when they end, and other processes wait for them instead of compiling the same code. Two of them work
+side by side: numba compiles on one thread at a time.
 """
 
 import subprocess
@@ -29,6 +30,9 @@ except ImportError:  # Windows: processes that begin at the same time all compil
 
 KERNEL_PARTS = ("kernel", "lanes", "sensitivity")
 
+SIDE_BY_SIDE = (("kernel", "sensitivity"), ("lanes",))
+"""Parts that one process compiles. Derivatives contain the simulation, which is then compiled already."""
+
 MAX_WAIT_S, POLL_INTERVAL_S = 300.0, 0.1
 """Longest wait for another process that compiles, and the time between two checks."""
 
@@ -46,10 +50,20 @@ def precompile(*parts: str) -> None:
         return
     with _hold_lock(find_cache_folder().path / "lock"):
         missing = [part for part in parts if not is_complete(part)]  # another process may have compiled
-        if missing:
-            program = f"from needlefit.mechanics.precompile import compile_parts; compile_parts({missing!r})"
-            with suppress(OSError):
-                subprocess.run([sys.executable, "-c", program], check=False, capture_output=True)
+        groups = [[part for part in missing if part in group] for group in SIDE_BY_SIDE]
+        for process in [_start_compiling(group) for group in groups if group]:
+            if process is not None:
+                process.wait()
+
+
+def _start_compiling(parts: list[str]) -> "subprocess.Popen[bytes] | None":
+    """Start a process that compiles some parts; None where no process can be started."""
+    program = f"from needlefit.mechanics.precompile import compile_parts; compile_parts({parts!r})"
+    silent = subprocess.DEVNULL
+    try:
+        return subprocess.Popen([sys.executable, "-c", program], stdin=silent, stdout=silent, stderr=silent)
+    except OSError:
+        return None
 
 
 @contextmanager

@@ -11,6 +11,7 @@ of it leaves a band that the predicted probability of such needles stays within 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,7 @@ from needlefit.inference.predictive_distribution import (
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.random_streams import random_stream
+from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
@@ -128,43 +130,76 @@ def predict_held_out(
     Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
     With `new`, parameters differ in specimens that were not tuned on.
     """
-    factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
+    given = [one for one in fold.validate if job.dataset.noise.stated or one.sd is not None]
+    if new is not None:
+        for one in filter(new.differs, given):
+            new.find_spread(one)  # searched once, before several threads want it
+    side_by_side = max(1, min(jobs, len(given)))
     # what is predicted are the stored points, as they will be measured
     update = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
-    plain = job.recipe.likelihood.model_copy(update=update)
-    repeats = find_repeats(job.dataset)
-    tuned_on = job.problem(fold) if fold.tune else None
-    for insertion in fold.validate:
-        if not job.dataset.noise.stated and insertion.sd is None:
-            continue
+    predict = _Predictor(
+        job,
+        fold,
+        draws,
+        new,
+        job.recipe.likelihood.model_copy(update=update),
+        rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale),
+        find_repeats(job.dataset),
+        job.problem(fold) if fold.tune else None,
+        jobs // side_by_side,
+    )
+    if side_by_side == 1:
+        yield from filter(None, map(predict.predict, given))
+        return
+    with ThreadPoolExecutor(side_by_side) as pool:  # numpy and the kernel let go of the interpreter
+        yield from filter(None, pool.map(predict.predict, given))
+
+
+@dataclass(frozen=True)
+class _Predictor:
+    """Predicts insertions that a fold holds out, each on `jobs` threads."""
+
+    job: Job
+    fold: Fold
+    draws: Draws
+    new: NewSpecimens | None
+    likelihood: LikelihoodRecord
+    factor: float
+    repeats: Mapping[str, tuple[str, int]]
+    tuned_on: Problem | None
+    jobs: int
+
+    def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
+        """Return the prediction of an insertion; None where too few draws have a solution."""
+        job, fold, draws, new = self.job, self.fold, self.draws, self.new
         rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
-        observation = make_observation(job.dataset, insertion, likelihood=plain)
+        observation = make_observation(job.dataset, insertion, likelihood=self.likelihood)
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
         differing = new if new is not None and new.differs(insertion) else None
         about = describe_specimen(differing, insertion, "same" if tuned else "training only")
         # the depths of one insertion have one specimen and one bevel
-        own = repeats.get(insertion.id)
+        own = self.repeats.get(insertion.id)
         once = rng if own is None else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *own)
         thetas = draws.thetas if differing is None else differing.move(draws.thetas, insertion, once)
         sets = [job.parameters.values(theta) for theta in thetas]
         deviations = once.standard_normal(len(sets))
-        if own is not None and tuned_on is not None and len(sets):
-            deviations = _condition_bevels(tuned_on, sets, own, deviations, jobs)
+        if own is not None and self.tuned_on is not None and len(sets):
+            deviations = _condition_bevels(self.tuned_on, sets, own, deviations, self.jobs)
         sets = scale_bevels(sets, deviations)
         conditions = draw_conditions(insertion, len(sets), rng)
         s, needle = observation.nodes.s[0], job.dataset.needle
-        found = simulate_planned(sets, job.medium, needle, insertion, s, conditions, jobs)
+        found = simulate_planned(sets, job.medium, needle, insertion, s, conditions, self.jobs)
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
-            continue
+            return None
         heights = align(observation.pose, found.points[solved], observation.measured)[..., 1]
-        covariance, measured = _measurement_covariance(observation, factor), observation.measured[:, 1]
+        covariance, measured = _measurement_covariance(observation, self.factor), observation.measured[:, 1]
         mixture = PredictiveMixture(heights, np.sqrt(np.diag(covariance)))
         row = {"fold": fold.name, **_describe_insertion(job, insertion, draws, int(np.sum(~solved))), **about}
         row |= _score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
         where = {"fold": fold.name, "insertion": insertion.id}
         band = ({**where, **point} for point in _band_rows(mixture, observation.measured))
-        yield HeldOutPrediction(
+        return HeldOutPrediction(
             {name: row[name] for name in PREDICTIVE_COLUMNS},
             tuple(band),
             len(heights),

@@ -30,7 +30,7 @@ MAX_INSERTIONS = 4
 
 @dataclass
 class NewSpecimens:
-    """The spreads that predictions of a fold use; estimates of specimens are kept, for several need them.
+    """The spreads that predictions of a fold use; they and the estimates of specimens are kept.
 
     Attributes
     ----------
@@ -42,6 +42,7 @@ class NewSpecimens:
     fold: Fold
     theta: Floats
     estimates: dict[str, SpecimenEstimate | None] = field(default_factory=dict)
+    spreads: dict[tuple[str, ...], SpecimenSpread] = field(default_factory=dict)
 
     def differs(self, insertion: Insertion) -> bool:
         """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
@@ -56,8 +57,11 @@ class NewSpecimens:
         stated = self.job.recipe.specimens
         prior = (float(np.log(stated.modulus_factor)), float(np.log(stated.bevel_factor)))
         moving = list_groups(self.job.parameters)
-        found = [self._estimate(name) for name in self.list_others(insertion)] if moving else []
-        return learn_spread([one for one in found if one is not None], self.job.parameters, prior)
+        others = tuple(self.list_others(insertion)) if moving else ()
+        if others not in self.spreads:
+            found = [one for one in map(self._estimate, others) if one is not None]
+            self.spreads[others] = learn_spread(found, self.job.parameters, prior)
+        return self.spreads[others]
 
     def move(self, thetas: Floats, insertion: Insertion | None, rng: np.random.Generator) -> Floats:
         """Return draws (B, P) of the parameters in the specimen of an insertion."""

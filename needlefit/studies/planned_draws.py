@@ -150,12 +150,13 @@ def simulate_planned(
     for shifts, deep in moves:
         nodes += [shift_depths(centre, stations, at * shifts, at * deep) for at in NODE_PLACES]
     points, valid = simulate(nodes)
-    needles = _Interpolation(points, np.append(reach, entry) if entry else reach)
+    units = np.append(reach, entry) if entry else reach
+    between = _Interpolation(points[:, :, :PATH_POINTS], units)
     for _ in range(CROSSING_ROUNDS if insertion.surfaces else 0):
-        paths = needles.at(crossed - centre.boundaries, np.zeros(len(crossed)))[:, :PATH_POINTS]
+        paths = between.at(crossed - centre.boundaries, np.zeros(len(crossed)))
         crossed = table.find_crossings(paths)
-    found = needles.at(crossed + errors - centre.boundaries, conditions.deep)
-    return PlannedNeedles(found[:, PATH_POINTS:], valid)
+    measured = _Interpolation(points[:, :, PATH_POINTS:], units)
+    return PlannedNeedles(measured.at(crossed + errors - centre.boundaries, conditions.deep), valid)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proporti
 
 def wilson_interval(rate: float, trials: int, level: float = 0.95) -> tuple[float, float]:
     """Return Wilson's interval of a probability with observed `rate` in `trials` (E. B. Wilson, 1927)."""
-    z2 = float(norm.ppf(0.5 + level / 2)) ** 2
+    z2 = float(ndtri(0.5 + level / 2)) ** 2
     centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
     half = math.sqrt(z2 * (rate * (1 - rate) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)
     return max(0.0, centre - half), min(1.0, centre + half)

@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.stats import chi2 as chi_squared
-from scipy.stats import norm
+from scipy.special import chdtri, ndtri
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
@@ -85,7 +84,7 @@ class Pairing:
 
 def chi2_limit(count: int) -> float:
     """Return the chi-squared that a correct pairing exceeds with `FALSE_ALARM_PROBABILITY`."""
-    return float(chi_squared.isf(FALSE_ALARM_PROBABILITY, 3 * count - 6))
+    return float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))
 
 
 def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
@@ -267,7 +266,7 @@ def _rows_fit(
 DETECTION_PROBABILITY = 0.99
 """Share of wrong pairings that must be noticed."""
 
-_DETECTION_QUANTILE = float(norm.ppf(DETECTION_PROBABILITY))
+_DETECTION_QUANTILE = float(ndtri(DETECTION_PROBABILITY))
 MIN_SQUARED_MISFIT = (_DETECTION_QUANTILE + np.sqrt(_DETECTION_QUANTILE**2 + MIN_CHI2_GAP)) ** 2
 """Misfit m^2 from which on a permutation is told from the right pairing."""
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2 as chi_squared
+from scipy.special import chdtrc
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
@@ -261,7 +261,7 @@ def _build_registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) 
         residuals=alignment.residuals,
         fre=float(np.sqrt(np.mean(np.sum(alignment.residuals**2, axis=1)))),
         expected_fre=expected_fre(alignment, found),
-        p_value=float(chi_squared.sf(alignment.chi2, 3 * len(pairs) - 6)),
+        p_value=float(chdtrc(3 * len(pairs) - 6, alignment.chi2)),
         wrong_pairing_probability=chosen.wrong_pairing_probability,
         leave_one_out=left_out,
         expected_leave_one_out=np.where(np.isnan(left_out), np.nan, expected_left_out(alignment, found)),

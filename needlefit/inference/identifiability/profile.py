@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from needlefit.arrays import Floats
 from needlefit.inference.identifiability.gauss_newton import LocalMinimum, SumOfSquares
@@ -21,7 +21,7 @@ from needlefit.inference.identifiability.profile_path import ProfilePath, select
 
 End = Literal["closed", "bound", "lost"]
 
-DEVIANCE_95 = float(chi2.ppf(0.95, 1))
+DEVIANCE_95 = float(2 * gammaincinv(0.5, 0.95))
 """Deviance at the ends of a 95 % interval, 3.84."""
 
 MIN_DEPTH = 0.2

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from needlefit.arrays import Floats
 from needlefit.inference.identifiability.gauss_newton import (
@@ -14,7 +14,7 @@ from needlefit.inference.identifiability.gauss_newton import (
     minimize_squares,
 )
 
-STOP_DEVIANCE = 1.5 * float(chi2.ppf(0.95, 1))
+STOP_DEVIANCE = 1.5 * float(2 * gammaincinv(0.5, 0.95))
 """Deviance at which a side ends: far enough above the threshold to see where it is passed."""
 
 TARGET_ROOT_RISE, MAX_ROOT_RISE = 0.6, 1.2

@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import qmc
 
 from needlefit.arrays import Floats
 from needlefit.errors import FitError
@@ -174,6 +173,8 @@ def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Gen
     """
     if len(lower) == 0:
         return np.empty((1, 0))
+    from scipy.stats import qmc  # late: it takes 0.2 s to load, which a report need not wait for
+
     cube = qmc.Halton(len(lower), scramble=True, rng=rng).random(count)
     spread: Floats = lower + cube * (upper - lower)
     return spread

@@ -147,16 +147,25 @@ def compute_position_derivatives(
     """
     columns = u_by.shape[1]
     reached = np.zeros((len(x), 2, columns))  # of the points of the nodes
-    reached[0, 1] = u_by[0]
+    for p in range(columns):
+        reached[0, 1, p] = u_by[0, p]
     for e in range(len(x) - 1):
-        reached[e + 1] = reached[e]
+        _copy_derivatives(reached[e + 1], reached[e])
         _add_derivatives(reached[e + 1], e, x[e + 1] - x[e], x, u, slope, x_by, u_by, slope_by)
     moves = np.empty((len(s), 2, columns))
     for i in range(len(s)):
         e = find_element(x, s[i])
-        moves[i] = reached[e]
+        _copy_derivatives(moves[i], reached[e])
         _add_derivatives(moves[i], e, s[i] - x[e], x, u, slope, x_by, u_by, slope_by)
     return moves
+
+
+@njit(cache=True, nogil=True)
+def _copy_derivatives(into: Floats, given: Floats) -> None:
+    """Copy (2, P); numba takes a second to compile `into[:] = given`, whose shapes could be anything."""
+    for j in range(2):
+        for p in range(given.shape[1]):
+            into[j, p] = given[j, p]
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import binom, poisson
 
 from needlefit.arrays import Bools, Floats
 
@@ -27,6 +26,8 @@ def count_limits(replicates: int, probability: float | Floats, error: float) -> 
 
     Each end is passed with half the error at most: exact, of the binomial distribution.
     """
+    from scipy.stats import binom  # late: it takes 0.2 s to load
+
     low = np.asarray(binom.ppf(error / 2, replicates, probability), dtype=np.int64)
     high = np.asarray(binom.ppf(1 - error / 2, replicates, probability), dtype=np.int64)
     return low, high
@@ -49,6 +50,8 @@ def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
     """Return the probability that uniform ranks stay within limits (K - 1,) at every place."""
     # counts between neighbouring places are independent Poisson numbers, given that they add up to the
     # replicates
+    from scipy.stats import poisson
+
     step = poisson.pmf(np.arange(replicates + 1), replicates / (len(low) + 1))
     alive, first = np.ones(1), 0  # probabilities of sums first, first + 1, ...
     for least, most in zip(low.tolist(), high.tolist(), strict=True):
