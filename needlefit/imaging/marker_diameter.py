@@ -12,7 +12,7 @@ from needlefit.imaging.sphere_fit import MAX_BLUR_MM, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume
 
 FIRST_FACTORS, DIAMETER_FACTORS = (0.85, 1.18), (0.8, 0.9, 1.12, 1.25, 1.4)
-"""Diameters that are tried, in those stated: the others only if one of the first explains the balls better."""
+"""Diameters that are tried, in those stated: the others if one of the first explains the balls better."""
 
 MAX_FITTED_BALLS = 2
 """Balls that are fitted with other diameters: those that the stated one explains best."""
