@@ -133,6 +133,8 @@ def _paint(rows: pd.DataFrame) -> Figure:
         left.set_title(f"{name}: {count}{alone}" if len(studies) > 1 else f"{count}{alone}", loc="left")
         _paint_ecdfs(left, some)
         _paint_coverage(right, some)
+        if len(studies) > 1:  # a low panel is shorter than the name in one line
+            right.set_ylabel("empirical\ncoverage")
     grid[-1, 0].set_xlabel("PIT")
     grid[-1, 1].set_xlabel("interval")
     _draw_legend(figure)
