@@ -33,7 +33,7 @@ def session(tmp_path_factory) -> ScanSession:
 @pytest.fixture(scope="module")
 def free_session(session, tmp_path_factory) -> ScanSession:
     """A session of the scan without its stage: the entry is where the scan shows it."""
-    scan = dataclasses.replace(session.scan, stage=None)
+    scan = dataclasses.replace(session.scan, stage=None, propose_layers=True)
     return ScanSession(scan, session.recipe, session._recipe_file, tmp_path_factory.mktemp("free") / "free")
 
 
@@ -135,6 +135,15 @@ def test_a_session_describes_its_findings(session):
     assert session.cut({"view": "needle", "angle": 30, "low": 0, "high": 100}).startswith(b"\x89PNG")
     with pytest.raises(DataError):
         session.cut({"view": "axial", "index": "x", "low": 0, "high": 1})
+
+
+def test_proposed_layers_are_shown_where_the_needle_crosses_them(session, free_session):
+    assert session.describe()["proposed"] == []
+    found = free_session.describe()
+    (known,) = found["layers"]
+    nearest = min(found["proposed"], key=lambda one: abs(one["depth"] - known["depth"]))
+    assert nearest["depth"] == pytest.approx(known["depth"], abs=1.0) and nearest["sd"] > 0
+    assert np.linalg.norm(np.subtract(nearest["at"], known["at"])) < 1.0
 
 
 def test_corrections_are_used_kept_and_repeated(session, tmp_path):

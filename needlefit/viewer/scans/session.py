@@ -12,7 +12,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.geometry.curves import arc_length
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.findings import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
@@ -169,6 +169,7 @@ class ScanSession:
             "contact": self._describe_contact(),
             "balls": self._describe_balls(),
             "layers": _describe_layers(found),
+            "proposed": _describe_proposals(found.reconstruction),
             "inserted": _describe_inserted(found.reconstruction),
             "course": self._describe_course(),
             "corrections": self.corrections.to_json(),
@@ -285,6 +286,17 @@ def _describe_layers(found: Examination) -> list[dict[str, Any]]:
     places = one.patient.to_local(one.layers.points.reshape(-1, 3))
     crossed = zip(one.layers.boundaries, one.layers.sd, places, strict=True)
     return [{"depth": float(depth), "sd": float(sd), "at": at.tolist()} for depth, sd, at in crossed]
+
+
+def _describe_proposals(one: Reconstruction | None) -> list[dict[str, Any]]:
+    """Return the interfaces that the scan shows; none where nobody asked for them."""
+    rows = []
+    for found in () if one is None else one.proposals or ():
+        assert one is not None
+        world = interpolate_at_arc(one.points, np.array([found.at]))
+        depth, at = float(one.frame.to_local(world)[0, 0]), one.patient.to_local(world)[0]
+        rows.append({"depth": depth, "sd": found.sd, "step": found.step, "at": at.tolist()})
+    return rows
 
 
 def _describe_inserted(one: Reconstruction | None) -> dict[str, float] | None:

@@ -62,7 +62,7 @@ export function showLists(state, act) {
   byId("ends").replaceChildren(ends(state, act));
   byId("ball-part").hidden = !found.has_markers;
   byId("balls").replaceChildren(balls(state, act));
-  byId("layer-part").hidden = !found.layers.length;
+  byId("layer-part").hidden = !found.layers.length && !found.proposed.length;
   byId("layers").replaceChildren(layers(found, act));
   byId("note-part").hidden = !found.warnings.length;
   byId("notes").replaceChildren(...found.warnings.map((text) => element("li", text)));
@@ -154,7 +154,14 @@ function layers(found, act) {
       [button("show", () => act.look(one.at), `show boundary ${n + 1}`), "do"],
     ]),
   );
-  return table([[""], ["depth", "n"], [""]], rows);
+  const proposed = found.proposed.map((one, n) =>
+    row([
+      [[key("proposed"), `proposed ${n + 1}`]],
+      [`${shown(one.depth)} ± ${shown(one.sd)} mm`, "n"],
+      [button("show", () => act.look(one.at), `show proposed boundary ${n + 1}, a step of ${one.step.toFixed(0)} HU`), "do"],
+    ]),
+  );
+  return table([[""], ["depth", "n"], [""]], [...rows, ...proposed]);
 }
 
 /** Say where corrections were saved, and how to go on. */

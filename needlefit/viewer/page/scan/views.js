@@ -119,6 +119,7 @@ class View {
     if (state.found.axis) this.line(state.found.axis, colour("--needle"), 1.2);
     const kind = canvas.clientWidth > WIDE ? "boundary " : "";
     state.found.layers.forEach((one, n) => this.dot(one.at, colour("--layer"), 4, slice.name === "needle" ? `${kind}${n + 1}` : "", 1));
+    for (const one of state.found.proposed) this.dot(one.at, colour("--proposed"), 3, "");
     state.balls().forEach((ball, n) => this.cross(ball.at, colour("--ball"), 7, `ball ${n + 1}`));
     for (const [kind, name] of [["contact", "entry"], ["tip", "tip"]]) {
       const at = state.place(kind);
