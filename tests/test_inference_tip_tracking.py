@@ -11,6 +11,7 @@ from needlefit.inference.tip_tracking import (
     TrackedNeedle,
     TrackingEstimate,
     _linearize,
+    discount_estimate,
     estimate_parameters,
     make_prior_from_draws,
     make_prior_from_factors,
@@ -112,6 +113,9 @@ def test_an_estimate_can_be_the_prior_of_further_readings() -> None:
     assert second.readings == whole.readings == 40
     assert second.theta == pytest.approx(whole.theta, abs=0.1 * whole.sd.max())
     assert second.sd == pytest.approx(whole.sd, rel=0.05)
+    half = discount_estimate(whole, prior)
+    assert np.all((whole.sd < half.sd) & (half.sd < prior.sd)) and half.mean is whole.mean
+    assert discount_estimate(prior, prior).covariance == pytest.approx(prior.covariance)
     again = estimate_parameters(needle, readings, prior, NOISE, start=whole)
     assert again.theta == pytest.approx(whole.theta, abs=1e-3 * whole.sd.max())
 

@@ -120,6 +120,16 @@ def _make_prior(theta: Floats, covariance: Floats, noise: TipNoise) -> TrackingE
     )
 
 
+def discount_estimate(estimate: TrackingEstimate, prior: TrackingEstimate) -> TrackingEstimate:
+    """Return what an estimate leaves for the next insertion: half of the information gained since the prior.
+
+    Insertions share errors that no noise describes, such as those of the base's pose: were all of them added
+    up, the estimate would become certain of a wrong value.
+    """
+    precision = (_invert(estimate.covariance) + _invert(prior.covariance)) / 2
+    return TrackingEstimate(estimate.mean, _invert(precision), estimate.readings)
+
+
 def set_parameters(tracked: TrackedNeedle, theta: Floats) -> TrackedNeedle:
     """Return the insertion with other moduli and another strength of its bevel throughout."""
     values, angle = np.exp(theta), tracked.rules.path_angle

@@ -20,6 +20,7 @@ from needlefit.inference.tip_tracking import (
     TipNoise,
     TrackedNeedle,
     TrackingEstimate,
+    discount_estimate,
     estimate_parameters,
     make_prior_from_draws,
     make_prior_from_factors,
@@ -361,8 +362,9 @@ class TrackedTrial:
         now, known = trial.steering.now, self.devices.get("tip")
         depth = now.step.depth
         if depth < self._deepest - WITHDRAWAL_MM:
-            # What was learned on the way in is what is known before the way in that follows.
-            self._prior, self._readings, self._deepest = self.estimate, [], depth
+            if self._readings:
+                self._prior, self._readings = discount_estimate(self.estimate, self._own_prior), []
+            self._deepest = depth
         if known is None or now.step.controls.tip is not None:
             return False
         if depth < self._deepest + trial.scene.rules.spacing - MIN_INSERTION_MM:
