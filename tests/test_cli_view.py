@@ -54,6 +54,10 @@ def test_a_port_in_use_is_reported(capsys):
 
 
 def test_a_missing_extra_is_named_with_its_install_command(capsys, monkeypatch):
+    import needlefit.viewer.serving
+
+    # the import that fails makes a new package of this name; later tests need the attribute as it was
+    monkeypatch.setattr(needlefit.viewer, "serving", needlefit.viewer.serving)
     monkeypatch.setitem(sys.modules, "aiohttp", None)
     for name in [name for name in sys.modules if name.startswith("needlefit.viewer.serving")]:
         monkeypatch.delitem(sys.modules, name)
