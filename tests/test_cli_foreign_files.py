@@ -73,6 +73,7 @@ CASES = {
     "check": Case(("check", "twin")),
     "diff": Case(("diff", "./out/run", "./out/run")),
     "paper": Case(("paper",)),
+    "explain": Case(("explain", "coverage")),
     "tune": Case(("tune", "mine", "--out", "out", "-q"), studies("mine-tune")),
     "validate": Case(
         ("validate", "mine", "--reference", "--out", "out", "-q"),

@@ -238,6 +238,13 @@ def test_residuals_that_are_not_the_value_are_found_out():
     assert {start.stopped for start in fit.starts} == {"no sum of squares"}
 
 
+def test_a_budget_spent_by_the_last_step_keeps_the_best_value():
+    whole = minimize(squares(valley), squares_recipe(starts=1), rng()).starts[0]
+    for spent in range(whole.evaluations - 4, whole.evaluations + 1):
+        start = minimize(squares(valley), squares_recipe(starts=1, evaluations=spent), rng()).starts[0]
+        assert start.objective == pytest.approx(whole.objective, abs=1e-3)
+
+
 def test_least_squares_needs_a_sum_of_squares():
     with pytest.raises(ConfigError, match="leastsquares"):
         minimize(squares(valley, squares=False), squares_recipe(), rng())

@@ -88,7 +88,11 @@ def _verify_sum(recorder: EvaluationRecorder, rounding: float, reason: str) -> s
     """Compare the best sum of squares with the value that it stands for."""
     assert recorder.theta is not None
     # the value is computed anew: residuals stand for it only if they are a complete sum of squares
-    claimed, recorder.objective = recorder.objective, np.inf
-    if abs(recorder.value(recorder.theta) - claimed) > SUM_TOLERANCE * (1 + abs(claimed)) + rounding:
+    claimed = recorder.objective
+    recorder.budget = max(
+        recorder.budget, recorder.evaluations + 1
+    )  # this evaluation is no part of the search
+    recorder.objective = recorder.value(recorder.theta)
+    if abs(recorder.objective - claimed) > SUM_TOLERANCE * (1 + abs(claimed)) + rounding:
         return "no sum of squares"
     return reason
