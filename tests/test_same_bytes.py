@@ -216,16 +216,16 @@ SAMPLE = ["tune", "small", "--sample", "--out", "out"]
 LEFT_OUT = """\
 schema = 1
 kind = "left_out"
-fits = ["one_layer"]
+fits = ["shallow"]
 groups = ["insertion"]
 same_specimen = true
 """
-ONE_LAYER = """\
+SHALLOW = """\
 schema = 1
 dataset = "twin"
 medium = "phantom2"
 recipe = "small"
-tune = { layers = [2], insertions = ["phantom2-10", "phantom2-11", "phantom2-12"] }
+tune = { insertions = ["phantom2-10", "phantom2-15", "phantom2-16"] }
 """
 
 
@@ -234,7 +234,7 @@ def test_an_analysis_is_the_same_in_one_process_in_two_and_on_a_cluster_that_los
     place, outs = new_project("analysis"), ["one", "two", "cluster"]
     (place / "studies/left.toml").write_text(LEFT_OUT, encoding="utf-8")
     (place / "configs/fits").mkdir()
-    (place / "configs/fits/one_layer.toml").write_text(ONE_LAYER, encoding="utf-8")
+    (place / "configs/fits/shallow.toml").write_text(SHALLOW, encoding="utf-8")
     with start_scheduler(place) as (address, _), start_worker(address) as doomed, start_worker(address):
         where = [("--jobs", "1"), ("--jobs", "2"), ("--scheduler", address)]
         for out, how in zip(outs, where, strict=True):
