@@ -652,6 +652,7 @@ def test_the_smoothed_load_has_the_force_of_the_raw_one(page) -> None:
     assert abs(raw - smoothed) < 0.05 * size and flat < 0.5 * rough
 
 
+@pytest.mark.slow
 def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None:
     page.fill("#speed", "1000")
     page.click("#goto-scene")
