@@ -62,7 +62,7 @@ def rgb(colour: str) -> tuple[float, float, float]:
 
 SYNTHETIC_NOTE = (
     "Synthetic data: agreement with the paper shows consistency and is no evidence for the model, because "
-    "the dataset was built from the paper's parameters and design."
+    "the dataset was built from the paper's design, moduli and deflections."
 )
 
 

@@ -94,7 +94,7 @@ def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
         yield ResultWarning(
             "validity",
             f"outside what the model assumes (slopes, shortening, compression, rounding): {', '.join(parts)}",
-            fix="read these numbers with care; `validity` in run.json names the limits and the insertions",
+            fix="read these numbers with care; `validity` in run.json has the limits and the counts",
         )
 
 

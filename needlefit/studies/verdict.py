@@ -119,7 +119,8 @@ def _open_prediction(
     if best.verdict == "better" and not within_floor:
         return _FAILS, f"; {best.description} does better ({error})"
     if closer:
-        return _NOT_SHOWN, f"; {best.description} is closer ({error}), but not significantly"
+        within = "within the noise floor" if best.verdict == "better" else "but not significantly"
+        return _NOT_SHOWN, f"; {best.description} is closer ({error}), {within}"
     if best.verdict == "worse" or within_floor:
         return better_than_all, f"; best baseline: {best.description}, {error}"
     return _NOT_SHOWN, f"; no significant difference from {best.description} ({error})"

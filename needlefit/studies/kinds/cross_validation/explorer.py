@@ -39,7 +39,12 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
     methods = ("fitted", *(name for name in list_methods() if name != "fitted"))
     curves = collect_curves(results, role, methods)
     residuals = subtract_fit(curves)
-    status = {one.group: one.status for one in judge_run(results)}
+    verdicts = {one.group: one.status for one in judge_run(results)}
+
+    def find_status(medium: str, layers: str) -> str:
+        """Return the status of a group: of the medium with these layers, or of the whole medium."""
+        return verdicts.get(f"{medium} ({layers})", verdicts.get(medium, ""))
+
     metrics = [one for one in list_metrics() if one.headline or one.relative]
     return {
         "heads": ["Insertion", "Group", "Depth (mm)", *(f"{one.label} ({one.unit})" for one in metrics)],
@@ -51,7 +56,7 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
                     f"{row['depth_mm']:.1f}",
                     *(format_metric(one, row[one.name]) for one in metrics),
                 ],
-                "status": status.get(medium_name(row["medium"]), ""),
+                "status": find_status(medium_name(row["medium"]), layers_name(row["layers"])),
                 "error": row["te_mm"],
                 "curves": dict(_list_curves(curves, row)),
                 "residuals": dict(_list_curves(residuals, row)),

@@ -108,7 +108,8 @@ def _describe_data(results: Run, run: Mapping[str, Any]) -> Iterator[CitedSenten
     if run.get("dataset", {}).get("name") == "twin":
         yield CitedSentence(
             f"{words}: no needle was inserted. The insertions were simulated with the design and the "
-            "parameters of the paper, rendered as cone-beam CT volumes, and reconstructed from these. "
+            "moduli of the paper, and with bevel offsets chosen to give its deflections, rendered as "
+            "cone-beam CT volumes, and reconstructed from these. "
             "Agreement with the paper is therefore consistency, not evidence for the model.",
             ("wang-bevel-tip",),
         )

@@ -130,12 +130,14 @@ _CENTRE_OFF = "the predictions are biased or too narrow at their centre; the 95 
 def warn_of_coverage(results: Run) -> Iterator[ResultWarning]:
     """Yield the intervals of held-out insertions that cover too few of them, by group."""
     for group in list_held_out_groups(results):
-        missed = list_missed_levels(_select_group(results.frames["predictive"], group))
+        rows = _select_group(results.frames["predictive"], group)
+        missed, alone = list_missed_levels(rows), rows["specimen"].nunique() == 1
         narrow = {what for what, level, _ in missed if level == 95}
         for what, level, found in missed:
+            share = _describe_share(found, what, group)
             yield ResultWarning(
                 "coverage",
-                f"the {level} % predictive interval covers {_describe_share(found, what, group)}",
+                f"the {level} % predictive interval covers {share}{' in one specimen' if alone else ''}",
                 fix=_TOO_NARROW if what in narrow else _CENTRE_OFF,
             )
 
