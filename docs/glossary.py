@@ -110,6 +110,15 @@ TERMS = (
         "needlefit/inference/identifiability/",
     ),
     (
+        "conditional",
+        "",
+        "",
+        "In a table of parameters: identifiable only under an assumption, a tie or a model without error, "
+        "which the note names.",
+        "fitting.md#assumptions-loosened",
+        "needlefit/inference/identifiability/conditions.py",
+    ),
+    (
         "posterior",
         "",
         "",
