@@ -7,11 +7,11 @@ import { paintLoad } from "./painters/load.js";
 import { paintNeedle, paintPath, paintPoints, paintTip } from "./painters/needle.js";
 import { paintBand, paintGaps, paintMeasured, paintPoints as paintMeasuredPoints } from "./painters/overlay.js";
 import { paintTissue } from "./painters/tissue.js";
+import { paintTrackedTip } from "./painters/tracked_tip.js";
 import { palette, readPalette } from "./palette.js";
 import { slice } from "./slice.js";
 import { listen, now } from "./store.js";
 import { paintArrow, paintInset } from "./painters/inset.js";
-import { paintTrackedTip } from "./tracking.js";
 import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
 
 const picture = document.getElementById("picture");

@@ -2,15 +2,11 @@
 
 import { strengthOf } from "./bevel.js";
 import { asMpa, brief } from "./numbers.js";
-import { palette } from "./palette.js";
 import { takeFitted } from "./panel.js";
 import { command } from "./steering.js";
 import { listen, now } from "./store.js";
-import { toPx, toPy } from "./view.js";
 
-const ARM = 9; // px of the cross at the tracked tip
 const part = (id) => document.getElementById(id);
-let status = null;
 let estimated = 0; // readings of the estimate that the fields show
 
 function write(id, text) {
@@ -18,7 +14,6 @@ function write(id, text) {
 }
 
 function take(message) {
-  status = message;
   for (const id of ["tracking", "research"]) part(id).hidden = false;
   part("frozen").hidden = !message.frozen;
   part("tracking-release").hidden = !message.frozen;
@@ -48,22 +43,6 @@ function showEstimate(message) {
   estimated = message.readings;
   const layers = message.mu_pa.map(([, mu], i) => [mu, now.state.layers[i].alpha]);
   takeFitted(layers, message[key][1], `estimated from ${message.readings} readings of the tracked tip`);
-}
-
-/** Draw where the tracker has the tip: a cross, grey while it is frozen. */
-export function paintTrackedTip(context) {
-  if (!status?.tip) return;
-  const [x, y] = [toPx(status.tip[0]), toPy(status.tip[1])];
-  for (const [colour, width] of [[palette.halo, 5], [status.frozen ? palette.quiet : palette.measured, 2]]) {
-    context.strokeStyle = colour;
-    context.lineWidth = width;
-    context.beginPath();
-    for (const [dx, dy] of [[ARM, ARM], [ARM, -ARM]]) {
-      context.moveTo(x - dx, y - dy);
-      context.lineTo(x + dx, y + dy);
-    }
-    context.stroke();
-  }
 }
 
 part("tracking-release").addEventListener("click", () => command({ do: "release_tracker" }));
