@@ -68,6 +68,8 @@ def test_a_plan_is_the_needle_that_its_steps_simulate() -> None:
     assert tip == pytest.approx(found.nominal[-1], abs=1e-6)
     assert np.linalg.norm(tip - (42.0, -1.5)) == pytest.approx(found.nominal_miss, abs=1e-6)
     assert found.nominal_miss < 0.05
+    assert found.steps[0].controls == insertion().now.controls  # the entry is where the needle lies
+    assert abs(found.end.controls.base_y) > 0.1
 
 
 def test_an_obstacle_on_the_way_is_passed_by() -> None:

@@ -98,6 +98,8 @@ def view(
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
     named = options.name_scan_files(markers, fiducials, layers, layers_in, mask, series, medium)
     if recording is None and target is not None and names_scan(target):
+        if openigtlink is not None or tracker is not None:
+            raise typer.BadParameter("is for a needle, not for a scan", param_hint="--openigtlink, --tracker")
         _examine(target, named, recipe, out / "scans", port, browser)
         return
     if named or recipe is not None:

@@ -135,7 +135,9 @@ class ClusterPool:
         except (CancelledError, OSError):
             raise _lost_scheduler() from None
         if processor != describe_processor():
-            self._note_once(f"a worker has another processor ({processor}): predictive intervals may differ by their Monte Carlo error")
+            self._note_once(
+                f"a worker has another processor ({processor}): predictive intervals may differ by their Monte Carlo error"
+            )
         return result
 
 

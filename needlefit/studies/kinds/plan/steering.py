@@ -299,13 +299,14 @@ class _Search:
             )
 
     def way(self, choice: _Choice) -> tuple[Step, ...]:
-        """Return the steps of a choice; the base goes in equal steps to where it ends."""
+        """Return the steps of a choice; the base goes in equal steps to where it ends, none before contact."""
         now = self.insertion.now
         _, depth, base_y, base_slope = choice.at.tolist()
         side, steps = choice.side, list[Step]()
         controls = now.controls
         for end in (*sorted({*self.base_stations, *choice.turns}), depth):
-            if end in self.base_stations or end == depth:
+            # before contact a moved base would move the entry too
+            if (steps or now.depth > SAME_DEPTH_MM) and (end in self.base_stations or end == depth):
                 part = min((end - now.depth) / (self.end - now.depth), 1.0) if end != depth else 1.0
                 controls = _move_base(now.controls, part, base_y, base_slope)
             step = Step(end, replace(now.bevel, side=side), controls)
