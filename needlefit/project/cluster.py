@@ -136,7 +136,7 @@ class ClusterPool:
             raise _lost_scheduler() from None
         if processor != describe_processor():
             self._note_once(
-                f"a worker has another processor ({processor}): predictive intervals may differ by their Monte Carlo error"
+                f"a worker has another processor ({processor}): intervals may differ by Monte Carlo error"
             )
         return result
 

@@ -299,7 +299,7 @@ class _Search:
             )
 
     def way(self, choice: _Choice) -> tuple[Step, ...]:
-        """Return the steps of a choice; the base goes in equal steps to where it ends, none before contact."""
+        """Return the steps of a choice; the base goes in equal steps to its end, none before contact."""
         now = self.insertion.now
         _, depth, base_y, base_slope = choice.at.tolist()
         side, steps = choice.side, list[Step]()
