@@ -48,7 +48,7 @@ export function refresh() {
   part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
-  write("side", bevel.side > 0 ? "(now ▲ to +y)" : "(now ▼ to −y)");
+  write("side", bevel.side > 0 ? "(now +y)" : "(now −y)");
   write("replay", paused ? "Go on with replay" : "Replay recording");
   part("replay").title = paused ? "From where it was stopped" : "Carry out the recording so far once more";
 }
