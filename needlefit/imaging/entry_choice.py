@@ -136,7 +136,7 @@ def choose_entry(profile: IntensityProfile, tip: float, known: EntryKnowledge) -
             return behind
     entry, face = rises[-1], _find_flush_guide(rises[-1], candidates, known)
     warnings = [*_rise_warnings(profile, rises, guide)]
-    if face is not None:
+    if face is not None and face.depth > 0:
         warnings.append(_flush_warning(entry, face))
         if _is_plastic(profile, entry.at, face.at):
             doubt = min(PLASTIC_DOUBT * (face.at - entry.at), MAX_DOUBT_MM)

@@ -267,11 +267,12 @@ def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame
     notes = tuple(_crossing_warnings(layers, points, patient))
     if not counted:
         return notes
-    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries) or "none"
+    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries)
+    where = f"; interfaces at {depths} mm" if depths else ""
     order = " > ".join(map(str, layers.sequence))
     expected = " or ".join(map(str, sorted(counted)))
     raise DataError(
-        f"{scan.id} meets {len(layers.sequence)} layers ({order}; interfaces at {depths} mm), "
+        f"{scan.id} meets {len(layers.sequence)} layer{'s' * bool(depths)} ({order}{where}), "
         f"but {expected} were counted" + "".join(f"; {one}" for one in notes),
         where=str(scan.volume),
         expected=f"{expected} layers",

@@ -95,7 +95,9 @@ class Change:
                 expected="between -1 and 1: less than 45 degrees",
             )
         elif self.name == "mu_pa" and not 0 < self.value <= MAX_MU_PA:
-            expected = f"above 0 Pa, up to {MAX_MU_PA:g} Pa"
+            raise ModelError(  # in the unit of the page's fields
+                f"mu is {self.value / 1e6:g} MPa", expected=f"above 0 MPa, up to {MAX_MU_PA / 1e6:g} MPa"
+            )
         elif self.name in ("bevel_offset_mm", "offset_throughout_mm", "depth_mm") and self.value < 0:
             expected = "0 or above"
         elif self.name.startswith("cut_angle") and not 0 <= self.value < MAX_CUT_ANGLE_DEG:
