@@ -82,6 +82,11 @@ def layers_name(layers: int) -> str:
     return f"{layers} layer" if layers == 1 else f"{layers} layers"
 
 
+def group_name(medium: str, layers: int) -> str:
+    """Return the printed name of the insertions across so many layers of a medium: "phantom 1 (3 layers)"."""
+    return f"{medium_name(medium)} ({layers_name(layers)})"
+
+
 def entry_name(entry: str, angle_deg: float) -> str:
     """Return the printed name of an entry and an angle."""
     return entry if angle_deg == 0 else f"{entry}, {angle_deg:g}°".replace("-", "−")

@@ -8,7 +8,7 @@ import pandas as pd
 
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import list_metrics
-from needlefit.reporting.labels import layers_name, medium_name, method_colour, method_name
+from needlefit.reporting.labels import group_name, layers_name, medium_name, method_colour, method_name
 from needlefit.reporting.number_format import choose_printed_unit, format_metric
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.kinds.cross_validation.figures.insertions import (
@@ -39,12 +39,7 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
     methods = ("fitted", *(name for name in list_methods() if name != "fitted"))
     curves = collect_curves(results, role, methods)
     residuals = subtract_fit(curves)
-    verdicts = {one.group: one.status for one in judge_run(results)}
-
-    def find_status(medium: str, layers: str) -> str:
-        """Return the status of a group: of the medium with these layers, or of the whole medium."""
-        return verdicts.get(f"{medium} ({layers})", verdicts.get(medium, ""))
-
+    status = {one.group: one.status for one in judge_run(results)}
     metrics = [one for one in list_metrics() if one.headline or one.relative]
     return {
         "heads": ["Insertion", "Group", "Depth (mm)", *(f"{one.label} ({one.unit})" for one in metrics)],
@@ -56,7 +51,10 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
                     f"{row['depth_mm']:.1f}",
                     *(format_metric(one, row[one.name]) for one in metrics),
                 ],
-                "status": find_status(medium_name(row["medium"]), layers_name(row["layers"])),
+                # a verdict names the layers only where a medium has several groups
+                "status": status.get(
+                    group_name(row["medium"], row["layers"]), status.get(medium_name(row["medium"]), "")
+                ),
                 "error": row["te_mm"],
                 "curves": dict(_list_curves(curves, row)),
                 "residuals": dict(_list_curves(residuals, row)),

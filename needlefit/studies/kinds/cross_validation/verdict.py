@@ -11,7 +11,7 @@ from needlefit.inference.baselines import BASELINES
 from needlefit.project.input_files import read_toml
 from needlefit.project.locate import find_file, list_names
 from needlefit.project.result_warnings import ResultWarning, read_warnings
-from needlefit.reporting.labels import layers_name, medium_name
+from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_symbol, join_words
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.fit_warnings import verdict_warnings
@@ -53,8 +53,8 @@ def judge(results: Run) -> list[Verdict]:
 
 
 def _judge_held_out(results: Run, group: ScoredGroup, named_layers: bool) -> Verdict:
-    name = medium_name(group.head["medium"])
-    name += f" ({layers_name(group.head['layers'])})" if named_layers else ""
+    medium, layers = group.head["medium"], group.head["layers"]
+    name = group_name(medium, layers) if named_layers else medium_name(medium)
     numbers = _collect_numbers(group)
     error = group.get(_TE)
     if error is None:
@@ -218,7 +218,7 @@ def describe_wide_intervals(results: Run) -> list[str]:
 
 def _describe_share(found: Proportion, what: str, group: ScoredGroup) -> str:
     """Return how many tips or shapes of a group are covered, with the confidence interval of the share."""
-    where = f"{medium_name(group.head['medium'])} ({layers_name(group.head['layers'])})"
+    where = group_name(group.head["medium"], group.head["layers"])
     ends = f"{100 * found.low:.0f} to {100 * found.high:.0f} %"
     return f"{found.hits} of {found.trials} {what}s on {where} (95 % CI of the share {ends})"
 
