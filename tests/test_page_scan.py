@@ -29,6 +29,14 @@ def opened(chromium, server, **settings):  # noqa: F811
     context = chromium.new_context(**({"viewport": {"width": 1280, "height": 800}} | settings))
     page, faults = context.new_page(), []
     page.on("pageerror", lambda error: faults.append(str(error)))
+
+    def note(message):
+        if (
+            message.type == "error" and "status of 422" not in message.text
+        ):  # a refused correction is no fault
+            faults.append(message.text)
+
+    page.on("console", note)
     page.goto(server.address)
     inserted(page)
     if page.is_enabled("#clear"):
