@@ -105,8 +105,12 @@ class ObjectiveFunction:
 POSTERIOR_TOLERANCE = 1e-9
 """Change of the log posterior under which a search for its peak ends."""
 
-APPROACH_TOLERANCE = 1e-6
-"""The same on the way to where a search begins; small enough to see which starts met."""
+APPROACH_TOLERANCES: dict[ObjectiveName, float] = {"posterior": 1e-6, "metric": 1e-3}
+"""The same on the way to where a search begins, by what it minimises.
+
+For a posterior it is small enough to see which starts met. The minima of a metric objective lie elsewhere, so
+that a closer approach is lost work.
+"""
 
 
 def make_objective(problem: SupportsPosterior, minimized: ObjectiveName) -> ObjectiveFunction:
@@ -127,7 +131,9 @@ def make_objective(problem: SupportsPosterior, minimized: ObjectiveName) -> Obje
     return (
         objective_function
         if easier is None
-        else replace(objective_function, approach=make_posterior_objective(easier, APPROACH_TOLERANCE))
+        else replace(
+            objective_function, approach=make_posterior_objective(easier, APPROACH_TOLERANCES[minimized])
+        )
     )
 
 
