@@ -21,6 +21,7 @@ PARAMETERS = pd.DataFrame(
     {
         "fold": "all", "method": "fitted", "parameter": ["mu1_pa", "mu2_pa", "bevel_mm"],
         "status": ["free", "tied", "free"],
+        "value": ["1e+05", "1e+05", "not determined"],
         "determined": [True, True, False], "value_used": [1e5, 1e5, 0.1], "sd": [0.1, np.nan, 0.5],
     }
 )  # fmt: skip
@@ -70,6 +71,9 @@ def test_undetermined_parameters_may_move_and_verdicts_may_not(first, tmp_path):
     flipped = PARAMETERS.assign(determined=[True, True, True])
     (one,) = compare_runs(first, write(tmp_path / "c", parameters=flipped))
     assert (one.what, one.before, one.after, one.matters) == ("state", "not determined", "determined", True)
+    assumed = PARAMETERS.assign(value=["1e+05", "1e+05", "conditional"])
+    (one,) = compare_runs(first, write(tmp_path / "d", parameters=assumed))
+    assert (one.before, one.after, one.matters) == ("not determined", "conditional", True)
 
 
 @pytest.mark.parametrize(

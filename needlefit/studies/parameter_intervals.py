@@ -92,7 +92,7 @@ def add_intervals(
             found = one and ParameterInterval(factor * one.low, factor * one.high, one.source)
         row |= NO_SOURCE if found is None else found.columns()
         if found is not None and row["determined"] and not found.is_narrow(name):
-            row |= {"determined": False, "note": "not determined: its 95 % interval is wide"}
+            row |= {"determined": False, "condition": "", "note": "not determined: its 95 % interval is wide"}
         if name in judged:
             judged[name] |= found.columns() if found else profiles[name].columns()
             judged[name]["determined"] = bool(judged[name]["determined"] and row["determined"])

@@ -176,7 +176,7 @@ def restore_run(folder: Path) -> Run:
 
 _INTERVAL_COLUMNS = ("interval_low", "interval_high", "draw_source")
 _LATER_COLUMNS: Mapping[str, Sequence[str]] = {
-    "parameters": _INTERVAL_COLUMNS,
+    "parameters": (*_INTERVAL_COLUMNS, "condition"),
     "identification": (*_INTERVAL_COLUMNS, "bound_low", "bound_high", "note"),
     "directions": ("sd_ratio",),
     "identify": (*_INTERVAL_COLUMNS, "bound_low", "bound_high", "note"),

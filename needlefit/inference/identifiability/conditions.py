@@ -30,8 +30,7 @@ up much of what its model misses, so that its residuals are too small to say."""
 
 STATED_TIES = "determined only because it is tied to other parameters"
 NO_MODEL_ERROR = "determined only if the model has no error"
-CONDITIONS = (STATED_TIES, NO_MODEL_ERROR)
-"""Assumptions without which a parameter is not determined, as its note states them."""
+"""Assumptions without which a parameter is not determined."""
 
 LOOSENED = "ties loosened and a model error"
 

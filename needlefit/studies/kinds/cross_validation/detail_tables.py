@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 
-from needlefit.inference.identifiability.conditions import CONDITIONS
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.interval_text import NO_INTERVAL, format_interval, typeset_interval
@@ -123,10 +122,8 @@ def _describe_parameter(name: str, rows: list[Row], published: Mapping[str, floa
     fitted = format_quantity_range(name, min(values), max(values)) if values else ""
     interval = ""
     loose = [] if fixed else [one for one in rows if not one["determined"]]
-    conditional = loose and all(map(is_conditional, loose))
-    conditions = [one for one in CONDITIONS if any(one in str(row["note"]) for row in loose)] * bool(
-        conditional
-    )
+    conditional = all(map(is_conditional, loose))
+    conditions = dict.fromkeys(str(one["condition"]) for one in loose) if conditional else {}
     if not fixed:
         texts = [format_interval(one) for one in rows]
         lows, highs = ([one[f"interval_{end}"] for one in rows] for end in ("low", "high"))

@@ -11,6 +11,7 @@ import pandas as pd
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import list_metrics
 from needlefit.studies.csv_tables import TableSchema
+from needlefit.studies.kinds.cross_validation.parameter_table import CONDITIONAL, NOT_DETERMINED
 from needlefit.studies.kinds.identification.differences import IDENTIFICATION_COMPARISON
 from needlefit.studies.run_differences import (
     CRPS_NOISE_FRACTION,
@@ -26,7 +27,11 @@ _PREDICTED_QUANTITIES = {"tip": "CRPS of the tip predicted", "shape": "CRPS of t
 
 
 _PARAMETERS = TableSchema(
-    ("fold", "method", "parameter"), ("status",), ("value_used", "sd"), ("determined",), ("value_used",)
+    ("fold", "method", "parameter"),
+    ("status", "value"),
+    ("value_used", "sd"),
+    ("determined",),
+    ("value_used",),
 )
 _SCORES = TableSchema(
     ("fold", "role", "insertion", "method", "boundaries"),
@@ -47,11 +52,10 @@ def _compare_parameters(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[D
     several = before["fold"].nunique() > 1
     for _, row in both.iterrows():
         name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
-        one, two = _as_bool(row["determined_a"]), _as_bool(row["determined_b"])
+        one, two = (_name_verdict(row[f"determined_{end}"], row[f"value_{end}"]) for end in "ab")
         if one != two:
-            words = {True: "determined", False: "not determined", None: "absent"}
-            yield Difference("state", name, words[one], words[two], True, "the verdict changed")
-        yield from _compare_parameter(name, row, bool(one) and bool(two))
+            yield Difference("state", name, one, two, True, "the verdict changed")
+        yield from _compare_parameter(name, row, one == two == "determined")
 
 
 def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> Iterator[Difference]:
@@ -78,8 +82,11 @@ def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> It
     )
 
 
-def _as_bool(value: object) -> bool | None:
-    return value if isinstance(value, bool) else None
+def _name_verdict(determined: object, printed: object) -> str:
+    """Return what the data say of a parameter; "absent" where a run lacks it."""
+    if not isinstance(determined, bool):
+        return "absent"
+    return CONDITIONAL if printed == CONDITIONAL else "determined" if determined else NOT_DETERMINED
 
 
 def _compare_errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:

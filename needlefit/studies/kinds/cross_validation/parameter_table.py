@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import pandas as pd
 
-from needlefit.inference.identifiability.conditions import CONDITIONS
 from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.reporting.number_format import format_number
 from needlefit.reporting.table_files import Row, to_records
@@ -13,12 +12,12 @@ from needlefit.studies.kinds.cross_validation.tables import study_label
 from needlefit.studies.run import Run
 
 NOT_DETERMINED, CONDITIONAL = "not determined", "conditional"
-"""Printed in place of a value: the data do not determine it, or only under the assumption in its note."""
+"""Printed in place of a value: the data do not determine it, or only under an assumption."""
 
 _SEARCHED_STATUSES = ("free", "tied")
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "value_used"),
-    *("determined", "status"),
+    *("determined", "condition", "status"),
     *("sd", "interval_low", "interval_high", "draw_source"),
     *("low", "high", "bound_low", "bound_high", "note", "comparable", "origin"),
 )
@@ -66,8 +65,8 @@ def find_conditional(results: Run) -> list[str]:
 
 
 def is_conditional(row: Row) -> bool:
-    """Return whether a parameter is determined only under the assumption that its note names."""
-    return any(condition in str(row["note"]) for condition in CONDITIONS)
+    """Return whether a parameter is determined only under an assumption."""
+    return bool(row["condition"])
 
 
 def find_fixed(results: Run) -> list[str]:
@@ -84,8 +83,7 @@ def _find_parameters(results: Run, wanted: Callable[[Row], bool]) -> list[str]:
 
 def _parameter_rows(results: Run) -> list[Row]:
     rows = to_records(results.frames["parameters"])
-    determined = {(r["fold"], r["parameter"]): r["determined"] for r in rows if r["method"] == "fitted"}
-    notes = {(r["fold"], r["parameter"]): r["note"] for r in rows if r["method"] == "fitted"}
+    fitted = {(row["fold"], row["parameter"]): row for row in rows if row["method"] == "fitted"}
     published = {(r["fold"], r["parameter"]) for r in rows if r["method"] == "hand_tuned"}
     about = {"study": study_label(results), "medium": results.record.medium, "origin": results.origin}
     found = []
@@ -94,11 +92,11 @@ def _parameter_rows(results: Run) -> list[Row]:
         if row["method"] == "fitted_metric" and row["parameter"] in HYPERPARAMETERS:
             continue  # of the likelihood: errors do not depend on them
         of_fit = row["method"] in ("fitted", "fitted_metric")
-        known = bool(determined[key] if of_fit else row["determined"])
+        judge = fitted[key] if of_fit else row
         words = compare_parameter_row(results, key in published)
-        judged = {**row, "determined": known, "note": notes[key] if of_fit else row["note"]}
+        judged = {**row, "determined": bool(judge["determined"]), "condition": judge["condition"]}
         printed = {"value": _format_published(judged), "value_used": row["value"]}
-        found.append({**about, **judged, **printed, "note": row["note"], "comparable": words})
+        found.append({**about, **judged, **printed, "comparable": words})
     return found
 
 

@@ -257,6 +257,7 @@ def _fitted_rows(
                 "low": factor * verdict.spread_low[source] if source in verdict.sds else math.nan,
                 "high": factor * verdict.spread_high[source] if source in verdict.sds else math.nan,
                 "determined": bool(verdict.determined.get(source, False)) and not condition,
+                "condition": condition,
                 "note": verdict.notes[name]
                 if free
                 else _describe_status(name, status[name], factor, source)
@@ -286,6 +287,7 @@ def _metric_rows(job: Job, fold: Fold, fit: Fit) -> list[Row]:
             "low": low[name],
             "high": high[name],
             "determined": False,
+            "condition": "",
             "note": "minimises the metric objective",
         }
         for name, value in fit.values.items()
@@ -331,6 +333,7 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
                     "status": "free" if free else "published",
                     **unknown,
                     "determined": free and found.get(name, False),
+                    "condition": "",
                     "note": "re-tuned alone" if free else "tuned by hand",
                 }
             )

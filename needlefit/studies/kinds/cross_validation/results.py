@@ -80,7 +80,17 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "failures": ("fold", "fit", "start", "insertion", "note"),
         "parameters": (
             *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
-            *("sd", "low", "high", "interval_low", "interval_high", "draw_source", "determined", "note"),
+            *(
+                "sd",
+                "low",
+                "high",
+                "interval_low",
+                "interval_high",
+                "draw_source",
+                "determined",
+                "condition",
+                "note",
+            ),
         ),
         "directions": ("fold", "sd", "sd_ratio", "note"),
         "identification": IDENTIFICATION_COLUMNS,
