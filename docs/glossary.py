@@ -114,7 +114,7 @@ TERMS = (
         "",
         "",
         "In a table of parameters: identifiable only under an assumption, a tie or a model without error, "
-        "which the note names.",
+        "which the column `condition` names.",
         "fitting.md#assumptions-loosened",
         "needlefit/inference/identifiability/conditions.py",
     ),
