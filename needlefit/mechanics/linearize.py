@@ -10,8 +10,8 @@ import numpy as np
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.kernel import insertion_derivatives as kernel
 from needlefit.mechanics.kernel import insertion as forward
+from needlefit.mechanics.kernel import insertion_derivatives as kernel
 from needlefit.mechanics.kernel.beam import compute_position_derivatives
 from needlefit.mechanics.kernel.parameter_loads import DerivativeColumns, DerivativeHistory
 from needlefit.mechanics.kernel.scalar import CONVERGED, NewtonOptions

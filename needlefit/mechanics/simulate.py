@@ -136,10 +136,9 @@ def equilibrium(
         state[:] = np.nan
     nodes = np.concatenate((chain.front, grid.nodes))
     points = np.column_stack((depths, y))
+    u, slope = state.T.copy()
     scales = compute_scales(tissue, needle.flexural_rigidity, depth, rules.spacing)
-    return NeedleShape(
-        nodes, *state.T.copy(), points, state[-1:], STATUS_NAMES[status], iterations, scales
-    )
+    return NeedleShape(nodes, u, slope, points, state[-1:], STATUS_NAMES[status], iterations, scales)
 
 
 def begin_insertion(

@@ -6,7 +6,6 @@ parameter. At each stop two adjoint rows, K^T lam = the tip's deflection and slo
 the tip. Full tangent systems are solved at the last stop only.
 """
 
-import numpy as np
 from numba import njit
 
 from needlefit.arrays import Floats, Ints

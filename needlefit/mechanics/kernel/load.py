@@ -93,5 +93,5 @@ def balance_forces(
             nodal_forces[i, 1] -= force * row[1]
             nodal_forces[i + 1, 0] -= force * row[2]
             nodal_forces[i + 1, 1] -= force * row[3]
-    last = count_below(grid.constraint, len(constraints) - 1)
+    last = int(np.searchsorted(grid.constraint, len(constraints) - 1))
     return grid.x, grid.weight, load, last, nodal_forces

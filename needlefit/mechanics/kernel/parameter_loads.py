@@ -16,7 +16,6 @@ from needlefit.mechanics.kernel.beam import (
 from needlefit.mechanics.kernel.foundation import Foundation, evaluate_stiffness, friction_factor
 from needlefit.mechanics.kernel.grid import GAUSS_OFFSET, NodeGrid, find_cut
 from needlefit.mechanics.kernel.insertion import (
-    GUIDE_SLOPE,
     GUIDE_X,
     GUIDE_Y,
     BoundaryConditions,
