@@ -4,19 +4,20 @@ import fcntl
 import subprocess
 import sys
 import time
+from contextlib import AbstractContextManager
 
 import pytest
 from kernel_functions import kernel_functions
 
 from needlefit.mechanics import precompile as module
 from needlefit.mechanics.kernel.cache import is_complete
-from needlefit.mechanics.precompile import KERNEL_PARTS, compile_parts, precompile
+from needlefit.mechanics.precompile import KERNEL_PARTS, PIECES, precompile, run_parts
 
 
 def test_every_variant_is_compiled_and_inserting_compiles_nothing_else():
     assert all(is_complete(part) for part in KERNEL_PARTS)
     before = [sum(one.stats.cache_misses.values()) for one in kernel_functions()]
-    compile_parts(list(KERNEL_PARTS))
+    run_parts(list(KERNEL_PARTS))
     assert [sum(one.stats.cache_misses.values()) for one in kernel_functions()] == before
 
 
@@ -27,20 +28,27 @@ def test_compiled_functions_are_not_compiled_again(monkeypatch):
     assert started == []
 
 
-@pytest.mark.parametrize(
-    ("missing", "groups"), [(["lanes"], [["lanes"]]), (KERNEL_PARTS, [["kernel", "sensitivity"], ["lanes"]])]
-)
-def test_other_processes_compile_what_is_missing(missing, groups, monkeypatch):
-    asked = []
-    monkeypatch.setattr(module, "is_complete", lambda part: part not in missing)
-    monkeypatch.setattr(module.subprocess, "Popen", lambda words, **options: asked.append(words))
+@pytest.mark.parametrize("missing", [("lanes",), KERNEL_PARTS])
+def test_other_processes_compile_what_is_missing(missing, monkeypatch):
+    pieces = {piece for part in missing for piece in PIECES[part]}
+    programs = []
+
+    class Process(AbstractContextManager):
+        def __init__(self, words, **options):
+            assert words[:2] == [sys.executable, "-c"]
+            programs.append(words[2])
+
+        def __exit__(self, *_):
+            return None
+
+    monkeypatch.setattr(module, "is_complete", lambda one: one not in {*missing, *pieces})
+    monkeypatch.setattr(module.subprocess, "Popen", Process)
     precompile(*KERNEL_PARTS)
-    compiled = []
-    monkeypatch.setattr(module, "compile_parts", compiled.append)
-    for python, flag, program in asked:
-        assert (python, flag) == (sys.executable, "-c")
+    compiled: list[str] = []
+    monkeypatch.setattr(module, "compile_piece", compiled.append)
+    for program in programs:
         exec(program)
-    assert compiled == groups
+    assert set(compiled) == pieces and len(compiled) == len(pieces)
 
 
 WAIT = """

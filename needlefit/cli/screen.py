@@ -63,8 +63,12 @@ def compile_ahead(*kernel_parts: str, quiet: bool = False) -> None:
         return
     if not quiet:
         why = find_cache_folder().why_temporary
-        once = f"in every run: {why}; set {CACHE_DIR_VARIABLE} to another folder" if why else "once"
-        print_note(f"needlefit: compiling the model; this takes some seconds, {once}")
+        names = {"kernel": "solver", "lanes": "solver for many parameter sets", "sensitivity": "derivatives"}
+        pieces = ", ".join(names[part] for part in wanted if not is_complete(part))
+        once = "only once: the compiled model is kept for this version and processor"
+        if why:
+            once = f"in every run: {why}; set {CACHE_DIR_VARIABLE} to another folder"
+        print_note(f"needlefit: compiling the model ({pieces}); this takes some seconds, {once}")
     from needlefit.mechanics.precompile import precompile
 
     precompile(*wanted)

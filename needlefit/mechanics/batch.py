@@ -204,6 +204,5 @@ class NeedleShapes:
 
 def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
     """Return the points (B, K, 2) in C of every needle at `s` (K,), mm; see `compute_positions`."""
-    return kernel.compute_batch_positions(
-        shapes.x, shapes.u, shapes.slope, np.ascontiguousarray(s, dtype=np.float64)
-    )
+    parts = (shapes.x, shapes.u, shapes.slope, s)  # contiguous: each layout is compiled anew
+    return kernel.compute_batch_positions(*(np.ascontiguousarray(part, dtype=np.float64) for part in parts))

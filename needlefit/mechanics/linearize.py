@@ -10,6 +10,7 @@ import numpy as np
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.kernel import insertion as forward
 from needlefit.mechanics.kernel import insertion_derivatives as kernel
 from needlefit.mechanics.kernel.beam import compute_position_derivatives
 from needlefit.mechanics.kernel.parameter_loads import DerivativeColumns, DerivativeHistory
@@ -139,12 +140,16 @@ def linearize_steps(
         turn_per_strength = sides[bevel_id]
         stops = stops._replace(turn=strengths[bevel_id] * turn_per_strength)
         controls = steps[controls_id].controls
-        status, used = kernel.advance_derivatives(
-            insertion, foundation, by_alpha, compile_controls(controls), _list_guide_columns(controls,
-            guide_depths, guide_columns), stops, turn_per_strength, newton, columns, history,
-            whole if n + 1 == len(groups) else whole[:0],
-        )  # fmt: skip
+        conditions = compile_controls(controls)
+        # All stops of a group are solved before the first derivative: `record` keeps the state at each.
+        status, used, _ = forward.advance_needle(insertion, foundation, conditions, stops, newton)
         iterations += used
+        if status == CONVERGED:
+            status = kernel.differentiate_stops(
+                insertion, foundation, by_alpha, conditions, _list_guide_columns(controls,
+                guide_depths, guide_columns), stops, turn_per_strength, columns, history,
+                whole if n + 1 == len(groups) else whole[:0],
+            )  # fmt: skip
         if status != CONVERGED:
             break
     shape = read_shape(

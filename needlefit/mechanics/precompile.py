@@ -1,26 +1,43 @@
 """Compile the kernel ahead of its use, in separate processes, once for all processes that start together.
 
-The compiled code does not depend on the process that compiles it. Separate processes return the memory (300
-MB each) when they end, and other processes wait for them instead of compiling the same code. Two of them work
-side by side: numba compiles on one thread at a time.
+The compiled code does not depend on the process that compiles it. Separate processes return the memory (400
+MB each) when they end, and other processes wait for them instead of compiling the same code. One runs on each
+core: numba compiles on one thread at a time. A piece is compiled for the types of its arguments, without
+a simulation, which would have to wait for the other pieces.
 """
 
+import gc
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from needlefit.mechanics.batch import Batch, compute_batch_positions
-from needlefit.mechanics.control import Bevel, Step
-from needlefit.mechanics.kernel.cache import find_cache_folder, is_complete, mark_complete
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.kernel import beam
+from needlefit.mechanics.kernel.cache import compile_for, find_cache_folder, is_complete, mark_complete
+from needlefit.mechanics.kernel.foundation import Foundation
+from needlefit.mechanics.kernel.grid import list_constraint_depths
+from needlefit.mechanics.kernel.insertion import advance_needle, begin_insertion
+from needlefit.mechanics.kernel.insertion_derivatives import differentiate_stops
+from needlefit.mechanics.kernel.lanes.insertion import advance_lanes, begin_lanes
+from needlefit.mechanics.kernel.lanes.newton import LaneInputs
+from needlefit.mechanics.kernel.lanes.tables import LaneTables, tabulate
+from needlefit.mechanics.kernel.parameter_loads import DerivativeColumns, DerivativeHistory
+from needlefit.mechanics.kernel.scalar import NewtonOptions
 from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.law_form import differentiate_law
 from needlefit.mechanics.linearize import differentiate_positions, linearize
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.plan import make_lattice, make_moves
+from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack_groups, simulate
 from needlefit.mechanics.tissue import Tissue
 
 try:
@@ -30,8 +47,12 @@ except ImportError:  # Windows: processes that begin at the same time all compil
 
 KERNEL_PARTS = ("kernel", "lanes", "sensitivity")
 
-SIDE_BY_SIDE = (("kernel", "sensitivity"), ("lanes",))
-"""Parts that one process compiles. Derivatives contain the simulation, which is then compiled already."""
+PIECES = {
+    "kernel": ("needle", "start"),
+    "lanes": ("block", "start"),
+    "sensitivity": ("derivatives", "needle", "start"),
+}
+"""What processes compile side by side for each part."""
 
 MAX_WAIT_S, POLL_INTERVAL_S = 300.0, 0.1
 """Longest wait for another process that compiles, and the time between two checks."""
@@ -50,20 +71,23 @@ def precompile(*parts: str) -> None:
         return
     with _hold_lock(find_cache_folder().path / "lock"):
         missing = [part for part in parts if not is_complete(part)]  # another process may have compiled
-        groups = [[part for part in missing if part in group] for group in SIDE_BY_SIDE]
-        for process in [_start_compiling(group) for group in groups if group]:
-            if process is not None:
-                process.wait()
+        wanted = {piece for part in missing for piece in PIECES[part] if not is_complete(piece)}
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(_compile_apart, sorted(wanted, key=tuple(_COMPILERS).index)))
+        for part in missing:
+            if all(map(is_complete, PIECES[part])):
+                mark_complete(part)
 
 
-def _start_compiling(parts: list[str]) -> "subprocess.Popen[bytes] | None":
-    """Start a process that compiles some parts; None where no process can be started."""
-    program = f"from needlefit.mechanics.precompile import compile_parts; compile_parts({parts!r})"
+def _compile_apart(piece: str) -> None:
+    """Compile a piece in a process of its own, if one can be started."""
+    program = f"from needlefit.mechanics.precompile import compile_piece; compile_piece({piece!r})"
     silent = subprocess.DEVNULL
-    try:
-        return subprocess.Popen([sys.executable, "-c", program], stdin=silent, stdout=silent, stderr=silent)
-    except OSError:
-        return None
+    with (
+        suppress(OSError),
+        subprocess.Popen([sys.executable, "-c", program], stdin=silent, stdout=silent, stderr=silent),
+    ):
+        pass  # the end of the block waits for it
 
 
 @contextmanager
@@ -85,30 +109,97 @@ def _wait_for_lock(file: int) -> None:
         time.sleep(POLL_INTERVAL_S)
 
 
-def compile_parts(parts: list[str]) -> None:
-    """Compile parts of the kernel by simulating a needle with each of them."""
+def compile_piece(piece: str) -> None:
+    """Compile a piece of the kernel, in a process that then ends."""
+    gc.disable()  # a tenth of the time, for memory that the process returns when it ends
+    _COMPILERS[piece]()
+    mark_complete(piece)
+
+
+def _compile_start() -> None:
+    """Compile what every insertion begins and ends with."""
+    compile_for(begin_insertion, *_BEGINNING)
+    compile_tissue(_TISSUE)
+    compile_for(list_constraint_depths, _DEPTH, 4, 1.0, 1.0)
+    compile_for(beam.compute_positions, *[_ROW] * 4)
+
+
+def _compile_needle() -> None:
+    insertion, *inputs = _make_arguments()
+    compile_for(advance_needle, insertion, _FOUNDATION, *inputs, _NEWTON)
+
+
+def _compile_derivatives() -> None:
+    insertion, conditions, stops = _make_arguments()
+    columns = DerivativeColumns(*[1] * len(DerivativeColumns._fields))
+    history = DerivativeHistory(_TABLE, _CUBE, _TABLE, _ROW, _CUBE, _ROW)
+    law, guides = differentiate_law("ogden", _TISSUE.alpha), np.zeros((0, 3), np.int64)
+    compile_for(
+        differentiate_stops,
+        insertion,
+        _FOUNDATION,
+        law,
+        conditions,
+        guides,
+        stops,
+        _ROW,
+        columns,
+        history,
+        _CUBE,
+    )
+    compile_for(beam.compute_position_derivatives, *[_ROW] * 4, *[_TABLE] * 3)
+
+
+def _compile_block() -> None:
+    insertion, conditions, stops = _make_arguments()
+    tables = LaneTables(_TABLE, _TABLE, _TABLE, np.zeros(1, np.int64))
+    inputs = LaneInputs(_ROW, _ROW, _ROW, _TABLE, _CUBE, _TABLE)
+    compile_for(advance_lanes, begin_lanes(1, 1, 1), insertion, tables, conditions, inputs, stops, _NEWTON)
+    compile_for(tabulate, insertion.main)
+    compile_for(beam.compute_batch_positions, *[_TABLE] * 3, _ROW)
+
+
+_COMPILERS: dict[str, Callable[[], None]] = {  # what takes longest comes first
+    "block": _compile_block,
+    "derivatives": _compile_derivatives,
+    "needle": _compile_needle,
+    "start": _compile_start,
+}
+
+_ROW, _TABLE, _CUBE = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
+_FOUNDATION = Foundation(_ROW, _TABLE, _TABLE, _ROW, _ROW, _TABLE, _ROW, False, _ROW)
+_NEWTON = NewtonOptions(1e-7, 40)
+_BEGINNING = 1.0, 50.0, 1.0, 1.0, 1.0, 0.5, 1.0, np.empty(0), _DEPTH, 0, 6
+
+
+def _make_arguments() -> tuple[Any, ...]:
+    """Return an insertion, conditions and stops of the types that the kernel has to do with."""
+    steps, options = (Step(_DEPTH, _BEVEL),), ModelOptions()
+    ((_, stops, bevels),) = pack_groups(make_moves(steps, _NEEDLE.length), make_lattice(steps, options))
+    # Not compiled: another piece has that.
+    insertion = begin_insertion.py_func(*_BEGINNING)
+    return insertion, compile_controls(Controls()), stops._replace(turn=np.zeros(len(bevels)))
+
+
+def run_parts(parts: list[str]) -> None:
+    """Simulate a needle with parts of the kernel; what is not compiled yet is compiled."""
     for part in parts:
-        _COMPILERS[part]()
-        mark_complete(part)
+        _RUNS[part]()
 
 
-def _compile_scalar() -> None:
-    simulate(_NEEDLE, _TISSUE, _BEVEL, _DEPTH)
-
-
-def _compile_lanes() -> None:
+def _run_lanes() -> None:
     batch = Batch(_NEEDLE, _TISSUE, (Step(_DEPTH, _BEVEL),), mu=np.full((2, 1), 0.2))
     for shapes in simulate_batches([batch], 1):
         compute_batch_positions(shapes, np.array([0.0, _DEPTH]))
 
 
-def _compile_sensitivity() -> None:
+def _run_sensitivity() -> None:
     shape, jacobian = linearize(_NEEDLE, _TISSUE, _BEVEL, _DEPTH)
     differentiate_positions(shape, jacobian, np.array([0.0, _DEPTH]))
 
 
-_COMPILERS: dict[str, Callable[[], None]] = {
-    "kernel": _compile_scalar,
-    "lanes": _compile_lanes,
-    "sensitivity": _compile_sensitivity,
+_RUNS: dict[str, Callable[[], object]] = {
+    "kernel": lambda: simulate(_NEEDLE, _TISSUE, _BEVEL, _DEPTH).deflection,
+    "lanes": _run_lanes,
+    "sensitivity": _run_sensitivity,
 }

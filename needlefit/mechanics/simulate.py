@@ -19,7 +19,7 @@ from needlefit.mechanics.kernel.grid import (
     list_constraint_depths,
     list_node_depths,
 )
-from needlefit.mechanics.kernel.scalar import CONVERGED, FACTOR_COLUMNS, NewtonOptions, equilibrate
+from needlefit.mechanics.kernel.scalar import CONVERGED, FACTOR_COLUMNS, NewtonOptions, find_equilibrium
 from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Move, TipStop, make_lattice, make_moves, make_stops
@@ -129,17 +129,16 @@ def equilibrium(
     state, trial, factor = np.zeros((size, 2)), np.empty((size, 2)), np.empty((size, FACTOR_COLUMNS))
     kernel.apply_prescribed(state, chain, size)
     newton = NewtonOptions(rules.tolerance, rules.max_iterations)
-    status, iterations = equilibrate(
+    status, iterations = find_equilibrium(
         state, chain, compile_tissue(tissue), grid, y, last, newton, trial, factor
     )
     if status != CONVERGED:
         state[:] = np.nan
     nodes = np.concatenate((chain.front, grid.nodes))
     points = np.column_stack((depths, y))
+    u, slope = state.T.copy()
     scales = compute_scales(tissue, needle.flexural_rigidity, depth, rules.spacing)
-    return NeedleShape(
-        nodes, state[:, 0], state[:, 1], points, state[-1:], STATUS_NAMES[status], iterations, scales
-    )
+    return NeedleShape(nodes, u, slope, points, state[-1:], STATUS_NAMES[status], iterations, scales)
 
 
 def begin_insertion(
@@ -224,16 +223,14 @@ def read_shape(
     """Return the needle's shape at a stop from the kernel's state; NaN where the solution failed before."""
     if status == CONVERGED:
         size = int(insertion.size[kernel.CHAIN_NODES])
-        # Copies: the kernel goes on to write into its arrays.
-        nodes, state = insertion.nodes[:size].copy(), insertion.states[kernel.NOW, :size].copy()
+        # Copies: the kernel goes on to write into its arrays. Contiguous ones: each layout is compiled anew.
+        nodes, state = insertion.nodes[:size].copy(), insertion.states[kernel.NOW, :size].T.copy()
     else:
         nodes = kernel.list_chain_nodes(insertion, compile_controls(controls), stop.tip, stop.cell)
-        state = np.full((len(nodes), 2), np.nan)
+        state = np.full((2, len(nodes)), np.nan)
     x = list_constraint_depths(stop.tip, stop.cell, insertion.first_cell, insertion.spacing)
     points = np.empty((len(x), 2))
     points[:, 0], points[:, 1] = x, insertion.y[: stop.cell + 1]
     track = insertion.track[: stop.cell + 1].copy()
     scales = compute_scales(tissue, insertion.rigidity, stop.tip, insertion.spacing)
-    return NeedleShape(
-        nodes, state[:, 0], state[:, 1], points, track, STATUS_NAMES[status], iterations, scales
-    )
+    return NeedleShape(nodes, state[0], state[1], points, track, STATUS_NAMES[status], iterations, scales)

@@ -8,7 +8,7 @@ from needlefit.arrays import Floats
 from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import NodeGrid, build_grid
-from needlefit.mechanics.kernel.scalar import CLAMPED, FACTOR_COLUMNS, Chain, NewtonOptions, equilibrate
+from needlefit.mechanics.kernel.scalar import CLAMPED, FACTOR_COLUMNS, Chain, NewtonOptions, find_equilibrium
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import STATUS_NAMES, compile_tissue, equilibrium
 from needlefit.mechanics.tissue import Tissue
@@ -58,7 +58,7 @@ def solve_newton(clamped: ClampedNeedle, guess: Floats, newton: NewtonOptions) -
     state = guess.copy()
     workspace = np.empty_like(state), np.empty((len(state), FACTOR_COLUMNS))
     last = len(clamped.grid.nodes) - 1
-    status, _ = equilibrate(
+    status, _ = find_equilibrium(
         state, clamped.chain, clamped.foundation, clamped.grid, clamped.y, last, newton, *workspace
     )
     if STATUS_NAMES[status] != "converged":

@@ -22,6 +22,21 @@ from numba.core.caching import FunctionCache
 
 from needlefit.mechanics.kernel.cache import FileCache, find_cache_folder
 
+INNER_MODULES = ("adjoint", "parameter_loads", "lanes.newton", "lanes.passes")
+"""Compiled functions alone call these, functions with `forceinline` and private ones. They get no wrapper, by
+which Python could call them: with many arrays it takes as long to compile as a small function.
+"""
+
+
+def _is_inner(function: Any) -> bool:  # noqa: ANN401  numba's own type
+    source, options = function.py_func, function.targetoptions
+    return (
+        bool(options.get("forceinline"))
+        or source.__name__.startswith("_")
+        or source.__module__.removeprefix(f"{__name__}.") in INNER_MODULES
+    )
+
+
 _config: Any = numba.config  # a module that makes its attributes at run time
 _before, _config.CACHE_DIR = _config.CACHE_DIR, str(find_cache_folder().path)
 try:  # numba reads the setting when a function is declared
@@ -29,5 +44,7 @@ try:  # numba reads the setting when a function is declared
         for _name, _value in vars(importlib.import_module(_found.name)).items():
             if type(getattr(_value, "_cache", None)) is FunctionCache:
                 _value._cache = FileCache(_value._cache, f"{_value.py_func.__module__}.{_name}")
+                if _is_inner(_value):
+                    _value.targetoptions |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 finally:
     _config.CACHE_DIR = _before

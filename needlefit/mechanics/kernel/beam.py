@@ -4,6 +4,8 @@ The needle does not stretch: u' is the rotation of its section, so its points ar
 sin u' from the base (docs/model.md, section 5).
 """
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -98,9 +100,22 @@ def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Float
 
 
 @njit(cache=True, nogil=True)
+def count_below(values: Floats, bound: float) -> int:
+    """Return how many of the sorted `values` lie below a bound; numba's `searchsorted` is slow to compile."""
+    low, high = 0, len(values)
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] < bound:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, nogil=True)
 def find_element(x: Floats, s: float) -> int:
     """Return the element of nodes `x` (N,) that contains a beam coordinate; outside, the nearest one."""
-    return min(max(int(np.searchsorted(x, s)) - 1, 0), len(x) - 2)
+    return min(max(count_below(x, s) - 1, 0), len(x) - 2)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -113,7 +128,7 @@ def fill_element_ends(ends: Floats, u: Floats, slope: Floats, e: int) -> None:
 def _compute_direction(rotation: float) -> tuple[float, float]:
     """Return cosine and sine of a rotation; of a small one by their series, at a quarter of the time."""
     if abs(rotation) > MAX_SERIES_ROTATION:
-        return np.cos(rotation), np.sin(rotation)
+        return math.cos(rotation), math.sin(rotation)
     q = rotation * rotation
     a = 1 - q * (1 / 30) * (1 - q * (1 / 56) * (1 - q * (1 / 90) * (1 - q * (1 / 132))))
     b = 1 - q * (1 / 20) * (1 - q * (1 / 42) * (1 - q * (1 / 72) * (1 - q * (1 / 110))))

@@ -114,6 +114,11 @@ class FileCache(FunctionCache):
 _unsaved: list[str] = []
 
 
+def compile_for(function: Any, *arguments: object) -> None:  # noqa: ANN401  numba's own type
+    """Compile a function for the types of some arguments, or load it."""
+    function.compile(tuple(map(numba.typeof, arguments)))
+
+
 def is_complete(part: str) -> bool:
     """Return whether a part of the kernel (kernel, lanes, sensitivity) is compiled on disk."""
     return _stamp_path(part).is_file()

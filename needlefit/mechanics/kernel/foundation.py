@@ -1,5 +1,6 @@
 """Evaluate the tissue's reaction at one point of the shaft, and its derivatives."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -55,7 +56,9 @@ def make_foundation(
     """
     count = len(mu)
     series, limit, curvature = np.zeros((count, SERIES_TERMS)), np.empty(count), np.empty(count)
+    has_friction = False
     for i in range(count):
+        has_friction = has_friction or friction[i] > 0.0
         if exponents.shape[1] == 0:
             limit[i] = coefficients[i, 1] * thickness[i]
             _fit_table_series(series[i], mu[i], coefficients, i, thickness[i], limit[i])
@@ -73,7 +76,6 @@ def make_foundation(
         # The least tangent over the interval is at one of its ends. A tangent that is not positive makes the
         # curvature infinite, and every step is then iterated to the tolerance.
         curvature[i] = 2.0 * bend / min(series[i, 0], max(tangent, 0.0))
-    has_friction = bool(np.any(friction > 0.0))
     return Foundation(
         mu, coefficients, exponents, thickness, friction, series, limit, has_friction, curvature
     )
@@ -112,7 +114,7 @@ def find_table_range(tables: Floats, layer: int) -> float:
         _fit_table_series(series, 1.0, tables, layer, 1.0, end)
         error = 0.0
         for j in range(SERIES_TERMS + 1):  # it is largest between two points of the fit
-            d = 0.5 * end * (1.0 - np.cos(j * np.pi / SERIES_TERMS))
+            d = 0.5 * end * (1.0 - math.cos(j * np.pi / SERIES_TERMS))
             found = 0.0
             for m in range(SERIES_TERMS - 1, -1, -1):
                 found = found * d + series[m]
@@ -140,7 +142,7 @@ def _fit_series(series: Floats, factors: Floats, exponents: Floats, thickness: f
     at, value = _chebyshev_points(limit), np.zeros(SERIES_TERMS)
     for j in range(SERIES_TERMS):
         for p in range(len(factors)):
-            value[j] += factors[p] * np.exp(exponents[p] * np.log1p(-at[j] / thickness))
+            value[j] += factors[p] * math.exp(exponents[p] * math.log1p(-at[j] / thickness))
     _interpolate(series, at, value)
 
 
@@ -148,7 +150,7 @@ def _fit_series(series: Floats, factors: Floats, exponents: Floats, thickness: f
 def _chebyshev_points(limit: float) -> Floats:
     at = np.empty(SERIES_TERMS)
     for j in range(SERIES_TERMS):
-        at[j] = 0.5 * limit * (1.0 - np.cos((2 * j + 1) * np.pi / (2 * SERIES_TERMS)))
+        at[j] = 0.5 * limit * (1.0 - math.cos((2 * j + 1) * np.pi / (2 * SERIES_TERMS)))
     return at
 
 
@@ -172,7 +174,7 @@ def make_alpha_derivative(foundation: Foundation, coefficients: Floats, exponent
     These are Taylor series: dk/dalpha vanishes at e = 0, and so must its error. A table has none, and is
     itself evaluated.
     """
-    series, limit = np.zeros_like(foundation.series), np.empty(len(foundation.mu))
+    series, limit = np.zeros((len(foundation.mu), SERIES_TERMS)), np.empty(len(foundation.mu))
     for i in range(len(foundation.mu)):
         if exponents.shape[1] == 0:
             limit[i] = -1.0
@@ -195,7 +197,7 @@ def make_alpha_derivative(foundation: Foundation, coefficients: Floats, exponent
 def evaluate_power(exponent: float, d: float) -> tuple[float, float]:
     """Return lambda^q, one term of k, and its part d(lambda^q e)/de, at compression d = 1 - lambda < 1."""
     # log1p keeps the digits of a small compression, which ln(1 - d) would lose.
-    part = np.exp(exponent * np.log1p(-d))
+    part = math.exp(exponent * math.log1p(-d))
     return part, part * (1.0 - d * exponent / (1.0 - d))
 
 
@@ -246,12 +248,12 @@ def stiffness_alpha_derivative(
     if foundation.exponents.shape[1] == 0:
         d = size / foundation.thickness[layer]
         return float(foundation.mu[layer] * evaluate_table(alpha_derivative.coefficients, layer, d)[0])
-    logarithm = np.log1p(-size / foundation.thickness[layer])
+    logarithm = math.log1p(-size / foundation.thickness[layer])
     total = 0.0
     for p in range(alpha_derivative.exponents.shape[1]):
         slope = (
             alpha_derivative.coefficients[0, p]
             + foundation.coefficients[layer, p] * alpha_derivative.exponents[0, p] * logarithm
         )
-        total += slope * np.exp(foundation.exponents[layer, p] * logarithm)
+        total += slope * math.exp(foundation.exponents[layer, p] * logarithm)
     return float(foundation.mu[layer] * total)

@@ -1,5 +1,6 @@
 """Place nodes, constraint depths and quadrature points for one stop of the tip."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -41,7 +42,7 @@ def find_cell(depth: float, first_cell: float, spacing: float) -> int:
     """Return the number of the constraint point at `depth`, or of the next deeper one."""
     if depth <= SAME_DEPTH_MM:
         return 0
-    return 1 + max(0, int(np.ceil((depth - first_cell - SAME_DEPTH_MM) / spacing)))
+    return 1 + max(0, math.ceil((depth - first_cell - SAME_DEPTH_MM) / spacing))
 
 
 @njit(cache=True, nogil=True)
@@ -65,10 +66,8 @@ def list_node_depths(tip: float, first_cell: float, spacing: float, element: flo
     no node if the first node after it is nearer than half an element.
     """
     per_cell = round(spacing / element)
-    i = 1 - int(
-        np.ceil((first_cell - SAME_DEPTH_MM) / element)
-    )  # counted from x_1; the first after the entry
-    nodes = np.empty(int(np.ceil(tip / element)) + 4 + len(within))
+    i = 1 - math.ceil((first_cell - SAME_DEPTH_MM) / element)  # counted from x_1; the first after the entry
+    nodes = np.empty(math.ceil(tip / element) + 4 + len(within))
     count = 1  # room for the entry
     guide = 0
     while True:

@@ -2,13 +2,14 @@
 behind.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from needlefit.arrays import Bools, Floats, Ints
-from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, fill_hermite
+from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, count_below, fill_hermite
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import (
     GUIDE_ENGAGEMENT_MM,
@@ -104,7 +105,7 @@ def begin_insertion(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def advance_needle(
     insertion: KernelInsertion,
     foundation: Foundation,
@@ -142,19 +143,20 @@ def advance_needle(
         on_main = stops.permanent[s] and cell > 0 and len(conditions.within) == 0
         if on_main:
             grid = insertion.main
-            last = np.searchsorted(grid.nodes, depth - SAME_DEPTH_MM)
+            last = count_below(grid.nodes, depth - SAME_DEPTH_MM)
         else:
             grid = build_stop_grid(insertion, conditions, depth, cell)
             last = len(grid.nodes) - 1
         prescribe_stop(chain, conditions, grid, last, depth, insertion.length)
         extrapolated = guess_next_state(insertion, chain, grid, last, on_main)
-        status, used = equilibrate(states[NOW], chain, foundation, grid, y, last, newton, trial, factor)
-        iterations += used
-        # The extrapolated guess may lie outside the range from which Newton's method converges.
-        if status != CONVERGED and extrapolated:
-            extend_straight(insertion, chain, grid)
+        while True:  # not two calls of `equilibrate`: each is compiled
             status, used = equilibrate(states[NOW], chain, foundation, grid, y, last, newton, trial, factor)
             iterations += used
+            if status == CONVERGED or not extrapolated:
+                break
+            # The extrapolated guess may lie outside the range from which Newton's method converges.
+            extend_straight(insertion, chain, grid)
+            extrapolated = False
         if status != CONVERGED:
             return status, iterations, s
         end = size[CHAIN_NODES] - 1
@@ -176,8 +178,12 @@ def build_stop_grid(
     """Return the grid of one stop that the main grid does not serve: the tip between constraint points, or
     guides in the tissue.
     """
-    active = conditions.within[:, GUIDE_X]
-    active = active[active <= tip - GUIDE_ENGAGEMENT_MM]
+    count = 0  # guides are sorted by depth
+    while count < len(conditions.within) and conditions.within[count, GUIDE_X] <= tip - GUIDE_ENGAGEMENT_MM:
+        count += 1
+    active = np.empty(count)
+    for i in range(count):
+        active[i] = conditions.within[i, GUIDE_X]
     nodes = list_node_depths(tip, insertion.first_cell, insertion.spacing, insertion.element, active)
     points = list_constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
     return build_grid(points, insertion.boundaries, nodes, insertion.switch)
@@ -223,11 +229,11 @@ def prescribe_stop(
     for i in range(before, before + last + 1):
         chain.kind[i] = FREE
     for i in range(len(conditions.within)):
-        node = np.searchsorted(grid.nodes, conditions.within[i, GUIDE_X])
+        node = count_below(grid.nodes, conditions.within[i, GUIDE_X])
         if node < last and grid.nodes[node] == conditions.within[i, GUIDE_X]:  # none holds the tip itself
             y, slope = conditions.within[i, GUIDE_Y], conditions.within[i, GUIDE_SLOPE]
             _prescribe(chain.kind, chain.value, before + node, y, slope)
-    if not np.isnan(conditions.tip[0]):
+    if not math.isnan(conditions.tip[0]):
         _prescribe(chain.kind, chain.value, before + last, conditions.tip[0], conditions.tip[1])
 
 
@@ -235,7 +241,7 @@ def prescribe_stop(
 def _prescribe(kind: Ints, value: Floats, node: int, y: float, slope: float) -> None:
     value[node, 0] = y
     kind[node] = PINNED
-    if not np.isnan(slope):
+    if not math.isnan(slope):
         value[node, 1] = slope
         kind[node] = CLAMPED
 
@@ -321,7 +327,7 @@ def _interpolate_state(nodes: Floats, state: Floats, x: float, into: Floats) -> 
         at = 0 if x <= nodes[0] else end
         into[0], into[1] = state[at, 0] + (x - nodes[at]) * state[at, 1], state[at, 1]
         return
-    e = np.searchsorted(nodes, x) - 1
+    e = count_below(nodes, x) - 1
     n = np.empty(HERMITE_COLUMNS)
     fill_hermite(n, x - nodes[e], nodes[e + 1] - nodes[e])
     a0, a1, b0, b1 = state[e, 0], state[e, 1], state[e + 1, 0], state[e + 1, 1]

@@ -6,7 +6,6 @@ parameter. At each stop two adjoint rows, K^T lam = the tip's deflection and slo
 the tip. Full tangent systems are solved at the last stop only.
 """
 
-import numpy as np
 from numba import njit
 
 from needlefit.arrays import Floats, Ints
@@ -20,6 +19,7 @@ from needlefit.mechanics.kernel.adjoint import (
     start_from_constraints,
     sum_adjoint_loads,
 )
+from needlefit.mechanics.kernel.beam import count_below
 from needlefit.mechanics.kernel.foundation import Foundation, make_alpha_derivative
 from needlefit.mechanics.kernel.grid import LINEAR_CUT, SAME_DEPTH_MM
 from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion, TipStops
@@ -33,20 +33,18 @@ from needlefit.mechanics.kernel.scalar import (
     CONVERGED,
     OVER_COMPRESSED,
     TISSUE_CRUSHED,
-    NewtonOptions,
     fill_entry_element,
     sweep_forward,
 )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def advance_derivatives(
+def differentiate_stops(
     insertion: KernelInsertion, foundation: Foundation, by_alpha: tuple[Floats, Floats],
     conditions: BoundaryConditions, guides: Ints, stops: TipStops, turn_per_strength: Floats,
-    newton: NewtonOptions, columns: DerivativeColumns, history: DerivativeHistory, whole: Floats,
-) -> tuple[int, int]:  # fmt: skip
-    """Bring the needle from stop to stop, then compute its derivatives; return the status and Newton
-    iterations.
+    columns: DerivativeColumns, history: DerivativeHistory, whole: Floats,
+) -> int:  # fmt: skip
+    """Compute the derivatives of stops that `advance_needle` has recorded; return the status.
 
     Parameters
     ----------
@@ -60,10 +58,6 @@ def advance_derivatives(
         Filled with the derivatives of every node's deflection and slope at the last stop; without rows:
         more stops are to follow.
     """
-    # All stops are solved before the first derivative: `record` keeps the state at each of them.
-    status, iterations, _ = forward.advance_needle(insertion, foundation, conditions, stops, newton)
-    if status != CONVERGED:
-        return status, iterations
     alpha_derivative = make_alpha_derivative(foundation, by_alpha[0], by_alpha[1])
     size = insertion.states.shape[1]
     chain = forward.begin_chain(conditions, insertion.rigidity, size)
@@ -118,7 +112,7 @@ def advance_derivatives(
                 constraints[cell, bevel] += ahead * turn_per_strength[s]
         if permanent[s] and cell > 0 and outside_guides_only:
             grid = main
-            last = np.searchsorted(grid.nodes, depth - SAME_DEPTH_MM)
+            last = count_below(grid.nodes, depth - SAME_DEPTH_MM)
         else:
             grid = forward.build_stop_grid(insertion, conditions, depth, cell)
             last = len(grid.nodes) - 1
@@ -127,7 +121,7 @@ def advance_derivatives(
         # The factor must belong to the converged state: that of the last Newton iteration is one step old,
         # which makes the derivatives 2e-3 wrong.
         if sweep_forward(state, chain, foundation, grid, y, last, factor, points) == TISSUE_CRUSHED:
-            return OVER_COMPRESSED, iterations
+            return OVER_COMPRESSED
         if has_alpha:
             fill_alpha_loads(points, foundation, alpha_derivative, grid, last)
         load_entries = 0
@@ -177,4 +171,4 @@ def advance_derivatives(
         for p in range(total):
             track[cell, 0, p], track[cell, 1, p] = tip[0, p], tip[1, p]
             cut[p] = constraints[cell, p] if cell > 0 else tip[0, p]
-    return CONVERGED, iterations
+    return CONVERGED

@@ -7,6 +7,7 @@ from needlefit.arrays import Floats
 from needlefit.mechanics.kernel.beam import (
     HERMITE_COLUMNS,
     SLOPES,
+    count_below,
     fill_element_ends,
     fill_hermite,
     find_element,
@@ -26,6 +27,7 @@ def compute_load(
     """
     load = np.zeros(len(s))
     part = 0.5 if switch == LINEAR_CUT else switch
+    depths = constraints[:, 0].copy()
     change = (1.0 - part) * constraints[:-1, 0] + part * constraints[1:, 0]
     ends, row = np.empty(4), np.empty(HERMITE_COLUMNS)
     for i in range(len(s)):
@@ -34,10 +36,10 @@ def compute_load(
         e = find_element(x, s[i])
         fill_element_ends(ends, u, slope, e)
         fill_hermite(row, s[i] - x[e], x[e + 1] - x[e])
-        layer = np.searchsorted(boundaries, s[i])
-        away = -constraints[np.searchsorted(change, s[i]), 1]
+        layer = count_below(boundaries, s[i])
+        away = -constraints[count_below(change, s[i]), 1]
         if switch == LINEAR_CUT and len(constraints) > 1:
-            m = max(np.searchsorted(constraints[:, 0], s[i]), 1)
+            m = max(count_below(depths, s[i]), 1)
             rise = constraints[m, 1] - constraints[m - 1, 1]
             along = (s[i] - constraints[m - 1, 0]) / (constraints[m, 0] - constraints[m - 1, 0])
             away = -(constraints[m - 1, 1] + along * rise)
@@ -67,7 +69,7 @@ def balance_forces(
         Force (N) and moment (N mm) that must act on each node beside the load: what holds it, where
         something does; elsewhere nothing but rounding.
     """
-    front = np.searchsorted(x, 0.0)  # base and guides before the tissue
+    front = count_below(x, 0.0)  # base and guides before the tissue
     grid = build_grid(constraints[:, 0].copy(), boundaries, x[front:].copy(), switch)
     load = compute_load(x, u, slope, constraints, foundation, boundaries, switch, grid.x)
     nodal_forces = np.zeros((len(x), 2))

@@ -9,13 +9,13 @@ from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.beam import (
     HERMITE_COLUMNS,
     SLOPES,
+    count_below,
     fill_hermite,
     fill_hermite_derivatives,
 )
 from needlefit.mechanics.kernel.foundation import Foundation, evaluate_stiffness, friction_factor
 from needlefit.mechanics.kernel.grid import GAUSS_OFFSET, NodeGrid, find_cut
 from needlefit.mechanics.kernel.insertion import (
-    GUIDE_SLOPE,
     GUIDE_X,
     GUIDE_Y,
     BoundaryConditions,
@@ -60,7 +60,7 @@ def fill_node_load(
                 drift, gain = 0.5 - (2 * second - 1) * GAUSS_OFFSET, -0.5
             c, c_slope = find_cut(grid, y, q)
             _add_point(
-                load, side, state, a, foundation, c, c_slope * drift, grid.layer[q], grid.x[q] - start,
+                load[side:], state, a, foundation, c, c_slope * drift, grid.layer[q], grid.x[q] - start,
                 stop - start, grid.weight[q], drift - side, 1.0 - 2.0 * side, gain,
             )  # fmt: skip
 
@@ -81,8 +81,10 @@ def fill_boundary_load(
         The chain's node to which the first row of `load` belongs.
     """
     _clear_load(load)
-    right = int(np.searchsorted(grid.x, depth))  # pieces end at boundaries: the first point beyond
-    e = int(np.searchsorted(grid.first, right, side="right")) - 1
+    right = count_below(grid.x, depth)  # pieces end at boundaries: the first point beyond
+    e = 0
+    while grid.first[e + 1] <= right:
+        e += 1
     before = len(chain.front)
     a = e - 1 + before
     start = chain.front[a] if a < before else grid.nodes[a - before]
@@ -99,20 +101,20 @@ def fill_boundary_load(
         for j in range(2):
             drift, (here, slope) = 0.5 + (2 * j - 1) * GAUSS_OFFSET, find_cut(grid, y, left + j)
             _add_point(
-                load, 0, state, a, foundation, here, slope * drift, b, grid.x[left + j] - start, length,
+                load, state, a, foundation, here, slope * drift, b, grid.x[left + j] - start, length,
                 grid.weight[left + j], drift, 0.0, 0.5,
             )  # fmt: skip
     else:
-        _add_point(load, 0, state, a, foundation, c, 0.0, b, depth - start, length, 0.0, 0.0, 0.0, 1.0)
+        _add_point(load, state, a, foundation, c, 0.0, b, depth - start, length, 0.0, 0.0, 0.0, 1.0)
     if grid.layer[right] == b + 1:
         for j in range(2):
             drift, (here, slope) = 0.5 - (2 * j - 1) * GAUSS_OFFSET, find_cut(grid, y, right + j)
             _add_point(
-                load, 0, state, a, foundation, here, slope * drift, b + 1, grid.x[right + j] - start, length,
+                load, state, a, foundation, here, slope * drift, b + 1, grid.x[right + j] - start, length,
                 grid.weight[right + j], drift, 0.0, -0.5,
             )  # fmt: skip
     else:  # a layer without extent
-        _add_point(load, 0, state, a, foundation, c, 0.0, b + 1, depth - start, length, 0.0, 0.0, 0.0, -1.0)
+        _add_point(load, state, a, foundation, c, 0.0, b + 1, depth - start, length, 0.0, 0.0, 0.0, -1.0)
     return a
 
 
@@ -139,7 +141,7 @@ def _add_bending(
 
 @njit(cache=True, nogil=True)
 def _add_point(
-    load: Floats, at: int, state: Floats, a: int, foundation: Foundation, c: float, c_by: float, layer: int,
+    load: Floats, state: Floats, a: int, foundation: Foundation, c: float, c_by: float, layer: int,
     x: float, length: float, weight: float, drift: float, grows: float, gain: float,
 ) -> None:  # fmt: skip
     """Add d(w k e g N) of a quadrature point `x` mm into the element from node `a` on.
@@ -160,7 +162,7 @@ def _add_point(
     force, by_e, by_slope = compute_tissue_reaction(foundation, layer, u - c, slope)
     force_by = by_e * (u_by - c_by) + by_slope * slope_by
     for j in range(4):
-        load[at + j // 2, j % 2] += (gain * force + weight * force_by) * n[j] + weight * force * n_by[j]
+        load[j // 2, j % 2] += (gain * force + weight * force_by) * n[j] + weight * force * n_by[j]
 
 
 # Sums over a layer: of the force k e g, and of its derivatives with respect to alpha and friction.
@@ -233,52 +235,50 @@ def list_load_entries(
     last: int, depth: float,
 ) -> int:  # fmt: skip
     """List the right-hand sides of base, guides and boundaries; return the number of entries."""
-    n = 0
-    n = _list_entry(workspace, n, 0, 0, columns.base_y, 1.0)
-    n = _list_entry(workspace, n, 0, 0, columns.stage_slope, depth)
-    n = _list_entry(workspace, n, 0, 1, columns.base_slope, 1.0)
+    # Loops, not a call for each component: numba compiles a function anew for every literal number.
+    entries, amounts, load, kind = workspace.load_entries, workspace.amounts, workspace.load, chain.kind
+    base, n = (columns.base_y, columns.stage_slope, columns.base_slope), 0
+    for j in range(3):
+        n = _list_entry(entries, amounts, n, 0 * j, j // 2, base[j], depth if j == 1 else 1.0)
     before = len(chain.front)
     for g in range(len(guides)):
         node = g + 1
         if node >= before:
             x = conditions.within[node - before, GUIDE_X]
-            node = before + np.searchsorted(grid.nodes, x)
+            node = before + count_below(grid.nodes, x)
             if node >= before + last or grid.nodes[node - before] != x:
                 continue  # the tip has not passed it yet
-        n = _list_entry(workspace, n, node, 0, guides[g, GUIDE_Y], 1.0)
-        if chain.kind[node] == CLAMPED:
-            n = _list_entry(workspace, n, node, 1, guides[g, GUIDE_SLOPE], 1.0)
+        for component in range(2 if kind[node] == CLAMPED else 1):
+            n = _list_entry(entries, amounts, n, node, component, guides[g, GUIDE_Y + component], 1.0)
         if guides[g, GUIDE_X] >= 0:
-            fill_node_load(workspace.load, node, state, chain, foundation, grid, y)
-            n = _list_loads(workspace, n, chain, node - 1, 3, guides[g, GUIDE_X])
+            fill_node_load(load, node, state, chain, foundation, grid, y)
+            n = _list_loads(entries, amounts, n, load, kind, node - 1, len(load), guides[g, GUIDE_X])
     if columns.boundary >= 0:
         for b in range(len(boundaries)):
             if 0.0 <= boundaries[b] < depth:
-                node = fill_boundary_load(workspace.load, b, boundaries[b], state, chain, foundation, grid, y)
-                n = _list_loads(workspace, n, chain, node, 2, columns.boundary + b)
+                node = fill_boundary_load(load, b, boundaries[b], state, chain, foundation, grid, y)
+                n = _list_loads(entries, amounts, n, load, kind, node, len(load) - 1, columns.boundary + b)
     return n
 
 
 @njit(cache=True, nogil=True)
 def _list_entry(
-    workspace: AdjointWorkspace, n: int, node: int, component: int, column: int, amount: float
+    entries: Ints, amounts: Floats, n: int, node: int, component: int, column: int, amount: float
 ) -> int:
     if column < 0:
         return n
-    workspace.load_entries[n, 0], workspace.load_entries[n, 1], workspace.load_entries[n, 2] = (
-        node,
-        component,
-        column,
-    )
-    workspace.amounts[n] = amount
+    entries[n, 0], entries[n, 1], entries[n, 2] = node, component, column
+    amounts[n] = amount
     return n + 1
 
 
 @njit(cache=True, nogil=True)
-def _list_loads(workspace: AdjointWorkspace, n: int, chain: Chain, node: int, nodes: int, column: int) -> int:
+def _list_loads(
+    entries: Ints, amounts: Floats, n: int, load: Floats, kind: Ints, node: int, nodes: int, column: int
+) -> int:
     """List a load on the residual; what is prescribed has no equation that it could enter."""
     for i in range(nodes):
         for component in range(2):
-            if chain.kind[node + i] <= component:
-                n = _list_entry(workspace, n, node + i, component, column, -workspace.load[i, component])
+            if kind[node + i] <= component:
+                n = _list_entry(entries, amounts, n, node + i, component, column, -load[i, component])
     return n

@@ -4,6 +4,7 @@ Free spans are exact cubic elements; each Newton step is one fused sweep from ba
 an element, adds it and eliminates the 2 x 2 block of its first node, and one sweep back.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -83,14 +84,16 @@ def equilibrate(
     state, trial, factor = state[:size], trial[:size], factor[:size]
     copy_state(trial, state)
     before = np.inf
-    curvature = np.max(foundation.curvature)
+    curvature = 0.0
+    for i in range(len(foundation.curvature)):
+        curvature = max(curvature, foundation.curvature[i])
     seen_uncrushed = compressed = False
     for iteration in range(newton.max_iterations):
         tissue = sweep_forward(trial, chain, foundation, grid, y, last, factor)
         if (
             tissue == TISSUE_CRUSHED and not seen_uncrushed
         ):  # a guess beyond what tissue bears; the answer may not be
-            if not np.isfinite(substitute_back(trial, factor)):
+            if not math.isfinite(substitute_back(trial, factor)):
                 return NON_FINITE, iteration + 1
             continue
         if tissue == TISSUE_CRUSHED:
@@ -103,7 +106,7 @@ def equilibrate(
         seen_uncrushed = True
         copy_state(state, trial)
         change = substitute_back(trial, factor)
-        if not np.isfinite(change):
+        if not math.isfinite(change):
             return NON_FINITE, iteration + 1
         # a step's error is about the square of its increment times the law's curvature, which bounds the
         # next increment; one this small that no longer shrinks is rounding: fine meshes in soft tissue
@@ -113,6 +116,15 @@ def equilibrate(
             return CONVERGED, iteration + 1
         before = change
     return OVER_COMPRESSED if compressed or not seen_uncrushed else NOT_CONVERGED, newton.max_iterations
+
+
+@njit(cache=True, nogil=True)
+def find_equilibrium(
+    state: Floats, chain: Chain, foundation: Foundation, grid: NodeGrid, y: Floats, last: int,
+    newton: NewtonOptions, trial: Floats, factor: Floats,
+) -> tuple[int, int]:  # fmt: skip
+    """Call `equilibrate` from Python."""
+    return equilibrate(state, chain, foundation, grid, y, last, newton, trial, factor)
 
 
 @njit(cache=True, nogil=True)

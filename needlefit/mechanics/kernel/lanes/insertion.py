@@ -9,13 +9,14 @@ A stop costs one full Newton pass; the lanes that are not converged then make a 
 of the first, which costs half; further passes are full ones.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from needlefit.arrays import Floats, Ints
-from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, fill_hermite
+from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, count_below, fill_hermite
 from needlefit.mechanics.kernel.grid import LINEAR_CUT, SAME_DEPTH_MM, NodeGrid
 from needlefit.mechanics.kernel.insertion import (
     GUIDE_SLOPE,
@@ -97,7 +98,7 @@ def advance_lanes(
             grid = build_stop_grid(insertion, conditions, tip, cell)
             tables = tabulate(grid)
         # The main grid reaches to the deepest stop: the tip's node is not its last one.
-        last = np.searchsorted(grid.nodes, tip - SAME_DEPTH_MM)
+        last = count_below(grid.nodes, tip - SAME_DEPTH_MM)
         _guess_next_state(lanes, grid, last, on_main)
         ends = _condense_front(lanes, inputs, grid, tables, tip, insertion.length)
         state = lanes.states[lanes.size[CURRENT_STATE]].reshape(-1)
@@ -201,7 +202,7 @@ def _interpolate_state(state: Floats, nodes: Floats, into: Floats, at: Floats) -
                 into[i, l] = state[e, l] + (at[i] - nodes[e]) * state[e, W + l]
                 into[i, W + l] = state[e, W + l]
             continue
-        e = np.searchsorted(nodes, at[i]) - 1
+        e = count_below(nodes, at[i]) - 1
         fill_hermite(n, at[i] - nodes[e], nodes[e + 1] - nodes[e])
         for l in range(W):
             a0, a1, b0, b1 = state[e, l], state[e, W + l], state[e + 1, l], state[e + 1, W + l]
@@ -224,7 +225,7 @@ def _condense_front(
         element 0 are filled where it has tissue.
     """
     last = len(inputs.before)  # the last node that is clamped; node 0 is the base
-    while last > 0 and np.isnan(inputs.before[last - 1, GUIDE_SLOPE, 0]):
+    while last > 0 and math.isnan(inputs.before[last - 1, GUIDE_SLOPE, 0]):
         last -= 1
     span_start = tip - length if last == 0 else inputs.before[last - 1, GUIDE_X, 0]
     for q in range(grid.first[1]):

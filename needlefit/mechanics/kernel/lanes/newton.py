@@ -4,6 +4,7 @@ The first pass is a full Newton pass. Lanes that have not converged then make a 
 the first, at half the cost; further passes are full ones.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -126,7 +127,7 @@ def equilibrate_lanes(
             ahead = inputs.curvature[l] * change * (change if full else 2.0 * before)
             # An increment this small that no longer shrinks is rounding, as in the scalar kernel.
             stalled = n > 1 and change < ROUNDING_MM and change > 0.5 * before
-            if not np.isfinite(change):
+            if not math.isfinite(change):
                 # A lost solution must not keep the other lanes iterating; the scalar kernel solves this set
                 # again.
                 lane_status[l], busy[AT_WORK + l] = LEFT_LANES, 0.0

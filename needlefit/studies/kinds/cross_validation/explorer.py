@@ -1,6 +1,5 @@
 """Collect what the HTML report draws interactively: the curves of every insertion, and posterior draws."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import list_metrics
 from needlefit.reporting.labels import group_name, layers_name, medium_name, method_colour, method_name
 from needlefit.reporting.number_format import choose_printed_unit, format_metric
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import to_records
 from needlefit.studies.kinds.cross_validation.figures.insertions import (
     HEIGHT_COLUMNS,
     collect_curves,
@@ -38,7 +37,7 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
         return None
     methods = ("fitted", *(name for name in list_methods() if name != "fitted"))
     curves = collect_curves(results, role, methods)
-    residuals = subtract_fit(curves)
+    listed_curves, listed_residuals = _list_curves(curves), _list_curves(subtract_fit(curves))
     status = {one.group: one.status for one in judge_run(results)}
     metrics = [one for one in list_metrics() if one.headline or one.relative]
     return {
@@ -56,8 +55,8 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
                     group_name(row["medium"], row["layers"]), status.get(medium_name(row["medium"]), "")
                 ),
                 "error": row["te_mm"],
-                "curves": dict(_list_curves(curves, row)),
-                "residuals": dict(_list_curves(residuals, row)),
+                "curves": listed_curves.get((row["fold"], row["insertion"]), {}),
+                "residuals": listed_residuals.get((row["fold"], row["insertion"]), {}),
             }
             for row in to_records(scored)
         ],
@@ -70,17 +69,17 @@ def collect_explorer(results: Run) -> dict[str, Any] | None:
     }
 
 
-def _list_curves(points: pd.DataFrame, row: Row) -> Iterator[tuple[str, dict[str, list[float]]]]:
-    mine = points[(points["fold"] == row["fold"]) & (points["insertion"] == row["insertion"])]
-    for name, curve in mine.groupby("curve", sort=False):
-        columns = ("x_mm", *(HEIGHT_COLUMNS[1:] if str(name).endswith("%") else HEIGHT_COLUMNS[:1]))
-        known = curve.dropna(subset=list(columns))
-        yield str(name), {key: _round(known[key]) for key in columns}
-
-
-def _round(values: "pd.Series[float]") -> list[float]:
-    rounded: list[float] = np.round(values.to_numpy(dtype=np.float64), CURVE_DECIMALS).tolist()
-    return rounded
+def _list_curves(points: pd.DataFrame) -> dict[tuple[str, str], dict[str, dict[str, list[float]]]]:
+    """Return the curves by fold and insertion, of each its columns; points that lack one are left out."""
+    found: dict[tuple[str, str], dict[str, dict[str, list[float]]]] = {}
+    every = {key: points[key].to_numpy(dtype=np.float64) for key in ("x_mm", *HEIGHT_COLUMNS)}
+    groups: dict[Any, Any] = points.groupby(["fold", "insertion", "curve"], sort=False).indices
+    for (fold, insertion, name), rows in sorted(groups.items(), key=lambda group: int(group[1][0])):
+        heights = HEIGHT_COLUMNS[1:] if str(name).endswith("%") else HEIGHT_COLUMNS[:1]
+        columns = np.array([every[key][rows] for key in ("x_mm", *heights)])
+        known = np.round(columns[:, ~np.isnan(columns).any(axis=0)], CURVE_DECIMALS).tolist()
+        found.setdefault((fold, insertion), {})[str(name)] = dict(zip(("x_mm", *heights), known, strict=True))
+    return found
 
 
 def _collect_draws(results: Run) -> dict[str, Any] | None:
