@@ -101,7 +101,10 @@ def place(page, what: str) -> tuple[float, float]:
     script = """async (what) => {
         const { toPx, toPy } = await import("/page/view.js");
         const box = document.getElementById("canvas").getBoundingClientRect();
-        const at = window.needlefit.state[what] ?? window.needlefit.state.guides[0];
+        const { bevelPlace } = await import("/page/handles.js");
+        const { state } = window.needlefit;
+        if (what === "arrow") return bevelPlace(state).turn.map((one, i) => one + [box.left, box.top][i]);
+        const at = state[what] ?? state.guides[0];
         return [box.left + toPx(at.x), box.top + toPy(at.y)];
     }"""
     return tuple(page.evaluate(script, what))
@@ -557,13 +560,20 @@ def test_fields_have_definitions_inside_the_window(page) -> None:
         assert number.get_attribute("aria-description") == page.inner_text("#definition") != ""
 
 
-def test_what_the_tour_asks_for_is_in_sight_on_a_phone(server, chromium) -> None:
-    with opened(chromium, server, viewport={"width": 390, "height": 844}) as page:
+@pytest.mark.parametrize("size", [(390, 844), (844, 390), (1280, 800)])
+def test_the_tour_covers_neither_the_picture_nor_what_it_asks_for(server, chromium, size) -> None:
+    width, height = size
+    with opened(chromium, server, viewport={"width": width, "height": height}, has_touch=True) as page:
         page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
-        for name in ("flip", "insert"):
-            box = page.locator(f"#{name}").bounding_box()
-            assert box["x"] >= 0 and box["x"] + box["width"] <= 390
-            assert box["y"] + box["height"] <= 844
+        for _ in range(3):
+            boxes = [page.locator(f"#{name}").bounding_box() for name in ("tour", "canvas", "flip", "insert")]
+            for box in boxes:
+                assert box["x"] >= 0 and box["x"] + box["width"] <= width
+                assert box["y"] >= 0 and box["y"] + box["height"] <= height
+            tour, *others = boxes
+            for box in others:
+                below, above = tour["y"] + tour["height"] <= box["y"], tour["y"] >= box["y"] + box["height"]
+                assert below or above
             page.click("#tour-skip")
 
 
@@ -626,11 +636,26 @@ def test_the_three_steps_to_try_follow_what_is_done_and_can_be_skipped(page) -> 
     page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
     page.locator("#tour").wait_for(state="visible")
     assert page.inner_text("#tour-text").startswith("1 of 3")
-    page.click("#flip")
+    side = page.evaluate("window.needlefit.state.bevel.side")
+    drag(page, "arrow", 0, 70 * side)
+    page.get_by_text("2 of 3").wait_for()
+    assert page.evaluate("window.needlefit.state.bevel.side") == -side
+    drag(page, "base", 0, -20)
+    page.get_by_text("3 of 3").wait_for()
+    state = page.evaluate("window.needlefit.state")
+    drag(page, "base", 60, 3)
+    page.locator("#tour").wait_for(state="hidden")
+    after = page.evaluate("window.needlefit.state")
+    assert after["depth_mm"] > 15 and after["base"]["input_y"] == state["base"]["input_y"]
+    page.keyboard.press("Control+z")  # one drag, one undo
+    until(page, "state => state.depth_mm === 10")
+    page.evaluate("localStorage.clear()")
+    page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
+    page.keyboard.press("f")
     page.get_by_text("2 of 3").wait_for()
     page.click("#tour-skip")
     page.get_by_text("3 of 3").wait_for()
-    drag(page, "base", 0, -20)
+    page.click("#tour-end")
     page.locator("#tour").wait_for(state="hidden")
     page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")  # not a second time by itself
     assert page.locator("#tour").is_hidden()

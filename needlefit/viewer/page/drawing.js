@@ -3,6 +3,7 @@
 import { paintAxes } from "./painters/axes.js";
 import { paintGoal, paintPlan, paintReach } from "./painters/aim.js";
 import { paintBase, paintGuides } from "./painters/supports.js";
+import { paintHint } from "./painters/hint.js";
 import { paintLoad } from "./painters/load.js";
 import { paintNeedle, paintPath, paintPoints, paintTip } from "./painters/needle.js";
 import { paintBand, paintGaps, paintMeasured, paintPoints as paintMeasuredPoints } from "./painters/overlay.js";
@@ -68,6 +69,7 @@ function paintForeground(state) {
     paintGuides(before, state);
     paintBase(before, state);
     paintTrackedTip(before);
+    paintHint(before, state);
     if (view.magnified > 1) paintInset(before, state);
     if (!seesTip()) paintArrow(before, state);
   });
