@@ -11,7 +11,7 @@ import { paintTissue } from "./painters/tissue.js";
 import { paintTrackedTip } from "./painters/tracked_tip.js";
 import { palette, readPalette } from "./palette.js";
 import { slice } from "./slice.js";
-import { listen, now } from "./store.js";
+import { listen, now, publish } from "./store.js";
 import { paintArrow, paintInset } from "./painters/inset.js";
 import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
 
@@ -28,7 +28,10 @@ let drawnTissue = "";
 let stale = true; // whether the foreground must be drawn though no state has come
 
 /** Draw again in the next frame. */
-export const invalidate = () => (stale = true);
+export function invalidate() {
+  stale = true;
+  publish("redraw");
+}
 
 /** Draw what has changed. */
 export function paint(fresh) {
