@@ -249,12 +249,12 @@ def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
     return tuple(Move(step.depth, bevels[step.bevel], controls[step.controls]) for step in steps)
 
 
+@lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def make_stops(moves: tuple[Move, ...], lattice: Lattice) -> tuple[TipStop, ...]:
     """Return the stops of all moves, from first contact on."""
     return plan_moves(moves, lattice)[1]
 
 
-@lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def plan_moves(moves: tuple[Move, ...], lattice: Lattice) -> tuple[Position, tuple[TipStop, ...]]:
     """Return the position after all moves, and their stops, from first contact on."""
     position, stops = Position(), list[TipStop]()

@@ -5,10 +5,12 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
+from needlefit.arrays import Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.insertion_limits import check_reach, check_size
@@ -31,7 +33,7 @@ from needlefit.mechanics.simulate import (
     compile_controls,
     compile_tissue,
     compute_turn,
-    pack_groups,
+    group_stops,
     pack_stops,
     read_shape,
 )
@@ -218,7 +220,7 @@ class Session:
         is kept: a hand on a slider simulates the same one again and again.
         """
         moves = tuple(Move(s.depth, self._bevels.of(s.bevel), self._controls.of(s.controls)) for s in steps)
-        position, stops = plan_moves(moves, self.lattice)
+        position, stops, groups = _plan_path(moves, self.lattice)
         self._insertion = self._begin()  # the plan begins with the stop at the entry
         self._grow_arrays(
             max(len(step.controls.guides) for step in steps), 1 + max(stop.ray for stop in stops)
@@ -226,7 +228,7 @@ class Session:
         bevels, controls = self._bevels.values(), self._controls.values()
         turns = {number: compute_turn(bevel, self.rules) for number, bevel in bevels.items()}
         self.solved = len(stops)
-        for controls_id, packed, bevel_ids in pack_groups(moves, self.lattice):
+        for controls_id, packed, bevel_ids in groups:
             packed = packed._replace(turn=np.array([turns[number] for number in bevel_ids.tolist()]))
             conditions = compile_controls(controls[controls_id])
             status, iterations, _ = kernel.advance_needle(
@@ -297,6 +299,15 @@ class Session:
             self.lattice.spacing, self.rules.element, self.rules.cut_switch, self.rules.tangent,
             self.tissue.boundaries, self._deepest, self._guides, self._rays,
         )  # fmt: skip
+
+
+@lru_cache(maxsize=4)  # the last paths alone: of a long one the plan takes megabytes
+def _plan_path(
+    moves: tuple[Move, ...], lattice: Lattice
+) -> tuple[Position, tuple[TipStop, ...], tuple[tuple[int, kernel.TipStops, Ints], ...]]:
+    """Return the position after a path, its stops, and these in the form that the kernel reads."""
+    position, stops = plan_moves(moves, lattice)
+    return position, stops, group_stops(stops)
 
 
 def _check_rays(count: int) -> None:
