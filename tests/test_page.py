@@ -223,6 +223,21 @@ def test_a_refused_input_is_announced_and_nothing_moves(page) -> None:
     field.press("Enter")
     page.locator("[role=alert]:not([hidden])", has_text=re.compile("mu|above 0")).first.wait_for()
     assert page.evaluate("window.needlefit.state.layers[0].mu_pa") > 0
+    assert "-5 MPa" in page.inner_text("#refusal")
+    field.fill("0.4")  # what is right ends the message
+    field.press("Enter")
+    until(page, "state => Math.abs(state.layers[0].mu_pa - 4e5) < 1")
+    assert page.inner_text("#refusal") == ""
+    angle = page.locator("#base-fields .number").nth(1)
+    angle.fill("-1e9")
+    angle.press("Enter")
+    page.locator("#refusal strong", has_text=re.compile("-90.0°")).wait_for()
+    angle.fill("0.5")
+    angle.press("Enter")
+    until(page, "state => Math.abs(state.base.input_slope - 0.008727) < 1e-5")
+    angle.press("Control+z")
+    until(page, "state => state.base.input_slope === 0")
+    page.locator("#refusal strong").wait_for(state="hidden")
 
 
 def test_the_keys_of_the_page_work_wherever_they_are_not_needed(page) -> None:

@@ -65,6 +65,7 @@ listen("scene", () => {
 });
 listen("aim", ({ target, radius, obstacles, roll_deg: roll }) => {
   if (timer) return; // it is older than what waits to be sent
+  publish("accepted");
   Object.assign(aim, { target, radius, obstacles });
   if (!target) aim.reach = null;
   if (roll) publish("notice", { what: `The needle is rolled by ${roll.toFixed(1)}° about x: its plane holds the target.` });

@@ -47,7 +47,7 @@ def read_goal(message: Message) -> GoalParts:
     ModelError
         If one is not a finite number, or there are too many.
     """
-    radius = message.number("radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM)
+    radius = message.number("radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM, "mm")
     if radius <= 0:
         raise ModelError(f"the radius of the target is {radius:g} mm", expected="above 0 mm")
     target = message.content.get("target")
@@ -70,7 +70,10 @@ def read_goal(message: Message) -> GoalParts:
 def _read_numbers(row: object, count: int) -> list[float]:
     if not isinstance(row, list) or len(row) != count:
         raise ModelError(f"{row!r:.60} is no place", expected=f"{count} numbers, mm")
-    return [Message("aim", content={"place": one}).number("place", most=MAX_PLACE_MM) for one in row]
+    return [
+        Message("aim", content={key: one}).number(key, None, MAX_PLACE_MM, "mm")
+        for key, one in zip(("x", "y", "radius"), row, strict=False)
+    ]
 
 
 def read_markups(trial: InteractiveTrial, message: Message) -> None:
@@ -82,7 +85,7 @@ def read_markups(trial: InteractiveTrial, message: Message) -> None:
         If it is none, or where the needle lies in its scan is not known.
     """
     suffix = ".fcsv" if message.text("name").endswith(".fcsv") else ".mrk.json"
-    radius = message.number("obstacle_radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM)
+    radius = message.number("obstacle_radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM, "mm")
     placement = find_placement(trial.viewed_scene)
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"markups{suffix}"
