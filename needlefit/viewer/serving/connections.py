@@ -280,10 +280,10 @@ async def _send_plans(window: Window, socket: web.WebSocketResponse) -> None:
         if aim.challenged:
             insertion = continue_insertion(trial.steering, trial.viewed_scene)
             aim.challenged, version = False, aim.version
-            target = await asyncio.to_thread(draw_challenge, insertion, trial.scene.depth)
+            goal_parts = await asyncio.to_thread(draw_challenge, insertion, trial.scene.depth, aim.radius)
             if version == aim.version:
-                aim.set(target, aim.radius, ())
-                aim.wanted = target is not None
+                aim.set(*goal_parts)
+                aim.wanted = aim.goal is not None
         elif aim.goal is not None and aim.wanted:
             aim.wanted, version = False, aim.version
             insertion = continue_insertion(trial.steering, trial.viewed_scene)

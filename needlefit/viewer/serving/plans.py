@@ -36,6 +36,9 @@ BEYOND_TARGET_MM = 8.0
 CHALLENGE_DEPTHS = (0.6, 1.0)
 """Between which parts of the scene's depth a random target lies."""
 
+OBSTACLE_PLACES, OBSTACLE_RADIUS_MM = (0.4, 0.6), 0.5
+"""Between which parts of the way to a random target its obstacle lies, and the obstacle's radius, mm."""
+
 GoalParts = tuple[tuple[float, float] | None, float, tuple[ObstacleRecord, ...]]
 
 
@@ -99,10 +102,16 @@ def read_markups(trial: InteractiveTrial, message: Message) -> None:
     aim.set(goal, aim.radius, found.goal.obstacles, found.roll_deg)
 
 
-def draw_challenge(insertion: StartedInsertion, depth: float) -> tuple[float, float] | None:
-    """Return a random target that a plan reaches; None where there is none."""
+def draw_challenge(insertion: StartedInsertion, depth: float, radius: float) -> GoalParts:
+    """Return a random target that a plan reaches (None where there is none), and an obstacle before it."""
     rng = np.random.default_rng()
-    return draw_target(insertion, depth * float(rng.uniform(*CHALLENGE_DEPTHS)), rng)
+    target = draw_target(insertion, depth * float(rng.uniform(*CHALLENGE_DEPTHS)), rng)
+    if target is None:
+        return None, radius, ()
+    share = float(rng.uniform(*OBSTACLE_PLACES))  # on the straight way from the entry
+    centre = (share * target[0], share * target[1])
+    obstacle = ObstacleRecord(name="obstacle 1", centre_mm=centre, radius_mm=OBSTACLE_RADIUS_MM)
+    return target, radius, (obstacle,)
 
 
 def find_region(insertion: StartedInsertion, goal: Goal, depth: float) -> ReachableRegion:
