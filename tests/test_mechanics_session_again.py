@@ -53,7 +53,15 @@ def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
     input_path = under_way.input_path()
     again = simulate_steps(under_way.needle, under_way.tissue, input_path, under_way.rules, under_way.lattice)
     assert_near(again, under_way.now.shape)
-    retold = under_way.simulate_again()
+    retold, start = under_way.simulate_again(), input_path[0]
+    single = Session(
+        under_way.needle, under_way.tissue, start.bevel, under_way.lattice.first_cell, start.controls,
+        under_way.rules,
+    )  # fmt: skip
+    for step in input_path:
+        single.go(step)
+    np.testing.assert_array_equal(retold.now.shape.u, single.now.shape.u)
+    assert retold.solved == single.solved
     for step in random_steps(rng, 2):
         assert_near(retold.go(step), under_way.go(step))
 

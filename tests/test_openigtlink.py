@@ -113,6 +113,26 @@ def test_a_jittering_base_makes_no_long_path(tmp_path) -> None:
     assert poses.step.controls.base_y == pytest.approx(1.0, abs=1e-5)
 
 
+def test_while_it_goes_in_the_base_acts_once_a_millimetre_with_the_mean_of_its_poses(tmp_path) -> None:
+    poses, rng, read, acted = Poses(tmp_path), np.random.default_rng(2), [], []
+    poses.send(base=((-150.0, 0.0), (1.0, 0.0, 0.0)))
+    poses.send(base=((-148.0, 0.0), (1.0, 0.0, 0.0)))
+    for depth in np.arange(2.01, 40.0, 0.01):  # a hundred poses per millimetre
+        y = 0.3 * rng.standard_normal()
+        before = poses.step.controls.base_y
+        poses.send(0.01, base=((depth - 150.0, y), (1.0, 0.01 * y, 0.0)))
+        read.append(y)
+        if poses.step.controls.base_y != before:
+            acted.append(poses.step.controls.base_y)
+            assert acted[-1] == pytest.approx(np.mean(read), abs=1e-5)
+            assert poses.step.controls.base_slope == pytest.approx(0.01 * np.mean(read), abs=1e-5)
+            read = []
+    assert 30 < len(acted) <= 38 and np.std(acted) < 0.05
+    tracked = poses.tracked
+    assert all(len(known.recent) <= 256 for known in tracked.devices.values())
+    assert len(tracked.trial.steering.input_path()) <= 40
+
+
 def test_a_tip_estimates_the_parameters_which_the_needle_takes(tmp_path) -> None:
     poses, tips = Poses(tmp_path, tip_sd_mm=0.05, shift_sd_mm=0.05, slope_sd=0.001), tip_path(2.0, 1.3)
     before = poses.tracked.estimate

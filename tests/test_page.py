@@ -101,7 +101,10 @@ def place(page, what: str) -> tuple[float, float]:
     script = """async (what) => {
         const { toPx, toPy } = await import("/page/view.js");
         const box = document.getElementById("canvas").getBoundingClientRect();
-        const at = window.needlefit.state[what] ?? window.needlefit.state.guides[0];
+        const { bevelPlace } = await import("/page/handles.js");
+        const { state } = window.needlefit;
+        if (what === "arrow") return bevelPlace(state).turn.map((one, i) => one + [box.left, box.top][i]);
+        const at = state[what] ?? state.guides[0];
         return [box.left + toPx(at.x), box.top + toPy(at.y)];
     }"""
     return tuple(page.evaluate(script, what))
@@ -220,6 +223,21 @@ def test_a_refused_input_is_announced_and_nothing_moves(page) -> None:
     field.press("Enter")
     page.locator("[role=alert]:not([hidden])", has_text=re.compile("mu|above 0")).first.wait_for()
     assert page.evaluate("window.needlefit.state.layers[0].mu_pa") > 0
+    assert "-5 MPa" in page.inner_text("#refusal")
+    field.fill("0.4")  # what is right ends the message
+    field.press("Enter")
+    until(page, "state => Math.abs(state.layers[0].mu_pa - 4e5) < 1")
+    assert page.inner_text("#refusal") == ""
+    angle = page.locator("#base-fields .number").nth(1)
+    angle.fill("-1e9")
+    angle.press("Enter")
+    page.locator("#refusal strong", has_text=re.compile("-90.0°")).wait_for()
+    angle.fill("0.5")
+    angle.press("Enter")
+    until(page, "state => Math.abs(state.base.input_slope - 0.008727) < 1e-5")
+    angle.press("Control+z")
+    until(page, "state => state.base.input_slope === 0")
+    page.locator("#refusal strong").wait_for(state="hidden")
 
 
 def test_the_keys_of_the_page_work_wherever_they_are_not_needed(page) -> None:
@@ -499,13 +517,21 @@ def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
 def test_a_hand_is_compared_with_the_planner(page) -> None:
     page.fill("#speed", "1000")
     page.click("#challenge")
-    until(page, "() => window.needlefit.aim.target && window.needlefit.aim.challenge.planner !== null", 60)
+    until(page, "() => window.needlefit.aim.target && window.needlefit.aim.plan", 60)
     depth = page.evaluate("window.needlefit.aim.target[0]")
     go_to(page, round(depth, 2))
     page.click("#challenge")
     found = page.evaluate("window.needlefit.aim.challenge")
-    assert found["hand"] >= 0 and found["planner"] < 0.3
-    shown(page, f"You {found['hand']:.2f} mm")
+    assert found["hand"] >= 0 and (found["planner"] is None or found["planner"] < 3.0)
+    shown(page, "You touch" if found["touched"] else f"You {found['hand']:.2f} mm")
+    ((x, y, radius),) = page.evaluate("window.needlefit.aim.obstacles")
+    assert 0.4 * depth - 1e-6 <= x <= 0.6 * depth + 1e-6
+    state = page.evaluate("window.needlefit.state")
+    along = np.linspace(-5, depth, 20_000)
+    clearance = np.hypot(along - x, np.interp(along, state["x"], state["y"]) - y).min()
+    assert found["touched"] == (clearance < radius)
+    page.evaluate(f"import('/page/aim.js').then(({{ moveTo }}) => moveTo(0, {x}, {y + 5}))")
+    until(page, "() => window.needlefit.aim.challenge === null")  # changed by hand: it is over
 
 
 def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
@@ -557,13 +583,20 @@ def test_fields_have_definitions_inside_the_window(page) -> None:
         assert number.get_attribute("aria-description") == page.inner_text("#definition") != ""
 
 
-def test_what_the_tour_asks_for_is_in_sight_on_a_phone(server, chromium) -> None:
-    with opened(chromium, server, viewport={"width": 390, "height": 844}) as page:
+@pytest.mark.parametrize("size", [(390, 844), (844, 390), (1280, 800)])
+def test_the_tour_covers_neither_the_picture_nor_what_it_asks_for(server, chromium, size) -> None:
+    width, height = size
+    with opened(chromium, server, viewport={"width": width, "height": height}, has_touch=True) as page:
         page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
-        for name in ("flip", "insert"):
-            box = page.locator(f"#{name}").bounding_box()
-            assert box["x"] >= 0 and box["x"] + box["width"] <= 390
-            assert box["y"] + box["height"] <= 844
+        for _ in range(3):
+            boxes = [page.locator(f"#{name}").bounding_box() for name in ("tour", "canvas", "flip", "insert")]
+            for box in boxes:
+                assert box["x"] >= 0 and box["x"] + box["width"] <= width
+                assert box["y"] >= 0 and box["y"] + box["height"] <= height
+            tour, *others = boxes
+            for box in others:
+                below, above = tour["y"] + tour["height"] <= box["y"], tour["y"] >= box["y"] + box["height"]
+                assert below or above
             page.click("#tour-skip")
 
 
@@ -626,11 +659,26 @@ def test_the_three_steps_to_try_follow_what_is_done_and_can_be_skipped(page) -> 
     page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
     page.locator("#tour").wait_for(state="visible")
     assert page.inner_text("#tour-text").startswith("1 of 3")
-    page.click("#flip")
+    side = page.evaluate("window.needlefit.state.bevel.side")
+    drag(page, "arrow", 0, 70 * side)
+    page.get_by_text("2 of 3").wait_for()
+    assert page.evaluate("window.needlefit.state.bevel.side") == -side
+    drag(page, "base", 0, -20)
+    page.get_by_text("3 of 3").wait_for()
+    state = page.evaluate("window.needlefit.state")
+    drag(page, "base", 60, 3)
+    page.locator("#tour").wait_for(state="hidden")
+    after = page.evaluate("window.needlefit.state")
+    assert after["depth_mm"] > 15 and after["base"]["input_y"] == state["base"]["input_y"]
+    page.keyboard.press("Control+z")  # one drag, one undo
+    until(page, "state => state.depth_mm === 10")
+    page.evaluate("localStorage.clear()")
+    page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")
+    page.keyboard.press("f")
     page.get_by_text("2 of 3").wait_for()
     page.click("#tour-skip")
     page.get_by_text("3 of 3").wait_for()
-    drag(page, "base", 0, -20)
+    page.click("#tour-end")
     page.locator("#tour").wait_for(state="hidden")
     page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")  # not a second time by itself
     assert page.locator("#tour").is_hidden()

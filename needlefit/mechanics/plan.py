@@ -252,11 +252,16 @@ def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def make_stops(moves: tuple[Move, ...], lattice: Lattice) -> tuple[TipStop, ...]:
     """Return the stops of all moves, from first contact on."""
+    return plan_moves(moves, lattice)[1]
+
+
+def plan_moves(moves: tuple[Move, ...], lattice: Lattice) -> tuple[Position, tuple[TipStop, ...]]:
+    """Return the position after all moves, and their stops, from first contact on."""
     position, stops = Position(), list[TipStop]()
     for move in moves:
         position, more = plan_move(position, move, lattice)
         stops += more
-    return tuple(stops)
+    return position, tuple(stops)
 
 
 def make_lattice(steps: Sequence[Step], rules: ModelOptions) -> Lattice:

@@ -5,10 +5,12 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
+from needlefit.arrays import Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.insertion_limits import check_reach, check_size
@@ -24,12 +26,14 @@ from needlefit.mechanics.plan import (
     find_input_path,
     list_rays,
     plan_move,
+    plan_moves,
 )
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import (
     compile_controls,
     compile_tissue,
     compute_turn,
+    group_stops,
     pack_stops,
     read_shape,
 )
@@ -199,13 +203,44 @@ class Session:
         given |= {} if cut_angle is None else {"cut_angle": cut_angle}
         steps = tuple(replace(s, bevel=replace(s.bevel, **given)) for s in self.input_path())
         bevel, controls = steps[0].bevel, steps[0].controls
-        other = Session(
-            self.needle, tissue or self.tissue, bevel, self.lattice.first_cell, controls, self.rules
-        )
-        for step in steps:
-            if not other.go(step).converged:
-                break
+        tissue = tissue or self.tissue
+        other = Session(self.needle, tissue, bevel, self.lattice.first_cell, controls, self.rules)
+        if not other._go_through(steps):
+            # The state is lost: step by step the needle stands where the failed step began.
+            other = Session(self.needle, tissue, bevel, self.lattice.first_cell, controls, self.rules)
+            for step in steps:
+                if not other.go(step).converged:
+                    break
         return other
+
+    def _go_through(self, steps: tuple[Step, ...]) -> bool:
+        """Go through an input path from first contact at once; returns whether all of it converged.
+
+        If not, the session must not be used any more. Shapes on the way are not read, and the plan of a path
+        is kept: a hand on a slider simulates the same one again and again.
+        """
+        moves = tuple(Move(s.depth, self._bevels.of(s.bevel), self._controls.of(s.controls)) for s in steps)
+        position, stops, groups = _plan_path(moves, self.lattice)
+        self._insertion = self._begin()  # the plan begins with the stop at the entry
+        self._grow_arrays(
+            max(len(step.controls.guides) for step in steps), 1 + max(stop.ray for stop in stops)
+        )
+        bevels, controls = self._bevels.values(), self._controls.values()
+        turns = {number: compute_turn(bevel, self.rules) for number, bevel in bevels.items()}
+        self.solved = len(stops)
+        for controls_id, packed, bevel_ids in groups:
+            packed = packed._replace(turn=np.array([turns[number] for number in bevel_ids.tolist()]))
+            conditions = compile_controls(controls[controls_id])
+            status, iterations, _ = kernel.advance_needle(
+                self._insertion, self._foundation, conditions, packed, self._newton
+            )
+            if status != CONVERGED:
+                return False
+        self._position, self.last, self._stop = position, steps[-1], stops[-1]
+        self._shape = read_shape(
+            self._insertion, self.tissue, self._stop, self.last.controls, status, iterations
+        )
+        return True
 
     def _go(self, step: Step) -> NeedleShape:
         move = Move(step.depth, self._bevels.of(step.bevel), self._controls.of(step.controls))
@@ -264,6 +299,15 @@ class Session:
             self.lattice.spacing, self.rules.element, self.rules.cut_switch, self.rules.tangent,
             self.tissue.boundaries, self._deepest, self._guides, self._rays,
         )  # fmt: skip
+
+
+@lru_cache(maxsize=4)  # the last paths alone: of a long one the plan takes megabytes
+def _plan_path(
+    moves: tuple[Move, ...], lattice: Lattice
+) -> tuple[Position, tuple[TipStop, ...], tuple[tuple[int, kernel.TipStops, Ints], ...]]:
+    """Return the position after a path, its stops, and these in the form that the kernel reads."""
+    position, stops = plan_moves(moves, lattice)
+    return position, stops, group_stops(stops)
 
 
 def _check_rays(count: int) -> None:

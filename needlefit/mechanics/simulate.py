@@ -188,11 +188,13 @@ def _or_nan(slope: float | None) -> float:
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def pack_groups(moves: tuple[Move, ...], lattice: Lattice) -> tuple[tuple[int, kernel.TipStops, Ints], ...]:
     """Return the stops of all moves, grouped by equal controls: their number, the stops, bevel numbers."""
-    groups = []
-    for controls_id, some in groupby(make_stops(moves, lattice), key=lambda stop: stop.controls_id):
-        stops, bevel_id = pack_stops(tuple(some))
-        groups.append((controls_id, stops, bevel_id))
-    return tuple(groups)
+    return group_stops(make_stops(moves, lattice))
+
+
+def group_stops(stops: Sequence[TipStop]) -> tuple[tuple[int, kernel.TipStops, Ints], ...]:
+    """Return stops grouped as by `pack_groups`."""
+    groups = groupby(stops, key=lambda stop: stop.controls_id)
+    return tuple((controls_id, *pack_stops(tuple(some))) for controls_id, some in groups)
 
 
 def pack_stops(stops: Sequence[TipStop]) -> tuple[kernel.TipStops, Ints]:

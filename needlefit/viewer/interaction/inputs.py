@@ -90,22 +90,31 @@ class Change:
         elif self.name == "bevel_side" and self.value not in (1, -1):
             expected = "+1 (y > 0) or -1"
         elif self.name.endswith("slope") and abs(self.value) >= 1:
-            raise ModelError(
-                f"{self.name} is {self.value:.3g}: {math.degrees(math.atan(self.value)):.1f} degrees",
-                expected="between -1 and 1: less than 45 degrees",
-            )
+            expected = "between -45° and 45° (dy/dx between -1 and 1)"
         elif self.name == "mu_pa" and not 0 < self.value <= MAX_MU_PA:
-            raise ModelError(  # in the unit of the page's fields
-                f"mu is {self.value / 1e6:g} MPa", expected=f"above 0 MPa, up to {MAX_MU_PA / 1e6:g} MPa"
-            )
+            expected = f"above 0 MPa, up to {MAX_MU_PA / 1e6:g} MPa"
         elif self.name in ("bevel_offset_mm", "offset_throughout_mm", "depth_mm") and self.value < 0:
-            expected = "0 or above"
+            expected = "0 mm or above"
         elif self.name.startswith("cut_angle") and not 0 <= self.value < MAX_CUT_ANGLE_DEG:
-            expected = f"from 0 to {MAX_CUT_ANGLE_DEG:g} degrees"
+            expected = f"from 0 to {MAX_CUT_ANGLE_DEG:g}°"
         elif self.name == "return_to" and (self.value < 0 or self.value != int(self.value)):
             expected = "the number of a step"
         if expected:
-            raise ModelError(f"{self.name} is {self.value:g}", expected=expected)
+            raise ModelError(f"{self._describe()} is {self._write_value()}", expected=expected)
+
+    def _describe(self) -> str:
+        """Return the name without its unit, and whose input it is."""
+        words = self.name.removesuffix("_mm").removesuffix("_deg").removesuffix("_pa").replace("_", " ")
+        return words if self.item is None else f"{words} of {INPUTS[self.name]} {self.item}"
+
+    def _write_value(self) -> str:
+        """Return the value in the unit of the page's fields."""
+        if self.name == "mu_pa":
+            return f"{self.value / 1e6:g} MPa"
+        if self.name.endswith("slope"):
+            return f"{math.degrees(math.atan(self.value)):.1f}°"
+        unit = " mm" if self.name.endswith("_mm") else "°" if self.name.endswith("_deg") else ""
+        return f"{self.value:g}{unit}"
 
 
 def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:

@@ -10,10 +10,10 @@ let timer = 0;
 /** What is aimed at, the reachable region and the plan, as the server sent them last. */
 export const aim = { target: null, radius: 2, obstacles: [], reach: null, plan: null, placing: null, challenge: null };
 
-/** Send a goal; what is not given stays. */
+/** Send a goal; what is not given stays. A goal changed by hand ends the game. */
 export function setAim(changes) {
   Object.assign(aim, changes);
-  aim.plan = null;
+  aim.plan = aim.challenge = null;
   timer ||= setTimeout(send, PAUSE);
   publish("aimed");
 }
@@ -43,7 +43,7 @@ export function put(x, y) {
   const what = aim.placing;
   if (!what) return false;
   aim.placing = null;
-  if (what === "target") setAim({ target: [x, y], challenge: null });
+  if (what === "target") setAim({ target: [x, y] });
   else setAim({ obstacles: [...aim.obstacles, [x, y, Math.max(aim.radius, SMALLEST)]] });
   return true;
 }
@@ -52,6 +52,17 @@ export function put(x, y) {
 export function moveTo(number, x, y) {
   if (number === null) return setAim({ target: [x, y] });
   setAim({ obstacles: aim.obstacles.map((one, i) => (i === number ? [x, y, one[2]] : one)) });
+}
+
+/** Whether the needle touches an obstacle. */
+export const touches = ({ x, y }) => aim.obstacles.some(([cx, cy, radius]) => x.some((_, i) => i && distance(cx, cy, x, y, i) < radius));
+
+/** Distance of a point from the piece of a line that ends at its point i. */
+function distance(px, py, x, y, i) {
+  const [dx, dy] = [x[i] - x[i - 1], y[i] - y[i - 1]];
+  const share = ((px - x[i - 1]) * dx + (py - y[i - 1]) * dy) / (dx * dx + dy * dy || 1);
+  const at = Math.min(Math.max(share, 0), 1);
+  return Math.hypot(px - x[i - 1] - at * dx, py - y[i - 1] - at * dy);
 }
 
 /** Distance of the tip from the target, mm; null without one. */
@@ -65,6 +76,7 @@ listen("scene", () => {
 });
 listen("aim", ({ target, radius, obstacles, roll_deg: roll }) => {
   if (timer) return; // it is older than what waits to be sent
+  publish("accepted");
   Object.assign(aim, { target, radius, obstacles });
   if (!target) aim.reach = null;
   if (roll) publish("notice", { what: `The needle is rolled by ${roll.toFixed(1)}° about x: its plane holds the target.` });
@@ -77,7 +89,10 @@ listen("reach", (region) => {
 listen("plan", (plan) => {
   if (plan.fault) publish("notice", plan.fault);
   aim.plan = plan.fault ? null : plan;
-  if (aim.challenge) aim.challenge.planner = aim.plan?.nominal_miss_mm ?? null;
+  if (aim.challenge) {
+    const touched = Object.values(aim.plan?.touched ?? {}).some((share) => share >= 0.5);
+    aim.challenge.planner = touched ? null : (aim.plan?.nominal_miss_mm ?? null);
+  }
   publish("aimed");
 });
 window.needlefit.aim = aim;

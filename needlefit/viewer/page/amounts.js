@@ -7,6 +7,7 @@ export function amount(input) {
   let last = input.value;
   const valid = () => input.value !== "" && input.checkValidity();
   const settle = () => {
+    if (valid() && input.value !== last) publish("accepted");
     if (valid()) last = input.value;
     else if (input.value !== last) giveBack();
   };

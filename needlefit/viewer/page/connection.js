@@ -54,6 +54,7 @@ export function send(message, at = null) {
   lastId += 1;
   if (at !== null) sentAt.set(lastId, at);
   worker.postMessage({ text: JSON.stringify({ ...message, id: lastId }) });
+  publish("sent");
   return lastId;
 }
 
@@ -72,6 +73,9 @@ export function receive() {
 export function awaitAnswer() {
   patience = performance.now() + WORTH_WAITING;
 }
+
+/** Whether an input has no answer yet. */
+export const awaitsAnswer = () => sentAt.size > 0;
 
 /** Read what has come, and what is worth waiting for. */
 export function receiveForFrame() {

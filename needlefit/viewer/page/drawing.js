@@ -3,6 +3,7 @@
 import { paintAxes } from "./painters/axes.js";
 import { paintGoal, paintPlan, paintReach } from "./painters/aim.js";
 import { paintBase, paintGuides } from "./painters/supports.js";
+import { paintHint } from "./painters/hint.js";
 import { paintLoad } from "./painters/load.js";
 import { paintNeedle, paintPath, paintPoints, paintTip } from "./painters/needle.js";
 import { paintBand, paintGaps, paintMeasured, paintPoints as paintMeasuredPoints } from "./painters/overlay.js";
@@ -10,7 +11,7 @@ import { paintTissue } from "./painters/tissue.js";
 import { paintTrackedTip } from "./painters/tracked_tip.js";
 import { palette, readPalette } from "./palette.js";
 import { slice } from "./slice.js";
-import { listen, now } from "./store.js";
+import { listen, now, publish } from "./store.js";
 import { paintArrow, paintInset } from "./painters/inset.js";
 import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
 
@@ -27,7 +28,10 @@ let drawnTissue = "";
 let stale = true; // whether the foreground must be drawn though no state has come
 
 /** Draw again in the next frame. */
-export const invalidate = () => (stale = true);
+export function invalidate() {
+  stale = true;
+  publish("redraw");
+}
 
 /** Draw what has changed. */
 export function paint(fresh) {
@@ -68,6 +72,7 @@ function paintForeground(state) {
     paintGuides(before, state);
     paintBase(before, state);
     paintTrackedTip(before);
+    paintHint(before, state);
     if (view.magnified > 1) paintInset(before, state);
     if (!seesTip()) paintArrow(before, state);
   });

@@ -5,8 +5,9 @@ import { points } from "./measured_points.js";
 import { now } from "./store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "./view.js";
 
-const ARM = { base: 56, guide: 42 }; // px from a place to the ring that turns it
+const ARM = { base: 56, guide: 42, bevel: 26 }; // px from a place to what turns it
 const NEAR = { mouse: 16, touch: 28 }; // px
+const BEGINS = { across: 3, along: 8, times: 2 }; // px before a drag has a direction; along: so many times as far as across
 
 const angleOf = (slope) => Math.atan(slope * view.magnified);
 
@@ -22,11 +23,22 @@ export function guidePlace({ x, y, slope }) {
   return { place: [px, py], turn: [px - ARM.guide * Math.sin(angle), py - ARM.guide * Math.cos(angle)], angle };
 }
 
+/** Where the arrow stands that shows to which side the bevel turns the cut, and the direction of the tip. */
+export function bevelPlace({ tip, bevel }) {
+  const [px, py, angle] = [toPx(tip.x), toPy(tip.y), angleOf(Math.tan(tip.rotation))];
+  const arm = bevel.side * (ARM.bevel + (now.scene.diameter_mm * view.scale) / 2);
+  return { tip: [px, py], turn: [px - arm * Math.sin(angle), py - arm * Math.cos(angle)], angle };
+}
+
 /** All handles, the ones drawn last first. */
 function all() {
   const { state } = now;
   const base = basePlace(state);
-  const handles = [{ at: [toPx(state.tip.x), toPy(state.tip.y)], cursor: "ns-resize", drag: dragTip(state) }];
+  const bevel = bevelPlace(state);
+  const handles = [
+    { at: bevel.turn, cursor: "grab", drag: turnBevel(state) },
+    { at: bevel.tip, cursor: "ns-resize", drag: dragTip(state) },
+  ];
   for (const guide of state.guides) {
     const { place, turn } = guidePlace(guide);
     if (!guide.turns_freely) handles.push({ at: turn, cursor: "grab", drag: turnGuide(guide, place) });
@@ -39,7 +51,7 @@ function all() {
     if (one) handles.push({ at: [toPx(one[0]), toPy(one[1])], cursor: "move", drag: dragGoal(i ? i - 1 : null, one) });
   });
   handles.push({ at: base.turn, cursor: "grab", drag: turnBase(state, base.place) });
-  handles.push({ at: base.place, cursor: "ns-resize", drag: dragBase(state) });
+  handles.push({ at: base.place, cursor: "move", drag: dragBase(state) });
   return handles;
 }
 
@@ -56,7 +68,31 @@ export function handleAt(px, py, kind = "mouse") {
 
 const rise = (from, to) => fromPy(to[1]) - fromPy(from[1]);
 
-const dragBase = ({ base }) => (from, to) => [["base_y_mm", null, base.input_y + rise(from, to)]];
+/** The base moves across, or pushes the needle along: whichever a drag begins with. */
+function dragBase({ base, depth_mm: depth, guides }) {
+  const reach = now.scene.length_mm + Math.min(0, ...guides.map(({ x }) => x)) - 0.001; // it stays before tissue and guides
+  let along = null;
+  return (from, to) => {
+    const [px, py] = [Math.abs(to[0] - from[0]), Math.abs(to[1] - from[1])];
+    if (px > BEGINS.along && px > BEGINS.times * py) along ??= true;
+    else if (py > BEGINS.across) along ??= false;
+    if (along === null) return [];
+    if (!along) return [["base_y_mm", null, base.input_y + rise(from, to)]];
+    return [["depth_mm", null, Math.min(Math.max(depth + fromPx(to[0]) - fromPx(from[0]), 0), reach)]];
+  };
+}
+
+/** The arrow at the tip turns the bevel over once it is on the other side of the needle. */
+function turnBevel({ bevel }) {
+  let { side } = bevel;
+  return (_, [px, py]) => {
+    const { tip, angle } = bevelPlace(now.state);
+    const above = (tip[0] - px) * Math.sin(angle) + (tip[1] - py) * Math.cos(angle);
+    if (above * side > -BEGINS.across) return [];
+    side = -side;
+    return [["bevel_side", null, side]];
+  };
+}
 
 /** A measured point is no input of the needle either. */
 function dragPoint(number) {

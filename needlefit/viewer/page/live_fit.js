@@ -36,7 +36,7 @@ function takeRidge(message) {
   ridge = message;
   const [low, , high] = quantiles(message.mu_pa).map((one) => brief(one * 1e-6, 3));
   const [less, , more] = quantiles(message.offset_mm).map((one) => brief(one, 3));
-  const sure = message.certified ? "" : " The draws are not certified.";
+  const sure = message.certified ? "" : " The weights of these draws cannot be relied on.";
   const words = `95 % of draws: first layer μ ${low} to ${high} MPa, b ${less} to ${more} mm; correlation of their logarithms `
     + `${message.correlation.toFixed(2)}.${sure}`;
   part("fit-note").textContent = part("fit-note").textContent.replace(" Drawing …", "");

@@ -30,22 +30,31 @@ const READOUTS = [ // beside the picture, and how often they are refreshed, ms
   { every: 1000, refresh: described.refresh },
 ];
 const STATUS_EVERY = 500; // ms
+const BETWEEN = 20; // ms between two readouts that no frame refreshes
+let later = 0;
 
-/** Refresh one readout that is due in a frame, so that no frame has to wait for all of them. */
+/** Refresh one readout that is due in a frame, so that no frame has to wait for all of them; others soon after it. */
 function refreshOne(t) {
-  const due = READOUTS.find((one) => t - (one.last ?? -Infinity) >= one.every && one.step !== now.state);
+  clearTimeout(later);
+  if (!now.state) return;
+  const waiting = READOUTS.filter((one) => one.step !== now.state);
+  const due = waiting.find((one) => t - (one.last ?? -Infinity) >= one.every);
+  if (waiting.length) later = setTimeout(() => refreshOne(performance.now()), BETWEEN);
   if (!due) return;
   due.last = t;
   due.step = now.state;
   due.refresh();
 }
 
-listen("refused", () => READOUTS.forEach((one) => (one.step = null))); // fields go back to what is
+listen("refused", () => { // fields go back to what is
+  READOUTS.forEach((one) => (one.step = null));
+  refreshOne(performance.now());
+});
 
 frames.start((fresh, t) => {
   if (now.state) askFrame(); // the needle goes on while this frame is drawn
   paint(fresh);
-  if (now.state) refreshOne(t);
+  refreshOne(t);
 });
 setInterval(status.refresh, STATUS_EVERY);
 open();

@@ -47,6 +47,8 @@ listen("line", (line) => {
 });
 listen("refused", refuse);
 listen("notice", refuse);
+listen("accepted", () => refusal.replaceChildren()); // what was wrong has been put right
+addEventListener("input", ({ target }) => target.type === "number" && refusal.replaceChildren()); // or is about to be
 listen("unsent", () => refuse({ what: "Not sent: there is no line to the needle." }));
 refusal.addEventListener("click", () => refusal.replaceChildren());
 act.addEventListener("click", () => !now.connected && open());

@@ -23,7 +23,7 @@ export const fromMpa = (text) => Number(text) * 1e6;
 
 export const toDegrees = (rotation) => (rotation * 180) / Math.PI;
 export const degrees = (slope) => (Math.atan(slope) * 180) / Math.PI;
-export const slope = (angle) => Math.tan((angle * Math.PI) / 180);
+export const slope = (angle) => Math.tan((Math.min(Math.max(angle, -90), 90) * Math.PI) / 180);
 
 /** The nearest 1, 2 or 5 times a power of ten that is not greater. */
 export function roundStep(value) {

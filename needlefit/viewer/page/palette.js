@@ -2,7 +2,7 @@
 
 const NAMES = [
   "air", "gutter", "ink", "quiet", "grid", "edge", "needle", "points", "path", "tip", "guide", "load",
-  "measured", "band", "plan", "reach", "gap", "bad", "halo", "soft", "stiff", "label",
+  "measured", "band", "plan", "reach", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
 ];
 
 /** Colours by name; read anew when the reader's scheme changes. */

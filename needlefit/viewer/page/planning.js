@@ -1,7 +1,7 @@
 /** The panel of target and plan: places, obstacles, the plan's probability, and a game against the planner. */
 
 import { speed } from "./actions.js";
-import { aim, moveTo, place, sendAfterGoal, setAim, tipError } from "./aim.js";
+import { aim, moveTo, place, sendAfterGoal, setAim, tipError, touches } from "./aim.js";
 import { say } from "./announcements.js";
 import { makeField, show } from "./fields.js";
 import { command } from "./steering.js";
@@ -91,8 +91,9 @@ function describeGame() {
   const game = aim.challenge;
   if (!game) return "";
   if (!aim.target) return "Choosing a target …";
-  if (game.hidden) return "Steer the tip into the target, then compare.";
-  const planner = game.planner === null ? "the planner found none" : `the planner ${game.planner.toFixed(2)} mm`;
+  if (game.hidden) return "Steer the tip into the target past the obstacle, then compare.";
+  const planner = game.planner === null ? "the planner found no way" : `the planner ${game.planner.toFixed(2)} mm`;
+  if (game.touched) return `You touch the obstacle, ${planner}: ${game.planner === null ? "nobody wins" : "the planner wins"}.`;
   const won = game.planner === null || game.hand < game.planner;
   return `You ${game.hand.toFixed(2)} mm, ${planner}: ${won ? "you win" : "the planner wins"}.`;
 }
@@ -105,12 +106,12 @@ function ask() {
 
 function challenge() {
   if (aim.challenge?.hidden && aim.target) { // done: compare
-    Object.assign(aim.challenge, { hidden: false, hand: tipError(now.state) });
+    Object.assign(aim.challenge, { hidden: false, hand: tipError(now.state), touched: touches(now.state) });
     say(describeGame());
   } else {
     command({ do: "challenge", radius: aim.radius });
     Object.assign(aim, { target: null, obstacles: [], plan: null, reach: null });
-    aim.challenge = { hidden: true, hand: null, planner: null };
+    aim.challenge = { hidden: true, hand: null, touched: false, planner: null };
   }
   part("challenge").textContent = aim.challenge.hidden ? "Compare with the planner" : "Beat the planner";
   refresh();
@@ -125,7 +126,7 @@ async function readFile(input) {
 const PRESSED = {
   "put-target": () => place("target"),
   "put-obstacle": () => place("obstacle"),
-  "aim-clear": () => setAim({ target: null, obstacles: [], reach: null, challenge: null }),
+  "aim-clear": () => setAim({ target: null, obstacles: [], reach: null }),
   "make-plan": ask,
   "run-plan": () => command({ do: "run", speed_mm_s: speed() }),
   "step-plan": () => command({ do: "run", speed_mm_s: speed(), one: true }),

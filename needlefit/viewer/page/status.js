@@ -15,7 +15,7 @@ export function refresh() {
   const { perSecond, latency } = rates();
   write("line", now.connected ? "connected" : "not connected");
   part("line").classList.toggle("up", now.connected);
-  write("frame-rate", `${perSecond.toFixed(0)} frames/s`);
+  write("frame-rate", perSecond === null ? "" : `${perSecond.toFixed(0)} frames/s`);
   write("latency", latency === null ? "" : `input to picture ${latency.toFixed(0)} ms`);
   if (!now.state) return;
   const { steps, rate_per_s: rate, failed } = now.state.solver;

@@ -1,42 +1,67 @@
 /** Three things to try on a new page, one after the other; each can be skipped. */
 
 import { say } from "./announcements.js";
+import { invalidate } from "./drawing.js";
 import { listen, now } from "./store.js";
+import { pressed } from "./toolbar.js";
+import { fit, view } from "./view.js";
 
 const SEEN = "needlefit.tour";
-const MOVED = 0.5; // mm that the base or the tip must go
+const [MOVED, INSERTED] = [0.5, 5]; // mm that the base, or the depth, must change by
 
-/** What to do, where, and when it is done given the state at its beginning. */
+/** What to do, the handle that does it, its button, the view that shows it, and when it is done since a state. */
 const STEPS = [
-  ["Turn the bevel over: press Flip bevel, or F.", "flip", (from, to) => from.bevel.side !== to.bevel.side],
-  ["Push on: hold Insert, or →. The tip turns to the other side.", "insert", (from, to) => to.depth_mm > from.depth_mm + 5],
-  [
-    "Move the base: drag it (view Needle), or press ↑ ↓. The tip goes the other way, about the tissue.",
-    "canvas", (from, to) => Math.abs(to.base.input_y - from.base.input_y) >= MOVED,
-  ],
+  {
+    words: "Turn the bevel over: drag the red arrow to the other side of the needle (or press F).",
+    hint: "bevel", button: "flip", shows: "tissue", done: (from, to) => from.bevel.side !== to.bevel.side,
+  },
+  {
+    words: "Move the base: drag it up or down (or press ↑ ↓). The needle bends.",
+    hint: "across", shows: "whole", done: (from, to) => Math.abs(to.base.input_y - from.base.input_y) >= MOVED,
+  },
+  {
+    words: "Push on: drag the base to the right (or hold Insert, or →). The tip takes its new way.",
+    hint: "along", button: "insert", shows: "whole", done: (from, to) => to.depth_mm > from.depth_mm + INSERTED,
+  },
 ];
 const part = (id) => document.getElementById(id);
 let step = -1;
-let from = null;
+let [from, before] = [null, null]; // the state as the step began, the view before the tour
 
 function show(next) {
-  part(STEPS[step]?.[1] ?? "flip").classList.remove("hint");
-  step = next;
-  from = now.state;
+  if (step < 0) before = view.fit;
+  part(STEPS[step]?.button ?? "flip").classList.remove("hint");
+  step = next < STEPS.length ? next : -1;
+  const { words, hint = null, button, shows = before } = STEPS[step] ?? {};
+  [from, now.hint] = [now.state, hint];
   part("tour").hidden = step < 0;
-  if (step < 0) return localStorage.setItem(SEEN, "yes");
-  const [words, where] = STEPS[step];
+  fit(shows);
+  pressed();
+  invalidate();
+  if (step < 0) return;
+  localStorage.setItem(SEEN, "yes");
   part("tour-text").textContent = `${step + 1} of ${STEPS.length}: ${words}`;
-  part(where).classList.add("hint");
+  if (button) part(button).classList.add("hint");
   say(words);
+  uncover();
 }
 
-listen("state", (state) => {
-  if (step < 0) return;
-  if (STEPS[step][2](from, state)) show(step + 1 < STEPS.length ? step + 1 : -1);
-});
-part("tour-skip").addEventListener("click", () => show(step + 1 < STEPS.length ? step + 1 : -1));
-part("tour-end").addEventListener("click", () => show(-1));
+/** In a low window the picture goes to the top, where nothing covers it. */
+function uncover() {
+  const [picture, tour] = ["picture", "tour"].map((id) => part(id).getBoundingClientRect());
+  if (picture.bottom > tour.top && picture.top < tour.top) scrollBy(0, picture.top);
+}
+
+/** Go on once a step is done; not while something is dragged, since the view may change. */
+function goOn() {
+  if (step < 0 || part("canvas").classList.contains("dragging")) return;
+  if (STEPS[step].done(from, now.state)) show(step + 1);
+}
+
+listen("state", goOn);
+addEventListener("pointerup", () => setTimeout(goOn));
+part("tour-skip").addEventListener("click", () => show(step + 1));
+part("tour-end").addEventListener("click", () => show(STEPS.length));
 part("tour-begin").addEventListener("click", () => {
   part("keys").close();
   show(0);

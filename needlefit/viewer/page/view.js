@@ -1,7 +1,7 @@
 /** Which part of the constraint frame is seen, in true millimetres; y may be drawn larger than x. */
 
 import { aim } from "./aim.js";
-import { listen, now } from "./store.js";
+import { listen, now, publish } from "./store.js";
 
 const GUTTER = { left: 56, right: 10, top: 10, bottom: 38 }; // px, for the axes
 const MAGNIFICATIONS = [1, 2, 5, 10, 20, 50]; // of y against x
@@ -26,7 +26,11 @@ export function takeChange() {
   return was;
 }
 
-export const touch = () => (changed = true);
+/** Draw the window anew in the next frame. */
+export function touch() {
+  changed = true;
+  publish("redraw");
+}
 export const toPx = (x) => view.box.left + view.box.width / 2 + (x - view.x) * view.scale;
 export const toPy = (y) => view.box.top + view.box.height / 2 - (y - view.y) * view.scale * view.magnified;
 export const fromPx = (px) => view.x + (px - view.box.left - view.box.width / 2) / view.scale;
@@ -45,7 +49,7 @@ export function resize(width, height) {
 /** Show the whole needle, the tissue, or follow the tip; null leaves it as it is. */
 export function fit(which) {
   view.fit = which;
-  changed = true;
+  touch();
   if (!now.scene || !now.state || !which) return;
   if (which === "tip") {
     view.scale = limited(view.box.width / TIP_WINDOW);
@@ -127,7 +131,7 @@ export function follow() {
   if (Math.abs(across) < EDGE && Math.abs(up) < EDGE) return;
   view.x = x + Math.sign(across) * AHEAD * view.box.width / view.scale;
   view.y = y;
-  changed = true;
+  touch();
 }
 
 /** Zoom by a factor about a point on the canvas (px), by default the middle. */
@@ -137,7 +141,7 @@ export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
   view.x += x - fromPx(px);
   view.y += y - fromPy(py);
   if (view.fit !== "tip") view.fit = null;
-  changed = true;
+  touch();
 }
 
 /** Shift the picture by so many px. */
@@ -145,14 +149,14 @@ export function pan(px, py) {
   view.x -= px / view.scale;
   view.y += py / (view.scale * view.magnified);
   view.fit = null;
-  changed = true;
+  touch();
 }
 
 /** Draw y as large as x, or as large as it takes to see deflections. */
 export function drawTrue(on) {
   view.true = on;
   if (on) view.magnified = 1;
-  changed = true;
+  touch();
   fit(view.fit);
 }
 

@@ -13,6 +13,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from needlefit.errors import NeedlefitError
 from needlefit.viewer.encoding import encode_band
+from needlefit.viewer.interaction.inputs import PARAMETERS
 from needlefit.viewer.opening.live_fit import (
     draw_about,
     find_mode,
@@ -165,7 +166,9 @@ class Connections:
         if self.tracked is not None:
             sending.append(asyncio.create_task(_send_tracking(window, socket, self.tracked)))
         try:
-            await _send(socket, list(window.answer(hello)))
+            async with window.trial.lock:
+                replies = list(window.answer(hello))
+            await _send(socket, replies)
             await self._converse(window, socket)
         finally:
             for task in sending:
@@ -215,9 +218,14 @@ class Connections:
             if message.do == "show":  # reads a dataset: other windows go on meanwhile
                 with suppress(NeedlefitError):  # the reply reports the error
                     await asyncio.to_thread(self.trials.prepare, trial, message.text("insertion"))
-            if self._sockets.get(trial.name) is not socket:
-                return  # another window has taken the needle
-            replies = list(window.answer(message))
+            async with trial.lock:
+                if self._sockets.get(trial.name) is not socket:
+                    return  # another window has taken the needle
+                if self.tracked is None and any(change.name in PARAMETERS for change in message.changes):
+                    # simulates the whole insertion again: other windows go on meanwhile
+                    replies = await asyncio.to_thread(list, window.answer(message))
+                else:
+                    replies = list(window.answer(message))
             if window.trial is not trial:
                 self._let_go(trial, socket)
                 self._sockets[window.trial.name] = socket
@@ -272,10 +280,10 @@ async def _send_plans(window: Window, socket: web.WebSocketResponse) -> None:
         if aim.challenged:
             insertion = continue_insertion(trial.steering, trial.viewed_scene)
             aim.challenged, version = False, aim.version
-            target = await asyncio.to_thread(draw_challenge, insertion, trial.scene.depth)
+            goal_parts = await asyncio.to_thread(draw_challenge, insertion, trial.scene.depth, aim.radius)
             if version == aim.version:
-                aim.set(target, aim.radius, ())
-                aim.wanted = target is not None
+                aim.set(*goal_parts)
+                aim.wanted = aim.goal is not None
         elif aim.goal is not None and aim.wanted:
             aim.wanted, version = False, aim.version
             insertion = continue_insertion(trial.steering, trial.viewed_scene)

@@ -43,7 +43,9 @@ def read_offsets(message: Message) -> list[float]:
     rows = message.content.get("offsets")
     if not isinstance(rows, list) or len(rows) != KNOTS:
         raise ModelError("these are no offsets of points", expected=f"{KNOTS} numbers, mm")
-    return [Message("points", content={"offset": one}).number("offset", most=MAX_OFFSET_MM) for one in rows]
+    return [
+        Message("points", content={"offset": one}).number("offset", None, MAX_OFFSET_MM, "mm") for one in rows
+    ]
 
 
 def mode_message(mode: LiveMode, shown: ShownInsertion) -> dict[str, Any]:

@@ -71,13 +71,13 @@ class Message:
     content: dict[str, Any] = field(default_factory=dict)
     fault: ModelError | None = None
 
-    def number(self, key: str, default: float | None = None, most: float = math.inf) -> float:
+    def number(self, key: str, default: float | None = None, most: float = math.inf, unit: str = "") -> float:
         """Return a finite number of the message; without a default it is required."""
         value = self.content.get(key, default)
         found = _finite(value)
         if found is None or abs(found) > most:
-            upto = f", at most {most:g}" if math.isfinite(most) else ""
-            raise ModelError(f"{key} is {value!r:.40}", expected=f"a finite number{upto}")
+            upto = f", at most {most:g} {unit}".rstrip() if math.isfinite(most) else ""
+            raise ModelError(f"{key} is {value!r:.40} {unit}".rstrip(), expected=f"a finite number{upto}")
         return found
 
     def text(self, key: str) -> str:

@@ -36,6 +36,9 @@ BEYOND_TARGET_MM = 8.0
 CHALLENGE_DEPTHS = (0.6, 1.0)
 """Between which parts of the scene's depth a random target lies."""
 
+OBSTACLE_PLACES, OBSTACLE_RADIUS_MM = (0.4, 0.6), 0.5
+"""Between which parts of the way to a random target its obstacle lies, and the obstacle's radius, mm."""
+
 GoalParts = tuple[tuple[float, float] | None, float, tuple[ObstacleRecord, ...]]
 
 
@@ -47,7 +50,7 @@ def read_goal(message: Message) -> GoalParts:
     ModelError
         If one is not a finite number, or there are too many.
     """
-    radius = message.number("radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM)
+    radius = message.number("radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM, "mm")
     if radius <= 0:
         raise ModelError(f"the radius of the target is {radius:g} mm", expected="above 0 mm")
     target = message.content.get("target")
@@ -70,7 +73,10 @@ def read_goal(message: Message) -> GoalParts:
 def _read_numbers(row: object, count: int) -> list[float]:
     if not isinstance(row, list) or len(row) != count:
         raise ModelError(f"{row!r:.60} is no place", expected=f"{count} numbers, mm")
-    return [Message("aim", content={"place": one}).number("place", most=MAX_PLACE_MM) for one in row]
+    return [
+        Message("aim", content={key: one}).number(key, None, MAX_PLACE_MM, "mm")
+        for key, one in zip(("x", "y", "radius"), row, strict=False)
+    ]
 
 
 def read_markups(trial: InteractiveTrial, message: Message) -> None:
@@ -82,7 +88,7 @@ def read_markups(trial: InteractiveTrial, message: Message) -> None:
         If it is none, or where the needle lies in its scan is not known.
     """
     suffix = ".fcsv" if message.text("name").endswith(".fcsv") else ".mrk.json"
-    radius = message.number("obstacle_radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM)
+    radius = message.number("obstacle_radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM, "mm")
     placement = find_placement(trial.viewed_scene)
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"markups{suffix}"
@@ -96,10 +102,16 @@ def read_markups(trial: InteractiveTrial, message: Message) -> None:
     aim.set(goal, aim.radius, found.goal.obstacles, found.roll_deg)
 
 
-def draw_challenge(insertion: StartedInsertion, depth: float) -> tuple[float, float] | None:
-    """Return a random target that a plan reaches; None where there is none."""
+def draw_challenge(insertion: StartedInsertion, depth: float, radius: float) -> GoalParts:
+    """Return a random target that a plan reaches (None where there is none), and an obstacle before it."""
     rng = np.random.default_rng()
-    return draw_target(insertion, depth * float(rng.uniform(*CHALLENGE_DEPTHS)), rng)
+    target = draw_target(insertion, depth * float(rng.uniform(*CHALLENGE_DEPTHS)), rng)
+    if target is None:
+        return None, radius, ()
+    share = float(rng.uniform(*OBSTACLE_PLACES))  # on the straight way from the entry
+    centre = (share * target[0], share * target[1])
+    obstacle = ObstacleRecord(name="obstacle 1", centre_mm=centre, radius_mm=OBSTACLE_RADIUS_MM)
+    return target, radius, (obstacle,)
 
 
 def find_region(insertion: StartedInsertion, goal: Goal, depth: float) -> ReachableRegion:

@@ -6,8 +6,9 @@ where it jumped to must not count as right after a while.
 """
 
 import math
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,9 @@ MIN_INSERTION_MM, WITHDRAWAL_MM = 0.05, 1.0
 REST_S = 0.2
 """A needle that has not moved for so long is at rest: base and guides act at once."""
 
+MAX_RECENT_POSES = 256
+"""Poses of a device that are kept for their mean."""
+
 MAX_AXIS_SLOPE = 1.0
 """Slope of a base or guide beyond which its z axis is not along the needle."""
 
@@ -74,12 +78,24 @@ class TrackedPose:
 
 @dataclass
 class TrackedDevice:
-    """What is known of a device: the last pose that was accepted, and why the device freezes the estimate."""
+    """What is known of a device: the last pose that was accepted, and why the device freezes the estimate.
+
+    `recent` has the poses that it sent since it last acted on the needle.
+    """
 
     pose: TrackedPose
     sent: float
     jumped: bool = False
     fault: str = ""
+    recent: deque[TrackedPose] = field(default_factory=lambda: deque(maxlen=MAX_RECENT_POSES))
+
+    def mean_pose(self) -> TrackedPose:
+        """Return the mean of the recent poses: the errors of a reading partly cancel."""
+        if len(self.recent) < 2:
+            return self.pose
+        axes = [pose.axis for pose in self.recent if pose.axis is not None]
+        axis = np.mean(axes, axis=0) if axes else None
+        return TrackedPose(np.mean([pose.position for pose in self.recent], axis=0), axis, self.pose.received)
 
 
 def register_tracker(record: TrackerRecord, placement: Placement) -> Frame:
@@ -255,6 +271,7 @@ class TrackedTrial:
             return True  # overtaken by a newer one
         elif not known.jumped and not self._jumps(known, pose, sent):
             known.pose, known.sent = pose, sent
+            known.recent.append(pose)
         elif not known.jumped:
             known.jumped = True
             self.number += 1
@@ -309,6 +326,11 @@ class TrackedTrial:
     def _list_changes(self, trial: InteractiveTrial, now: float) -> list[Change]:
         step, shape = trial.steering.now.step, trial.steering.now.shape
         poses = {role: known.pose for role, known in self.devices.items()}
+        # Every change of what holds the needle begins a new ray where it then cuts on: while it goes in there
+        # is at most one per constraint spacing, or a jittering tracker would make the path long. It is the
+        # mean of the poses since the one before.
+        goes_in = now - self._inserted_at < REST_S
+        held = {role: known.mean_pose() for role, known in self.devices.items()} if goes_in else poses
         wanted: list[tuple[str, int | None, float, float]] = []  # input, item, value, value now
         depth = None
         if "tip" in poses:  # a bent needle's tip lags behind its depth
@@ -316,17 +338,17 @@ class TrackedTrial:
                 poses["tip"].position[0] + step.depth - compute_positions(shape, shape.x[-1:])[0, 0]
             )
         if "stage" in poses:
-            x, y, _ = poses["stage"].position - self._travel_from
-            depth = float(x)
-            wanted.append(("base_y_mm", None, float(y), step.controls.base_y))
+            depth = float(poses["stage"].position[0] - self._travel_from[0])
+            y = float(held["stage"].position[1] - self._travel_from[1])
+            wanted.append(("base_y_mm", None, y, step.controls.base_y))
         if "base" in poses:
             depth = trial.scene.needle.length + float(poses["base"].position[0])
-            wanted = [("base_y_mm", None, float(poses["base"].position[1]), step.controls.base_y)]
-            if (axis := poses["base"].axis) is not None:
+            wanted = [("base_y_mm", None, float(held["base"].position[1]), step.controls.base_y)]
+            if (axis := held["base"].axis) is not None:
                 wanted.append(("base_slope", None, axis[1] / axis[0], step.controls.base_slope))
         guides = {guide.name: guide for guide in step.controls.guides}
         for item in range(1, len(self.record.devices.guides) + 1):
-            if (pose := poses.get(f"guide {item}")) is None:
+            if (pose := held.get(f"guide {item}")) is None:
                 continue
             names = trial.steering.names
             guide = guides.get(names[item - 1] if item <= len(names) else f"guide {item}")
@@ -340,14 +362,13 @@ class TrackedTrial:
             for name, item, value, present in wanted
             if abs(value - present) >= (MIN_TURN if name.endswith("slope") else MIN_MOVE_MM)
         ]
-        # Every change of what holds the needle begins a new ray where it then cuts on: while it goes in there
-        # is at most one per constraint spacing, or a jittering tracker would make the path long.
-        cut = abs(step.depth - self._held_at)
-        goes_in = now - self._inserted_at < REST_S
-        if changes and goes_in and cut < trial.scene.rules.spacing:
+        if changes and goes_in and abs(step.depth - self._held_at) < trial.scene.rules.spacing:
             changes = []
         elif changes:
             self._held_at = step.depth
+        if changes or not goes_in:
+            for known in self.devices.values():
+                known.recent.clear()
         if depth is not None:
             depth = min(max(depth, 0.0), trial.steering.reach())
             moved = depth - step.depth

@@ -1,5 +1,6 @@
 """Interactive trials: each window controls, records and undoes the steps of one needle."""
 
+import asyncio
 import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -112,6 +113,8 @@ class InteractiveTrial:
         What its parameters are to be fitted to.
     window_trials : dict of str -> InteractiveTrial
         The last needle of the same window beside each insertion that it has shown, this one among them.
+    lock : asyncio.Lock
+        Held while a message is carried out: one that simulates the insertion again runs in a thread.
     """
 
     def __init__(
@@ -132,6 +135,7 @@ class InteractiveTrial:
         self._gesture: int | None = None
         self._pinned: set[int] = set()
         self.window_trials = {self.shown_insertion: self}
+        self.lock = asyncio.Lock()
 
     @property
     def shown_insertion(self) -> str:

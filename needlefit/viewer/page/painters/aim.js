@@ -43,7 +43,7 @@ export function paintGoal(context) {
     context.fill();
     context.globalAlpha = 1;
     outline(context, palette.tip, 2);
-    text(context, x, y, `obstacle ${i + 1}`, palette.tip);
+    text(context, x, y + radius, `obstacle ${i + 1}`, palette.tip, -9);
   });
   if (!aim.target) return;
   const [x, y] = aim.target;

@@ -1,5 +1,6 @@
 /** The needle in its true diameter, its bevel, its tip path and its constraint points. */
 
+import { bevelPlace } from "../handles.js";
 import { palette } from "../palette.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
@@ -71,21 +72,19 @@ function paintBevel(context, { points, tip }, half, side) {
 }
 
 /** Draw to which side the bevel turns the cut, and whether the tip is held. */
-export function paintTip(context, { tip, bevel }) {
-  const [px, py] = [toPx(tip.x), toPy(tip.y)];
-  turned(context, px, py, Math.atan(Math.tan(tip.rotation) * view.magnified), () => {
-    paintTurn(context, -bevel.side * (Math.max(thickness() / 2, 2) + 9)); // canvas y runs downwards
-  });
-  if (tip.held) ring(context, px, py, 11, palette.tip, "transparent");
+export function paintTip(context, state) {
+  const { tip, turn, angle } = bevelPlace(state);
+  straight(context, tip, turn, palette.tip, 1);
+  turned(context, ...turn, angle, () => paintTurn(context, -state.bevel.side)); // canvas y runs downwards
+  if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
-/** An arrow head at the side to which the bevel turns the cut. */
-function paintTurn(context, py) {
-  const to = Math.sign(py);
+/** An arrow head toward the side to which the bevel turns the cut. */
+function paintTurn(context, to) {
   context.beginPath();
-  context.moveTo(-5, py);
-  context.lineTo(0, py + 6 * to);
-  context.lineTo(5, py);
+  context.moveTo(-6, -3 * to);
+  context.lineTo(0, 6 * to);
+  context.lineTo(6, -3 * to);
   context.closePath();
   context.fillStyle = palette.tip;
   context.fill();

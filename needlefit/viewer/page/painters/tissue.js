@@ -8,6 +8,7 @@ import { label } from "./strokes.js";
 
 const FONT = "12px system-ui, sans-serif";
 const APART = 14; // px between a name and its layer's edges
+const LOW = 160; // px; in a lower window μ would lie on the needle
 
 /** Draw the layers, over the slice where there is one. */
 export function paintTissue(context, slice) {
@@ -75,7 +76,7 @@ function paintNames(context, layers) {
     const middle = (layer.from + layer.to) / 2;
     label(context, named ? layer.name : String(layer.number), middle, top + 18);
     const mu = `μ ${asMpa(layer.mu)} MPa`;
-    if (fits(mu, layer)) label(context, mu, middle, top + 34);
+    if (height >= LOW && fits(mu, layer)) label(context, mu, middle, top + 34);
   }
   const skin = toPx(0);
   if (skin > left + 40) turnedLabel(context, "skin", skin - 6, top + height - 10);
