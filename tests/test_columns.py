@@ -22,7 +22,7 @@ from needlefit.studies.kind import KINDS
 REFERENCE = Path(__file__).parent.parent / "reports/reference"
 MAX_REFERENCE_NAMES = 138
 """Of columns in the committed tables."""
-MAX_NAMES = 308
+MAX_NAMES = 305
 """Of columns in all files, those of figures, simulations, reconstructions and evidence among them."""
 
 

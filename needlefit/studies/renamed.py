@@ -117,10 +117,6 @@ RENAMED_COLUMNS: Mapping[str, Names] = MappingProxyType(
         "population": {"what": "quantity"},
         "posterior": {"independent": "ess", "fault": "note"},
         "predictive": {"from": "draw_source", "tip_level": "tip_pit", "shape_level": "shape_pit"},
-        "ranks": {
-            "least_less_uniform": "count_low_less_uniform",
-            "most_less_uniform": "count_high_less_uniform",
-        },
         "readings": {"rival": "method"},
         "recovered": {"what": "quantity"},
         "regions": {"alpha_low": "low", "alpha_high": "high"},

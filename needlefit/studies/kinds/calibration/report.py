@@ -17,6 +17,7 @@ from needlefit.reporting.figures.style import TEXT_WIDTH_IN, plot
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.csv_tables import ANY_COLUMNS
+from needlefit.studies.kinds.calibration.rank_statistics import RANK_DRAWS
 from needlefit.studies.kinds.calibration.run import NESTED_FRAMES
 from needlefit.studies.kinds.calibration.summary import (
     describe_figure,
@@ -67,9 +68,10 @@ def _paint_ranks(curves: pd.DataFrame, label: str) -> Figure:
 
 
 def _paint_rank_panel(axes: Axes, rows: pd.DataFrame) -> None:
-    place, low, high, below = (
-        rows[name].to_numpy(dtype=np.float64)
-        for name in ("uniform", "count_low_less_uniform", "count_high_less_uniform", "below_less_uniform")
+    place = rows["rank"].to_numpy(dtype=np.float64) / (RANK_DRAWS + 1)
+    count = rows["expected"].to_numpy(dtype=np.float64)[-1] / place[-1]
+    low, high, below = (
+        rows[name].to_numpy(dtype=np.float64) / count - place for name in ("count_low", "count_high", "below")
     )
     axes.fill_between(place, low, high, color=GREY, alpha=0.22, lw=0)
     axes.axhline(0, color=GREY, lw=0.5)

@@ -175,7 +175,7 @@ def tabulate_ranks(replicates: pd.DataFrame) -> dict[str, pd.DataFrame]:
     ranks = _collect_ranks(replicates)
     coverage, ecdfs = tabulate_coverage(ranks), pd.DataFrame()
     if ranks:
-        ecdfs = _add_uniform(tabulate_ecdfs(ranks), len(replicates))
+        ecdfs = tabulate_ecdfs(ranks)
         ecdfs["calibrated"] = ~ecdfs["quantity"].isin(find_failing(coverage, ecdfs))
     return {"replicates": replicates, "coverage": coverage, "ranks": ecdfs}
 
@@ -188,15 +188,6 @@ def _collect_ranks(replicates: pd.DataFrame) -> dict[str, Counts]:
             columns.setdefault(column.removeprefix(RANK_PREFIX).partition(":")[0], []).append(column)
     found = {name: replicates[each].to_numpy(dtype=np.int64) for name, each in columns.items()}
     return {name: ranks[:, 0] if ranks.shape[1] == 1 else ranks for name, ranks in found.items()}
-
-
-def _add_uniform(ecdfs: pd.DataFrame, count: int) -> pd.DataFrame:
-    """Return the ECDFs with what is drawn of them: the part of ranks below a place, less the place's own."""
-    place = ecdfs["rank"] / (RANK_DRAWS + 1)
-    parts = {
-        f"{name}_less_uniform": ecdfs[name] / count - place for name in ("below", "count_low", "count_high")
-    }
-    return ecdfs.assign(uniform=place, **parts)
 
 
 def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict[str, Any]:
