@@ -12,7 +12,7 @@ const [MOVED, INSERTED] = [0.5, 5]; // mm that the base, or the depth, must chan
 /** What to do, the handle that does it, its button, the view that shows it, and when it is done since a state. */
 const STEPS = [
   {
-    words: "Turn the bevel over: drag the red arrow to the other side of the needle (or press F).",
+    words: "Turn the bevel over: drag the arrow at its tip to the other side (or press F).",
     hint: "bevel", button: "flip", shows: "tissue", done: (from, to) => from.bevel.side !== to.bevel.side,
   },
   {

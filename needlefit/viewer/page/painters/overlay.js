@@ -2,10 +2,12 @@
 
 import { points } from "../measured_points.js";
 import { palette } from "../palette.js";
-import { toPx, toPy } from "../view.js";
+import { toPx, toPy, view } from "../view.js";
+import { thickness } from "./needle.js";
 import { label, line, ring } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
+const MARGIN = 40; // px, half of what is written beside the tip
 
 /** Draw the measured needle, over a halo that sets it off from the needle and from a scan. */
 export function paintMeasured(context, { x, y }) {
@@ -54,10 +56,13 @@ export function paintGaps(context, state, measured) {
   line(context, [x, end[0]], [y, end[1]], palette.halo, 5);
   line(context, [x, end[0]], [y, end[1]], palette.gap, 2.5);
   context.font = "600 12px system-ui, sans-serif";
-  context.textAlign = "right";
+  context.textAlign = "center";
   context.textBaseline = "middle";
-  const middle = (toPy(y) + toPy(end[1])) / 2;
-  label(context, `TE ${errors.te_mm.toFixed(2)} mm`, toPx(x) - 8, middle, palette.gap);
+  const { left, width } = view.box;
+  const px = Math.min(Math.max(toPx(x), left + MARGIN), left + width - MARGIN);
+  const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
+  const away = thickness() / 2 + 14; // beside the needle, opposite to the bevel's arrow
+  label(context, `TE ${errors.te_mm.toFixed(2)} mm`, px, state.bevel.side > 0 ? bottom + away : top - away, palette.gap);
 }
 
 /** The y of a curve at x, its points joined by straight lines. */

@@ -1,0 +1,97 @@
+"""Take the pictures of the page in docs/figures: view.png, view_fit.png and view_plan.png.
+
+    python docs/view_pictures.py
+
+Opens the page of twin/phantom2-05 in the installed Chromium (Playwright): at a depth of 34 mm; fitted to the
+measured needle; and fitted at 15 mm, with a target, an obstacle and the plan.
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from playwright.sync_api import Page, sync_playwright
+
+FIGURES = Path(__file__).parent / "figures"
+GOAL = "{ target: [46, -1], radius: 0.8, obstacles: [[30, -1.4, 0.4]] }"
+SIZE = {"width": 1280, "height": 900}
+
+
+def wait(page: Page, condition: str) -> None:
+    """Wait until a function of the page's state holds."""
+    while not page.evaluate(f"({condition})(window.needlefit?.state)"):
+        page.wait_for_timeout(50)
+
+
+def insert(page: Page, depth: float) -> None:
+    """Insert to a depth, mm, and leave the fields as a new page has them."""
+    page.fill("#speed", "1000")
+    page.fill("#goto-depth", str(depth))
+    page.press("#goto-depth", "Enter")
+    wait(page, f"state => Math.abs(state.depth_mm - {depth}) < 1e-6 && !state.moving")
+    page.fill("#speed", "10")
+    page.fill("#goto-depth", "")
+
+
+def fit(page: Page) -> None:
+    """Fit to the measured needle, and wait for the band of the draws."""
+    page.click("#fit-now")
+    page.locator("#ridge").wait_for(state="visible", timeout=60_000)
+    wait(page, "state => window.needlefit.band?.step === state.step")
+
+
+def save(page: Page, name: str, shown: str | None = None) -> None:
+    """Save the picture, a part of the panel scrolled into view."""
+    if shown:
+        page.locator(shown).scroll_into_view_if_needed()
+    page.evaluate("document.activeElement.blur()")
+    page.mouse.move(0, 0)
+    page.wait_for_timeout(1500)
+    page.screenshot(path=FIGURES / name)
+
+
+def take(address: str) -> None:
+    with sync_playwright() as play:
+        browser = play.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+
+        def open_page() -> Page:
+            page = browser.new_context(viewport=SIZE, reduced_motion="reduce").new_page()
+            page.goto(address)
+            wait(page, "state => state && window.needlefit.connected")
+            return page
+
+        page = open_page()
+        insert(page, 34)
+        save(page, "view.png")
+        page = open_page()
+        insert(page, page.evaluate("window.needlefit.scene.measured.depth_mm"))
+        fit(page)
+        save(page, "view_fit.png", "#ridge-note")
+        page = open_page()
+        insert(page, 15)
+        fit(page)
+        page.evaluate(f"import('/page/aim.js').then(({{ setAim }}) => setAim({GOAL}))")
+        wait(page, "() => window.needlefit.aim.reach")
+        page.click("#make-plan")
+        wait(page, "() => window.needlefit.aim.plan")
+        save(page, "view_plan.png", "#plan-note")
+        browser.close()
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "needlefit", "view", "twin/phantom2-05"]
+        command += ["--no-browser", "--out", folder]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            try:
+                take(process.stdout.readline().strip())
+            finally:
+                process.terminate()
+
+
+if __name__ == "__main__":
+    main()
