@@ -149,14 +149,14 @@ def advance_needle(
             last = len(grid.nodes) - 1
         prescribe_stop(chain, conditions, grid, last, depth, insertion.length)
         extrapolated = guess_next_state(insertion, chain, grid, last, on_main)
-        while True:  # not two calls of `equilibrate`: each is compiled
+        status, used = equilibrate(states[NOW], chain, foundation, grid, y, last, newton, trial, factor)
+        iterations += used
+        # The extrapolated guess may lie outside the range from which Newton's method converges. A loop would
+        # compile `equilibrate` once, and run 2 % slower.
+        if status != CONVERGED and extrapolated:
+            extend_straight(insertion, chain, grid)
             status, used = equilibrate(states[NOW], chain, foundation, grid, y, last, newton, trial, factor)
             iterations += used
-            if status == CONVERGED or not extrapolated:
-                break
-            # The extrapolated guess may lie outside the range from which Newton's method converges.
-            extend_straight(insertion, chain, grid)
-            extrapolated = False
         if status != CONVERGED:
             return status, iterations, s
         end = size[CHAIN_NODES] - 1
