@@ -131,7 +131,7 @@ def equilibrate_lanes(
     ends : (7 W,) array
         S and r that the needle before the tissue hands on, and its last node.
     """
-    work, busy, front = workspace.work, workspace.busy, workspace.front
+    work, busy, front, load = workspace.work, workspace.busy, workspace.front, workspace.load
     for l in range(W):
         busy[AT_WORK + U(l)] = 1.0 if lane_status[l] == IN_LANE else 0.0
     tip, counted = U(last + 1) * NODE, workspace.counted[0]
@@ -139,11 +139,15 @@ def equilibrate_lanes(
         whole, full = n > 0 or begin == 1, n != 1
         if begin > 1:
             full = last % REFACTOR_NODES == 0 if n == 1 else n != 2
+        # Each loop over lanes is inlined here, so each is called from as few places as possible.
+        compliance = workspace.compliance if whole else workspace.rigid
         if whole:
             counted = 0 if full else _sum_compliance(workspace, counted, begin, last)
-            _start_entry(grid, tables, inputs, y, state, ends, workspace, workspace.compliance, full)
-        else:
-            _shift_front(grid, tables, inputs, y, state, ends, workspace, begin)
+        for l in range(W1):
+            load[l], load[W1 + l] = -work[R + l], -work[R + W1 + l]
+        _start_entry(grid, tables, inputs, y, state, ends, workspace, compliance, whole and full)
+        if not whole:
+            _shift_load(workspace, begin)
         _eliminate(grid, tables, inputs, y, state, begin if n == 0 else 1, last, workspace, full)
         layer = U(tables.layer[last]) * LAYER_OFFSET
         update_tip(work, tip, state, U(last) * NODE_STATE_OFFSET, inputs.layers, layer, busy)
@@ -185,17 +189,15 @@ def equilibrate_lanes(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _shift_front(
-    grid: NodeGrid, tables: LaneTables, inputs: LaneInputs, y: Floats, state: Floats, ends: Floats,
-    workspace: LaneWorkspace, begin: int,
-) -> None:  # fmt: skip
-    """Hand on what has changed before the tissue since the last stop, up to element `begin`."""
+def _shift_load(workspace: LaneWorkspace, begin: int) -> None:
+    """Hand on what has changed before the tissue since the last stop, up to element `begin`.
+
+    `load` holds minus the r of that stop.
+    """
     work, load = workspace.work, workspace.load
     for l in range(W1):
-        load[l], load[W1 + l] = work[R + l], work[R + W1 + l]
-    _start_entry(grid, tables, inputs, y, state, ends, workspace, workspace.rigid, False)
-    for l in range(W1):
-        load[l], load[W1 + l] = work[R + l] - load[l], work[R + W1 + l] - load[W1 + l]
+        load[l] += work[R + l]
+        load[W1 + l] += work[R + W1 + l]
     for e in range(1, begin):
         shift_load(work, U(e) * NODE, load)
     at = U(begin - 1) * NODE + R
@@ -213,12 +215,11 @@ def _sum_compliance(workspace: LaneWorkspace, counted: int, begin: int, last: in
             frozen[l] = 0.0
         for l in range(W):  # P = 1
             frozen[l] = frozen[3 * W + l] = 1.0
-    for e in range(counted + 1, begin):
-        add_compliance(work, U(e) * NODE, frozen)
-    for l in range(COMPLIANCE_ROWS * W):
-        compliance[l] = frozen[l]
-    for e in range(begin, last + 2):
-        add_compliance(work, U(e) * NODE, compliance)
+    for e in range(counted + 1, last + 2):
+        if e == begin:
+            for l in range(COMPLIANCE_ROWS * W):
+                compliance[l] = frozen[l]
+        add_compliance(work, U(e) * NODE, frozen if e < begin else compliance)
     return begin - 1
 
 
