@@ -170,8 +170,10 @@ def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool
         extrapolated = growth == old - older_size and older_size >= growth
         if extrapolated and factored:
             begin = max(1, size - LIVE_CELLS * growth)
-        # From the tip back: `other` is read behind where it is written.
-        for i in range(size - 1, begin - 2, -1):
+        # From the tip back: `other` is read behind where it is written. The load at the first node depends on
+        # that node, so it is guessed too.
+        for n in range(size - begin + 1 + int(begin > 1)):
+            i = size - 1 - n if n <= size - begin else 0
             if i >= old:
                 ahead = grid.nodes[i] - nodes[old - 1]
                 j, behind = i - growth, grid.nodes[i - growth] - nodes[older_size - 1]
@@ -188,8 +190,6 @@ def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool
             else:
                 for l in range(2 * W):
                     other[i, l] = state[i, l]
-        if begin > 1:  # the load at the first node depends on it
-            extrapolate_node(other[0], state[0], state[0], other[0])
         lanes.size[PREVIOUS_NODES], lanes.size[CURRENT_STATE] = old, 1 - now
     for i in range(size):
         nodes[i] = grid.nodes[i]

@@ -33,7 +33,6 @@ from needlefit.mechanics.kernel.lanes.passes import (  # fmt: skip
     keep_reference,
     shift_load,
     solve_tip,
-    solve_tip_chord,
     start_front,
     substitute_back,
     update_tip,
@@ -280,9 +279,7 @@ def _eliminate(
     if full:
         for e in range(begin, last + 2):
             keep_reference(work, U(e) * NODE, state, U(e - 1) * NODE_STATE_OFFSET, busy)
-        solve_tip(work, U(last + 1) * NODE, busy)
-    else:
-        solve_tip_chord(work, U(last + 1) * NODE, busy)
+    solve_tip(work, U(last + 1) * NODE, busy)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

@@ -518,7 +518,7 @@ def keep_reference(work: Floats, own: Offset, state: Floats, node: Offset, busy:
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def solve_tip(work: Floats, own: Offset, busy: Floats) -> None:
-    """Solve for deflection and slope of the tip, the last node; S^-1 is kept for the chord pass."""
+    """Solve for deflection and slope of the tip, the last node; a chord pass has changed no S."""
     before = own - NODE
     for l in range(W1):
         chosen = busy[AT_WORK + l] > 0.0
@@ -529,20 +529,6 @@ def solve_tip(work: Floats, own: Offset, busy: Floats) -> None:
         _keep(work, own + INVERSE + l, i00, chosen)
         _keep(work, own + INVERSE + W1 + l, i01, chosen)
         _keep(work, own + INVERSE + W2 + l, i11, chosen)
-        _keep(work, own + Z + l, i00 * r0 + i01 * r1, chosen)
-        _keep(work, own + Z + W1 + l, i01 * r0 + i11 * r1, chosen)
-        _keep(work, own + EXCESS + l, work[before + EXCESS + l], chosen)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def solve_tip_chord(work: Floats, own: Offset, busy: Floats) -> None:
-    """Solve for the tip's node with the S^-1 of the last full pass."""
-    before = own - NODE
-    for l in range(W1):
-        r0, r1 = work[before + R + l], work[before + R + W1 + l]
-        i00, i01 = work[own + INVERSE + l], work[own + INVERSE + W1 + l]
-        i11 = work[own + INVERSE + W2 + l]
-        chosen = busy[AT_WORK + l] > 0.0
         _keep(work, own + Z + l, i00 * r0 + i01 * r1, chosen)
         _keep(work, own + Z + W1 + l, i01 * r0 + i11 * r1, chosen)
         _keep(work, own + EXCESS + l, work[before + EXCESS + l], chosen)
