@@ -1,6 +1,8 @@
 """The lanes beside the limit of the machine: packed instructions, peak of multiply-adds, fraction reached.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/lanes.py [--json] [--rounds N]
+    ... --beside FOLDER     time per step and set beside the package of another checkout, in turns
+    ... --errors            largest errors against full passes to 1e-11 mm
 
 The loops of `kernel.lanes.passes` are compiled anew here, to read which instructions they became: of the
 arithmetic on doubles, all but a rest has to be packed, or the compiler has given up on a loop.
@@ -21,9 +23,10 @@ abs, max and comparisons as none), read off the source of `kernel.lanes.passes`:
 | `substitute_back` | 9 | 9 |
 | all | 297 | 139 |
 
-Per step a lane makes one full pass and, where it has not converged, a half one (more are counted as half
-ones); the work that a block does for lanes that have already converged is not counted, nor is the guess of
-the next shape (4 a node), nor what is done once a step. The fraction is thus that of *useful* arithmetic, and
+Per step a lane makes one half (chord) pass over the needle and, where it has not converged, another; the full
+pass over three cells (FULL each) is counted too, but not the full pass that every eighth node makes instead,
+the two further substitutions, the work that a block does for lanes that have already converged, nor what is
+done once a step. The fraction is thus that of *useful* arithmetic, and
 of a peak that only pure multiply-adds can reach. `full_regular` and `chord_regular` are these loops alone, on
 one element that stays in the first cache.
 """
@@ -32,9 +35,13 @@ import argparse
 import json
 import os
 import re
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -52,7 +59,8 @@ TOLERANCES = (1e-7, 1e-9)  # mm
 ROW, CHAIN, REPEATS = 512, 16, 40000  # doubles, multiply-adds on each, times
 SETS = 512
 LOOPS = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
-         "solve_tip", "solve_tip_chord", "update_tip", "substitute_back", "extrapolate_node")  # fmt: skip
+         "solve_tip", "update_tip", "substitute_back", "shift_load", "add_compliance",
+         "extrapolate_node")  # fmt: skip
 TABLES = ("table", "bending")  # the arguments that have two dimensions
 ARITHMETIC = re.compile(r"\bv?(?:add|sub|mul|div|fn?m(?:add|sub)(?:132|213|231))([ps])d\b.*")
 
@@ -85,12 +93,14 @@ def multiply_adds(row: Floats, a: float, b: float, repeats: int) -> None:
 @numba.njit(nogil=True)
 def loop_alone(full: bool, state: Floats, layer: Floats, table: Floats, work: Floats, repeats: int) -> None:
     """Run the loop over the lanes of one element, again and again."""
-    nought, own = np.uint64(0), np.uint64(NODE_ROWS * LANES)
+    nought, own, busy = np.uint64(0), np.uint64(NODE_ROWS * LANES), np.ones(3 * LANES)
     for _ in range(repeats):
         if full:
-            full_regular(state, nought, layer, nought, layer, nought, nought, table, nought, layer, work, own)
+            full_regular(
+                state, nought, layer, nought, layer, nought, nought, table, nought, layer, work, own, busy
+            )
         else:
-            chord_regular(state, nought, layer, nought, layer, nought, nought, table, nought, work, own)
+            chord_regular(state, nought, layer, nought, layer, nought, nought, table, nought, work, own, busy)
 
 
 def arithmetic(assembly: str) -> dict[str, int]:
@@ -163,7 +173,7 @@ def measure(rounds: int) -> dict[str, object]:
             (shapes,) = simulate_batches([sets], 1)
             per_step = float(shapes.iterations.mean()) / steps
             elements = steps * (steps + 1) / 2 * SETS
-            work = elements * (FULL + HALF * (per_step - 1.0))
+            work = elements * HALF * per_step + 3.0 * steps * SETS * FULL
             # one block of lanes is one task; two callers have a batch each
             reached = rate(work, threads, lambda _, sets=sets: simulate_batches([sets], 1), rounds)
             figures[f"lanes_{threads}_{tolerance:g}"] = {
@@ -176,12 +186,83 @@ def measure(rounds: int) -> dict[str, object]:
     return figures
 
 
+def serve() -> None:
+    """Answer each line "depth threads" with the time per step and set, us: the best of three calls."""
+    for line in sys.stdin:
+        depth, threads = line.split()
+        sets = [batch(SETS, TOLERANCES[0], float(depth))]
+        simulate_batches(sets, int(threads))
+        taken = []
+        for _ in range(3):
+            begin = time.perf_counter()
+            simulate_batches(sets, int(threads))
+            taken.append(time.perf_counter() - begin)
+        print(1e6 * min(taken) / SETS / float(depth), flush=True)
+
+
+def compare(folder: str, rounds: int) -> None:
+    """Print the time per step and set of this package and another, asked in turns by two processes."""
+    own = str(Path(__file__).parents[1])
+    found: dict[tuple[str, str], list[float]] = {}
+    programs = {
+        name: subprocess.Popen([sys.executable, __file__, "--serve"], env=os.environ | {"PYTHONPATH": path},
+                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for name, path in (("here", own), ("beside", folder))
+    }  # fmt: skip
+    for _ in range(rounds):
+        for case in ("14 1", "28 1", "55 1", "110 1", "55 2"):
+            for name, program in programs.items():
+                print(case, file=program.stdin, flush=True)
+                found.setdefault((case, name), []).append(float(program.stdout.readline()))
+    for case in dict.fromkeys(case for case, _ in found):
+        here, there = (np.array(found[case, name]) for name in programs)
+        depth, threads = case.split()
+        print(
+            f"{depth:>4s} mm, {threads} threads: {np.median(here):.3f} us, beside {np.median(there):.3f}, "
+            f"ratio of the rounds {np.median(there / here):.2f} (least {min(there) / min(here):.2f})"
+        )
+    for program in programs.values():
+        program.stdin.close()
+
+
+def print_errors(count: int = 10_000) -> None:
+    """Print the largest errors of shapes, mm, for nominal sets and broad priors."""
+    rng = np.random.default_rng(5)
+    nominal = batch(SETS, TOLERANCES[0])
+    broad = replace(
+        batch(count, TOLERANCES[0]),
+        mu=10 ** rng.uniform(np.log10(0.05), np.log10(60), (count, 4)),
+        alpha=rng.uniform(-3, 3, (count, 4)),
+        offset=rng.uniform(0, 0.2, count),
+    )
+    for name, sets in (("within 30 % of nominal", nominal), ("priors", broad)):
+        (found,) = simulate_batches([sets])
+        (exact,) = simulate_batches([replace(sets, rules=replace(sets.rules, tolerance=1e-11))])
+        errors = np.abs(found.u - exact.u).max(axis=1)[found.converged & exact.converged]
+        print(
+            f"{name}: {len(errors)} sets, largest {errors.max():.2g}, "
+            f"99 % below {np.quantile(errors, 0.99):.2g} mm"
+        )
+
+
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--rounds", type=int, default=40)
+    parser.add_argument("--beside", metavar="FOLDER")
+    parser.add_argument("--errors", action="store_true")
+    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    if arguments.serve:
+        serve()
+        return
+    if arguments.beside:
+        compare(arguments.beside, arguments.rounds)
+        return
+    if arguments.errors:
+        print_errors()
+        return
     figures = measure(arguments.rounds)
     if arguments.json:
         print(json.dumps(figures, indent=2))

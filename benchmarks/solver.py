@@ -131,14 +131,14 @@ def measure_baseline(tolerance: float, solve: Callable[..., Floats], every: int,
 
 
 def _arguments(sets: Batch, i: int) -> tuple[object, Tissue, Step]:
-    needle, tissue, steps, _ = sets.one(i)
+    needle, tissue, steps, _ = sets.pick(i)
     return needle, tissue, steps[0]
 
 
 def scalar(tolerance: float) -> Method:
     """Return the compiled scalar kernel, set after set."""
     sets = batch(32, tolerance)
-    inputs = [sets.one(i) for i in range(len(sets))]
+    inputs = [sets.pick(i) for i in range(len(sets))]
     shapes = [simulate_steps(*one) for one in inputs]
     tips = np.array([shape.deflection for shape in shapes[:COMPARED]])
     passes = float(np.mean([shape.iterations for shape in shapes])) / STEPS

@@ -15,7 +15,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import lanes, reference
 from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.kernel.lanes import passes
+from needlefit.mechanics.kernel.lanes import newton, passes
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
@@ -273,8 +273,48 @@ def test_a_guide_that_the_base_would_reach_is_the_failure_of_its_set_alone() -> 
     np.testing.assert_array_equal(shapes.u[[0, 3]], alone.u)
 
 
+def test_what_a_workspace_held_before_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fill(value: float) -> NeedleShapes:
+        def make(nodes: int, points: int) -> newton.LaneWorkspace:
+            workspace = newton.make_workspace(nodes, points)
+            for part in workspace[:-1]:
+                if part is not workspace.rigid:
+                    part[:] = value
+            workspace.counted[0] = 3
+            return workspace
+
+        monkeypatch.setattr(lanes, "make_workspace", make)
+        return one(broad(40, steps=(WIDE, replace(WIDE, depth=40.2))))
+
+    assert_same_bits(fill(np.nan), fill(0.0))
+
+
+@pytest.mark.parametrize("advance", ["tangent", "path_angle"])
+@pytest.mark.parametrize("case", [0, 1, 2, 3])
+def test_kept_factors_leave_less_than_3e_7_mm(advance: str, case: int) -> None:
+    """Against full passes to 1e-10 mm: straight on, turns, moves of base and guide, a retraction."""
+    bevel, depth = Bevel(0.1) if advance == "tangent" else Bevel(cut_angle=0.01), 45.0
+    other, moved = replace(bevel, side=-1), Controls(base_y=0.8, base_slope=0.01)
+    guided = [Controls(guides=(Guide(-5.0, y),)) for y in (0.1, 0.6)]
+    steps = [
+        (),
+        (Step(15.0, bevel), Step(30.0, other)),
+        (Step(15.0, bevel, guided[0]), Step(30.0, bevel, guided[1]), Step(37.0, bevel, moved)),
+        (Step(35.0, bevel), Step(17.4, other)),
+    ][case]
+    rng = np.random.default_rng(case)
+    tissue = Tissue(mu=[0.2, 33.0, 0.2], alpha=[1.0, -1.0, 1.0], boundaries=[14.0, 27.0])
+    mu, alpha = 10 ** rng.uniform(-1.3, 1.78, (32, 3)), rng.uniform(-3, 3, (32, 3))
+    batch = Batch(
+        NEEDLE, tissue, (*steps, Step(depth, bevel)), ModelOptions(advance=advance), mu=mu, alpha=alpha
+    )
+    shapes, exact = one(batch), replace(batch, rules=ModelOptions(advance=advance, tolerance=1e-10))
+    for i in range(0, 32, 4):
+        assert_close(shapes[i], simulate_steps(*exact.pick(i)), 3e-7)
+
+
 PACKED = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
-          "solve_tip", "substitute_back")  # fmt: skip
+          "solve_tip", "substitute_back", "shift_load", "add_compliance")  # fmt: skip
 
 
 @pytest.mark.parametrize("name", PACKED)

@@ -14,6 +14,7 @@ from needlefit.inference.forward_model import make_batch, make_scene_record, pre
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.kernel.lanes.newton import make_workspace
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.linearize import DERIVATIVE_KINDS, linearize_steps
 from needlefit.mechanics.load import compute_loads
@@ -75,8 +76,10 @@ def test_the_lanes_are_used() -> None:
 
     batch = Batch(NEEDLE, PHANTOM, (Step(25.0, Bevel(cut_angle=0.1)),), RULES, cut_angle=np.array([0.1, 0.2]))
     job = _prepare_job(batch)
-    assert job.shared is not None and (job.shared.tables.regular_row[1:] >= 0).mean() > 0.8
-    assert not _simulate_lanes(job, job.shared, np.arange(2))[1].any()
+    assert job.lanes is not None and (job.lanes.tables.regular_row[1:] >= 0).mean() > 0.8
+    assert not _simulate_lanes(
+        job, job.lanes, slice(0, 2), make_workspace(job.lanes.nodes, job.lanes.points)
+    )[1].any()
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 5])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,12 @@ from numpy.typing import NDArray
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.batch import VARYING_FIELDS, Batch, NeedleShapes
 from needlefit.mechanics.insertion_limits import check_size
-from needlefit.mechanics.kernel.foundation import make_foundation
+from needlefit.mechanics.kernel.foundation import SERIES_TERMS, make_foundation
 from needlefit.mechanics.kernel.grid import list_constraint_depths
 from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion, TipStops
 from needlefit.mechanics.kernel.lanes import insertion as kernel
-from needlefit.mechanics.kernel.lanes.newton import LEFT_LANES, LaneInputs
-from needlefit.mechanics.kernel.lanes.tables import LANES, LaneTables, tabulate
+from needlefit.mechanics.kernel.lanes.newton import LEFT_LANES, LaneInputs, LaneWorkspace, make_workspace
+from needlefit.mechanics.kernel.lanes.tables import LANES, LAYER_ROWS, LaneTables, tabulate
 from needlefit.mechanics.kernel.scalar import NON_FINITE, NewtonOptions
 from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS
@@ -64,8 +65,20 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     tasks.sort(key=lambda task: -jobs[task[0]].cost)  # stable: blocks of one batch stay in order
     threads = min(threads or len(os.sched_getaffinity(0)), len(tasks))
 
+    lane_jobs = [job.lanes for job in jobs if job.lanes is not None]
+    nodes = max((job.nodes for job in lane_jobs), default=0)
+    points = max((job.points for job in lane_jobs), default=0)
+    spare = SimpleQueue[LaneWorkspace]()  # of tasks that have ended
+
     def run(task: tuple[int, int]) -> NeedleShapes:
-        return _simulate_block(jobs[task[0]], task[1])
+        try:
+            workspace = spare.get_nowait()
+        except Empty:
+            workspace = make_workspace(nodes, points)
+        try:
+            return _simulate_block(jobs[task[0]], task[1], workspace)
+        finally:
+            spare.put(workspace)
 
     if threads <= 1:
         parts = [run(task) for task in tasks]
@@ -75,25 +88,54 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     found: list[list[NeedleShapes]] = [[] for _ in jobs]
     for (n, _), part in zip(tasks, parts, strict=True):
         found[n].append(part)
-    return tuple(_concatenate(some) for some in found)
+    return tuple(_join_blocks(job, some) for job, some in zip(jobs, found, strict=True))
 
 
 @dataclass(frozen=True)
-class _SharedTables:
-    """What the sets of a batch share in the lanes."""
+class _LaneGroup:
+    """The stops under the same controls, and what their inputs are in every set."""
+
+    conditions: BoundaryConditions
+    stops: TipStops
+    base: Floats  # (3, S) as `LaneInputs`, of the sets in `_LaneJob.lane`
+    turns: Floats  # (bevels, S) of every bevel
+    of_stop: Ints  # the bevel of each stop
+
+
+@dataclass(frozen=True)
+class _LaneJob:
+    """What the sets of a batch share in the lanes; S of them, whole blocks."""
 
     grids: KernelInsertion
     tables: LaneTables
+    lane: Ints  # (S,) the set of each lane; those to spare repeat the last block's
+    mu: Floats  # (S, n) harmless numbers where a set is invalid
+    alpha: Floats  # (S, n)
+    thickness: Floats  # (LANES n,)
+    friction: Floats  # (LANES n,)
+    rigidity: Floats  # (S,)
+    groups: tuple[_LaneGroup, ...]
+
+    @property
+    def nodes(self) -> int:
+        """Nodes in the tissue, at most."""
+        return len(self.grids.main.nodes) + 2
+
+    @property
+    def points(self) -> int:
+        """Quadrature points, at most; the grid of a stop between constraint points may have a few more."""
+        return len(self.grids.main.x) + 8
 
 
 @dataclass(frozen=True)
 class _BatchJob:
     batch: Batch
     lattice: Lattice
-    groups: tuple[tuple[int, TipStops, Ints], ...]  # as `simulate.pack_groups` returns them
     stops: tuple[TipStop, ...]
     valid: Bools  # (B,) which sets are made of numbers that needle and tissue accept
-    shared: _SharedTables | None  # None: every set goes alone
+    scales: Floats  # (B, 3) what their validity is measured by, mm
+    alone: Bools  # (B,) which sets go through the scalar kernel: filled block by block
+    lanes: _LaneJob | None  # None: every set goes alone
 
     @cached_property
     def cost(self) -> float:
@@ -110,11 +152,47 @@ def _prepare_job(batch: Batch) -> _BatchJob:
     moves = make_moves(steps, needle.length)
     check_size(tuple(step.depth for step in steps), rules)
     stops = make_stops(moves, lattice)
-    shared = None
+    lanes = None
     if _fits_lanes(batch, lattice, stops):
         grids = begin_insertion(needle, batch.tissue, steps, lattice, rules)
-        shared = _SharedTables(grids, tabulate(grids.main))
-    return _BatchJob(batch, lattice, pack_groups(moves, lattice), stops, valid, shared)
+        lanes = _prepare_lanes(batch, grids, pack_groups(moves, lattice), valid)
+    scales = _make_scales(batch, valid, stops[-1].tip)
+    return _BatchJob(batch, lattice, stops, valid, scales, np.ones(len(batch), dtype=bool), lanes)
+
+
+def _prepare_lanes(
+    batch: Batch, grids: KernelInsertion, groups: Sequence[tuple[int, TipStops, Ints]], valid: Bools
+) -> _LaneJob:
+    """Return what the sets share, and what differs between them in the order of the lanes."""
+    starts = range(0, len(batch), LANES)
+    lane = np.concatenate([np.resize(np.arange(i, min(i + LANES, len(batch))), LANES) for i in starts])
+
+    def given(name: str, otherwise: float) -> Floats:
+        values = getattr(batch, name)
+        return np.full(len(lane), otherwise) if values is None else values[lane]
+
+    tissue = batch.tissue
+    shape = (len(lane), tissue.layers)
+    mu = np.broadcast_to(tissue.mu if batch.mu is None else batch.mu[lane], shape)
+    alpha = np.broadcast_to(tissue.alpha if batch.alpha is None else batch.alpha[lane], shape)
+    # Lanes of invalid sets compute with harmless numbers; `_simulate_block` replaces their results.
+    mu, alpha = (np.where(valid[lane, None], values, 1.0) for values in (mu, alpha))
+    thickness, friction = (np.tile(part, LANES) for part in (tissue.thickness, tissue.friction))
+    prepared = []
+    name = "cut_angle" if batch.rules.path_angle else "offset"
+    for controls_id, stops, bevel_id in groups:
+        conditions = compile_controls(batch.steps[controls_id].controls)
+        base = conditions.base
+        ids, of_stop = np.unique(bevel_id, return_inverse=True)  # few bevels, many stops
+        bevels = [batch.steps[step].bevel for step in ids]
+        strengths = [(bevel.side, *batch.rules.bevel_strength(bevel)) for bevel in bevels]
+        turns = np.array([side / length * given(name, strength) for side, strength, length in strengths])
+        base = np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])])
+        prepared.append(_LaneGroup(conditions, stops, base, turns, of_stop))
+    return _LaneJob(
+        grids, tabulate(grids.main), lane, mu, alpha, thickness, friction,
+        given("rigidity", batch.needle.flexural_rigidity), tuple(prepared),
+    )  # fmt: skip
 
 
 def _find_valid(batch: Batch) -> Bools:
@@ -151,35 +229,30 @@ def _fits_lanes(batch: Batch, lattice: Lattice, stops: Sequence[TipStop]) -> boo
     )
 
 
-def _make_layers(job: _BatchJob, lane: Ints) -> tuple[Floats, Floats]:
+def _make_layers(job: _LaneJob, law: str, at: slice) -> tuple[Floats, Floats]:
     """Return the series and limits of every lane's layers (n LAYER_ROWS W,), and curvatures (W,)."""
-    tissue, shape = job.batch.tissue, (len(lane), job.batch.tissue.layers)
-    mu = np.broadcast_to(tissue.mu if job.batch.mu is None else job.batch.mu[lane], shape)
-    alpha = np.broadcast_to(tissue.alpha if job.batch.alpha is None else job.batch.alpha[lane], shape)
-    valid = job.valid[lane, None]
-    # Lanes of invalid sets compute with harmless numbers; `_simulate_block` replaces their results.
-    mu, alpha = np.where(valid, mu, 1.0), np.where(valid, alpha, 1.0)
-    law = compile_law(tissue.law, alpha.ravel())
-    thickness, friction = (np.resize(part, mu.size) for part in (tissue.thickness, tissue.friction))
-    found = make_foundation(mu.ravel(), *law, thickness, friction)
-    series = np.concatenate((found.series, found.limit[:, None]), axis=1)
-    # From (lane, layer, row) to (layer, row, lane): each row of LANES numbers must be contiguous.
-    return series.reshape(*shape, -1).transpose(1, 2, 0).ravel(), found.curvature.reshape(shape).max(axis=1)
+    mu = job.mu[at]
+    terms = compile_law(law, job.alpha[at].ravel())
+    found = make_foundation(mu.ravel(), *terms, job.thickness, job.friction)
+    series = np.empty((mu.shape[1], LAYER_ROWS, LANES))  # each row of LANES numbers must be contiguous
+    series[:, :SERIES_TERMS] = found.series.reshape(LANES, -1, SERIES_TERMS).transpose(1, 2, 0)
+    series[:, SERIES_TERMS] = found.limit.reshape(LANES, -1).T
+    series[:, SERIES_TERMS + 1] = found.curvature.reshape(LANES, -1).T
+    return series.ravel(), series[:, SERIES_TERMS + 1].max(axis=0)
 
 
-def _simulate_block(job: _BatchJob, start: int) -> NeedleShapes:
-    """Return the shapes of one block of sets."""
-    sets = np.arange(start, min(start + LANES, len(job.batch)))
-    if job.shared is None:
-        return NeedleShapes.from_shapes([_simulate_alone(job, int(i)) for i in sets])
-    shapes, left_lanes = _simulate_lanes(job, job.shared, sets)
-    if left_lanes.all():  # the lanes were given up before their last stop
-        return NeedleShapes.from_shapes([_simulate_alone(job, int(i)) for i in sets])
-    for i in np.flatnonzero(left_lanes | ~job.valid[sets]):
-        alone = _simulate_alone(job, int(sets[i]))
-        for part, value in zip(
-            _list_fields(shapes), _list_fields(NeedleShapes.from_shapes([alone])), strict=True
-        ):
+def _simulate_block(job: _BatchJob, start: int, workspace: LaneWorkspace) -> NeedleShapes:
+    """Return the shapes of one block of sets; base and guides of those from the lanes are not filled in."""
+    sets = slice(start, min(start + LANES, len(job.batch)))
+    shapes = None
+    if job.lanes is not None:
+        shapes, left_lanes = _simulate_lanes(job, job.lanes, sets, workspace)
+        job.alone[sets] = left_lanes | ~job.valid[sets]
+    if shapes is None or job.alone[sets].all():  # the lanes may have been given up before their last stop
+        return NeedleShapes.from_shapes([_simulate_alone(job, i) for i in range(sets.start, sets.stop)])
+    for i in np.flatnonzero(job.alone[sets]):
+        alone = NeedleShapes.from_shapes([_simulate_alone(job, start + int(i))])
+        for part, value in zip(_list_fields(shapes), _list_fields(alone), strict=True):
             part[i] = value[0]
     return shapes
 
@@ -194,81 +267,72 @@ def _simulate_alone(job: _BatchJob, i: int) -> NeedleShape:
     return read_shape(untouched, batch.tissue, last, batch.steps[last.controls_id].controls, NON_FINITE, 0)
 
 
-def _simulate_lanes(job: _BatchJob, shared: _SharedTables, sets: Ints) -> tuple[NeedleShapes, Bools]:
+def _simulate_lanes(
+    job: _BatchJob, lanes: _LaneJob, sets: slice, workspace: LaneWorkspace
+) -> tuple[NeedleShapes, Bools]:
     """Return the shapes of up to LANES sets, and which of them left the lanes."""
     batch, last = job.batch, job.stops[-1]
-    lane = np.resize(sets, LANES)  # lanes to spare repeat what the others do
-    nodes = len(shared.grids.main.nodes) + 2
-    grids, tables = _copy_entry_tables(shared)
-    lane_state = kernel.begin_lanes(len(shared.grids.y), nodes, len(shared.grids.rays))
+    at, count = slice(sets.start, sets.start + LANES), sets.stop - sets.start
+    grids, tables = _copy_entry_tables(lanes)
+    lane_state = kernel.begin_lanes(len(grids.y), lanes.nodes, len(grids.rays))
     newton = NewtonOptions(batch.rules.tolerance, batch.rules.max_iterations)
-    tissue = _make_layers(job, lane)
-    for controls_id, stops, bevel_id in job.groups:
-        conditions = compile_controls(batch.steps[controls_id].controls)
-        inputs = _make_inputs(batch, tissue, conditions, bevel_id, lane)
-        kernel.advance_lanes(lane_state, grids, tables, conditions, inputs, stops, newton)
-    count, size = len(sets), int(lane_state.size[kernel.NODES_NOW])
+    tissue = _make_layers(lanes, batch.tissue.law, at)
+    for group in lanes.groups:
+        before = np.repeat(group.conditions.before[:, :, None], LANES, axis=2)  # (F, 3, W)
+        if batch.guide_x is not None:
+            before[0, 0] = batch.guide_x[lanes.lane[at]]
+        turns = group.turns[:, at].take(group.of_stop, axis=0)  # (S, W)
+        base = np.ascontiguousarray(group.base[:, at])
+        inputs = LaneInputs(lanes.rigidity[at], *tissue, base, before, turns)
+        kernel.advance_lanes(
+            lane_state, grids, tables, group.conditions, inputs, group.stops, newton, workspace
+        )
+    size, front = int(lane_state.size[kernel.NODES_NOW]), 1 + len(group.conditions.before)
     current = lane_state.states[lane_state.size[kernel.CURRENT_STATE], :size]
-    state = current.reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
-    front = _solve_front(job, conditions, sets, float(lane_state.nodes[0]), state[0])  # (B, F, 3)
+    state = current.reshape(size, 2, LANES)[:, :, :count].T  # (B, 2, N)
+    shape = np.empty((3, count, front + size))
+    shape[0, :, front:], shape[1:, :, front:] = lane_state.nodes[:size], state.transpose(1, 0, 2)
     points = np.empty((count, last.cell + 1, 2))
     points[:, :, 0] = list_constraint_depths(last.tip, last.cell, job.lattice.first_cell, job.lattice.spacing)
     points[:, :, 1] = lane_state.y[: last.cell + 1, :count].T
     track = lane_state.track[: last.cell + 1].reshape(-1, 2, LANES)[:, :, :count]
-    inner = np.broadcast_to(lane_state.nodes[:size], (count, size))
     shapes = NeedleShapes(
-        np.concatenate((front[:, :, 0], inner), axis=1),
-        np.concatenate((front[:, :, 1], state[:, 0].T), axis=1),
-        np.concatenate((front[:, :, 2], state[:, 1].T), axis=1),
-        points, np.ascontiguousarray(track.transpose(2, 0, 1)),
-        np.zeros(count, np.int64), lane_state.passes[:count].copy(), _make_scales(job, sets),
+        shape[0], shape[1], shape[2], points, np.ascontiguousarray(track.transpose(2, 0, 1)),
+        np.zeros(count, np.int64), lane_state.passes[:count], job.scales[sets],
     )  # fmt: skip
     return shapes, lane_state.lane_status[:count] == LEFT_LANES
 
 
-def _make_scales(job: _BatchJob, sets: Ints) -> Floats:
-    """Return what the validity of some sets is measured by, (B, 3) mm."""
-    batch, valid = job.batch, job.valid[sets]
-    mu = batch.tissue.mu if batch.mu is None else batch.mu[sets]
-    rigidity = batch.needle.flexural_rigidity if batch.rigidity is None else batch.rigidity[sets]
+def _join_blocks(job: _BatchJob, parts: Sequence[NeedleShapes]) -> NeedleShapes:
+    """Return the shapes of a batch, and fill in base and guides of the sets that the lanes have solved."""
+    shapes = NeedleShapes(*(np.concatenate(some) for some in zip(*map(_list_fields, parts), strict=True)))
+    sets = np.flatnonzero(~job.alone)
+    if len(sets):
+        conditions = compile_controls(job.batch.steps[job.stops[-1].controls_id].controls)
+        n = 1 + len(conditions.before)
+        state = np.array([shapes.u[sets, n], shapes.slope[sets, n]])
+        front = _solve_front(job, conditions, sets, float(shapes.x[sets[0], n]), state)  # (B, F, 3)
+        for j, part in enumerate((shapes.x, shapes.u, shapes.slope)):
+            part[sets, :n] = front[:, :, j]
+    return shapes
+
+
+def _make_scales(batch: Batch, valid: Bools, depth: float) -> Floats:
+    """Return what the validity of every set is measured by, (B, 3) mm."""
+    count = len(batch)
+    mu = np.broadcast_to(batch.tissue.mu, (count, batch.tissue.layers)) if batch.mu is None else batch.mu
+    rigidity = batch.needle.flexural_rigidity if batch.rigidity is None else batch.rigidity
     mu, rigidity = np.where(valid[:, None], mu, np.nan), np.where(valid, rigidity, np.nan)
-    return compute_batch_scales(mu, rigidity, batch.tissue, job.stops[-1].tip, batch.rules.spacing)
+    return compute_batch_scales(mu, rigidity, batch.tissue, depth, batch.rules.spacing)
 
 
-def _copy_entry_tables(shared: _SharedTables) -> tuple[KernelInsertion, LaneTables]:
+def _copy_entry_tables(shared: _LaneJob) -> tuple[KernelInsertion, LaneTables]:
     """Return grid and tables for one block: element 0 changes at every stop if the entry has no node."""
     main, tables = shared.grids.main, shared.tables
     if main.first[1] == 0:
         return shared.grids, tables
     own = main._replace(shapes=main.shapes.copy())
     return shared.grids._replace(main=own), tables._replace(points=tables.points.copy())
-
-
-def _make_inputs(
-    batch: Batch, tissue: tuple[Floats, Floats], conditions: BoundaryConditions, bevel_id: Ints, lane: Ints
-) -> LaneInputs:
-    """Return the inputs that differ between lanes in one step; `lane` (W,): the set of each lane."""
-
-    def given(name: str, otherwise: float) -> Floats:
-        values = getattr(batch, name)
-        return np.full(len(lane), otherwise) if values is None else values[lane]
-
-    ids, of_stop = np.unique(bevel_id, return_inverse=True)  # few bevels, many stops
-    bevels = [batch.steps[step].bevel for step in ids]
-    strengths = [(bevel.side, *batch.rules.bevel_strength(bevel)) for bevel in bevels]
-    name = "cut_angle" if batch.rules.path_angle else "offset"
-    turns = np.array([side / length * given(name, strength) for side, strength, length in strengths])
-    before = np.repeat(conditions.before[:, :, None], len(lane), axis=2)  # (F, 3, W)
-    if batch.guide_x is not None:
-        before[0, 0] = batch.guide_x[lane]
-    base = conditions.base
-    return LaneInputs(
-        given("rigidity", batch.needle.flexural_rigidity),
-        *tissue,
-        np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])]),
-        before,
-        turns[of_stop],  # (S, W)
-    )
 
 
 def _solve_front(
@@ -307,7 +371,3 @@ def _solve_front(
 
 def _list_fields(shapes: NeedleShapes) -> list[NDArray[Any]]:
     return [getattr(shapes, field.name) for field in fields(shapes)]
-
-
-def _concatenate(parts: Sequence[NeedleShapes]) -> NeedleShapes:
-    return NeedleShapes(*(np.concatenate(some) for some in zip(*map(_list_fields, parts), strict=True)))

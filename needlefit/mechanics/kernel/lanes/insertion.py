@@ -5,8 +5,7 @@ The stops of an insertion are the same for all parameters, so every loop over la
 (`passes`). No lane depends on another. A lane stops iterating at a stop where it has converged. It leaves for
 the scalar kernel where its tissue is compressed beyond the series of its law, or the solution is lost.
 
-A stop costs one full Newton pass; the lanes that are not converged then make a second one with the factor
-of the first, which costs half; further passes are full ones.
+What a stop costs: `newton`.
 """
 
 import math
@@ -27,12 +26,16 @@ from needlefit.mechanics.kernel.insertion import (
     TipStops,
     build_stop_grid,
 )
-from needlefit.mechanics.kernel.lanes.newton import IN_LANE, LaneInputs, LaneWorkspace, equilibrate_lanes
+from needlefit.mechanics.kernel.lanes.newton import (  # fmt: skip
+    IN_LANE,
+    LIVE_CELLS,
+    LaneInputs,
+    LaneWorkspace,
+    equilibrate_lanes,
+)
 from needlefit.mechanics.kernel.lanes.passes import extrapolate_node
 from needlefit.mechanics.kernel.lanes.tables import (
     LANES,
-    NODE_ROWS,
-    SUM_ROWS,
     LaneTables,
     tabulate,
     tabulate_point,
@@ -74,21 +77,12 @@ def begin_lanes(cells: int, nodes: int, rays: int) -> LaneState:
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance_lanes(
     lanes: LaneState, insertion: KernelInsertion, main: LaneTables, conditions: BoundaryConditions,
-    inputs: LaneInputs, stops: TipStops, newton: NewtonOptions,
+    inputs: LaneInputs, stops: TipStops, newton: NewtonOptions, workspace: LaneWorkspace,
 ) -> None:  # fmt: skip
     """Bring the needles of all lanes from stop to stop, as `kernel.insertion.advance_needle` does with one.
 
     `insertion` provides the grids, `conditions` the positions of guides.
     """
-    nodes = lanes.states.shape[1]
-    # Eight to spare: the grid of a stop between constraint points may have a few points more.
-    points = len(insertion.main.x) + 8
-    workspace = LaneWorkspace(
-        np.zeros((nodes + 2) * NODE_ROWS * W),
-        np.zeros(points * W),
-        np.zeros(SUM_ROWS * W),
-        np.zeros(SUM_ROWS * W),
-    )
     for s in range(len(stops.tip)):
         tip, cell = stops.tip[s], stops.cell[s]
         _place_constraint(lanes, inputs, stops, s, insertion)
@@ -99,7 +93,7 @@ def advance_lanes(
             tables = tabulate(grid)
         # The main grid reaches to the deepest stop: the tip's node is not its last one.
         last = count_below(grid.nodes, tip - SAME_DEPTH_MM)
-        _guess_next_state(lanes, grid, last, on_main)
+        begin = _guess_next_state(lanes, grid, last, on_main, s > 0)
         ends = _condense_front(lanes, inputs, grid, tables, tip, insertion.length)
         state = lanes.states[lanes.size[CURRENT_STATE]].reshape(-1)
         equilibrate_lanes(
@@ -110,6 +104,7 @@ def advance_lanes(
             inputs,
             grid,
             tables,
+            begin,
             last,
             ends,
             workspace,
@@ -154,8 +149,13 @@ def _place_constraint(
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool) -> None:
-    """Guess the next stop from the last two, or, where there are none, from the shape as it is."""
+def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool, factored: bool) -> int:
+    """Guess the next stop from the last two, or, where there are none, from the shape as it is.
+
+    Returns the first element that has to be linearised; those before it keep the factor of the last stop, if
+    that was `factored`, and their nodes are not guessed.
+    """
+    begin = 1
     size, now = last + 1, lanes.size[CURRENT_STATE]
     old, older_size = lanes.size[NODES_NOW], lanes.size[PREVIOUS_NODES]
     state, other = lanes.states[now], lanes.states[1 - now]
@@ -169,7 +169,12 @@ def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool
             lanes.size[CURRENT_STATE] = 1 - now
     elif growth > 0:
         extrapolated = growth == old - older_size and older_size >= growth
-        for i in range(size - 1, -1, -1):  # from the tip back: `other` is read behind where it is written
+        if extrapolated and factored:
+            begin = max(1, size - LIVE_CELLS * growth)
+        # From the tip back: `other` is read behind where it is written. The load at the first node depends on
+        # that node, so it is guessed too.
+        for n in range(size - begin + 1 + int(begin > 1)):
+            i = size - 1 - n if n <= size - begin else 0
             if i >= old:
                 ahead = grid.nodes[i] - nodes[old - 1]
                 j, behind = i - growth, grid.nodes[i - growth] - nodes[older_size - 1]
@@ -189,6 +194,7 @@ def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool
         lanes.size[PREVIOUS_NODES], lanes.size[CURRENT_STATE] = old, 1 - now
     for i in range(size):
         nodes[i] = grid.nodes[i]
+    return begin
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,18 @@
 """Solve for one equilibrium in all lanes at once, by Newton's method.
 
-The first pass is a full Newton pass. Lanes that have not converged then make a chord pass with the factor of
-the first, at half the cost; further passes are full ones.
+Behind the tip little changes from one cell to the next, so the factor of the elements there is kept. A stop
+that follows another one cell ahead costs
+
+1. a full pass over the last LIVE_CELLS cells alone, which predicts the shape; what the load at the base
+   changes is handed through the kept factor;
+2. a chord pass over the whole needle, with the exact residual and the kept factor; every REFACTOR_NODES nodes
+   a full pass instead, in all lanes;
+3. where its bound asks for it, lane by lane, another chord pass, then full passes.
+
+The first stop on a grid begins with a full pass over the whole needle.
+
+The kept factor belongs to an older S of the needle before the tissue. What S has changed by goes to the
+right-hand side, times the first node's new state; the compliance of the first node predicts that state.
 """
 
 import math
@@ -13,42 +24,35 @@ from numba import njit
 from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.grid import NodeGrid
 from needlefit.mechanics.kernel.lanes.passes import (  # fmt: skip
+    add_compliance,
     chord_interval,
     chord_regular,
     chord_sums,
     full_interval,
     full_regular,
     full_sums,
+    keep_reference,
+    shift_load,
     solve_tip,
-    solve_tip_chord,
+    start_front,
     substitute_back,
     update_tip,
 )
 from needlefit.mechanics.kernel.lanes.tables import (  # fmt: skip
+    AT_WORK,
+    COMPLIANCE_ROWS,
     EXCESS,
-    F2,
-    F3,
-    K02,
-    K03,
-    K12,
-    K13,
-    K22,
-    K23,
-    K33,
+    INCREMENT,
     LANES,
     LAYER_ROWS,
     NODE,
+    NODE_ROWS,
     OVER,
-    STIFFNESS_ROWS,
+    PRODUCT,
     SUM_ROWS,
     W1,
-    W2,
-    W3,
-    W4,
-    W5,
-    W6,
     LaneTables,
-    S,
+    R,
 )
 from needlefit.mechanics.kernel.scalar import ROUNDING_MM, NewtonOptions
 
@@ -58,7 +62,11 @@ NODE_STATE_OFFSET, LAYER_OFFSET = (
     U(2 * LANES),
     U(LAYER_ROWS * LANES),
 )  # deflections and slopes of a node; a layer
-AT_WORK, INCREMENT, LAST_INCREMENT = 0, LANES, 2 * LANES  # offsets of the rows of `busy`, one number a lane
+LIVE_CELLS = 3  # linearised anew at every stop
+REFACTOR_NODES = 8
+# After a chord pass the tangent is wrong by at most `curvature` times itself times the distance from where it
+# was taken; four times that, since the errors of all stops add up.
+CHORD_ERROR = 4.0
 MAX_PASSES = 12  # at one stop; a lane that needs more goes to the scalar kernel
 IN_LANE, LEFT_LANES = 0, 1  # a lane: under way, gone to the scalar kernel
 
@@ -75,20 +83,36 @@ class LaneInputs(NamedTuple):
 
 
 class LaneWorkspace(NamedTuple):
-    """Working arrays of the passes, and what a chord pass reads from the full pass before it."""
+    """Working arrays of the passes, and the factor that chord passes keep."""
 
     work: (
         Floats  # ((N + 2) NODE_ROWS W,) what was handed on from before the tissue, then the rows of each node
     )
     tangents: Floats  # (Q W,) of the points of elements that are not regular
     sums: Floats  # (SUM_ROWS W,) of one such element
-    entry: Floats  # (SUM_ROWS W,) of element 0
+    frozen: Floats  # (COMPLIANCE_ROWS W,) compliance of the first node, without the elements near the tip
+    compliance: Floats  # (COMPLIANCE_ROWS W,) with them
+    rigid: Floats  # (COMPLIANCE_ROWS W,) that of a node which no load moves
+    front: Floats  # (4 W,) the first node as predicted, and what a difference of it is worth
+    load: Floats  # (2 W,) a further load, handed from node to node
+    busy: Floats  # (3 W,) whether a lane iterates, its increment, and what a chord pass is wrong by
+    counted: Ints  # (1,) elements that `frozen` holds
+
+
+def make_workspace(nodes: int, points: int) -> LaneWorkspace:
+    """Return room for so many nodes and quadrature points."""
+    # Not zero: every number is written before it is read, and zeroing costs more than a stop.
+    return LaneWorkspace(
+        np.empty((nodes + 2) * NODE_ROWS * W), np.empty(points * W), np.empty(SUM_ROWS * W),
+        np.empty(COMPLIANCE_ROWS * W), np.empty(COMPLIANCE_ROWS * W), np.zeros(COMPLIANCE_ROWS * W),
+        np.empty(4 * W), np.empty(2 * W), np.empty(3 * W), np.zeros(1, np.int64),
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def equilibrate_lanes(
     state: Floats, y: Floats, lane_status: Ints, passes: Ints, inputs: LaneInputs, grid: NodeGrid,
-    tables: LaneTables, last: int, ends: Floats, workspace: LaneWorkspace, newton: NewtonOptions,
+    tables: LaneTables, begin: int, last: int, ends: Floats, workspace: LaneWorkspace, newton: NewtonOptions,
 ) -> None:  # fmt: skip
     """Iterate until every lane has converged or left for the scalar kernel; no lane depends on another.
 
@@ -100,119 +124,169 @@ def equilibrate_lanes(
         Constraint points, mm.
     lane_status, passes : (W,) arrays
         IN_LANE or LEFT_LANES; the passes so far.
+    begin : int
+        First element without a kept factor; 1: none has one.
     last : int
         The tip's node.
     ends : (7 W,) array
         S and r that the needle before the tissue hands on, and its last node.
     """
-    work = workspace.work
-    busy = np.zeros(3 * W)
+    work, busy, front, load = workspace.work, workspace.busy, workspace.front, workspace.load
     for l in range(W):
-        busy[AT_WORK + l] = 1.0 if lane_status[l] == IN_LANE else 0.0
+        busy[AT_WORK + U(l)] = 1.0 if lane_status[l] == IN_LANE else 0.0
+    tip, counted = U(last + 1) * NODE, workspace.counted[0]
     for n in range(min(MAX_PASSES, newton.max_iterations)):
-        full = n != 1
-        _start_entry(grid, tables, inputs, y, state, ends, workspace, full)
-        _eliminate(grid, tables, inputs, y, state, last, workspace, full)
-        update_tip(work, U(last + 1) * NODE, state, U(last) * NODE_STATE_OFFSET, busy)
-        for i in range(last - 1, -1, -1):
-            substitute_back(work, U(i + 1) * NODE, state, U(i) * NODE_STATE_OFFSET, busy)
+        whole, full = n > 0 or begin == 1, n != 1
+        if begin > 1:
+            full = last % REFACTOR_NODES == 0 if n == 1 else n != 2
+        # Each loop over lanes is inlined here, so each is called from as few places as possible.
+        compliance = workspace.compliance if whole else workspace.rigid
+        if whole:
+            counted = 0 if full else _sum_compliance(workspace, counted, begin, last)
+        for l in range(W1):
+            load[l], load[W1 + l] = -work[R + l], -work[R + W1 + l]
+        _start_entry(grid, tables, inputs, y, state, ends, workspace, compliance, whole and full)
+        if not whole:
+            _shift_load(workspace, begin)
+        _eliminate(grid, tables, inputs, y, state, begin if n == 0 else 1, last, workspace, full)
+        layer = U(tables.layer[last]) * LAYER_OFFSET
+        update_tip(work, tip, state, U(last) * NODE_STATE_OFFSET, inputs.layers, layer, busy)
+        for e in range(last, 0, -1):
+            node, layer = U(e - 1) * NODE_STATE_OFFSET, U(tables.layer[e]) * LAYER_OFFSET
+            substitute_back(work, U(e) * NODE, state, node, inputs.layers, layer, busy)
+        if not whole:
+            continue
         at_work = 0
-        excess = work[U(last + 1) * NODE + EXCESS :]
+        excess = work[tip + EXCESS :]
         for l in range(W):
-            if busy[AT_WORK + l] == 0.0:
+            if busy[AT_WORK + U(l)] == 0.0:
                 continue
             passes[l] += 1
-            change, before = busy[INCREMENT + l], busy[LAST_INCREMENT + l]
-            # the next increment: a full pass squares it, a half one multiplies it by the one before
-            ahead = inputs.curvature[l] * change * (change if full else 2.0 * before)
-            # An increment this small that no longer shrinks is rounding, as in the scalar kernel.
-            stalled = n > 1 and change < ROUNDING_MM and change > 0.5 * before
+            change = busy[INCREMENT + U(l)]
+            # the next increment: a full pass squares it
+            ahead = inputs.curvature[l] * change * change
+            if not full:
+                ahead = CHORD_ERROR * busy[PRODUCT + U(l)]
+                ahead += abs(front[2 * W + l] * (state[l] - front[l]))
+                ahead += abs(front[3 * W + l] * (state[W + l] - front[W + l]))
+            # An increment this small after so many passes is rounding, as in the scalar kernel.
+            stalled = n > 2 and change < ROUNDING_MM
             if not math.isfinite(change):
                 # A lost solution must not keep the other lanes iterating; the scalar kernel solves this set
                 # again.
-                lane_status[l], busy[AT_WORK + l] = LEFT_LANES, 0.0
+                lane_status[l], busy[AT_WORK + U(l)] = LEFT_LANES, 0.0
             elif min(change, ahead) < newton.tolerance or stalled:
                 # a guess may have left the range of the series on the way; the solution must not
-                busy[AT_WORK + l] = 0.0
+                busy[AT_WORK + U(l)] = 0.0
                 lane_status[l] = IN_LANE if excess[l] <= 0.0 else LEFT_LANES
-            at_work += int(busy[AT_WORK + l])
-            busy[LAST_INCREMENT + l] = change
+            at_work += int(busy[AT_WORK + U(l)])
         if at_work == 0:
-            return
+            break
+    workspace.counted[0] = counted
     for l in range(W):
-        if busy[AT_WORK + l] > 0.0:
+        if busy[AT_WORK + U(l)] > 0.0:
             lane_status[l] = LEFT_LANES
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _shift_load(workspace: LaneWorkspace, begin: int) -> None:
+    """Hand on what has changed before the tissue since the last stop, up to element `begin`.
+
+    `load` holds minus the r of that stop.
+    """
+    work, load = workspace.work, workspace.load
+    for l in range(W1):
+        load[l] += work[R + l]
+        load[W1 + l] += work[R + W1 + l]
+    for e in range(1, begin):
+        shift_load(work, U(e) * NODE, load)
+    at = U(begin - 1) * NODE + R
+    for l in range(W1):
+        work[at + l] += load[l]
+        work[at + W1 + l] += load[W1 + l]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _sum_compliance(workspace: LaneWorkspace, counted: int, begin: int, last: int) -> int:
+    """Compute the compliance of the first node; elements before `begin` are counted once."""
+    work, frozen, compliance = workspace.work, workspace.frozen, workspace.compliance
+    if counted == 0:
+        for l in range(COMPLIANCE_ROWS * W):
+            frozen[l] = 0.0
+        for l in range(W):  # P = 1
+            frozen[l] = frozen[3 * W + l] = 1.0
+    for e in range(counted + 1, last + 2):
+        if e == begin:
+            for l in range(COMPLIANCE_ROWS * W):
+                compliance[l] = frozen[l]
+        add_compliance(work, U(e) * NODE, frozen if e < begin else compliance)
+    return begin - 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _start_entry(
     grid: NodeGrid, tables: LaneTables, inputs: LaneInputs, y: Floats, state: Floats, ends: Floats,
-    workspace: LaneWorkspace, full: bool,
+    workspace: LaneWorkspace, compliance: Floats, full: bool,
 ) -> None:  # fmt: skip
     """Hand on S and r from before the tissue, with what of element 0 lies in it."""
-    sums, handed, excess = workspace.entry, workspace.work[S : S + W5], workspace.work[EXCESS : EXCESS + W1]
-    for l in range(5 * W):
-        handed[l] = ends[l]
-    for l in range(W):
-        excess[l] = -np.inf
-    if grid.first[1] == 0:
-        return
-    span = np.empty(4 * W)
-    for l in range(2 * W):
-        span[l], span[2 * W + l] = ends[5 * W + l], state[l]
-    for l in range(0 if full else STIFFNESS_ROWS * W, SUM_ROWS * W):  # a chord pass keeps K
+    sums, work, busy = workspace.sums, workspace.work, workspace.busy
+    for l in range(SUM_ROWS * W):
         sums[l] = 0.0
-    for q in range(0, grid.first[1], 2):
-        _add_interval(grid, tables, inputs, y, span, U(0), q, workspace.tangents, sums, full)
+    if grid.first[1] > 0:
+        span = np.empty(4 * W)
+        for l in range(2 * W):
+            span[l], span[2 * W + l] = ends[5 * W + l], state[l]
+        for q in range(0, grid.first[1], 2):
+            _add_interval(grid, tables, inputs, y, span, U(0), q, workspace.tangents, sums, busy, True)
+    else:
+        for l in range(W1):
+            sums[OVER + l] = -np.inf
     # The first node of element 0 is the prescribed end of the front: its columns go to the right-hand side.
-    for l in range(W1):
-        v0, v1 = ends[W5 + l], ends[W6 + l]
-        handed[l] += sums[K22 + l]
-        handed[W1 + l] += sums[K23 + l]
-        handed[W2 + l] += sums[K33 + l]
-        handed[W3 + l] += sums[F2 + l] - sums[K02 + l] * v0 - sums[K12 + l] * v1
-        handed[W4 + l] += sums[F3 + l] - sums[K03 + l] * v0 - sums[K13 + l] * v1
-        excess[l] = sums[OVER + l]
+    start_front(sums, ends, state, work, compliance, workspace.front, full, busy)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _eliminate(
-    grid: NodeGrid, tables: LaneTables, inputs: LaneInputs, y: Floats, state: Floats, last: int,
+    grid: NodeGrid, tables: LaneTables, inputs: LaneInputs, y: Floats, state: Floats, begin: int, last: int,
     workspace: LaneWorkspace, full: bool,
 ) -> None:  # fmt: skip
-    """Go from the first node in the tissue to the tip, element by element."""
-    layers, rigidity, sums, work = inputs.layers, inputs.rigidity, workspace.sums, workspace.work
+    """Go from element `begin` to the tip, element by element."""
+    layers, rigidity, sums, work, busy = (
+        inputs.layers, inputs.rigidity, workspace.sums, workspace.work, workspace.busy,
+    )  # fmt: skip
     firsts, layer, constraint, regular_row, regular = (
         grid.first, grid.layer, grid.constraint, tables.regular_row, tables.regular,
     )  # fmt: skip
-    for e in range(1, last + 1):
+    for e in range(begin, last + 1):
         node, own, q = U(e - 1) * NODE_STATE_OFFSET, U(e) * NODE, firsts[e]
         if regular_row[e] >= 0:
             point, row = U(constraint[q]) * W1, U(regular_row[e])
             first, second = U(layer[q]) * LAYER_OFFSET, U(layer[q + 2]) * LAYER_OFFSET
             if full:
-                full_regular(state, node, y, point, layers, first, second, regular, row, rigidity, work, own)
+                full_regular(
+                    state, node, y, point, layers, first, second, regular, row, rigidity, work, own, busy
+                )
             else:
-                chord_regular(state, node, y, point, layers, first, second, regular, row, work, own)
+                chord_regular(state, node, y, point, layers, first, second, regular, row, work, own, busy)
             continue
         for l in range(SUM_ROWS * W):
             sums[l] = 0.0
         for p in range(q, firsts[e + 1], 2):
-            _add_interval(grid, tables, inputs, y, state, node, p, workspace.tangents, sums, full)
+            _add_interval(grid, tables, inputs, y, state, node, p, workspace.tangents, sums, busy, full)
         if full:
-            full_sums(sums, tables.bending, U(e), rigidity, work, own)
+            full_sums(sums, tables.bending, U(e), rigidity, work, own, busy)
         else:
-            chord_sums(sums, work, own)
+            chord_sums(sums, work, own, busy)
     if full:
-        solve_tip(work, U(last + 1) * NODE)
-    else:
-        solve_tip_chord(work, U(last + 1) * NODE)
+        for e in range(begin, last + 2):
+            keep_reference(work, U(e) * NODE, state, U(e - 1) * NODE_STATE_OFFSET, busy)
+    solve_tip(work, U(last + 1) * NODE, busy)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _add_interval(
     grid: NodeGrid, tables: LaneTables, inputs: LaneInputs, y: Floats, state: Floats, node: np.uint64, q: int,
-    tangents: Floats, sums: Floats, full: bool,
+    tangents: Floats, sums: Floats, busy: Floats, full: bool,
 ) -> None:  # fmt: skip
     """Add the interval whose first point is `q` to the sums of its element."""
     point, other = U(grid.constraint[q]) * W1, U(grid.other[q]) * W1
@@ -231,6 +305,7 @@ def _add_interval(
             tangents,
             tangent_row,
             sums,
+            busy,
         )
     else:
         chord_interval(

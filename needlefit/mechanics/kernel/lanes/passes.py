@@ -7,8 +7,9 @@ element. As few arrays as possible: only then does the compiler check cheaply th
 turns each loop into packed instructions. `tests/test_mechanics_lanes.py` looks whether it did.
 
 A full pass integrates with the tangent modulus and eliminates; a chord pass (modified Newton) integrates the
-right-hand side alone and keeps tangents and factor, which is half the work. Regular elements, two intervals
-and four points, are most of a mesh and have a loop of their own; all others are summed interval by interval.
+right-hand side alone and keeps tangents and factor, which is a third of the work. Regular elements, two
+intervals and four points, are most of a mesh and have a loop of their own; all others are summed interval by
+interval.
 """
 
 import numpy as np
@@ -16,15 +17,18 @@ from numba import njit
 
 from needlefit.arrays import Floats
 from needlefit.mechanics.kernel.lanes.tables import (
+    AT_WORK,
     B2,
     B4,
     B6,
     B12,
+    CURVATURE,
     EXCESS,
     F0,
     F1,
     F2,
     F3,
+    INCREMENT,
     INVERSE,
     K01,
     K02,
@@ -44,9 +48,11 @@ from needlefit.mechanics.kernel.lanes.tables import (
     NODE,
     ONE,
     OVER,
+    PRODUCT,
     Q1,
     Q2,
     Q3,
+    REFERENCE,
     SHARE,
     TANGENT,
     W1,
@@ -54,6 +60,7 @@ from needlefit.mechanics.kernel.lanes.tables import (
     W3,
     W4,
     W5,
+    W6,
     WN0,
     WN00,
     WN01,
@@ -171,19 +178,108 @@ def _sum_points(
 
 
 @njit(inline="always")
-def _store(work: Floats, at: Offset, out: tuple[float, ...]) -> None:
+def _keep(work: Floats, at: Offset, value: float, chosen: bool) -> None:
+    """Write a number where the lane iterates: a lane that has converged keeps its bits."""
+    old = work[at]  # loaded before the choice: a selection, no branch, which would stop vectorisation
+    work[at] = value if chosen else old
+
+
+@njit(inline="always")
+def _store(work: Floats, at: Offset, out: tuple[float, ...], chosen: bool) -> None:
     """Keep what `_eliminate` returns."""
-    work[at], work[at + W1], work[at + W2], work[at + W3] = out[0], out[1], out[2], out[3]
-    work[at + INVERSE], work[at + INVERSE + W1], work[at + INVERSE + W2] = out[4], out[5], out[6]
-    work[at + Z], work[at + Z + W1] = out[7], out[8]
-    work[at + S], work[at + S + W1], work[at + S + W2] = out[9], out[10], out[11]
-    work[at + R], work[at + R + W1] = out[12], out[13]
+    _keep(work, at, out[0], chosen)
+    _keep(work, at + W1, out[1], chosen)
+    _keep(work, at + W2, out[2], chosen)
+    _keep(work, at + W3, out[3], chosen)
+    _keep(work, at + INVERSE, out[4], chosen)
+    _keep(work, at + INVERSE + W1, out[5], chosen)
+    _keep(work, at + INVERSE + W2, out[6], chosen)
+    _keep(work, at + Z, out[7], chosen)
+    _keep(work, at + Z + W1, out[8], chosen)
+    _keep(work, at + S, out[9], chosen)
+    _keep(work, at + S + W1, out[10], chosen)
+    _keep(work, at + S + W2, out[11], chosen)
+    _keep(work, at + R, out[12], chosen)
+    _keep(work, at + R + W1, out[13], chosen)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def shift_load(work: Floats, own: Offset, load: Floats) -> None:
+    """Add a further `load` (2 LANES,) on a node to its z; it becomes the load on the next node."""
+    for l in range(W1):
+        r0, r1 = load[l], load[W1 + l]
+        g00, g01, g10, g11 = work[own + l], work[own + W1 + l], work[own + W2 + l], work[own + W3 + l]
+        i00, i01 = work[own + INVERSE + l], work[own + INVERSE + W1 + l]
+        i11 = work[own + INVERSE + W2 + l]
+        work[own + Z + l] += i00 * r0 + i01 * r1
+        work[own + Z + W1 + l] += i01 * r0 + i11 * r1
+        load[l], load[W1 + l] = -g00 * r0 - g10 * r1, -g01 * r0 - g11 * r1
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def add_compliance(work: Floats, own: Offset, compliance: Floats) -> None:
+    """Add what a node contributes to the compliance of the first node under a load on itself.
+
+    `compliance` (7 LANES,): P, by which the first node follows this one, and the sum of P S^-1 P^T.
+    """
+    for l in range(W1):
+        p00, p01, p10, p11 = compliance[l], compliance[W1 + l], compliance[W2 + l], compliance[W3 + l]
+        g00, g01, g10, g11 = work[own + l], work[own + W1 + l], work[own + W2 + l], work[own + W3 + l]
+        i00, i01 = work[own + INVERSE + l], work[own + INVERSE + W1 + l]
+        i11 = work[own + INVERSE + W2 + l]
+        q00, q01 = p00 * i00 + p01 * i01, p00 * i01 + p01 * i11
+        q10, q11 = p10 * i00 + p11 * i01, p10 * i01 + p11 * i11
+        compliance[W4 + l] += q00 * p00 + q01 * p01
+        compliance[W5 + l] += q00 * p10 + q01 * p11
+        compliance[W6 + l] += q10 * p10 + q11 * p11
+        compliance[l], compliance[W1 + l] = -p00 * g00 - p01 * g10, -p00 * g01 - p01 * g11
+        compliance[W2 + l], compliance[W3 + l] = -p10 * g00 - p11 * g10, -p10 * g01 - p11 * g11
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def start_front(
+    sums: Floats,
+    ends: Floats,
+    state: Floats,
+    work: Floats,
+    compliance: Floats,
+    front: Floats,
+    full: bool,
+    busy: Floats,
+) -> None:
+    """Hand S and r on to the first node, from `ends` and what of element 0 lies in the tissue (`sums`).
+
+    A chord pass keeps the S of the factor. What S has become since goes to the right-hand side, times the
+    first node as it will be: the compliance tells how it follows from the loads there.
+    """
+    for l in range(W1):
+        v0, v1 = ends[W5 + l], ends[W6 + l]
+        s00, s01, s11 = ends[l] + sums[K22 + l], ends[W1 + l] + sums[K23 + l], ends[W2 + l] + sums[K33 + l]
+        r0 = ends[W3 + l] + sums[F2 + l] - sums[K02 + l] * v0 - sums[K12 + l] * v1
+        r1 = ends[W4 + l] + sums[F3 + l] - sums[K03 + l] * v0 - sums[K13 + l] * v1
+        chosen = busy[AT_WORK + l] > 0.0
+        change = chosen and full
+        _keep(work, S + l, s00, change)
+        _keep(work, S + W1 + l, s01, change)
+        _keep(work, S + W2 + l, s11, change)
+        d00, d01, d11 = s00 - work[S + l], s01 - work[S + W1 + l], s11 - work[S + W2 + l]
+        c00, c01, c11 = compliance[W4 + l], compliance[W5 + l], compliance[W6 + l]
+        q0, q1 = r0 - work[R + l], r1 - work[R + W1 + l]
+        b0, b1 = state[l] + c00 * q0 + c01 * q1, state[W1 + l] + c01 * q0 + c11 * q1
+        m00, m01 = 1.0 + c00 * d00 + c01 * d01, c00 * d01 + c01 * d11
+        m10, m11 = c01 * d00 + c11 * d01, 1.0 + c01 * d01 + c11 * d11
+        inverse = 1.0 / (m00 * m11 - m01 * m10)
+        u, slope = (m11 * b0 - m01 * b1) * inverse, (m00 * b1 - m10 * b0) * inverse
+        front[l], front[W1 + l], front[W2 + l], front[W3 + l] = u, slope, m00 - 1.0, m01
+        _keep(work, R + l, r0 if full else r0 - d00 * u - d01 * slope, chosen)
+        _keep(work, R + W1 + l, r1 if full else r1 - d01 * u - d11 * slope, chosen)
+        _keep(work, EXCESS + l, sums[OVER + l], chosen)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def full_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
-    table: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset,
+    table: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset, busy: Floats,
 ) -> None:  # fmt: skip
     """Integrate and eliminate one regular element: two intervals, one nearest to each of two constraint
     points, and all in the cell between them where the cut is linear.
@@ -245,16 +341,19 @@ def full_regular(
             work[before + R + l], work[before + R + W1 + l],
         )  # fmt: skip
         # The excess is handed from node to node, so that the tip's node has the greatest of the whole needle.
-        work[own + EXCESS + l] = max(work[before + EXCESS + l], over)
-        work[own + TANGENT + l], work[own + TANGENT + W1 + l] = t0, t1
-        work[own + TANGENT + W2 + l], work[own + TANGENT + W3 + l] = t2, t3
-        _store(work, own + l, out)
+        chosen = busy[AT_WORK + l] > 0.0
+        _keep(work, own + EXCESS + l, max(work[before + EXCESS + l], over), chosen)
+        _keep(work, own + TANGENT + l, t0, chosen)
+        _keep(work, own + TANGENT + W1 + l, t1, chosen)
+        _keep(work, own + TANGENT + W2 + l, t2, chosen)
+        _keep(work, own + TANGENT + W3 + l, t3, chosen)
+        _store(work, own + l, out, chosen)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def chord_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
-    table: Floats, row: Offset, work: Floats, own: Offset,
+    table: Floats, row: Offset, work: Floats, own: Offset, busy: Floats,
 ) -> None:  # fmt: skip
     """Renew the right-hand side of a regular element; tangents and factor are those of the last full pass.
 
@@ -279,7 +378,8 @@ def chord_regular(
         r2 = work[own + TANGENT + W2 + l] * u2 - _series(s2, c0, c1, c2, c3, c4, c5) * e2
         r3 = work[own + TANGENT + W3 + l] * u3 - _series(s3, c0, c1, c2, c3, c4, c5) * e3
         over = max(max(s0, s1) - layers[first + LIMIT + l], max(s2, s3) - layers[second + LIMIT + l])
-        work[own + EXCESS + l] = max(work[before + EXCESS + l], over)
+        chosen = busy[AT_WORK + l] > 0.0
+        _keep(work, own + EXCESS + l, max(work[before + EXCESS + l], over), chosen)
         f0 = _sum_points(work[before + R + l], table, row, WN0, r0, r1, r2, r3)
         f1 = _sum_points(work[before + R + W1 + l], table, row, WN1, r0, r1, r2, r3)
         f2 = _sum_points(0.0, table, row, WN2, r0, r1, r2, r3)
@@ -292,15 +392,16 @@ def chord_regular(
         )
         i00, i01 = work[own + INVERSE + l], work[own + INVERSE + W1 + l]
         i11 = work[own + INVERSE + W2 + l]
-        work[own + Z + l], work[own + Z + W1 + l] = i00 * f0 + i01 * f1, i01 * f0 + i11 * f1
-        work[own + R + l] = f2 - g00 * f0 - g10 * f1
-        work[own + R + W1 + l] = f3 - g01 * f0 - g11 * f1
+        _keep(work, own + Z + l, i00 * f0 + i01 * f1, chosen)
+        _keep(work, own + Z + W1 + l, i01 * f0 + i11 * f1, chosen)
+        _keep(work, own + R + l, f2 - g00 * f0 - g10 * f1, chosen)
+        _keep(work, own + R + W1 + l, f3 - g01 * f0 - g11 * f1, chosen)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def full_interval(
     state: Floats, node: Offset, y: Floats, point: Offset, other: Offset, layers: Floats, layer: Offset,
-    table: Floats, row: Offset, tangents: Floats, tangent_row: Offset, sums: Floats,
+    table: Floats, row: Offset, tangents: Floats, tangent_row: Offset, sums: Floats, busy: Floats,
 ) -> None:  # fmt: skip
     """Add one interval of any element to `sums` (SUM_ROWS LANES,); keep the tangents of its two points.
 
@@ -316,7 +417,9 @@ def full_interval(
         s0, s1 = abs(e0), abs(e1)
         k0, t0 = _modulus(s0, c0, c1, c2, c3, c4, c5)
         k1, t1 = _modulus(s1, c0, c1, c2, c3, c4, c5)
-        tangents[tangent_row + l], tangents[tangent_row + W1 + l] = t0, t1
+        chosen = busy[AT_WORK + l] > 0.0
+        _keep(tangents, tangent_row + l, t0, chosen)
+        _keep(tangents, tangent_row + W1 + l, t1, chosen)
         r0, r1 = t0 * u0 - k0 * e0, t1 * u1 - k1 * e1
         sums[l] += table[row, WN00] * t0 + table[row + ONE, WN00] * t1
         sums[K01 + l] += table[row, WN01] * t0 + table[row + ONE, WN01] * t1
@@ -360,7 +463,7 @@ def chord_interval(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def full_sums(
-    sums: Floats, bending: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset
+    sums: Floats, bending: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset, busy: Floats
 ) -> None:
     """Eliminate the first node of an element whose intervals were added to `sums`.
 
@@ -383,78 +486,92 @@ def full_sums(
             work[before + S + l], work[before + S + W1 + l], work[before + S + W2 + l],
             work[before + R + l], work[before + R + W1 + l],
         )  # fmt: skip
-        work[own + EXCESS + l] = max(work[before + EXCESS + l], sums[OVER + l])
-        _store(work, own + l, out)
+        chosen = busy[AT_WORK + l] > 0.0
+        _keep(work, own + EXCESS + l, max(work[before + EXCESS + l], sums[OVER + l]), chosen)
+        _store(work, own + l, out, chosen)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def chord_sums(sums: Floats, work: Floats, own: Offset) -> None:
+def chord_sums(sums: Floats, work: Floats, own: Offset, busy: Floats) -> None:
     """Renew the right-hand side of an element whose intervals were added to `sums`."""
     before = own - NODE
     for l in range(W1):
-        work[own + EXCESS + l] = max(work[before + EXCESS + l], sums[OVER + l])
+        chosen = busy[AT_WORK + l] > 0.0
+        _keep(work, own + EXCESS + l, max(work[before + EXCESS + l], sums[OVER + l]), chosen)
         f0, f1 = work[before + R + l] + sums[F0 + l], work[before + R + W1 + l] + sums[F1 + l]
         i00, i01 = work[own + INVERSE + l], work[own + INVERSE + W1 + l]
         i11 = work[own + INVERSE + W2 + l]
-        work[own + Z + l], work[own + Z + W1 + l] = i00 * f0 + i01 * f1, i01 * f0 + i11 * f1
-        work[own + R + l] = sums[F2 + l] - work[own + l] * f0 - work[own + W2 + l] * f1
-        work[own + R + W1 + l] = sums[F3 + l] - work[own + W1 + l] * f0 - work[own + W3 + l] * f1
+        _keep(work, own + Z + l, i00 * f0 + i01 * f1, chosen)
+        _keep(work, own + Z + W1 + l, i01 * f0 + i11 * f1, chosen)
+        r0 = sums[F2 + l] - work[own + l] * f0 - work[own + W2 + l] * f1
+        r1 = sums[F3 + l] - work[own + W1 + l] * f0 - work[own + W3 + l] * f1
+        _keep(work, own + R + l, r0, chosen)
+        _keep(work, own + R + W1 + l, r1, chosen)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def solve_tip(work: Floats, own: Offset) -> None:
-    """Solve for deflection and slope of the tip, the last node; S^-1 is kept for the chord pass."""
+def keep_reference(work: Floats, own: Offset, state: Floats, node: Offset, busy: Floats) -> None:
+    """Note the deflection of a node about which its element is linearised."""
+    for l in range(W1):
+        _keep(work, own + REFERENCE + l, state[node + l], busy[AT_WORK + l] > 0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def solve_tip(work: Floats, own: Offset, busy: Floats) -> None:
+    """Solve for deflection and slope of the tip, the last node; a chord pass has changed no S."""
     before = own - NODE
     for l in range(W1):
+        chosen = busy[AT_WORK + l] > 0.0
         s00, s01, s11 = work[before + S + l], work[before + S + W1 + l], work[before + S + W2 + l]
         inverse = 1.0 / (s00 * s11 - s01 * s01)
         i00, i01, i11 = s11 * inverse, -s01 * inverse, s00 * inverse
         r0, r1 = work[before + R + l], work[before + R + W1 + l]
-        work[own + INVERSE + l], work[own + INVERSE + W1 + l] = i00, i01
-        work[own + INVERSE + W2 + l] = i11
-        work[own + Z + l], work[own + Z + W1 + l] = i00 * r0 + i01 * r1, i01 * r0 + i11 * r1
-        work[own + EXCESS + l] = work[before + EXCESS + l]
+        _keep(work, own + INVERSE + l, i00, chosen)
+        _keep(work, own + INVERSE + W1 + l, i01, chosen)
+        _keep(work, own + INVERSE + W2 + l, i11, chosen)
+        _keep(work, own + Z + l, i00 * r0 + i01 * r1, chosen)
+        _keep(work, own + Z + W1 + l, i01 * r0 + i11 * r1, chosen)
+        _keep(work, own + EXCESS + l, work[before + EXCESS + l], chosen)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def solve_tip_chord(work: Floats, own: Offset) -> None:
-    """Solve for the tip's node with the S^-1 of the last full pass."""
-    before = own - NODE
-    for l in range(W1):
-        r0, r1 = work[before + R + l], work[before + R + W1 + l]
-        i00, i01 = work[own + INVERSE + l], work[own + INVERSE + W1 + l]
-        i11 = work[own + INVERSE + W2 + l]
-        work[own + Z + l], work[own + Z + W1 + l] = i00 * r0 + i01 * r1, i01 * r0 + i11 * r1
-        work[own + EXCESS + l] = work[before + EXCESS + l]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def update_tip(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
+def update_tip(
+    work: Floats, own: Offset, state: Floats, node: Offset, layers: Floats, layer: Offset, busy: Floats
+) -> None:
     """Write the tip's solution into `state`, in the lanes that are still iterating.
 
-    `lanes` (3 LANES,): whether a lane iterates, its increment in this pass, its increment in the pass before.
+    `busy` (3 LANES,): see `tables`; `layers`, `layer`: rows of all layers, and where the tip's begin.
     """
     for l in range(W1):
         u, slope = work[own + Z + l], work[own + Z + W1 + l]
-        lanes[W1 + l] = abs(u - state[node + l])
-        # A selection, no branch: a branch in the loop would stop vectorisation. A lane that has converged
-        # keeps its bits, whatever the other lanes do.
-        state[node + l] = u if lanes[l] > 0.0 else state[node + l]
-        state[node + W1 + l] = slope if lanes[l] > 0.0 else state[node + W1 + l]
+        old, old_slope = state[node + l], state[node + W1 + l]
+        step = abs(u - old)
+        busy[INCREMENT + l] = step
+        busy[PRODUCT + l] = layers[layer + CURVATURE + l] * step * abs(u - work[own + REFERENCE + l])
+        chosen = busy[AT_WORK + l] > 0.0
+        state[node + l] = u if chosen else old
+        state[node + W1 + l] = slope if chosen else old_slope
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def substitute_back(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
+def substitute_back(
+    work: Floats, own: Offset, state: Floats, node: Offset, layers: Floats, layer: Offset, busy: Floats
+) -> None:
     """Compute a node from the one after it, and the greatest increment, in the lanes that iterate."""
     for l in range(W1):
         b0, b1 = state[node + W2 + l], state[node + W3 + l]
+        old, old_slope = state[node + l], state[node + W1 + l]
         u = work[own + Z + l] - work[own + l] * b0 - work[own + W1 + l] * b1
         slope = work[own + Z + W1 + l] - work[own + W2 + l] * b0 - work[own + W3 + l] * b1
-        step = abs(u - state[node + l])
+        step = abs(u - old)
+        product = layers[layer + CURVATURE + l] * step * abs(u - work[own + REFERENCE + l])
+        most = busy[INCREMENT + l]
         # Not `max`: the comparison with a NaN is false, so a lost solution shows in the increment.
-        lanes[W1 + l] = lanes[W1 + l] if step <= lanes[W1 + l] else step
-        state[node + l] = u if lanes[l] > 0.0 else state[node + l]
-        state[node + W1 + l] = slope if lanes[l] > 0.0 else state[node + W1 + l]
+        busy[INCREMENT + l] = most if step <= most else step
+        busy[PRODUCT + l] = max(busy[PRODUCT + l], product)
+        chosen = busy[AT_WORK + l] > 0.0
+        state[node + l] = u if chosen else old
+        state[node + W1 + l] = slope if chosen else old_slope
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)

@@ -29,18 +29,23 @@ B12, B6, B4, B2 = 76, 77, 78, 79
 REGULAR_COLUMNS = 80
 
 # Rows of LANES numbers. Of a layer: the series of k (6), and the |e| up to which it holds. Of a node:
-# G = S^-1 K_ab, S^-1, z = S^-1 r, tangents at its element's points, S, r, excess. Of an element's sums:
-# K (10), f (4), excess.
-LAYER_ROWS, NODE_ROWS, SUM_ROWS = 7, 19, 15
-STIFFNESS_ROWS = 10  # of an element's sums: they stand before f, and a chord pass keeps them
+# G = S^-1 K_ab, S^-1, z = S^-1 r, tangents at its element's points, S, r, excess, and u where its factor
+# was made. Of an element's sums: K (10), f (4), excess.
+LAYER_ROWS, NODE_ROWS, SUM_ROWS = 8, 20, 15
+COMPLIANCE_ROWS = 7  # P (4) and the compliance (3): `passes.add_compliance`
 
 # Offsets of rows in flat arrays. All are unsigned: an unsigned number and a signed one would make a float.
 ONE = np.uint64(1)
 W1, W2, W3, W4, W5, W6, W7, W8, W9, W10, W11, W12, W13, W14 = (
     np.uint64(i * LANES) for i in range(1, SUM_ROWS)
 )
-LIMIT = W6  # of a layer: the |e| up to which its series holds
-INVERSE, Z, TANGENT, S, R, EXCESS, NODE = (np.uint64(i * LANES) for i in (4, 7, 9, 13, 16, 18, NODE_ROWS))
+LIMIT, CURVATURE = W6, W7  # of a layer: the |e| up to which its series holds, and the law's curvature
+INVERSE, Z, TANGENT, S, R, EXCESS, REFERENCE, NODE = (
+    np.uint64(i * LANES) for i in (4, 7, 9, 13, 16, 18, 19, NODE_ROWS)
+)
+# Of what a lane is about: whether it iterates, its greatest increment, and the greatest product of increment
+# and distance from `REFERENCE`.
+AT_WORK, INCREMENT, PRODUCT = np.uint64(0), W1, W2
 K01, K02, K03, K11, K12, K13, K22, K23, K33 = W1, W2, W3, W4, W5, W6, W7, W8, W9  # of the sums; K00 is row 0
 F0, F1, F2, F3, OVER = W10, W11, W12, W13, W14
 
@@ -52,6 +57,7 @@ class LaneTables(NamedTuple):
     bending: Floats  # (N, 4) 12, 6 l, 4 l^2, 2 l^2 over l^3 of the element that ends at each node
     regular: Floats  # (T, REGULAR_COLUMNS) of the different elements with two intervals
     regular_row: Ints  # (N,) the row of an element in `regular`, -1 for elements of another kind
+    layer: Ints  # (N,) layer where an element begins; 0 where it has no tissue
 
 
 @njit(cache=True, nogil=True)
@@ -60,6 +66,10 @@ def tabulate(grid: NodeGrid) -> LaneTables:
     count = len(grid.nodes)
     points, bending = np.zeros((len(grid.x), POINT_COLUMNS)), np.zeros((count, 4))
     regular, regular_row, regular_count = np.empty((count, REGULAR_COLUMNS)), np.full(count, -1), 0
+    layer = np.zeros(count, np.int64)
+    for e in range(count):
+        if grid.first[e] < len(grid.layer):
+            layer[e] = grid.layer[grid.first[e]]
     for e in range(1, count):
         length = grid.nodes[e] - grid.nodes[e - 1]
         _fill_bending(bending[e], length)
@@ -86,7 +96,7 @@ def tabulate(grid: NodeGrid) -> LaneTables:
             regular_row[e] -= 1
         else:
             regular_count += 1
-    return LaneTables(points, bending, regular[:regular_count].copy(), regular_row)
+    return LaneTables(points, bending, regular[:regular_count].copy(), regular_row, layer)
 
 
 @njit(cache=True, nogil=True)
