@@ -143,6 +143,7 @@ def parameters(layers: int, fold: int, undetermined: bool, methods: tuple[str, .
                     "interval_high": np.nan if not free else value * 1.2,
                     "draw_source": "importance" if free else "",
                     "determined": known,
+                    "condition": "",
                     "note": "fixed"
                     if fixed
                     else "shapes do not show it"
