@@ -134,19 +134,8 @@ def _compile_derivatives() -> None:
     columns = DerivativeColumns(*[1] * len(DerivativeColumns._fields))
     history = DerivativeHistory(_TABLE, _CUBE, _TABLE, _ROW, _CUBE, _ROW)
     law, guides = differentiate_law("ogden", _TISSUE.alpha), np.zeros((0, 3), np.int64)
-    compile_for(
-        differentiate_stops,
-        insertion,
-        _FOUNDATION,
-        law,
-        conditions,
-        guides,
-        stops,
-        _ROW,
-        columns,
-        history,
-        _CUBE,
-    )
+    inputs = _FOUNDATION, law, conditions, guides, stops, _ROW, columns, history, _CUBE
+    compile_for(differentiate_stops, insertion, *inputs)
     compile_for(beam.compute_position_derivatives, *[_ROW] * 4, *[_TABLE] * 3)
 
 

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import bdtr, bdtrik, gammaln, xlogy
 
 from needlefit.arrays import Bools, Floats
 
@@ -27,26 +26,11 @@ def count_limits(replicates: int, probability: float | Floats, error: float) -> 
 
     Each end is passed with half the error at most: exact, of the binomial distribution.
     """
-    return _invert_binomial(error / 2, replicates, probability), _invert_binomial(
-        1 - error / 2, replicates, probability
-    )
+    from scipy.stats import binom  # late: it takes 0.2 s to load
 
-
-def _invert_binomial(level: float, replicates: int, probability: float | Floats) -> Counts:
-    """Return the least counts whose cumulative probability reaches a level.
-
-    Not by `scipy.stats`, which takes 0.2 s to load.
-    """
-    count = np.ceil(bdtrik(level, replicates, probability))
-    below = np.maximum(count - 1, 0)  # the inverse is continuous, and may lie a rounding error too high
-    least = np.where(bdtr(below, replicates, probability) >= level, below, count)
-    return np.asarray(least, dtype=np.int64)
-
-
-def _poisson(count: Counts, mean: float) -> Floats:
-    """Return the probabilities of counts of a Poisson number."""
-    probability: Floats = np.exp(xlogy(count, mean) - gammaln(count + 1) - mean)
-    return probability
+    low = np.asarray(binom.ppf(error / 2, replicates, probability), dtype=np.int64)
+    high = np.asarray(binom.ppf(1 - error / 2, replicates, probability), dtype=np.int64)
+    return low, high
 
 
 def ecdf_band(replicates: int, places: int, error: float) -> tuple[Counts, Counts]:
@@ -66,7 +50,9 @@ def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
     """Return the probability that uniform ranks stay within limits (K - 1,) at every place."""
     # counts between neighbouring places are independent Poisson numbers, given that they add up to the
     # replicates
-    step = _poisson(np.arange(replicates + 1), replicates / (len(low) + 1))
+    from scipy.stats import poisson
+
+    step = poisson.pmf(np.arange(replicates + 1), replicates / (len(low) + 1))
     alive, first = np.ones(1), 0  # probabilities of sums first, first + 1, ...
     for least, most in zip(low.tolist(), high.tolist(), strict=True):
         # convolve, then cut to the limits: probability outside them is lost and never returns
@@ -74,7 +60,7 @@ def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
         start = max(least, first)
         alive, first = summed[start - first : most - first + 1], start
     last = step[replicates - first - np.arange(len(alive))]
-    return float(alive @ last / _poisson(np.array(replicates), replicates))
+    return float(alive @ last / poisson.pmf(replicates, replicates))
 
 
 RANK_DRAWS = 79
