@@ -7,17 +7,17 @@ import time
 from contextlib import AbstractContextManager
 
 import pytest
-from kernel_functions import kernel_functions
+from kernel_functions import kernel_functions, run_kernel
 
 from needlefit.mechanics import precompile as module
 from needlefit.mechanics.kernel.cache import is_complete
-from needlefit.mechanics.precompile import KERNEL_PARTS, PIECES, precompile, run_parts
+from needlefit.mechanics.precompile import KERNEL_PARTS, PIECES, precompile
 
 
 def test_every_variant_is_compiled_and_inserting_compiles_nothing_else():
     assert all(is_complete(part) for part in KERNEL_PARTS)
     before = [sum(one.stats.cache_misses.values()) for one in kernel_functions()]
-    run_parts(list(KERNEL_PARTS))
+    run_kernel()
     assert [sum(one.stats.cache_misses.values()) for one in kernel_functions()] == before
 
 

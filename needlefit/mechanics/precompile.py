@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.mechanics.batch import Batch, compute_batch_positions
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.kernel import beam
 from needlefit.mechanics.kernel.cache import compile_for, find_cache_folder, is_complete, mark_complete
@@ -32,12 +31,10 @@ from needlefit.mechanics.kernel.lanes.newton import LaneInputs, make_workspace
 from needlefit.mechanics.kernel.lanes.tables import LaneTables, tabulate
 from needlefit.mechanics.kernel.parameter_loads import DerivativeColumns, DerivativeHistory
 from needlefit.mechanics.kernel.scalar import NewtonOptions
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.law_form import differentiate_law
-from needlefit.mechanics.linearize import differentiate_positions, linearize
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import make_lattice, make_moves
-from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack_groups, simulate
+from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack_groups
 from needlefit.mechanics.tissue import Tissue
 
 try:
@@ -169,27 +166,3 @@ def _make_arguments() -> tuple[Any, ...]:
     # Not compiled: another piece has that.
     insertion = begin_insertion.py_func(*_BEGINNING)
     return insertion, compile_controls(Controls()), stops._replace(turn=np.zeros(len(bevels)))
-
-
-def run_parts(parts: list[str]) -> None:
-    """Simulate a needle with parts of the kernel; what is not compiled yet is compiled."""
-    for part in parts:
-        _RUNS[part]()
-
-
-def _run_lanes() -> None:
-    batch = Batch(_NEEDLE, _TISSUE, (Step(_DEPTH, _BEVEL),), mu=np.full((2, 1), 0.2))
-    for shapes in simulate_batches([batch], 1):
-        compute_batch_positions(shapes, np.array([0.0, _DEPTH]))
-
-
-def _run_sensitivity() -> None:
-    shape, jacobian = linearize(_NEEDLE, _TISSUE, _BEVEL, _DEPTH)
-    differentiate_positions(shape, jacobian, np.array([0.0, _DEPTH]))
-
-
-_RUNS: dict[str, Callable[[], object]] = {
-    "kernel": lambda: simulate(_NEEDLE, _TISSUE, _BEVEL, _DEPTH).deflection,
-    "lanes": _run_lanes,
-    "sensitivity": _run_sensitivity,
-}
