@@ -1,0 +1,132 @@
+"""How well the model predicts measured shapes of a hole left out, by law of advance and by geometry.
+
+Two geometries turn the slope u' of the solved beam into points. "rotation": u' is the rotation of the section
+and the points are the integrals of cos u' and sin u' (`docs/model.md`). "tangent": u' is dy/dx and the points
+are the integral of cos(atan u') and u; the needle is then longer than its arc length. Every fit is repeated
+with each of them.
+
+    NEEDLEFIT_REAL_DATA=... python benchmarks/geometry.py [--starts 2]
+"""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicHermiteSpline
+from scipy.stats import t as student
+
+from needlefit.arrays import Floats
+from needlefit.inference import simulated_points
+from needlefit.mechanics.batch import NeedleShapes
+from needlefit.mechanics.linearize import Jacobian
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.project.load import load
+from needlefit.project.locate import find_file
+from needlefit.schemas.study import FitRecord
+from needlefit.studies.folds import leave_out
+from needlefit.studies.job import Settings, prepare
+from needlefit.studies.posterior_fit import find_fit
+from needlefit.studies.score import Scorer, model_predictor
+
+FITS = ("stereo_tangent", "stereo_path_angle")
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
+STEP = 1e-5  # of the difference quotients, in units of the parameter
+
+
+def draw_by_tangent(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
+    """Return the points (K, 2) at beam coordinates s (K,), u' read as dy/dx."""
+    deflection = CubicHermiteSpline(x, u, slope)
+    tangent = deflection.derivative()
+
+    def advance(start: Floats, end: Floats) -> Floats:
+        half = 0.5 * (end - start)[:, None]
+        within = tangent(start[:, None] + half * (1 + NODES))
+        return (half * WEIGHTS / np.sqrt(1 + within**2)).sum(axis=1)
+
+    reached = x[0] + np.concatenate([[0.0], np.cumsum(advance(x[:-1], x[1:]))])
+    element = np.clip(np.searchsorted(x, s) - 1, 0, len(x) - 2)
+    return np.column_stack([reached[element] + advance(x[element], s), deflection(s)])
+
+
+def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
+    """Stand in for the function of `simulated_points` of this name."""
+    return draw_by_tangent(shape.x, shape.u, shape.slope, s)
+
+
+def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
+    """Stand in for the function of `simulated_points` of this name."""
+    rows = zip(shapes.x, shapes.u, shapes.slope, shapes.converged, strict=True)
+    return np.array(
+        [draw_by_tangent(*row[:3], s) if row[3] else np.full((len(s), 2), np.nan) for row in rows]
+    )
+
+
+def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
+    """Stand in for the function of `simulated_points` of this name."""
+
+    def move(column: int, by: float) -> Floats:
+        parts = ((shape.x, jacobian.x), (shape.u, jacobian.u), (shape.slope, jacobian.slope))
+        return draw_by_tangent(*(part + by * moved[:, column] for part, moved in parts), s)
+
+    columns = range(jacobian.u.shape[1])
+    sizes = [STEP / max(1e-9, float(np.abs(jacobian.u[:, p]).max())) for p in columns]
+    return np.stack(
+        [(move(p, h) - move(p, -h)) / (2 * h) for p, h in zip(columns, sizes, strict=True)], axis=-1
+    )
+
+
+@contextmanager
+def geometry(name: str) -> Iterator[None]:
+    """Let the inference read points by one of the two geometries."""
+    stand_ins = (
+        (compute_positions, compute_batch_positions, differentiate_positions) if name == "tangent" else ()
+    )
+    before = {one.__name__: getattr(simulated_points, one.__name__) for one in stand_ins}
+    for one in stand_ins:
+        setattr(simulated_points, one.__name__, one)
+    try:
+        yield
+    finally:
+        for key, one in before.items():
+            setattr(simulated_points, key, one)
+
+
+def compute_errors(name: str, starts: int) -> pd.Series:
+    """Return the mean in-plane error, mm, of each hole left out."""
+    job = prepare(name, load(find_file("fit", name), FitRecord), Settings())
+    job = replace(job, recipe=job.recipe.model_copy(update={"starts": starts}))
+    found = {}
+    for fold in leave_out(job.folds[0].tune, "specimen"):
+        fit = find_fit(job, job.problem(fold), (fold.name,), Settings())
+        scorer = Scorer(
+            job.dataset, job.record.layer_count_rule, {one.id: job.floor(one) for one in fold.validate}
+        )
+        predictor = model_predictor(fit.values, job.medium, job.dataset)
+        rows = [row for one in fold.validate for row in scorer.score({}, one, predictor)[0]]
+        found[fold.name] = float(np.mean([row["ipe_mean_mm"] for row in rows]))
+    return pd.Series(found)
+
+
+def main() -> None:
+    """Print a row per law of advance and geometry; differences to the first geometry are paired by hole."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--starts", type=int, default=2)
+    starts = parser.parse_args().starts
+    print("advance | geometry | mean in-plane error (mm) | minus that of rotation (um), 95 % | by hole (mm)")
+    for name in FITS:
+        errors = {}
+        for which in ("rotation", "tangent"):
+            with geometry(which):
+                errors[which] = compute_errors(name, starts)
+            gap = 1e3 * (errors[which] - errors["rotation"])
+            half = student.ppf(0.975, len(gap) - 1) * gap.sem()
+            difference = f"{gap.mean():.1f} ({gap.mean() - half:.1f} to {gap.mean() + half:.1f})"
+            holes = " ".join(f"{one:.4f}" for one in errors[which])
+            print(name, which, f"{errors[which].mean():.4f}", difference, holes, sep=" | ", flush=True)
+
+
+if __name__ == "__main__":
+    main()
