@@ -23,10 +23,12 @@ from needlefit.mechanics.simulate import (
     begin_insertion,
     compile_controls,
     compile_tissue,
+    make_shape,
     pack_groups,
     read_shape,
 )
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.validity import compute_scales
 
 DERIVATIVE_KINDS = (
     "mu", "alpha", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
@@ -142,7 +144,8 @@ def linearize_steps(
         controls = steps[controls_id].controls
         conditions = compile_controls(controls)
         # All stops of a group are solved before the first derivative: `record` keeps the state at each.
-        status, used, _ = forward.advance_needle(insertion, foundation, conditions, stops, newton)
+        run = forward.begin_run(insertion, foundation, conditions, stops, newton)
+        status, used, nodes, points = forward.advance_needle(run, len(bevel_id))
         iterations += used
         if status == CONVERGED:
             status = kernel.differentiate_stops(
@@ -152,11 +155,12 @@ def linearize_steps(
             )  # fmt: skip
         if status != CONVERGED:
             break
-    shape = read_shape(
-        insertion, tissue, make_stops(moves, lattice)[-1], steps[-1].controls, status, iterations
-    )
+    stop = make_stops(moves, lattice)[-1]
     if status != CONVERGED:
+        shape = read_shape(insertion, tissue, stop, steps[-1].controls, status, iterations)
         return shape, _make_nan_jacobian(names, shape)
+    scales = compute_scales(tissue, needle.flexural_rigidity, stop.tip, lattice.spacing)
+    shape = make_shape(nodes, points, iterations, scales)
     whole, reached = whole[: len(shape.x)], slice(len(shape.constraints))
     controls = steps[-1].controls
     nodes = _differentiate_nodes(

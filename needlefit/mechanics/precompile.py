@@ -24,7 +24,13 @@ from needlefit.mechanics.kernel import beam
 from needlefit.mechanics.kernel.cache import compile_for, find_cache_folder, is_complete, mark_complete
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import list_constraint_depths
-from needlefit.mechanics.kernel.insertion import advance_needle, begin_insertion
+from needlefit.mechanics.kernel.insertion import (
+    advance_needle,
+    begin_insertion,
+    begin_run,
+    make_run_type,
+    return_needle,
+)
 from needlefit.mechanics.kernel.insertion_derivatives import differentiate_stops
 from needlefit.mechanics.kernel.lanes.insertion import advance_lanes, begin_lanes
 from needlefit.mechanics.kernel.lanes.newton import LaneInputs, make_workspace
@@ -116,6 +122,8 @@ def compile_piece(piece: str) -> None:
 def _compile_start() -> None:
     """Compile what every insertion begins and ends with."""
     compile_for(begin_insertion, *_BEGINNING)
+    insertion, *inputs = _make_arguments()
+    compile_for(begin_run, insertion, _FOUNDATION, *inputs, _NEWTON)
     compile_tissue(_TISSUE)
     compile_for(list_constraint_depths, _DEPTH, 4, 1.0, 1.0)
     compile_for(beam.compute_positions, *[_ROW] * 4)
@@ -123,7 +131,9 @@ def _compile_start() -> None:
 
 def _compile_needle() -> None:
     insertion, *inputs = _make_arguments()
-    compile_for(advance_needle, insertion, _FOUNDATION, *inputs, _NEWTON)
+    run = make_run_type(insertion, _FOUNDATION, *inputs, _NEWTON)
+    compile_for(advance_needle, run, 1)
+    compile_for(return_needle, run, 1)
 
 
 def _compile_derivatives() -> None:

@@ -88,13 +88,16 @@ def simulate_steps(
     for controls_id, stops, bevel_id in pack_groups(moves, lattice):
         stops = stops._replace(turn=turns[bevel_id])
         conditions = compile_controls(steps[controls_id].controls)
-        status, used, _ = kernel.advance_needle(insertion, foundation, conditions, stops, newton)
+        run = kernel.begin_run(insertion, foundation, conditions, stops, newton)
+        status, used, shape, points = kernel.advance_needle(run, len(bevel_id))
         iterations += used
         if status != CONVERGED:
             break
-    return read_shape(
-        insertion, tissue, make_stops(moves, lattice)[-1], steps[-1].controls, status, iterations
-    )
+    stop = make_stops(moves, lattice)[-1]
+    if status != CONVERGED:
+        return read_shape(insertion, tissue, stop, steps[-1].controls, status, iterations)
+    scales = compute_scales(tissue, needle.flexural_rigidity, stop.tip, lattice.spacing)
+    return make_shape(shape, points, iterations, scales)
 
 
 def equilibrium(
@@ -168,13 +171,23 @@ def compile_tissue(tissue: Tissue) -> Foundation:
 @lru_cache(maxsize=64)
 def compile_controls(controls: Controls) -> kernel.BoundaryConditions:
     """Return the boundary conditions in the form that the kernel reads."""
-    tip = controls.tip
     return kernel.BoundaryConditions(
-        np.array([controls.base_y, controls.base_slope, controls.stage_slope]),
+        np.array(list_base(controls)),
         _make_guide_array(controls.before),
         _make_guide_array(controls.within),
-        np.array([np.nan, np.nan] if tip is None else [tip.y, _or_nan(tip.slope)]),
+        np.array(list_tip(controls)),
     )
+
+
+def list_base(controls: Controls) -> tuple[float, float, float]:
+    """Return the kernel's numbers of the base."""
+    return controls.base_y, controls.base_slope, controls.stage_slope
+
+
+def list_tip(controls: Controls) -> tuple[float, float]:
+    """Return the kernel's numbers of a tracked tip."""
+    tip = controls.tip
+    return (math.nan, math.nan) if tip is None else (tip.y, _or_nan(tip.slope))
 
 
 def _make_guide_array(guides: tuple[Guide, ...]) -> Floats:
@@ -208,10 +221,23 @@ def pack_stops(stops: Sequence[TipStop]) -> tuple[kernel.TipStops, Ints]:
     return stopped, bevel_id
 
 
+def make_stop_arrays(count: int) -> kernel.TipStops:
+    """Return room for so many stops in the form that the kernel reads."""
+    tip, cell, flag = np.zeros(count), np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    return kernel.TipStops(tip, cell, flag, cell.copy(), flag.copy(), flag.copy(), tip.copy())
+
+
 def compute_turn(bevel: Bevel, rules: ModelOptions) -> float:
     """Return the slope that a bevel adds to the cut."""
     strength, length = rules.bevel_strength(bevel)
     return bevel.side * strength / length
+
+
+def make_shape(nodes: Floats, points: Floats, iterations: int, scales: Floats) -> NeedleShape:
+    """Return the shape that `advance_needle` has found."""
+    x, u, slope = nodes
+    constraints, tip_track = points
+    return NeedleShape(x, u, slope, constraints, tip_track, "converged", iterations, scales)
 
 
 def read_shape(
@@ -222,17 +248,11 @@ def read_shape(
     status: int,
     iterations: int,
 ) -> NeedleShape:
-    """Return the needle's shape at a stop from the kernel's state; NaN where the solution failed before."""
-    if status == CONVERGED:
-        size = int(insertion.size[kernel.CHAIN_NODES])
-        # Copies: the kernel goes on to write into its arrays. Contiguous ones: each layout is compiled anew.
-        nodes, state = insertion.nodes[:size].copy(), insertion.states[kernel.NOW, :size].T.copy()
-    else:
-        nodes = kernel.list_chain_nodes(insertion, compile_controls(controls), stop.tip, stop.cell)
-        state = np.full((2, len(nodes)), np.nan)
-    x = list_constraint_depths(stop.tip, stop.cell, insertion.first_cell, insertion.spacing)
-    points = np.empty((len(x), 2))
-    points[:, 0], points[:, 1] = x, insertion.y[: stop.cell + 1]
+    """Return what is known of a needle that did not reach a stop; all else is NaN."""
+    nodes = kernel.list_chain_nodes(insertion, compile_controls(controls), stop.tip, stop.cell)
+    u, slope = np.full((2, len(nodes)), np.nan)
+    depths = list_constraint_depths(stop.tip, stop.cell, insertion.first_cell, insertion.spacing)
+    points = np.column_stack((depths, insertion.y[: stop.cell + 1]))
     track = insertion.track[: stop.cell + 1].copy()
     scales = compute_scales(tissue, insertion.rigidity, stop.tip, insertion.spacing)
-    return NeedleShape(nodes, state[0], state[1], points, track, STATUS_NAMES[status], iterations, scales)
+    return NeedleShape(nodes, u, slope, points, track, STATUS_NAMES[status], iterations, scales)
