@@ -63,7 +63,7 @@ class TipStop(NamedTuple):
     extrapolates: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)  # not frozen, which takes twice as long: a session makes one at each step
 class Ray:
     """The straight path that the tip cuts from `start` (mm) on, and the inputs under which it began.
 
@@ -120,13 +120,12 @@ class Lattice:
         return 1 + max(0, math.ceil((depth - self.first_cell - SAME_DEPTH_MM) / self.spacing))
 
     def locate(self, depth: float) -> tuple[float, int, bool]:
-        """Return the depth of a tip, that of the constraint point where it stands at one; `cell` of it; and
-        whether it stands at one.
-        """
+        """Return the depth of a tip, its `cell`, and whether it stands at that constraint point."""
         cell = self.cell(depth)
         point = self.depth(cell)
-        permanent = abs(point - depth) <= SAME_DEPTH_MM
-        return point if permanent else depth, cell, permanent
+        if abs(point - depth) <= SAME_DEPTH_MM:
+            return point, cell, True
+        return depth, cell, False
 
 
 class Position(NamedTuple):
@@ -166,7 +165,8 @@ def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Positio
 
     def halt(depth: float, *, starts_ray: bool = False, extrapolates: bool = False) -> TipStop:
         bevel_id, number = (ray.bevel_id, ray.number) if ray else (move.bevel_id, -1)
-        stop = TipStop(*lattice.locate(depth), number, starts_ray, bevel_id, move.controls_id, extrapolates)
+        tip, cell, permanent = lattice.locate(depth)
+        stop = TipStop(tip, cell, permanent, number, starts_ray, bevel_id, move.controls_id, extrapolates)
         stops.append(stop)
         return stop
 

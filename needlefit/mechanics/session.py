@@ -170,11 +170,13 @@ class Session:
             If the needle does not reach that far, would leave the tissue backwards, or has cut more rays than
             `MAX_STEPS` and `MAX_ELEMENTS` allow.
         """
-        given: dict[str, Any] = {} if base is None else {"base_y": base[0], "base_slope": base[1]}
-        given |= {} if guides is None else {"guides": guides}
-        given |= {} if tip is _UNCHANGED else {"tip": tip}
-        controls = replace(self.last.controls, **given) if given else self.last.controls
-        depth = self.last.depth + insert
+        depth, controls = self.last.depth + insert, self.last.controls
+        if base is not None:
+            controls = replace(controls, base_y=base[0], base_slope=base[1])
+        if guides is not None:
+            controls = replace(controls, guides=guides)
+        if tip is not _UNCHANGED:
+            controls = replace(controls, tip=tip)
         return self.go(Step(0.0 if abs(depth) < SAME_DEPTH_MM else depth, bevel or self.last.bevel, controls))
 
     def go(self, step: Step) -> NeedleShape:
