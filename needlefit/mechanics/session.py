@@ -16,7 +16,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.kernel import insertion as kernel
-from needlefit.mechanics.kernel.scalar import CONVERGED, NewtonOptions
+from needlefit.mechanics.kernel.scalar import CONVERGED
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import (
     SAME_DEPTH_MM,
@@ -31,8 +31,8 @@ from needlefit.mechanics.plan import (
 )
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import (
+    begin_run,
     compile_controls,
-    compile_tissue,
     compute_turn,
     group_stops,
     list_base,
@@ -91,8 +91,7 @@ class Session:
         Equilibria asked of the solver so far.
     """
 
-    # What the kernel reads, and the controls that are written there; `_begin_run` makes them.
-    _run: kernel.InsertionRun
+    # The arrays that the kernel reads, and the controls that they hold; `_set_inputs` makes them.
     _stops: kernel.TipStops
     _conditions: kernel.BoundaryConditions
     _held: Controls
@@ -111,8 +110,6 @@ class Session:
         self.last = Step(0.0, bevel, controls)
         self.failures: Counter[str] = Counter()
         self.solved = 0
-        self._foundation = compile_tissue(tissue)
-        self._newton = NewtonOptions(rules.tolerance, rules.max_iterations)
         self._boundaries = tissue.boundaries.tolist()
         self._scales = [  # of a tip in each layer
             compute_scales(tissue, needle.flexural_rigidity, end, rules.spacing)
@@ -122,8 +119,8 @@ class Session:
         self._bevels, self._controls = _InputIds[Bevel](), _InputIds[Controls]()
         self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)
         self._guides, self._rays = 4, math.ceil(self._deepest / rules.spacing)
-        self._insertion = self._begin()
-        self._begin_run(controls, 8)
+        self._run = self._begin()
+        self._set_inputs(controls, 8)
         self._shape = self.go(self.last)
 
     @property
@@ -192,10 +189,10 @@ class Session:
         other.failures = self.failures.copy()
         other._bevels, other._controls = self._bevels.copy(), self._controls.copy()
         # New arrays of the same sizes: the kernel writes into its arrays.
-        other._insertion = self._begin()
-        for part, ours in zip(_list_arrays(other._insertion), _list_arrays(self._insertion), strict=True):
+        other._run = self._begin()
+        for part, ours in zip(_list_arrays(other._run), _list_arrays(self._run), strict=True):
             part[...] = ours
-        other._begin_run(self._held, len(self._stops.tip))
+        other._set_inputs(self._held, len(self._stops.tip))
         return other
 
     def input_path(self) -> tuple[Step, ...]:
@@ -243,7 +240,7 @@ class Session:
         """
         moves = tuple(Move(s.depth, self._bevels.of(s.bevel), self._controls.of(s.controls)) for s in steps)
         position, stops, groups = _plan_path(moves, self.lattice)
-        self._insertion = self._begin()  # the plan begins with the stop at the entry
+        self._run = self._begin()  # the plan begins with the stop at the entry
         self._grow_arrays(
             max(len(step.controls.guides) for step in steps), 1 + max(stop.ray for stop in stops)
         )
@@ -253,12 +250,12 @@ class Session:
         for controls_id, packed, bevel_ids in groups:
             packed = packed._replace(turn=np.array([turns[number] for number in bevel_ids.tolist()]))
             conditions = compile_controls(controls[controls_id])
-            run = kernel.begin_run(self._insertion, self._foundation, conditions, packed, self._newton)
-            status, iterations, shape, points = kernel.advance_needle(run, len(bevel_ids))
+            kernel.set_inputs(self._run, conditions, packed)
+            status, iterations, shape, points = kernel.advance_needle(self._run, len(bevel_ids))
             if status != CONVERGED:
                 return False
         self._position, self.last = position, steps[-1]
-        self._begin_run(self.last.controls, len(self._stops.tip))
+        self._set_inputs(self.last.controls, len(self._stops.tip))
         self._shape = make_shape(shape, points, iterations, self._find_scales(self.last.depth))
         return True
 
@@ -272,7 +269,8 @@ class Session:
             self._prepare_run(stops, step)
             status, iterations, nodes, points = kernel.advance_needle(self._run, len(stops))
             if status != CONVERGED:
-                shape = read_shape(self._insertion, self.tissue, stops[-1], step.controls, status, iterations)
+                arrays = kernel.get_insertion(self._run)
+                shape = read_shape(arrays, self.tissue, stops[-1], step.controls, status, iterations)
                 kernel.return_needle(self._run, len(stops))
                 self.failures[shape.status] += 1
                 return shape
@@ -293,7 +291,7 @@ class Session:
         _check_rays(rays)
         grown = self._grow_arrays(len(controls.guides), rays)
         if grown or len(stops) > room or controls.guides != self._held.guides:
-            self._begin_run(controls, max(len(stops), room))
+            self._set_inputs(controls, max(len(stops), room))
         elif controls is not self._held:
             self._held = controls
             self._conditions.base[:], self._conditions.tip[:] = list_base(controls), list_tip(controls)
@@ -310,26 +308,21 @@ class Session:
             return False
         # Doubled, so that a session that adds rays one by one copies its arrays only a few times.
         self._guides, self._rays = max(2 * guides, self._guides), max(2 * rays, self._rays)
-        before, self._insertion = self._insertion, self._begin()
-        for part, old in zip(_list_arrays(self._insertion), _list_arrays(before), strict=True):
+        before, self._run = self._run, self._begin()
+        for part, old in zip(_list_arrays(self._run), _list_arrays(before), strict=True):
             part[tuple(slice(n) for n in old.shape)] = old
         return True
 
-    def _begin(self) -> kernel.KernelInsertion:
-        return kernel.begin_insertion(
-            self.needle.flexural_rigidity, self.needle.length, self.lattice.first_cell,
-            self.lattice.spacing, self.rules.element, self.rules.cut_switch, self.rules.tangent,
-            self.tissue.boundaries, self._deepest, self._guides, self._rays,
-        )  # fmt: skip
+    def _begin(self) -> kernel.InsertionRun:
+        size = self._deepest, self._guides, self._rays
+        return begin_run(self.needle, self.tissue, self.lattice, self.rules, size, self.rules.tolerance)
 
-    def _begin_run(self, controls: Controls, stops: int) -> None:
+    def _set_inputs(self, controls: Controls, stops: int) -> None:
         """Hold the needle by these controls, and let the kernel's arrays hold so many stops."""
         self._held = controls
         self._conditions = kernel.BoundaryConditions(*(part.copy() for part in compile_controls(controls)))
         self._stops = make_stop_arrays(stops)
-        self._run = kernel.begin_run(
-            self._insertion, self._foundation, self._conditions, self._stops, self._newton
-        )
+        kernel.set_inputs(self._run, self._conditions, self._stops)
 
 
 @lru_cache(maxsize=4)  # the last paths alone: of a long one the plan takes megabytes
@@ -351,8 +344,9 @@ def _check_rays(count: int) -> None:
         )
 
 
-def _list_arrays(now: kernel.KernelInsertion) -> tuple[np.ndarray, ...]:
+def _list_arrays(run: kernel.InsertionRun) -> tuple[np.ndarray, ...]:
     """Return what an insertion under way has left behind."""
+    now = kernel.get_insertion(run)
     return now.y, now.track, now.rays, now.tip, now.nodes, now.states, now.size
 
 

@@ -80,21 +80,20 @@ def simulate_steps(
     """
     lattice = lattice or make_lattice(steps, rules)
     moves = make_moves(steps, needle.length)
-    insertion = begin_insertion(needle, tissue, steps, lattice, rules)
-    foundation = compile_tissue(tissue)
-    newton = NewtonOptions(rules.tolerance, rules.max_iterations)
+    run = begin_run(needle, tissue, lattice, rules, measure_arrays(steps, lattice, rules), rules.tolerance)
     turns = np.array([compute_turn(step.bevel, rules) for step in steps])
     status, iterations = CONVERGED, 0
     for controls_id, stops, bevel_id in pack_groups(moves, lattice):
         stops = stops._replace(turn=turns[bevel_id])
         conditions = compile_controls(steps[controls_id].controls)
-        run = kernel.begin_run(insertion, foundation, conditions, stops, newton)
+        kernel.set_inputs(run, conditions, stops)
         status, used, shape, points = kernel.advance_needle(run, len(bevel_id))
         iterations += used
         if status != CONVERGED:
             break
     stop = make_stops(moves, lattice)[-1]
     if status != CONVERGED:
+        insertion = kernel.get_insertion(run)
         return read_shape(insertion, tissue, stop, steps[-1].controls, status, iterations)
     scales = compute_scales(tissue, needle.flexural_rigidity, stop.tip, lattice.spacing)
     return make_shape(shape, points, iterations, scales)
@@ -148,24 +147,59 @@ def begin_insertion(
     needle: Needle, tissue: Tissue, steps: Sequence[Step], lattice: Lattice, rules: ModelOptions
 ) -> kernel.KernelInsertion:
     """Return the kernel's state before first contact, with arrays large enough for all steps."""
+    size = measure_arrays(steps, lattice, rules)
+    return kernel.begin_insertion(*_list_needle(needle, tissue, lattice, rules), *size, 0)
+
+
+def begin_run(
+    needle: Needle, tissue: Tissue, lattice: Lattice, rules: ModelOptions, size: tuple[float, int, int],
+    tolerance: float, recorded: int = 0,
+) -> kernel.InsertionRun:  # fmt: skip
+    """Return a run of the kernel before first contact.
+
+    Parameters
+    ----------
+    size : (depth, guides, rays)
+        Of its arrays, as `measure_arrays` returns it.
+    tolerance : float
+        Of Newton's method, mm.
+    recorded : int
+        The number of stops whose state it records, for derivatives.
+    """
+    return kernel.begin_run(
+        *_list_needle(needle, tissue, lattice, rules), *size, recorded, *list_layers(tissue),
+        NewtonOptions(tolerance, rules.max_iterations),
+    )  # fmt: skip
+
+
+def measure_arrays(steps: Sequence[Step], lattice: Lattice, rules: ModelOptions) -> tuple[float, int, int]:
+    """Return the depth (mm), the guides and the rays that arrays for all steps must have room for."""
     depths = tuple(step.depth for step in steps)
     check_size(depths, rules)
     deepest = max(depths)
-    guides = max(len(step.controls.guides) for step in steps)
     # At most one ray for each cell, one more for each step that changes inputs inside a cell, and one at the
     # entry.
     rays = lattice.cell(deepest) + len(steps) + 1
-    return kernel.begin_insertion(
+    return deepest, max(len(step.controls.guides) for step in steps), rays
+
+
+def _list_needle(
+    needle: Needle, tissue: Tissue, lattice: Lattice, rules: ModelOptions
+) -> tuple[float, float, float, float, float, float, float, Floats]:
+    return (
         needle.flexural_rigidity, needle.length, lattice.first_cell, lattice.spacing, rules.element,
-        rules.cut_switch, rules.tangent, tissue.boundaries, deepest, guides, rays,
+        rules.cut_switch, rules.tangent, tissue.boundaries,
     )  # fmt: skip
+
+
+def list_layers(tissue: Tissue) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return the arguments of `make_foundation`."""
+    return tissue.mu, *compile_law(tissue.law, tissue.alpha), tissue.thickness, tissue.friction
 
 
 def compile_tissue(tissue: Tissue) -> Foundation:
     """Return the tissue in the form that the kernel reads."""
-    return make_foundation(
-        tissue.mu, *compile_law(tissue.law, tissue.alpha), tissue.thickness, tissue.friction
-    )
+    return make_foundation(*list_layers(tissue))
 
 
 @lru_cache(maxsize=64)

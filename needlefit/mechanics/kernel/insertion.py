@@ -12,7 +12,7 @@ from numba.experimental import structref
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, count_below, fill_hermite
-from needlefit.mechanics.kernel.foundation import Foundation
+from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
 from needlefit.mechanics.kernel.grid import (
     GUIDE_ENGAGEMENT_MM,
     LINEAR_CUT,
@@ -114,9 +114,11 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 @njit(cache=True, nogil=True)
 def begin_insertion(
     rigidity: float, length: float, first_cell: float, spacing: float, element: float, switch: float,
-    tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int,
+    tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int, recorded: int,
 ) -> KernelInsertion:  # fmt: skip
-    """Return a needle before first contact, arrays reaching to `deepest` (mm) and so many guides and rays."""
+    """Return a needle before first contact, arrays reaching to `deepest` (mm), so many guides and rays, and
+    recorded stops.
+    """
     cells = max(find_cell(deepest, first_cell, spacing), 1)
     tip = first_cell + (cells - 1) * spacing
     nodes = list_node_depths(tip, first_cell, spacing, element, np.empty(0))
@@ -128,31 +130,55 @@ def begin_insertion(
         rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, main, y,
         np.full((cells + 1, 2), np.nan), np.zeros((rays, 4)),
         np.zeros(4), np.zeros(capacity), np.zeros((3, capacity, 2)), np.zeros(4, np.int64),
-        np.zeros((0, capacity + 2, 2)),
+        np.zeros((recorded, capacity + 2, 2)),
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
 def begin_run(
-    insertion: KernelInsertion, foundation: Foundation, conditions: BoundaryConditions, stops: TipStops,
+    rigidity: float, length: float, first_cell: float, spacing: float, element: float, switch: float,
+    tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int, recorded: int,
+    mu: Floats, coefficients: Floats, exponents: Floats, thickness: Floats, friction: Floats,
     newton: NewtonOptions,
 ) -> InsertionRun:  # fmt: skip
-    """Return the needle of `insertion` under those inputs."""
-    before = KernelInsertion(
-        insertion.rigidity, insertion.length, insertion.first_cell, insertion.spacing, insertion.element,
-        insertion.switch, insertion.tangent, insertion.boundaries, insertion.main,
-        np.empty_like(insertion.y), np.empty_like(insertion.track), np.empty_like(insertion.rays),
-        np.empty_like(insertion.tip), np.empty_like(insertion.nodes), np.empty_like(insertion.states),
-        np.empty_like(insertion.size), insertion.record,
+    """Return the needle of `begin_insertion` in the tissue of `make_foundation`, without inputs or stops."""
+    now = begin_insertion(
+        rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, deepest, guides, rays,
+        recorded,
     )  # fmt: skip
+    before = KernelInsertion(
+        rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, now.main,
+        np.empty_like(now.y), np.empty_like(now.track), np.empty_like(now.rays), np.empty_like(now.tip),
+        np.empty_like(now.nodes), np.empty_like(now.states), np.empty_like(now.size), now.record,
+    )  # fmt: skip
+    foundation = make_foundation(mu, coefficients, exponents, thickness, friction)
+    no_guides, numbers, flags = np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.bool_)
+    conditions = BoundaryConditions(np.empty(3), no_guides, no_guides, np.empty(2))
+    stops = TipStops(np.empty(0), numbers, flags, numbers, flags, flags, np.empty(0))
     return InsertionRun(  # type: ignore[no-untyped-call]
-        insertion, before, foundation, conditions, stops, newton
+        now, before, foundation, conditions, stops, newton
     )
 
 
-def make_run_type(*arguments: object) -> InsertionRunType:
-    """Return the type of what `begin_run` returns for those arguments."""
-    found = [numba.typeof(one) for one in (arguments[0], *arguments)]  # type: ignore[no-untyped-call]
+@njit(cache=True, nogil=True)
+def set_inputs(run: InsertionRun, conditions: BoundaryConditions, stops: TipStops) -> None:
+    """Let the next `advance_needle` hold the needle by those conditions, and read those stops."""
+    run.conditions, run.stops = conditions, stops
+
+
+@njit(cache=True, nogil=True)
+def get_insertion(run: InsertionRun) -> KernelInsertion:
+    """Return the arrays of a run to Python, which shares them."""
+    return run.insertion
+
+
+def make_run_type(
+    insertion: KernelInsertion, foundation: Foundation, conditions: BoundaryConditions, stops: TipStops,
+    newton: NewtonOptions,
+) -> InsertionRunType:  # fmt: skip
+    """Return the type of a run of such parts."""
+    parts = insertion, insertion, foundation, conditions, stops, newton
+    found = [numba.typeof(part) for part in parts]  # type: ignore[no-untyped-call]
     fields = zip(InsertionRun.__annotations__, found, strict=True)
     return InsertionRunType(list(fields))  # type: ignore[no-untyped-call]
 
