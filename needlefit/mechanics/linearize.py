@@ -133,8 +133,8 @@ def linearize_steps(
     run = begin_run(needle, tissue, lattice, rules, (deepest, guides, rays), tolerance, recorded)
     by_alpha = differentiate_law(tissue.law, tissue.alpha)
     history = _make_history(max(lattice.cell(deepest), 1) + 1, rays, columns.total)
-    strengths, lengths = np.array([rules.bevel_strength(step.bevel) for step in steps]).T
-    sides = np.array([step.bevel.side for step in steps]) / lengths
+    strengths = np.array([rules.bevel_strength(step.bevel)[0] for step in steps])
+    sides = np.array([step.bevel.side / rules.bevel_strength(step.bevel)[1] for step in steps])
     status, iterations = CONVERGED, 0
     for n, (controls_id, stops, bevel_id) in enumerate(groups):
         turn_per_strength = sides[bevel_id]
@@ -222,6 +222,8 @@ def _list_names(kind: str, layers: int, guides: int) -> list[str]:
 
 def _list_guide_columns(controls: Controls, guide_depths: tuple[float, ...], guide_columns: Ints) -> Ints:
     """Return the columns (G, 3) of the guides of one step."""
+    if not controls.guides:
+        return guide_columns[:0]
     return guide_columns[[guide_depths.index(guide.x) for guide in controls.guides]]
 
 

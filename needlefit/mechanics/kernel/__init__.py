@@ -15,7 +15,7 @@ the disk, in any order. Without `fastmath` the compiler changes no digit.
 
 import importlib
 import pkgutil
-from typing import Any
+from typing import Any, NoReturn
 
 import numba
 from numba.core.caching import FunctionCache
@@ -37,6 +37,17 @@ def _is_inner(function: Any) -> bool:  # noqa: ANN401  numba's own type
     )
 
 
+def _refuse(*_: object, **__: object) -> NoReturn:
+    raise TypeError("compiled functions alone may call this one: Python has no wrapper of it")
+
+
+def _omit_wrapper(function: Any) -> None:  # noqa: ANN401  numba's own type
+    """Compile no wrapper of a function, and raise TypeError where Python calls it: without one it crashes."""
+    function.targetoptions |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    # Python finds none of the compiled variants, and asks for a further one, which is refused.
+    function._insert, function._compile_for_args = lambda *_, **__: None, _refuse
+
+
 _config: Any = numba.config  # a module that makes its attributes at run time
 _before, _config.CACHE_DIR = _config.CACHE_DIR, str(find_cache_folder().path)
 try:  # numba reads the setting when a function is declared
@@ -45,6 +56,6 @@ try:  # numba reads the setting when a function is declared
             if type(getattr(_value, "_cache", None)) is FunctionCache:
                 _value._cache = FileCache(_value._cache, f"{_value.py_func.__module__}.{_name}")
                 if _is_inner(_value):
-                    _value.targetoptions |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+                    _omit_wrapper(_value)
 finally:
     _config.CACHE_DIR = _before
