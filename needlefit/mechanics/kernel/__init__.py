@@ -3,7 +3,8 @@
 `insertion` goes from stop to stop. At each stop `grid` places nodes and quadrature points, `scalar` finds the
 equilibrium and `foundation` evaluates the tissue's law. `beam` returns the points in the plane. `lanes/` does
 the same for many parameter sets at once. `insertion_derivatives`, with `adjoint` and `parameter_loads`, adds
-exact derivatives. `precompile` compiles them side by side.
+exact derivatives. `precompile` compiles them side by side. `insertion.InsertionRun` holds all arrays of
+a needle, so that Python hands over one object at each call.
 
 A function with `fastmath` lets the compiler fuse or reorder its sums, so its last digits depend on what it
 is compiled together with. A function that is called by another is compiled more than once (alone, and within
