@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
-from kernel_functions import kernel_functions
+from kernel_functions import kernel_functions, run_kernel
 from numba.core.dispatcher import Dispatcher
 
-from needlefit.mechanics.kernel import cache
+from needlefit.mechanics.kernel import beam, cache
 from needlefit.mechanics.kernel.grid import find_cell
 
 ARGUMENTS, CELL = (7.25, 0.5, 1.0), 8
@@ -45,6 +46,12 @@ def test_sums_that_may_be_reordered_are_compiled_once_for_each_function_that_pyt
     assert len(loose) > 20
     apart = [one for one in loose if one in inner and not one.targetoptions.get("forceinline")]
     assert [one.py_func.__qualname__ for one in apart] == []
+
+
+def test_a_function_without_a_wrapper_raises_where_python_calls_it():
+    run_kernel()  # it is compiled, and compiled functions call it
+    with pytest.raises(TypeError):
+        beam._integrate_direction(np.zeros(2), np.zeros(2), 0, 1.0, 1.0)
 
 
 def fresh() -> Dispatcher:
@@ -96,7 +103,7 @@ def test_a_cache_folder_is_complete_only_if_every_file_was_kept(place, monkeypat
 FULL = """
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-from needlefit.mechanics.kernel import cache
+from needlefit.mechanics.kernel import beam, cache
 from needlefit.mechanics.kernel.grid import find_cell
 print(find_cell(7.25, 0.5, 1.0), len(cache._unsaved), cache.find_cache_folder().why_temporary)
 """

@@ -42,7 +42,8 @@ def check_size(depths: tuple[float, ...], rules: ModelOptions) -> None:
 
 def check_reach(length: float, depth: float, controls: Controls) -> None:
     """Raise ModelError unless a needle of `length` reaches `depth` with its base before guides and tissue."""
-    before = -controls.before[0].x if controls.before else 0.0
+    guides = controls.guides  # from the base inwards
+    before = -guides[0].x if guides and not guides[0].in_tissue else 0.0
     if depth + before < length:
         return
     needle = f"a needle of {length:g} mm"

@@ -14,19 +14,21 @@ from needlefit.mechanics.kernel import insertion as forward
 from needlefit.mechanics.kernel import insertion_derivatives as kernel
 from needlefit.mechanics.kernel.beam import compute_position_derivatives
 from needlefit.mechanics.kernel.parameter_loads import DerivativeColumns, DerivativeHistory
-from needlefit.mechanics.kernel.scalar import CONVERGED, NewtonOptions
+from needlefit.mechanics.kernel.scalar import CONVERGED
 from needlefit.mechanics.law_form import differentiate_law
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import (
-    begin_insertion,
+    begin_run,
     compile_controls,
-    compile_tissue,
+    make_shape,
+    measure_arrays,
     pack_groups,
     read_shape,
 )
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.validity import compute_scales
 
 DERIVATIVE_KINDS = (
     "mu", "alpha", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
@@ -122,19 +124,17 @@ def linearize_steps(
     moves = make_moves(steps, needle.length)
     guide_depths = _list_guide_depths(steps)
     names, columns, guide_columns = _make_columns(tuple(wrt), tissue.layers, guide_depths, rules.path_angle)
-    insertion = begin_insertion(needle, tissue, steps, lattice, rules)
     groups = pack_groups(moves, lattice)
-    max_stops = max(len(stops.tip) for _, stops, _ in groups)
-    # A forward run keeps no states; derivatives need the state at each stop of a group.
-    insertion = insertion._replace(record=np.empty((max_stops, *insertion.record.shape[1:])))
-    foundation = compile_tissue(tissue)
+    deepest, guides, rays = measure_arrays(steps, lattice, rules)
+    # Derivatives belong to the converged state: they need a smaller tolerance than shapes do, and the state
+    # at each stop of a group, of which a forward run keeps none.
+    recorded = max(len(stops.tip) for _, stops, _ in groups)
+    tolerance = min(rules.tolerance, MAX_TOLERANCE_MM)
+    run = begin_run(needle, tissue, lattice, rules, (deepest, guides, rays), tolerance, recorded)
     by_alpha = differentiate_law(tissue.law, tissue.alpha)
-    history = _make_history(len(insertion.y), len(insertion.rays), columns.total)
-    whole = np.empty((len(insertion.nodes), 2, columns.total))
-    # Derivatives belong to the converged state: they need a smaller tolerance than shapes do.
-    newton = NewtonOptions(min(rules.tolerance, MAX_TOLERANCE_MM), rules.max_iterations)
-    strengths, lengths = np.array([rules.bevel_strength(step.bevel) for step in steps]).T
-    sides = np.array([step.bevel.side for step in steps]) / lengths
+    history = _make_history(max(lattice.cell(deepest), 1) + 1, rays, columns.total)
+    strengths = np.array([rules.bevel_strength(step.bevel)[0] for step in steps])
+    sides = np.array([step.bevel.side / rules.bevel_strength(step.bevel)[1] for step in steps])
     status, iterations = CONVERGED, 0
     for n, (controls_id, stops, bevel_id) in enumerate(groups):
         turn_per_strength = sides[bevel_id]
@@ -142,28 +142,26 @@ def linearize_steps(
         controls = steps[controls_id].controls
         conditions = compile_controls(controls)
         # All stops of a group are solved before the first derivative: `record` keeps the state at each.
-        status, used, _ = forward.advance_needle(insertion, foundation, conditions, stops, newton)
+        forward.set_inputs(run, conditions, stops)
+        status, used, nodes, points = forward.advance_needle(run, len(bevel_id))
         iterations += used
         if status == CONVERGED:
-            status = kernel.differentiate_stops(
-                insertion, foundation, by_alpha, conditions, _list_guide_columns(controls,
-                guide_depths, guide_columns), stops, turn_per_strength, columns, history,
-                whole if n + 1 == len(groups) else whole[:0],
-            )  # fmt: skip
+            own_columns = _list_guide_columns(controls, guide_depths, guide_columns)
+            status, whole = kernel.differentiate_stops(
+                run, by_alpha, own_columns, turn_per_strength, columns, history, n + 1 == len(groups)
+            )
         if status != CONVERGED:
             break
-    shape = read_shape(
-        insertion, tissue, make_stops(moves, lattice)[-1], steps[-1].controls, status, iterations
-    )
+    stop = make_stops(moves, lattice)[-1]
     if status != CONVERGED:
+        shape = read_shape(forward.get_insertion(run), tissue, stop, steps[-1].controls, status, iterations)
         return shape, _make_nan_jacobian(names, shape)
-    whole, reached = whole[: len(shape.x)], slice(len(shape.constraints))
-    controls = steps[-1].controls
-    nodes = _differentiate_nodes(
-        shape.x, controls, _list_guide_columns(controls, guide_depths, guide_columns), columns.total
-    )
+    scales = compute_scales(tissue, needle.flexural_rigidity, stop.tip, lattice.spacing)
+    shape = make_shape(nodes, points, iterations, scales)
+    reached = slice(len(shape.constraints))
+    by_x = _differentiate_nodes(shape.x, controls, own_columns, columns.total)
     return shape, Jacobian(
-        names, nodes, whole[:, 0], whole[:, 1], history.constraints[reached], history.track[reached, 0]
+        names, by_x, whole[:, 0], whole[:, 1], history.constraints[reached], history.track[reached, 0]
     )
 
 
@@ -224,6 +222,8 @@ def _list_names(kind: str, layers: int, guides: int) -> list[str]:
 
 def _list_guide_columns(controls: Controls, guide_depths: tuple[float, ...], guide_columns: Ints) -> Ints:
     """Return the columns (G, 3) of the guides of one step."""
+    if not controls.guides:
+        return guide_columns[:0]
     return guide_columns[[guide_depths.index(guide.x) for guide in controls.guides]]
 
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
@@ -19,8 +20,7 @@ SAME_DEPTH_MM = 1e-9
 """Two depths that differ by less than this, mm, are the same."""
 
 
-@dataclass(frozen=True)
-class Move:
+class Move(NamedTuple):
     """A step as the plan needs it: the depth it leads to (mm), and numbers that identify its inputs."""
 
     depth: float
@@ -28,8 +28,7 @@ class Move:
     controls_id: int  # names the controls
 
 
-@dataclass(frozen=True)
-class TipStop:
+class TipStop(NamedTuple):
     """One stop of the tip: one equilibrium of an insertion.
 
     Attributes
@@ -64,7 +63,7 @@ class TipStop:
     extrapolates: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)  # not frozen, which takes twice as long: a session makes one at each step
 class Ray:
     """The straight path that the tip cuts from `start` (mm) on, and the inputs under which it began.
 
@@ -120,9 +119,16 @@ class Lattice:
             return 0
         return 1 + max(0, math.ceil((depth - self.first_cell - SAME_DEPTH_MM) / self.spacing))
 
+    def locate(self, depth: float) -> tuple[float, int, bool]:
+        """Return the depth of a tip, its `cell`, and whether it stands at that constraint point."""
+        cell = self.cell(depth)
+        point = self.depth(cell)
+        if abs(point - depth) <= SAME_DEPTH_MM:
+            return point, cell, True
+        return depth, cell, False
 
-@dataclass(frozen=True)
-class Position:
+
+class Position(NamedTuple):
     """The present position in a plan: the last stop, and the rays that led to it.
 
     Attributes
@@ -158,14 +164,11 @@ def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Positio
     stops: list[TipStop] = []
 
     def halt(depth: float, *, starts_ray: bool = False, extrapolates: bool = False) -> TipStop:
-        cell = lattice.cell(depth)
-        permanent = lattice.is_at(cell, depth)
-        tip = lattice.depth(cell) if permanent else depth
         bevel_id, number = (ray.bevel_id, ray.number) if ray else (move.bevel_id, -1)
-        stops.append(
-            TipStop(tip, cell, permanent, number, starts_ray, bevel_id, move.controls_id, extrapolates)
-        )
-        return stops[-1]
+        tip, cell, permanent = lattice.locate(depth)
+        stop = TipStop(tip, cell, permanent, number, starts_ray, bevel_id, move.controls_id, extrapolates)
+        stops.append(stop)
+        return stop
 
     here = position.last or halt(0.0)
     before = position.move or move
@@ -183,19 +186,14 @@ def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Positio
         )
         if begins and here.controls_id != move.controls_id:
             halt(here.tip)
-        at = here.tip
-        while move.depth > at + SAME_DEPTH_MM:
+        at = here
+        while move.depth > at.tip + SAME_DEPTH_MM:
             extrapolates = False
             if begins:
-                ray = Ray(at, move.bevel_id, move.controls_id, ray.number + 1 if ray else 0, ray)
-                extrapolates = _continues(ray, lattice)
-            # 2 * SAME_DEPTH_MM: a tip that stands at a constraint point, up to rounding, goes on to the next
-            # one.
-            at = halt(
-                min(lattice.depth(lattice.cell(at + 2 * SAME_DEPTH_MM)), move.depth),
-                starts_ray=begins,
-                extrapolates=extrapolates,
-            ).tip
+                ray = Ray(at.tip, move.bevel_id, move.controls_id, ray.number + 1 if ray else 0, ray)
+                extrapolates = at.permanent and _continues(ray, at.cell, lattice)
+            end_of_cell = lattice.depth(at.cell + 1 if at.permanent else at.cell)
+            at = halt(min(end_of_cell, move.depth), starts_ray=begins, extrapolates=extrapolates)
             begins = True
     elif move.depth < here.tip - SAME_DEPTH_MM:
         # A retraction drops the rays that begin beyond the new depth; the tip then stands on the last ray
@@ -209,13 +207,12 @@ def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Positio
     return Position(stops[-1] if stops else here, ray, move, inputs_changed and not depth_changed), stops
 
 
-def _continues(ray: Ray, lattice: Lattice) -> bool:
-    """Whether a ray follows a whole cell that was cut under the same inputs."""
-    before, cell = ray.before, lattice.cell(ray.start)
+def _continues(ray: Ray, cell: int, lattice: Lattice) -> bool:
+    """Whether a ray from constraint point `cell` follows a whole cell that was cut under the same inputs."""
+    before = ray.before
     return (
         before is not None
         and cell > 0
-        and lattice.is_at(cell, ray.start)
         and lattice.is_at(cell - 1, before.start)
         and abs(ray.start - before.start - lattice.spacing) <= 2 * SAME_DEPTH_MM
         and (before.bevel_id, before.controls_id) == (ray.bevel_id, ray.controls_id)

@@ -24,7 +24,16 @@ from needlefit.mechanics.kernel import beam
 from needlefit.mechanics.kernel.cache import compile_for, find_cache_folder, is_complete, mark_complete
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import list_constraint_depths
-from needlefit.mechanics.kernel.insertion import advance_needle, begin_insertion
+from needlefit.mechanics.kernel.insertion import (
+    InsertionRunType,
+    advance_needle,
+    begin_insertion,
+    begin_run,
+    get_insertion,
+    make_run_type,
+    return_needle,
+    set_inputs,
+)
 from needlefit.mechanics.kernel.insertion_derivatives import differentiate_stops
 from needlefit.mechanics.kernel.lanes.insertion import advance_lanes, begin_lanes
 from needlefit.mechanics.kernel.lanes.newton import LaneInputs, make_workspace
@@ -34,7 +43,7 @@ from needlefit.mechanics.kernel.scalar import NewtonOptions
 from needlefit.mechanics.law_form import differentiate_law
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import make_lattice, make_moves
-from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack_groups
+from needlefit.mechanics.simulate import compile_controls, list_layers, pack_groups
 from needlefit.mechanics.tissue import Tissue
 
 try:
@@ -115,24 +124,25 @@ def compile_piece(piece: str) -> None:
 
 def _compile_start() -> None:
     """Compile what every insertion begins and ends with."""
-    compile_for(begin_insertion, *_BEGINNING)
-    compile_tissue(_TISSUE)
+    compile_for(begin_run, *_BEGINNING, *list_layers(_TISSUE), _NEWTON)  # and the functions that it calls
+    _, conditions, stops = _make_arguments()
+    run = _make_run_type()
+    compile_for(set_inputs, run, conditions, stops)
+    compile_for(get_insertion, run)
+    compile_for(return_needle, run, 1)
     compile_for(list_constraint_depths, _DEPTH, 4, 1.0, 1.0)
     compile_for(beam.compute_positions, *[_ROW] * 4)
 
 
 def _compile_needle() -> None:
-    insertion, *inputs = _make_arguments()
-    compile_for(advance_needle, insertion, _FOUNDATION, *inputs, _NEWTON)
+    compile_for(advance_needle, _make_run_type(), 1)
 
 
 def _compile_derivatives() -> None:
-    insertion, conditions, stops = _make_arguments()
     columns = DerivativeColumns(*[1] * len(DerivativeColumns._fields))
     history = DerivativeHistory(_TABLE, _CUBE, _TABLE, _ROW, _CUBE, _ROW)
     law, guides = differentiate_law("ogden", _TISSUE.alpha), np.zeros((0, 3), np.int64)
-    inputs = _FOUNDATION, law, conditions, guides, stops, _ROW, columns, history, _CUBE
-    compile_for(differentiate_stops, insertion, *inputs)
+    compile_for(differentiate_stops, _make_run_type(), law, guides, _ROW, columns, history, True)
     compile_for(beam.compute_position_derivatives, *[_ROW] * 4, *[_TABLE] * 3)
 
 
@@ -156,7 +166,12 @@ _COMPILERS: dict[str, Callable[[], None]] = {  # what takes longest comes first
 _ROW, _TABLE, _CUBE = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
 _FOUNDATION = Foundation(_ROW, _TABLE, _TABLE, _ROW, _ROW, _TABLE, _ROW, False, _ROW)
 _NEWTON = NewtonOptions(1e-7, 40)
-_BEGINNING = 1.0, 50.0, 1.0, 1.0, 1.0, 0.5, 1.0, np.empty(0), _DEPTH, 0, 6
+_BEGINNING = 1.0, 50.0, 1.0, 1.0, 1.0, 0.5, 1.0, np.empty(0), _DEPTH, 0, 6, 0
+
+
+def _make_run_type() -> InsertionRunType:
+    insertion, conditions, stops = _make_arguments()
+    return make_run_type(insertion, _FOUNDATION, conditions, stops, _NEWTON)
 
 
 def _make_arguments() -> tuple[Any, ...]:

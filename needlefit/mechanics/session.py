@@ -2,20 +2,21 @@
 
 import copy
 import math
+from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from needlefit.arrays import Ints
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.kernel import insertion as kernel
-from needlefit.mechanics.kernel.scalar import CONVERGED, NewtonOptions
+from needlefit.mechanics.kernel.scalar import CONVERGED
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import (
     SAME_DEPTH_MM,
@@ -30,14 +31,18 @@ from needlefit.mechanics.plan import (
 )
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import (
+    begin_run,
     compile_controls,
-    compile_tissue,
     compute_turn,
     group_stops,
-    pack_stops,
+    list_base,
+    list_tip,
+    make_shape,
+    make_stop_arrays,
     read_shape,
 )
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.validity import compute_scales
 from needlefit.schemas.limits import MAX_ELEMENTS, MAX_STEPS
 
 _DEFAULT_CONTROLS = Controls()
@@ -86,6 +91,11 @@ class Session:
         Equilibria asked of the solver so far.
     """
 
+    # The arrays that the kernel reads, and the controls that they hold; `_set_inputs` makes them.
+    _stops: kernel.TipStops
+    _conditions: kernel.BoundaryConditions
+    _held: Controls
+
     def __init__(
         self,
         needle: Needle,
@@ -100,13 +110,17 @@ class Session:
         self.last = Step(0.0, bevel, controls)
         self.failures: Counter[str] = Counter()
         self.solved = 0
-        self._foundation = compile_tissue(tissue)
-        self._newton = NewtonOptions(rules.tolerance, rules.max_iterations)
+        self._boundaries = tissue.boundaries.tolist()
+        self._scales = [  # of a tip in each layer
+            compute_scales(tissue, needle.flexural_rigidity, end, rules.spacing)
+            for end in (*self._boundaries, math.inf)
+        ]
         self._position = Position()
         self._bevels, self._controls = _InputIds[Bevel](), _InputIds[Controls]()
         self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)
         self._guides, self._rays = 4, math.ceil(self._deepest / rules.spacing)
-        self._insertion = self._begin()
+        self._run = self._begin()
+        self._set_inputs(controls, 8)
         self._shape = self.go(self.last)
 
     @property
@@ -153,16 +167,20 @@ class Session:
             If the needle does not reach that far, would leave the tissue backwards, or has cut more rays than
             `MAX_STEPS` and `MAX_ELEMENTS` allow.
         """
-        given: dict[str, Any] = {} if base is None else {"base_y": base[0], "base_slope": base[1]}
-        given |= {} if guides is None else {"guides": guides}
-        given |= {} if tip is _UNCHANGED else {"tip": tip}
-        depth, controls = self.last.depth + insert, replace(self.last.controls, **given)
+        depth, controls = self.last.depth + insert, self.last.controls
+        if base is not None:
+            controls = replace(controls, base_y=base[0], base_slope=base[1])
+        if guides is not None:
+            controls = replace(controls, guides=guides)
+        if tip is not _UNCHANGED:
+            controls = replace(controls, tip=tip)
         return self.go(Step(0.0 if abs(depth) < SAME_DEPTH_MM else depth, bevel or self.last.bevel, controls))
 
     def go(self, step: Step) -> NeedleShape:
         """Move the tip to the depth of `step` under its inputs; returns and raises as `Session.step`."""
         check_reach(self.needle.length, step.depth, step.controls)
-        check_size((self.last.depth, step.depth), self.rules)
+        if step.depth > self._deepest:  # a single step is too large if it is too deep, and only then
+            check_size((step.depth,), self.rules)
         return self._go(step)
 
     def copy(self) -> Self:
@@ -171,9 +189,10 @@ class Session:
         other.failures = self.failures.copy()
         other._bevels, other._controls = self._bevels.copy(), self._controls.copy()
         # New arrays of the same sizes: the kernel writes into its arrays.
-        other._insertion = self._begin()
-        for part, ours in zip(_list_arrays(other._insertion), _list_arrays(self._insertion), strict=True):
+        other._run = self._begin()
+        for part, ours in zip(_list_arrays(other._run), _list_arrays(self._run), strict=True):
             part[...] = ours
+        other._set_inputs(self._held, len(self._stops.tip))
         return other
 
     def input_path(self) -> tuple[Step, ...]:
@@ -221,7 +240,7 @@ class Session:
         """
         moves = tuple(Move(s.depth, self._bevels.of(s.bevel), self._controls.of(s.controls)) for s in steps)
         position, stops, groups = _plan_path(moves, self.lattice)
-        self._insertion = self._begin()  # the plan begins with the stop at the entry
+        self._run = self._begin()  # the plan begins with the stop at the entry
         self._grow_arrays(
             max(len(step.controls.guides) for step in steps), 1 + max(stop.ray for stop in stops)
         )
@@ -231,74 +250,79 @@ class Session:
         for controls_id, packed, bevel_ids in groups:
             packed = packed._replace(turn=np.array([turns[number] for number in bevel_ids.tolist()]))
             conditions = compile_controls(controls[controls_id])
-            status, iterations, _ = kernel.advance_needle(
-                self._insertion, self._foundation, conditions, packed, self._newton
-            )
+            kernel.set_inputs(self._run, conditions, packed)
+            status, iterations, shape, points = kernel.advance_needle(self._run, len(bevel_ids))
             if status != CONVERGED:
                 return False
-        self._position, self.last, self._stop = position, steps[-1], stops[-1]
-        self._shape = read_shape(
-            self._insertion, self.tissue, self._stop, self.last.controls, status, iterations
-        )
+        self._position, self.last = position, steps[-1]
+        self._set_inputs(self.last.controls, len(self._stops.tip))
+        self._shape = make_shape(shape, points, iterations, self._find_scales(self.last.depth))
         return True
 
     def _go(self, step: Step) -> NeedleShape:
         move = Move(step.depth, self._bevels.of(step.bevel), self._controls.of(step.controls))
         position, stops = plan_move(self._position, move, self.lattice)
-        status, iterations = CONVERGED, 0
         self.solved += len(stops)
-        if stops:  # there are none where only the bevel was turned
-            _check_rays(stops[-1].ray + 1)
-            self._grow_arrays(len(step.controls.guides), stops[-1].ray + 1)
-            changed_arrays = self._list_changed_arrays(stops)
-            # Only what this step may change is copied, for a step that fails.
-            saved = [part.copy() for part in changed_arrays]
-            # rays that open now are cut by this bevel; the kernel does not read the turn of the others
-            turn = compute_turn(step.bevel, self.rules)
-            packed = pack_stops(stops)[0]._replace(turn=np.full(len(stops), turn))
-            conditions = compile_controls(step.controls)
-            status, iterations, _ = kernel.advance_needle(
-                self._insertion, self._foundation, conditions, packed, self._newton
-            )
-            self._stop = stops[-1]
-        shape = read_shape(self._insertion, self.tissue, self._stop, step.controls, status, iterations)
-        if status == CONVERGED:
-            self._position, self.last, self._shape = position, step, shape
-            self._bevels.drop_unused(lambda: {move.bevel_id, *(ray.bevel_id for ray in list_rays(position))})
-            self._controls.drop_unused(
-                lambda: {move.controls_id, *(ray.controls_id for ray in list_rays(position))}
-            )
+        if not stops:  # only the bevel was turned
+            shape = replace(self._shape, iterations=0)
         else:
-            self.failures[shape.status] += 1
-            self._stop = self._position.last or self._stop
-            for part, before in zip(changed_arrays, saved, strict=True):
-                part[...] = before
+            self._prepare_run(stops, step)
+            status, iterations, nodes, points = kernel.advance_needle(self._run, len(stops))
+            if status != CONVERGED:
+                arrays = kernel.get_insertion(self._run)
+                shape = read_shape(arrays, self.tissue, stops[-1], step.controls, status, iterations)
+                kernel.return_needle(self._run, len(stops))
+                self.failures[shape.status] += 1
+                return shape
+            shape = make_shape(nodes, points, iterations, self._find_scales(stops[-1].tip))
+        self._position, self.last, self._shape = position, step, shape
+        if self._bevels.full or self._controls.full:
+            rays = list_rays(position)
+            self._bevels.drop_unused({move.bevel_id, *(ray.bevel_id for ray in rays)})
+            self._controls.drop_unused({move.controls_id, *(ray.controls_id for ray in rays)})
         return shape
 
-    def _list_changed_arrays(self, stops: Sequence[TipStop]) -> tuple[np.ndarray, ...]:
-        """Return what the stops of a step change."""
-        now = self._insertion
-        # the point before the first may be set anew too: that at the entry, by a cut that begins there
-        cells = slice(max(min(stop.cell for stop in stops) - 1, 0), max(stop.cell for stop in stops) + 1)
-        rays = slice(max(min(stop.ray for stop in stops), 0), stops[-1].ray + 1)
-        return now.y[cells], now.track[cells], now.rays[rays], now.tip, now.nodes, now.states, now.size
+    def _find_scales(self, depth: float) -> Floats:
+        return self._scales[bisect_left(self._boundaries, depth)]
 
-    def _grow_arrays(self, guides: int, rays: int) -> None:
-        """Let the kernel's arrays hold so many guides and rays; what they hold already stays."""
+    def _prepare_run(self, stops: Sequence[TipStop], step: Step) -> None:
+        """Write the stops and inputs of a step into the arrays that the kernel reads."""
+        controls, rays, room = step.controls, stops[-1].ray + 1, len(self._stops.tip)
+        _check_rays(rays)
+        grown = self._grow_arrays(len(controls.guides), rays)
+        if grown or len(stops) > room or controls.guides != self._held.guides:
+            self._set_inputs(controls, max(len(stops), room))
+        elif controls is not self._held:
+            self._held = controls
+            self._conditions.base[:], self._conditions.tip[:] = list_base(controls), list_tip(controls)
+        now, turn = self._stops, compute_turn(step.bevel, self.rules)
+        for n, stop in enumerate(stops):
+            now.tip[n], now.cell[n], now.permanent[n], now.ray[n] = stop[:4]
+            now.starts_ray[n], now.extrapolates[n] = stop.starts_ray, stop.extrapolates
+            # rays that open now are cut by this bevel; the kernel does not read the turn of the others
+            now.turn[n] = turn
+
+    def _grow_arrays(self, guides: int, rays: int) -> bool:
+        """Make room in the kernel's arrays for so many guides and rays; return whether it was needed."""
         if guides <= self._guides and rays <= self._rays:
-            return
+            return False
         # Doubled, so that a session that adds rays one by one copies its arrays only a few times.
         self._guides, self._rays = max(2 * guides, self._guides), max(2 * rays, self._rays)
-        before, self._insertion = self._insertion, self._begin()
-        for part, old in zip(_list_arrays(self._insertion), _list_arrays(before), strict=True):
+        before, self._run = self._run, self._begin()
+        for part, old in zip(_list_arrays(self._run), _list_arrays(before), strict=True):
             part[tuple(slice(n) for n in old.shape)] = old
+        return True
 
-    def _begin(self) -> kernel.KernelInsertion:
-        return kernel.begin_insertion(
-            self.needle.flexural_rigidity, self.needle.length, self.lattice.first_cell,
-            self.lattice.spacing, self.rules.element, self.rules.cut_switch, self.rules.tangent,
-            self.tissue.boundaries, self._deepest, self._guides, self._rays,
-        )  # fmt: skip
+    def _begin(self) -> kernel.InsertionRun:
+        size = self._deepest, self._guides, self._rays
+        return begin_run(self.needle, self.tissue, self.lattice, self.rules, size, self.rules.tolerance)
+
+    def _set_inputs(self, controls: Controls, stops: int) -> None:
+        """Hold the needle by these controls, and let the kernel's arrays hold so many stops."""
+        self._held = controls
+        self._conditions = kernel.BoundaryConditions(*(part.copy() for part in compile_controls(controls)))
+        self._stops = make_stop_arrays(stops)
+        kernel.set_inputs(self._run, self._conditions, self._stops)
 
 
 @lru_cache(maxsize=4)  # the last paths alone: of a long one the plan takes megabytes
@@ -320,8 +344,9 @@ def _check_rays(count: int) -> None:
         )
 
 
-def _list_arrays(now: kernel.KernelInsertion) -> tuple[np.ndarray, ...]:
+def _list_arrays(run: kernel.InsertionRun) -> tuple[np.ndarray, ...]:
     """Return what an insertion under way has left behind."""
+    now = kernel.get_insertion(run)
     return now.y, now.track, now.rays, now.tip, now.nodes, now.states, now.size
 
 
@@ -331,6 +356,7 @@ class _InputIds(Generic[T]):
     def __init__(self) -> None:
         self._numbers: dict[T, int] = {}
         self._next, self._max_kept = 0, 256
+        self._last: tuple[T | None, int] = None, -1
 
     def copy(self) -> "_InputIds[T]":
         """Return the same numbers for the same inputs."""
@@ -344,14 +370,19 @@ class _InputIds(Generic[T]):
 
     def of(self, value: T) -> int:
         """Return the number of an input."""
-        if value not in self._numbers:
-            self._numbers[value] = self._next
-            self._next += 1
-        return self._numbers[value]
+        if value is not self._last[0]:  # mostly it is, and need not be hashed
+            if value not in self._numbers:
+                self._numbers[value] = self._next
+                self._next += 1
+            self._last = value, self._numbers[value]
+        return self._last[1]
 
-    def drop_unused(self, used: Callable[[], set[int]]) -> None:
-        """Drop unused inputs from time to time, so that the memory of a long session stays bounded."""
-        if len(self._numbers) > self._max_kept:
-            saved = used()
-            self._numbers = {value: number for value, number in self._numbers.items() if number in saved}
-            self._max_kept = 256 + 2 * len(self._numbers)
+    @property
+    def full(self) -> bool:
+        """Whether unused inputs should be dropped, so that the memory of a long session stays bounded."""
+        return len(self._numbers) > self._max_kept
+
+    def drop_unused(self, used: set[int]) -> None:
+        """Drop all inputs but those of some numbers."""
+        self._numbers = {value: number for value, number in self._numbers.items() if number in used}
+        self._max_kept = 256 + 2 * len(self._numbers)

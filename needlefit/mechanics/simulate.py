@@ -80,21 +80,23 @@ def simulate_steps(
     """
     lattice = lattice or make_lattice(steps, rules)
     moves = make_moves(steps, needle.length)
-    insertion = begin_insertion(needle, tissue, steps, lattice, rules)
-    foundation = compile_tissue(tissue)
-    newton = NewtonOptions(rules.tolerance, rules.max_iterations)
+    run = begin_run(needle, tissue, lattice, rules, measure_arrays(steps, lattice, rules), rules.tolerance)
     turns = np.array([compute_turn(step.bevel, rules) for step in steps])
     status, iterations = CONVERGED, 0
     for controls_id, stops, bevel_id in pack_groups(moves, lattice):
         stops = stops._replace(turn=turns[bevel_id])
         conditions = compile_controls(steps[controls_id].controls)
-        status, used, _ = kernel.advance_needle(insertion, foundation, conditions, stops, newton)
+        kernel.set_inputs(run, conditions, stops)
+        status, used, shape, points = kernel.advance_needle(run, len(bevel_id))
         iterations += used
         if status != CONVERGED:
             break
-    return read_shape(
-        insertion, tissue, make_stops(moves, lattice)[-1], steps[-1].controls, status, iterations
-    )
+    stop = make_stops(moves, lattice)[-1]
+    if status != CONVERGED:
+        insertion = kernel.get_insertion(run)
+        return read_shape(insertion, tissue, stop, steps[-1].controls, status, iterations)
+    scales = compute_scales(tissue, needle.flexural_rigidity, stop.tip, lattice.spacing)
+    return make_shape(shape, points, iterations, scales)
 
 
 def equilibrium(
@@ -145,36 +147,81 @@ def begin_insertion(
     needle: Needle, tissue: Tissue, steps: Sequence[Step], lattice: Lattice, rules: ModelOptions
 ) -> kernel.KernelInsertion:
     """Return the kernel's state before first contact, with arrays large enough for all steps."""
+    size = measure_arrays(steps, lattice, rules)
+    return kernel.begin_insertion(*_list_needle(needle, tissue, lattice, rules), *size, 0)
+
+
+def begin_run(
+    needle: Needle, tissue: Tissue, lattice: Lattice, rules: ModelOptions, size: tuple[float, int, int],
+    tolerance: float, recorded: int = 0,
+) -> kernel.InsertionRun:  # fmt: skip
+    """Return a run of the kernel before first contact.
+
+    Parameters
+    ----------
+    size : (depth, guides, rays)
+        Of its arrays, as `measure_arrays` returns it.
+    tolerance : float
+        Of Newton's method, mm.
+    recorded : int
+        The number of stops whose state it records, for derivatives.
+    """
+    return kernel.begin_run(
+        *_list_needle(needle, tissue, lattice, rules), *size, recorded, *list_layers(tissue),
+        NewtonOptions(tolerance, rules.max_iterations),
+    )  # fmt: skip
+
+
+def measure_arrays(steps: Sequence[Step], lattice: Lattice, rules: ModelOptions) -> tuple[float, int, int]:
+    """Return the depth (mm), the guides and the rays that arrays for all steps must have room for."""
     depths = tuple(step.depth for step in steps)
     check_size(depths, rules)
     deepest = max(depths)
-    guides = max(len(step.controls.guides) for step in steps)
     # At most one ray for each cell, one more for each step that changes inputs inside a cell, and one at the
     # entry.
     rays = lattice.cell(deepest) + len(steps) + 1
-    return kernel.begin_insertion(
+    return deepest, max(len(step.controls.guides) for step in steps), rays
+
+
+def _list_needle(
+    needle: Needle, tissue: Tissue, lattice: Lattice, rules: ModelOptions
+) -> tuple[float, float, float, float, float, float, float, Floats]:
+    return (
         needle.flexural_rigidity, needle.length, lattice.first_cell, lattice.spacing, rules.element,
-        rules.cut_switch, rules.tangent, tissue.boundaries, deepest, guides, rays,
+        rules.cut_switch, rules.tangent, tissue.boundaries,
     )  # fmt: skip
+
+
+def list_layers(tissue: Tissue) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return the arguments of `make_foundation`."""
+    return tissue.mu, *compile_law(tissue.law, tissue.alpha), tissue.thickness, tissue.friction
 
 
 def compile_tissue(tissue: Tissue) -> Foundation:
     """Return the tissue in the form that the kernel reads."""
-    return make_foundation(
-        tissue.mu, *compile_law(tissue.law, tissue.alpha), tissue.thickness, tissue.friction
-    )
+    return make_foundation(*list_layers(tissue))
 
 
 @lru_cache(maxsize=64)
 def compile_controls(controls: Controls) -> kernel.BoundaryConditions:
     """Return the boundary conditions in the form that the kernel reads."""
-    tip = controls.tip
     return kernel.BoundaryConditions(
-        np.array([controls.base_y, controls.base_slope, controls.stage_slope]),
+        np.array(list_base(controls)),
         _make_guide_array(controls.before),
         _make_guide_array(controls.within),
-        np.array([np.nan, np.nan] if tip is None else [tip.y, _or_nan(tip.slope)]),
+        np.array(list_tip(controls)),
     )
+
+
+def list_base(controls: Controls) -> tuple[float, float, float]:
+    """Return the kernel's numbers of the base."""
+    return controls.base_y, controls.base_slope, controls.stage_slope
+
+
+def list_tip(controls: Controls) -> tuple[float, float]:
+    """Return the kernel's numbers of a tracked tip."""
+    tip = controls.tip
+    return (math.nan, math.nan) if tip is None else (tip.y, _or_nan(tip.slope))
 
 
 def _make_guide_array(guides: tuple[Guide, ...]) -> Floats:
@@ -208,10 +255,23 @@ def pack_stops(stops: Sequence[TipStop]) -> tuple[kernel.TipStops, Ints]:
     return stopped, bevel_id
 
 
+def make_stop_arrays(count: int) -> kernel.TipStops:
+    """Return room for so many stops in the form that the kernel reads."""
+    tip, cell, flag = np.zeros(count), np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    return kernel.TipStops(tip, cell, flag, cell.copy(), flag.copy(), flag.copy(), tip.copy())
+
+
 def compute_turn(bevel: Bevel, rules: ModelOptions) -> float:
     """Return the slope that a bevel adds to the cut."""
     strength, length = rules.bevel_strength(bevel)
     return bevel.side * strength / length
+
+
+def make_shape(nodes: Floats, points: Floats, iterations: int, scales: Floats) -> NeedleShape:
+    """Return the shape that `advance_needle` has found."""
+    x, u, slope = nodes
+    constraints, tip_track = points
+    return NeedleShape(x, u, slope, constraints, tip_track, "converged", iterations, scales)
 
 
 def read_shape(
@@ -222,17 +282,11 @@ def read_shape(
     status: int,
     iterations: int,
 ) -> NeedleShape:
-    """Return the needle's shape at a stop from the kernel's state; NaN where the solution failed before."""
-    if status == CONVERGED:
-        size = int(insertion.size[kernel.CHAIN_NODES])
-        # Copies: the kernel goes on to write into its arrays. Contiguous ones: each layout is compiled anew.
-        nodes, state = insertion.nodes[:size].copy(), insertion.states[kernel.NOW, :size].T.copy()
-    else:
-        nodes = kernel.list_chain_nodes(insertion, compile_controls(controls), stop.tip, stop.cell)
-        state = np.full((2, len(nodes)), np.nan)
-    x = list_constraint_depths(stop.tip, stop.cell, insertion.first_cell, insertion.spacing)
-    points = np.empty((len(x), 2))
-    points[:, 0], points[:, 1] = x, insertion.y[: stop.cell + 1]
+    """Return what is known of a needle that did not reach a stop; all else is NaN."""
+    nodes = kernel.list_chain_nodes(insertion, compile_controls(controls), stop.tip, stop.cell)
+    u, slope = np.full((2, len(nodes)), np.nan)
+    depths = list_constraint_depths(stop.tip, stop.cell, insertion.first_cell, insertion.spacing)
+    points = np.column_stack((depths, insertion.y[: stop.cell + 1]))
     track = insertion.track[: stop.cell + 1].copy()
     scales = compute_scales(tissue, insertion.rigidity, stop.tip, insertion.spacing)
-    return NeedleShape(nodes, state[0], state[1], points, track, STATUS_NAMES[status], iterations, scales)
+    return NeedleShape(nodes, u, slope, points, track, STATUS_NAMES[status], iterations, scales)

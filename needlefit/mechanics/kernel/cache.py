@@ -28,6 +28,7 @@ from typing import Any
 
 import numba
 from llvmlite import binding
+from numba import types
 from numba.core.caching import FunctionCache
 from numba.core.serialize import dumps
 
@@ -115,8 +116,13 @@ _unsaved: list[str] = []
 
 
 def compile_for(function: Any, *arguments: object) -> None:  # noqa: ANN401  numba's own type
-    """Compile a function for the types of some arguments, or load it."""
-    function.compile(tuple(map(numba.typeof, arguments)))
+    """Compile a function for some arguments, each given itself or by its type, or load it."""
+    function.compile(
+        tuple(
+            one if isinstance(one, types.Type) else numba.typeof(one)  # type: ignore[no-untyped-call]
+            for one in arguments
+        )
+    )
 
 
 def is_complete(part: str) -> bool:

@@ -5,12 +5,14 @@ behind.
 import math
 from typing import NamedTuple
 
+import numba
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.experimental import structref
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, count_below, fill_hermite
-from needlefit.mechanics.kernel.foundation import Foundation
+from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
 from needlefit.mechanics.kernel.grid import (
     GUIDE_ENGAGEMENT_MM,
     LINEAR_CUT,
@@ -84,12 +86,39 @@ class KernelInsertion(NamedTuple):
     # constraint point there, the depth where its ray begins, and the y of point 0. (0, C + 2, 2): not wanted
 
 
+class InsertionRun(structref.StructRefProxy):
+    """All that the kernel needs to insert a needle, in one object that it unpacks by itself.
+
+    Python hands a compiled function one array after the other: some forty here, in twice the time of a step.
+    The arrays are shared with Python, which may write into them.
+    """
+
+    insertion: KernelInsertion
+    before: KernelInsertion  # what the last stops have changed, as it was before them
+    foundation: Foundation
+    conditions: BoundaryConditions
+    stops: TipStops
+    newton: NewtonOptions
+
+
+@structref.register
+class InsertionRunType(types.StructRef):
+    """The type of an `InsertionRun` in compiled functions."""
+
+
+structref.define_proxy(  # type: ignore[no-untyped-call]
+    InsertionRun, InsertionRunType, list(InsertionRun.__annotations__)
+)
+
+
 @njit(cache=True, nogil=True)
 def begin_insertion(
     rigidity: float, length: float, first_cell: float, spacing: float, element: float, switch: float,
-    tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int,
+    tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int, recorded: int,
 ) -> KernelInsertion:  # fmt: skip
-    """Return a needle before first contact, arrays reaching to `deepest` (mm) and so many guides and rays."""
+    """Return a needle before first contact, arrays reaching to `deepest` (mm), so many guides and rays, and
+    recorded stops.
+    """
     cells = max(find_cell(deepest, first_cell, spacing), 1)
     tip = first_cell + (cells - 1) * spacing
     nodes = list_node_depths(tip, first_cell, spacing, element, np.empty(0))
@@ -101,29 +130,108 @@ def begin_insertion(
         rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, main, y,
         np.full((cells + 1, 2), np.nan), np.zeros((rays, 4)),
         np.zeros(4), np.zeros(capacity), np.zeros((3, capacity, 2)), np.zeros(4, np.int64),
-        np.zeros((0, capacity + 2, 2)),
+        np.zeros((recorded, capacity + 2, 2)),
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def advance_needle(
-    insertion: KernelInsertion,
-    foundation: Foundation,
-    conditions: BoundaryConditions,
-    stops: TipStops,
+@njit(cache=True, nogil=True)
+def begin_run(
+    rigidity: float, length: float, first_cell: float, spacing: float, element: float, switch: float,
+    tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int, recorded: int,
+    mu: Floats, coefficients: Floats, exponents: Floats, thickness: Floats, friction: Floats,
     newton: NewtonOptions,
-) -> tuple[int, int, int]:
-    """Bring the needle from stop to stop; return the status, the Newton iterations and the number of stops
-    reached.
+) -> InsertionRun:  # fmt: skip
+    """Return the needle of `begin_insertion` in the tissue of `make_foundation`, without inputs or stops."""
+    now = begin_insertion(
+        rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, deepest, guides, rays,
+        recorded,
+    )  # fmt: skip
+    before = KernelInsertion(
+        rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, now.main,
+        np.empty_like(now.y), np.empty_like(now.track), np.empty_like(now.rays), np.empty_like(now.tip),
+        np.empty_like(now.nodes), np.empty_like(now.states), np.empty_like(now.size), now.record,
+    )  # fmt: skip
+    foundation = make_foundation(mu, coefficients, exponents, thickness, friction)
+    no_guides, numbers, flags = np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.bool_)
+    conditions = BoundaryConditions(np.empty(3), no_guides, no_guides, np.empty(2))
+    stops = TipStops(np.empty(0), numbers, flags, numbers, flags, flags, np.empty(0))
+    return InsertionRun(  # type: ignore[no-untyped-call]
+        now, before, foundation, conditions, stops, newton
+    )
 
-    Where a stop fails the needle's state must not be used.
+
+@njit(cache=True, nogil=True)
+def set_inputs(run: InsertionRun, conditions: BoundaryConditions, stops: TipStops) -> None:
+    """Let the next `advance_needle` hold the needle by those conditions, and read those stops."""
+    run.conditions, run.stops = conditions, stops
+
+
+@njit(cache=True, nogil=True)
+def get_insertion(run: InsertionRun) -> KernelInsertion:
+    """Return the arrays of a run to Python, which shares them."""
+    return run.insertion
+
+
+def make_run_type(
+    insertion: KernelInsertion, foundation: Foundation, conditions: BoundaryConditions, stops: TipStops,
+    newton: NewtonOptions,
+) -> InsertionRunType:  # fmt: skip
+    """Return the type of a run of such parts."""
+    parts = insertion, insertion, foundation, conditions, stops, newton
+    found = [numba.typeof(part) for part in parts]  # type: ignore[no-untyped-call]
+    fields = zip(InsertionRun.__annotations__, found, strict=True)
+    return InsertionRunType(list(fields))  # type: ignore[no-untyped-call]
+
+
+@njit(cache=True, nogil=True)
+def return_needle(run: InsertionRun, count: int) -> None:
+    """Return the needle to where it stood before the last `advance_needle`, of so many stops."""
+    _copy_changed(run.insertion, run.before, run.stops, count)
+
+
+@njit(cache=True, nogil=True)
+def _copy_changed(into: KernelInsertion, source: KernelInsertion, stops: TipStops, count: int) -> None:
+    """Copy what the first `count` stops may change."""
+    into.y[0] = source.y[0]  # set by a cut that begins at the entry
+    for s in range(count):
+        cell, ray = stops.cell[s], stops.ray[s]
+        into.y[cell] = source.y[cell]
+        for j in range(2):
+            into.track[cell, j] = source.track[cell, j]
+        if ray >= 0:
+            for j in range(4):
+                into.rays[ray, j] = source.rays[ray, j]
+    for j in range(4):
+        into.tip[j], into.size[j] = source.tip[j], source.size[j]
+    for i in range(source.size[CHAIN_NODES]):
+        into.nodes[i] = source.nodes[i]
+        for k in range(3):
+            for j in range(2):
+                into.states[k, i, j] = source.states[k, i, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance_needle(run: InsertionRun, count: int) -> tuple[int, int, Floats, Floats]:
+    """Bring the needle to the first `count` stops of the run.
+
+    Returns
+    -------
+    status, iterations : int
+        Where a stop fails the needle's state must not be used before `return_needle`.
+    shape : (3, N) array
+        Depth, deflection and slope of the nodes at the last stop; empty where one fails.
+    points : (2, M + 1, 2) array
+        The constraint points there, and the tip's track.
     """
+    insertion, foundation, conditions = run.insertion, run.foundation, run.conditions
+    stops, newton = run.stops, run.newton
+    _copy_changed(run.before, insertion, stops, count)
     iterations = 0
     rays, y, tip, states, size = insertion.rays, insertion.y, insertion.tip, insertion.states, insertion.size
     record, capacity = insertion.record, insertion.states.shape[1]
     chain = begin_chain(conditions, insertion.rigidity, capacity)
     trial, factor = np.empty((capacity, 2)), np.empty((capacity, FACTOR_COLUMNS))
-    for s in range(len(stops.tip)):
+    for s in range(count):
         depth, cell, ray = stops.tip[s], stops.cell[s], stops.ray[s]
         if stops.starts_ray[s]:
             rays[ray, RAY_X], rays[ray, RAY_Y], rays[ray, RAY_TURN] = tip[0], tip[1], stops.turn[s]
@@ -158,7 +266,7 @@ def advance_needle(
             status, used = equilibrate(states[NOW], chain, foundation, grid, y, last, newton, trial, factor)
             iterations += used
         if status != CONVERGED:
-            return status, iterations, s
+            return status, iterations, np.empty((3, 0)), np.empty((2, 0, 2))
         end = size[CHAIN_NODES] - 1
         tip[0], tip[1], tip[2] = depth, states[NOW, end, 0], states[NOW, end, 1]
         tip[3] = y[cell] if cell > 0 else tip[1]
@@ -168,7 +276,24 @@ def advance_needle(
                 record[s, i, 0], record[s, i, 1] = states[NOW, i, 0], states[NOW, i, 1]
             record[s, capacity, 0], record[s, capacity, 1] = y[cell], rays[ray, RAY_X]
             record[s, capacity + 1, 0] = y[0]
-    return CONVERGED, iterations, len(stops.tip)
+    shape, points = _copy_shape(insertion, stops.cell[count - 1], stops.tip[count - 1])
+    return CONVERGED, iterations, shape, points
+
+
+@njit(cache=True, nogil=True)
+def _copy_shape(insertion: KernelInsertion, cell: int, tip: float) -> tuple[Floats, Floats]:
+    """Return depth, deflection and slope of the nodes (3, N), and the constraint points and the tip's track
+    (2, cell + 1, 2), of a needle with its tip in `cell`.
+    """
+    y, track, nodes, states = insertion.y, insertion.track, insertion.nodes, insertion.states
+    shape, points = np.empty((3, insertion.size[CHAIN_NODES])), np.empty((2, cell + 1, 2))
+    for i in range(shape.shape[1]):
+        shape[0, i], shape[1, i], shape[2, i] = nodes[i], states[NOW, i, 0], states[NOW, i, 1]
+    depths = list_constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
+    for m in range(cell + 1):
+        points[0, m, 0], points[0, m, 1] = depths[m], y[m]
+        points[1, m, 0], points[1, m, 1] = track[m, 0], track[m, 1]
+    return shape, points
 
 
 @njit(cache=True, nogil=True)

@@ -6,6 +6,7 @@ parameter. At each stop two adjoint rows, K^T lam = the tip's deflection and slo
 the tip. Full tangent systems are solved at the last stop only.
 """
 
+import numpy as np
 from numba import njit
 
 from needlefit.arrays import Floats, Ints
@@ -20,9 +21,9 @@ from needlefit.mechanics.kernel.adjoint import (
     sum_adjoint_loads,
 )
 from needlefit.mechanics.kernel.beam import count_below
-from needlefit.mechanics.kernel.foundation import Foundation, make_alpha_derivative
+from needlefit.mechanics.kernel.foundation import make_alpha_derivative
 from needlefit.mechanics.kernel.grid import LINEAR_CUT, SAME_DEPTH_MM
-from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion, TipStops
+from needlefit.mechanics.kernel.insertion import InsertionRun
 from needlefit.mechanics.kernel.parameter_loads import (
     DerivativeColumns,
     DerivativeHistory,
@@ -40,11 +41,10 @@ from needlefit.mechanics.kernel.scalar import (
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def differentiate_stops(
-    insertion: KernelInsertion, foundation: Foundation, by_alpha: tuple[Floats, Floats],
-    conditions: BoundaryConditions, guides: Ints, stops: TipStops, turn_per_strength: Floats,
-    columns: DerivativeColumns, history: DerivativeHistory, whole: Floats,
-) -> int:  # fmt: skip
-    """Compute the derivatives of stops that `advance_needle` has recorded; return the status.
+    run: InsertionRun, by_alpha: tuple[Floats, Floats], guides: Ints, turn_per_strength: Floats,
+    columns: DerivativeColumns, history: DerivativeHistory, final: bool,
+) -> tuple[int, Floats]:  # fmt: skip
+    """Compute the derivatives of the stops of a run, which `advance_needle` has recorded.
 
     Parameters
     ----------
@@ -54,10 +54,16 @@ def differentiate_stops(
         Columns of each guide's x, y and slope, of those before the tissue first; -1: not asked for.
     turn_per_strength : (S,) array
         Derivative of each stop's turn with respect to the bevel's strength, 1 / mm or 1 / rad.
-    whole : (C, 2, P) array
-        Filled with the derivatives of every node's deflection and slope at the last stop; without rows:
-        more stops are to follow.
+    final : bool
+        Whether no more stops are to follow.
+
+    Returns
+    -------
+    status : int
+    whole : (N, 2, P) array
+        Derivatives of every node's deflection and slope at the final stop; empty before it.
     """
+    insertion, foundation, conditions, stops = run.insertion, run.foundation, run.conditions, run.stops
     alpha_derivative = make_alpha_derivative(foundation, by_alpha[0], by_alpha[1])
     size = insertion.states.shape[1]
     chain = forward.begin_chain(conditions, insertion.rigidity, size)
@@ -76,6 +82,7 @@ def differentiate_stops(
         stops.permanent,
     )
     total, bevel, outside_guides_only = columns.total, columns.bevel, len(conditions.within) == 0
+    whole = np.empty((size if final else 0, 2, total))
     local = (
         len(guides) > 0 or max(columns.boundary, columns.base_y, columns.base_slope, columns.stage_slope) >= 0
     )
@@ -121,7 +128,7 @@ def differentiate_stops(
         # The factor must belong to the converged state: that of the last Newton iteration is one step old,
         # which makes the derivatives 2e-3 wrong.
         if sweep_forward(state, chain, foundation, grid, y, last, factor, points) == TISSUE_CRUSHED:
-            return OVER_COMPRESSED
+            return OVER_COMPRESSED, whole
         if has_alpha:
             fill_alpha_loads(points, foundation, alpha_derivative, grid, last)
         load_entries = 0
@@ -140,7 +147,8 @@ def differentiate_stops(
                 last,
                 depth,
             )
-        if s == end and len(whole) > 0:
+        if s == end and final:
+            whole = whole[: before + last + 1]
             differentiate_shape(
                 whole, workspace, load_entries, foundation, grid, chain, state, constraints, columns, last
             )
@@ -171,4 +179,4 @@ def differentiate_stops(
         for p in range(total):
             track[cell, 0, p], track[cell, 1, p] = tip[0, p], tip[1, p]
             cut[p] = constraints[cell, p] if cell > 0 else tip[0, p]
-    return CONVERGED
+    return CONVERGED, whole
