@@ -24,7 +24,7 @@ from needlefit.mechanics.kernel import beam
 from needlefit.mechanics.kernel.cache import compile_for, find_cache_folder, is_complete, mark_complete
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import list_constraint_depths
-from needlefit.mechanics.kernel.insertion import advance_needle, begin_insertion
+from needlefit.mechanics.kernel.insertion import advance_needle, begin_insertion, build_stop_grid
 from needlefit.mechanics.kernel.insertion_derivatives import differentiate_stops
 from needlefit.mechanics.kernel.lanes.insertion import advance_lanes, begin_lanes
 from needlefit.mechanics.kernel.lanes.newton import LaneInputs, make_workspace
@@ -139,10 +139,11 @@ def _compile_derivatives() -> None:
 def _compile_block() -> None:
     insertion, conditions, stops = _make_arguments()
     tables = LaneTables(_TABLE, _TABLE, _TABLE, *[np.zeros(1, np.int64)] * 2)
-    inputs = LaneInputs(_ROW, _ROW, _ROW, _TABLE, _CUBE, _TABLE)
+    inputs = LaneInputs(_ROW, _ROW, _ROW, _TABLE, _CUBE, _TABLE, False)
     lanes, workspace = begin_lanes(1, 1, 1), make_workspace(1, 1)
     compile_for(advance_lanes, lanes, insertion, tables, conditions, inputs, stops, _NEWTON, workspace)
     compile_for(tabulate, insertion.main)
+    compile_for(build_stop_grid, insertion, conditions, _DEPTH, 4)
     compile_for(beam.compute_batch_positions, *[_TABLE] * 3, _ROW)
 
 
