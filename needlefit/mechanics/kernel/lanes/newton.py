@@ -29,22 +29,20 @@ from needlefit.arrays import Floats, Ints
 from needlefit.mechanics.kernel.grid import NodeGrid
 from needlefit.mechanics.kernel.lanes.passes import (  # fmt: skip
     add_compliance,
-    add_load,
     chord_interval,
     chord_regular,
     chord_sums,
     clear_load,
-    compute_support,
     friction_point,
     full_interval,
     full_regular,
     full_sums,
-    hold_node,
     keep_reference,
     shift_load,
     solve_tip,
     start_front,
     substitute_back,
+    support_node,
     update_tip,
 )
 from needlefit.mechanics.kernel.lanes.tables import (  # fmt: skip
@@ -65,7 +63,6 @@ from needlefit.mechanics.kernel.lanes.tables import (  # fmt: skip
     SUM_ROWS,
     W1,
     W2,
-    W3,
     LaneTables,
     R,
 )
@@ -82,6 +79,9 @@ REFACTOR_NODES = 8
 # After a chord pass the tangent is wrong by at most `curvature` times itself times the distance from where it
 # was taken; four times that, since the errors of all stops add up.
 CHORD_ERROR = 4.0
+# N / mm and N mm: so large that an element's stiffness added to it is lost in rounding. What it holds is then
+# met as if prescribed, while elimination and chord passes remain those of a free node.
+SUPPORT_STIFFNESS = 2.0**100
 MAX_PASSES = 12  # at one stop; a lane that needs more goes to the scalar kernel
 IN_LANE, LEFT_LANES = 0, 1  # a lane: under way, gone to the scalar kernel
 
@@ -116,7 +116,7 @@ class LaneWorkspace(NamedTuple):
     sums: Floats  # (SUM_ROWS W,) of one such element
     frozen: Floats  # (COMPLIANCE_ROWS W,) compliance of the first node, without the elements near the tip
     compliance: Floats  # (COMPLIANCE_ROWS W,) with them
-    rigid: Floats  # (COMPLIANCE_ROWS W,) that of a node which no load moves
+    rigid: Floats  # (COMPLIANCE_ROWS W,) that of a node which no load moves: zeros
     front: Floats  # (4 W,) the first node as predicted, and what a difference of it is worth
     load: Floats  # (2 W,) a further load, handed from node to node
     friction: Floats  # ((N + 1) 2 W,) force and moment that friction takes from the load on each node; the
@@ -256,6 +256,17 @@ def _sum_compliance(workspace: LaneWorkspace, counted: int, begin: int, last: in
     return begin - 1
 
 
+@njit(cache=True, nogil=True, forceinline=True)
+def _find_support(held: HeldNodes, h: int, node: int) -> tuple[float, float, float, float]:
+    """Return stiffness against deflection and rotation, force and moment on a node; 0 if it is not node h."""
+    if h >= held.number or held.node[h] != node:
+        return 0.0, 0.0, 0.0, 0.0
+    y, slope = SUPPORT_STIFFNESS * held.value[h, 0], SUPPORT_STIFFNESS * held.value[h, 1]
+    if math.isnan(slope):
+        return SUPPORT_STIFFNESS, 0.0, y, 0.0
+    return SUPPORT_STIFFNESS, SUPPORT_STIFFNESS, y, slope
+
+
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _sum_friction(
     grid: NodeGrid, inputs: LaneInputs, y: Floats, state: Floats, ends: Floats, begin: int, last: int,
@@ -296,17 +307,14 @@ def _start_entry(
     else:
         for l in range(W1):
             sums[OVER + l] = -np.inf
-    if inputs.has_friction:
-        for l in range(W1):
-            sums[F2 + l] += workspace.friction[W2 + l]
-            sums[F3 + l] += workspace.friction[W3 + l]
-    if held.number > 0 and held.node[0] == 0:
-        stiff, turned, force, moment = compute_support(held.value[0, 0], held.value[0, 1])
+    stiff, turned, force, moment = _find_support(held, 0, 0)
+    if stiff > 0.0 or inputs.has_friction:
+        extra, at = (workspace.friction, W2) if inputs.has_friction else (workspace.rigid, U(0))
         for l in range(W1):
             sums[K22 + l] += stiff
             sums[K33 + l] += turned
-            sums[F2 + l] += force
-            sums[F3 + l] += moment
+            sums[F2 + l] += force + extra[at + l]
+            sums[F3 + l] += moment + extra[at + W1 + l]
     # The first node of element 0 is the prescribed end of the front: its columns go to the right-hand side.
     start_front(sums, ends, state, work, compliance, workspace.front, full, busy)
 
@@ -323,6 +331,7 @@ def _eliminate(
     firsts, layer, constraint, regular_row, regular = (
         grid.first, grid.layer, grid.constraint, tables.regular_row, tables.regular,
     )  # fmt: skip
+    extra = workspace.friction if inputs.has_friction else workspace.rigid  # or zeros
     h = 0
     while h < held.number and held.node[h] < begin:
         h += 1
@@ -346,11 +355,11 @@ def _eliminate(
                 full_sums(sums, tables.bending, U(e), rigidity, work, own, busy)
             else:
                 chord_sums(sums, work, own, busy)
-        if inputs.has_friction:
-            add_load(work, own, workspace.friction, U(e + 1) * NODE_STATE_OFFSET, busy)
-        if h < held.number and held.node[h] == e:
-            hold_node(work, own, *compute_support(held.value[h, 0], held.value[h, 1]), full, busy)
-            h += 1
+        support = _find_support(held, h, e)
+        if support[0] > 0.0 or inputs.has_friction:
+            at = U(e + 1) * NODE_STATE_OFFSET if inputs.has_friction else U(0)
+            support_node(work, own, extra, at, support, full, busy)
+            h += int(support[0] > 0.0)
     if full:
         for e in range(begin, last + 2):
             keep_reference(work, U(e) * NODE, state, U(e - 1) * NODE_STATE_OFFSET, busy)

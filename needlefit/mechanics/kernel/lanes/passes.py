@@ -12,8 +12,6 @@ intervals and four points, are most of a mesh and have a loop of their own; all 
 interval.
 """
 
-import math
-
 import numpy as np
 from numba import njit
 
@@ -86,9 +84,6 @@ from needlefit.mechanics.kernel.lanes.tables import (
 Offset = np.uint64
 
 FASTMATH = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a lane must see its own NaN
-# N / mm and N mm: so large that an element's stiffness added to it is lost in rounding. What it holds is then
-# met as if prescribed, while elimination and chord passes remain those of a free node.
-SUPPORT_STIFFNESS = 2.0**100
 
 
 @njit(inline="always")
@@ -522,40 +517,23 @@ def keep_reference(work: Floats, own: Offset, state: Floats, node: Offset, busy:
         _keep(work, own + REFERENCE + l, state[node + l], busy[AT_WORK + l] > 0.0)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def compute_support(y: float, slope: float) -> tuple[float, float, float, float]:
-    """Return stiffness against deflection and rotation, force and moment, of what holds a node at `y`, and at
-    `slope` unless that is NaN.
-    """
-    if math.isnan(slope):
-        return SUPPORT_STIFFNESS, 0.0, SUPPORT_STIFFNESS * y, 0.0
-    return SUPPORT_STIFFNESS, SUPPORT_STIFFNESS, SUPPORT_STIFFNESS * y, SUPPORT_STIFFNESS * slope
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def hold_node(
-    work: Floats, own: Offset, stiff: float, turned: float, force: float, moment: float, full: bool,
-    busy: Floats,
+def support_node(
+    work: Floats, own: Offset, load: Floats, at: Offset, support: tuple[float, float, float, float],
+    full: bool, busy: Floats,
 ) -> None:  # fmt: skip
-    """Hold the node that an element ends at, once that is eliminated (`compute_support`); a chord pass keeps
-    the S of the last full one.
+    """Add a support (`newton.HeldNodes`) and a load to the node an element ends at, once that is eliminated.
+
+    A chord pass keeps the S of the last full one.
     """
+    stiff, turned, force, moment = support
     for l in range(W1):
         chosen = busy[AT_WORK + l] > 0.0
         change = chosen and full
         _keep(work, own + S + l, work[own + S + l] + stiff, change)
         _keep(work, own + S + W2 + l, work[own + S + W2 + l] + turned, change)
-        _keep(work, own + R + l, work[own + R + l] + force, chosen)
-        _keep(work, own + R + W1 + l, work[own + R + W1 + l] + moment, chosen)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
-def add_load(work: Floats, own: Offset, load: Floats, at: Offset, busy: Floats) -> None:
-    """Add force and moment on the node that an element ends at, once that is eliminated."""
-    for l in range(W1):
-        chosen = busy[AT_WORK + l] > 0.0
-        _keep(work, own + R + l, work[own + R + l] + load[at + l], chosen)
-        _keep(work, own + R + W1 + l, work[own + R + W1 + l] + load[at + W1 + l], chosen)
+        _keep(work, own + R + l, work[own + R + l] + force + load[at + l], chosen)
+        _keep(work, own + R + W1 + l, work[own + R + W1 + l] + moment + load[at + W1 + l], chosen)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
