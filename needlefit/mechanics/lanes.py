@@ -126,6 +126,7 @@ class _LaneJob:
     alpha: Floats  # (S, n)
     thickness: Floats  # (LANES n,)
     friction: Floats  # (LANES n,)
+    has_friction: bool
     rigidity: Floats  # (S,)
     groups: tuple[_LaneGroup, ...]
 
@@ -204,7 +205,7 @@ def _prepare_lanes(
             number = mains.find(conditions, passed)
             prepared.append(_LaneGroup(conditions, run_stops, number, base, turns, of_stop[run]))
     return _LaneJob(
-        tuple(mains.grids), lane, mu, alpha, thickness, friction,
+        tuple(mains.grids), lane, mu, alpha, thickness, friction, bool(tissue.friction.any()),
         given("rigidity", batch.needle.flexural_rigidity), tuple(prepared),
     )  # fmt: skip
 
@@ -319,7 +320,7 @@ def _simulate_lanes(
     first, _ = grids[0]
     lane_state = kernel.begin_lanes(len(first.y), lanes.nodes, len(first.rays))
     newton = NewtonOptions(batch.rules.tolerance, batch.rules.max_iterations)
-    tissue, has_friction = _make_layers(lanes, batch.tissue.law, at), bool(lanes.friction.any())
+    tissue = _make_layers(lanes, batch.tissue.law, at)
     for group in lanes.groups:
         if group.grids != number:  # the nodes of another main grid
             number, lane_state.size[kernel.ON_MAIN_GRID] = group.grids, 0
@@ -328,7 +329,7 @@ def _simulate_lanes(
             before[0, 0] = batch.guide_x[lanes.lane[at]]
         turns = group.turns[:, at].take(group.of_stop, axis=0)  # (S, W)
         base = np.ascontiguousarray(group.base[:, at])
-        inputs = LaneInputs(lanes.rigidity[at], *tissue, base, before, turns, has_friction)
+        inputs = LaneInputs(lanes.rigidity[at], *tissue, base, before, turns, lanes.has_friction)
         kernel.advance_lanes(
             lane_state, *grids[number], group.conditions, inputs, group.stops, newton, workspace
         )

@@ -87,6 +87,7 @@ def advance_lanes(
     """
     room = len(conditions.within) + 1
     nodes, values = np.empty(room, np.int64), np.empty((room, 2))
+    holds = room > 1 or not math.isnan(conditions.tip[0])
     for s in range(len(stops.tip)):
         tip, cell = stops.tip[s], stops.cell[s]
         _place_constraint(lanes, inputs, stops, s, insertion)
@@ -99,11 +100,14 @@ def advance_lanes(
             grid = build_stop_grid(insertion, conditions, tip, cell)
             tables = tabulate(grid)
             last = len(grid.nodes) - 1
-        held = HeldNodes(_find_held_nodes(nodes, values, conditions, grid, last), nodes, values)
+        # Only where something holds: a call counts the references of all arrays.
+        number = _find_held_nodes(nodes, values, conditions, grid, last) if holds else 0
+        held = HeldNodes(number, nodes, values)
         begin = _guess_next_state(lanes, grid, last, on_main, s > 0)
         ends = _condense_front(lanes, inputs, grid, tables, tip, insertion.length)
         state = lanes.states[lanes.size[CURRENT_STATE]].reshape(-1)
-        _impose_held_nodes(state, held)
+        if holds:
+            _impose_held_nodes(state, held)
         equilibrate_lanes(
             state,
             lanes.y.reshape(-1),
@@ -119,7 +123,8 @@ def advance_lanes(
             workspace,
             newton,
         )
-        _impose_held_nodes(state, held)  # they are met to rounding; now to the bit
+        if holds:
+            _impose_held_nodes(state, held)  # they are met to rounding; now to the bit
         lanes.depth[0] = tip
         for l in range(2 * W):
             lanes.track[cell, l] = lanes.states[lanes.size[CURRENT_STATE], last, l]
