@@ -3,6 +3,7 @@
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/lanes.py [--json] [--rounds N]
     ... --beside FOLDER     time per step and set beside the package of another checkout, in turns
     ... --errors            largest errors against full passes to 1e-11 mm
+    ... --features          lanes beside the scalar kernel, for each kind of input
 
 The loops of `kernel.lanes.passes` are compiled anew here, to read which instructions they became: of the
 arithmetic on doubles, all but a rest has to be packed, or the compiler has given up on a loop.
@@ -46,12 +47,15 @@ from pathlib import Path
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from reference_problem import DEPTH, batch
+from reference_problem import BEVEL, DEPTH, batch
 
+from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.control import Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.kernel.lanes import passes
 from needlefit.mechanics.kernel.lanes.passes import chord_regular, full_regular
 from needlefit.mechanics.kernel.lanes.tables import LANES, LAYER_ROWS, NODE_ROWS, POINT_COLUMNS
 from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.simulate import simulate_steps
 
 Floats = NDArray[np.float64]
 FULL, HALF, BACK = 297, 139, 9
@@ -60,8 +64,9 @@ ROW, CHAIN, REPEATS = 512, 16, 40000  # doubles, multiply-adds on each, times
 SETS = 512
 LOOPS = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
          "solve_tip", "update_tip", "substitute_back", "shift_load", "add_compliance",
-         "extrapolate_node")  # fmt: skip
-TABLES = ("table", "bending")  # the arguments that have two dimensions
+         "extrapolate_node", "friction_point")  # fmt: skip
+TABLES = ("table", "bending", "shapes")  # the arguments that have two dimensions
+FEATURE_SETS = 128
 ARITHMETIC = re.compile(r"\bv?(?:add|sub|mul|div|fn?m(?:add|sub)(?:132|213|231))([ps])d\b.*")
 
 
@@ -118,7 +123,13 @@ def anew(name: str) -> dict[str, int]:
     """Compile a loop of the kernel anew and count its instructions; what comes from the cache has no text."""
     loop = getattr(passes, name).py_func
     kinds = [
-        numba.uint64 if hint is np.uint64 else numba.float64[:, ::1] if of in TABLES else numba.float64[::1]
+        numba.uint64
+        if hint is np.uint64
+        else numba.float64
+        if hint is float
+        else numba.float64[:, ::1]
+        if of in TABLES
+        else numba.float64[::1]
         for of, hint in loop.__annotations__.items()
         if of != "return"
     ]
@@ -245,6 +256,48 @@ def print_errors(count: int = 10_000) -> None:
         )
 
 
+def make_features() -> dict[str, Batch]:
+    """Return the reference insertion with each kind of input."""
+    plain = batch(FEATURE_SETS, TOLERANCES[0])
+    path = simulate_steps(*plain.pick(0)).tip_track[:, 0]
+    steps = [Step(d, BEVEL, Controls(tip=TrackedTip(path[round(d)]))) for d in np.arange(1.0, DEPTH + 1)]
+    tracked = Step(DEPTH, BEVEL, Controls(tip=TrackedTip(path[-1] + 0.1)))
+    guides = tuple(Guide(x, path[round(x)], None, in_tissue=True) for x in (10.0, 30.0))
+    guided = Step(DEPTH, BEVEL, Controls(guides=guides))
+    moved = [Step(d, BEVEL, Controls(base_y=0.01 * d)) for d in np.arange(1.0, DEPTH + 1)]
+    return {
+        "ordinary": plain,
+        "friction 0.3": replace(plain, tissue=replace(plain.tissue, friction=np.full(4, 0.3))),
+        "two guides in the tissue": replace(plain, steps=(guided,)),
+        "tip tracked at the end": replace(plain, steps=(Step(DEPTH, BEVEL), tracked)),
+        "tip tracked every millimetre": replace(plain, steps=steps),
+        "base moved every millimetre": replace(plain, steps=moved),
+    }
+
+
+def compare_features(rounds: int) -> None:
+    """Print processor time per mm of depth and set, of the lanes on one thread and of the scalar kernel."""
+    for name, sets in make_features().items():
+        found: tuple[list[float], list[float]] = ([], [])
+        (shapes,) = simulate_batches([sets], 1)
+        few = [sets.pick(i) for i in range(8)]
+        errors = [np.abs(shapes.u[i] - simulate_steps(*one).u).max() for i, one in enumerate(few)]
+        for _ in range(rounds):
+            begin = time.process_time()
+            simulate_batches([sets], 1)
+            middle = time.process_time()
+            for one in few:
+                simulate_steps(*one)
+            found[0].append(1e6 * (middle - begin) / FEATURE_SETS / DEPTH)
+            found[1].append(1e6 * (time.process_time() - middle) / len(few) / DEPTH)
+        lanes, scalar = np.median(found, axis=1)
+        ratio = np.median(np.array(found[1]) / found[0])
+        print(
+            f"{name:30s} lanes {lanes:5.2f} us, scalar {scalar:5.1f}, ratio of the rounds {ratio:4.1f}, "
+            f"passes per mm {shapes.iterations.mean() / DEPTH:.1f}, difference {max(errors):.1g} mm"
+        )
+
+
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -252,6 +305,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--beside", metavar="FOLDER")
     parser.add_argument("--errors", action="store_true")
+    parser.add_argument("--features", action="store_true")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.serve:
@@ -259,6 +313,9 @@ def main() -> None:
         return
     if arguments.beside:
         compare(arguments.beside, arguments.rounds)
+        return
+    if arguments.features:
+        compare_features(arguments.rounds)
         return
     if arguments.errors:
         print_errors()

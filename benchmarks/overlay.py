@@ -4,9 +4,9 @@
 
 An insertion of the twin, 40 mm deep. The band is of 100 parameter sets about the paper's hand-tuned one, on
 one thread: of a needle that was inserted at once; one whose base was moved and which was drawn back and
-pushed in again; one whose base a hand moved all the way, 400 inputs; and one with a guide in the tissue,
-which only the scalar kernel knows. Then a loop at 60 Hz stands beside a thread that draws bands without a
-pause: how late its ticks are. Milliseconds on the wall, median and 95th percentile.
+pushed in again; one whose base a hand moved all the way, 400 inputs; and one with a guide in the tissue. Then
+a loop at 60 Hz stands beside a thread that draws bands without a pause: how late its ticks are. Milliseconds
+on the wall, median and 95th percentile.
 """
 
 import argparse

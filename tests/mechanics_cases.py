@@ -95,11 +95,11 @@ def random_steps(rng: Random, count: int, within: bool = True, deepest: float = 
     return (*steps, Step(random_depth(rng, deepest), bevel, controls))
 
 
-def random_batch(rng: Random, sets: int) -> Batch:
-    """Return many parameter sets over broad priors, of steps that lanes can follow."""
+def random_batch(rng: Random, sets: int, within: bool = False, friction: float = 0.0) -> Batch:
+    """Return many parameter sets over broad priors; `within`: with guides in the tissue and tracked tips."""
     rules = random_rules(rng)
-    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules)
-    steps = random_steps(rng, int(rng.integers(0, 5)), within=False)
+    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, friction)
+    steps = random_steps(rng, int(rng.integers(0, 5)), within)
     shape = (sets, tissue.layers)
     given = {
         "mu": random_mu(rng, rules, shape),

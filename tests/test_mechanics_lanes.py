@@ -29,15 +29,28 @@ TURN = Step(17.2, Bevel(0.1, -1), Controls(base_y=0.1, base_slope=0.004))
 THERE_AND_BACK = (WIDE, replace(WIDE, depth=5.6), TURN)
 
 
+HELD = (
+    Controls(tip=TrackedTip(0.1)),
+    Controls(base_y=0.2, tip=TrackedTip(0.1, 0.01)),
+    Controls(guides=(Guide(3.3, 0.05, in_tissue=True),)),
+    Controls(
+        guides=(Guide(-4.0), Guide(5.0, 0.06, None, in_tissue=True), Guide(16.0, 0.1, None, in_tissue=True))
+    ),
+)
+RUBBING = replace(TISSUE, friction=[0.3, 0.3])
+
+
 def one(batch: Batch, threads: int | None = None) -> NeedleShapes:
     (shapes,) = simulate_batches([batch], threads)
     return shapes
 
 
-def broad(sets: int, seed: int = 0, steps: tuple[Step, ...] = THERE_AND_BACK) -> Batch:
+def broad(
+    sets: int, seed: int = 0, steps: tuple[Step, ...] = THERE_AND_BACK, tissue: Tissue = TISSUE
+) -> Batch:
     rng = np.random.default_rng(seed)
     mu, alpha = 10 ** rng.uniform(-3, 2, (sets, 2)), rng.uniform(-10, 10, (sets, 2))
-    return Batch(NEEDLE, TISSUE, steps, mu=mu, alpha=alpha, offset=rng.uniform(0, 0.2, sets))
+    return Batch(NEEDLE, tissue, steps, mu=mu, alpha=alpha, offset=rng.uniform(0, 0.2, sets))
 
 
 def some(batch: Batch, sets: np.ndarray) -> Batch:
@@ -69,6 +82,25 @@ def test_every_set_is_what_the_scalar_kernel_gives(seed: int) -> None:
         assert_close(shapes[i], simulate_steps(*batch.pick(i)))
 
 
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+@pytest.mark.parametrize("advance", ["tangent", "path_angle"])
+@pytest.mark.parametrize("seed", range(200, 230))
+def test_guides_in_the_tissue_tracked_tips_and_friction_are_those_of_the_scalar_kernel(
+    seed: int, advance: str, friction: float
+) -> None:
+    batch = random_batch(np.random.default_rng(seed), 6, within=True, friction=friction)
+    if advance == "path_angle":
+        steps = tuple(replace(s, bevel=Bevel(0.0, s.bevel.side, s.bevel.offset / 9)) for s in batch.steps)
+        batch = replace(batch, steps=steps, rules=replace(batch.rules, advance=advance), offset=None,
+                        cut_angle=np.linspace(0.0, 0.03, 6))  # fmt: skip
+    shapes = one(batch)
+    for i in range(len(batch)):
+        alone = simulate_steps(*batch.pick(i))
+        assert shapes[i].status == alone.status
+        if alone.converged:
+            assert_close(shapes[i], alone)
+
+
 @pytest.mark.parametrize("seed", [*range(100, 107), *range(108, 113)])
 def test_every_set_is_what_the_reference_gives(seed: int) -> None:
     batch = random_batch(np.random.default_rng(seed), 2)
@@ -90,15 +122,48 @@ def test_each_set_may_have_its_guide_elsewhere_wherever_the_first_nodes_lie(firs
         assert shapes[i].x[1] == x[i] and shapes[i].u[1] == pytest.approx(0.1, abs=1e-14)
 
 
-def test_ordinary_sets_never_call_the_scalar_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("controls", [Controls(), *HELD])
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_ordinary_sets_never_call_the_scalar_kernel(
+    controls: Controls, friction: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_) -> None:
         raise AssertionError
 
     monkeypatch.setattr(lanes, "simulate_steps", refuse)
     rng = np.random.default_rng(0)
     mu = 10 ** rng.uniform(-1.5, 1.5, (50, 2))
-    batch = Batch(NEEDLE, TISSUE, THERE_AND_BACK, mu=mu, offset=rng.uniform(0, 0.1, 50))
+    steps = (*THERE_AND_BACK, replace(TURN, controls=controls))
+    batch = Batch(
+        NEEDLE, replace(TISSUE, friction=[friction] * 2), steps, mu=mu, offset=rng.uniform(0, 0.1, 50)
+    )
     assert one(batch).converged.all()
+
+
+@pytest.mark.parametrize("controls", HELD)
+def test_held_nodes_are_where_they_are_held(controls: Controls) -> None:
+    held = [(guide.x, guide.y, guide.slope) for guide in controls.within]
+    if controls.tip:
+        held.append((17.2, controls.tip.y, controls.tip.slope))
+    shapes = one(Batch(NEEDLE, TISSUE, (WIDE, replace(TURN, controls=controls)), offset=[0.05, 0.1]))
+    for x, y, slope in held:
+        node = shapes.x[0] == x
+        np.testing.assert_array_equal(shapes.u[:, node], y)
+        if slope is not None:
+            np.testing.assert_array_equal(shapes.slope[:, node], slope)
+
+
+@pytest.mark.parametrize("depth", [0.3, 0.7, 1.0])
+@pytest.mark.parametrize("slope", [None, 0.02])
+def test_slopes_converge_where_all_deflections_are_prescribed(depth: float, slope: float | None) -> None:
+    thin_layer = Tissue(mu=[5.0], alpha=[8.0], thickness=[2.0])
+    controls = Controls(
+        0.3, 0.01, guides=(Guide(0.0, 0.02, None, in_tissue=True),), tip=TrackedTip(0.05, slope)
+    )
+    batch = Batch(NEEDLE, thin_layer, (Step(depth, Bevel(0.1), controls),), offset=[0.02, 0.1])
+    shapes = one(batch)
+    for i in range(2):
+        assert_close(shapes[i], simulate_steps(*batch.pick(i)), 1e-10)
 
 
 def test_a_mirrored_set_is_the_mirrored_needle() -> None:
@@ -113,8 +178,10 @@ def test_a_mirrored_set_is_the_mirrored_needle() -> None:
 
 
 @pytest.mark.parametrize("sets", [1, 31, 33, 64])
-def test_neighbours_and_spare_lanes_change_no_bit(sets: int) -> None:
-    batch = broad(64)
+@pytest.mark.parametrize("controls", [TURN.controls, *HELD])
+@pytest.mark.parametrize("tissue", [TISSUE, RUBBING])
+def test_neighbours_and_spare_lanes_change_no_bit(sets: int, controls: Controls, tissue: Tissue) -> None:
+    batch = broad(64, steps=(*THERE_AND_BACK, replace(TURN, depth=19.2, controls=controls)), tissue=tissue)
     assert_same_bits(one(some(batch, np.arange(sets))), part(one(batch), np.arange(sets)))
 
 
@@ -205,19 +272,21 @@ def test_a_set_that_leaves_the_series_is_solved_alone_and_exactly() -> None:
     assert_same_bits(one(thin([0.05, 0.05], 1.0))[1], shapes[0])  # also where everybody leaves
 
 
-@pytest.mark.parametrize(
-    "controls",
-    [
-        Controls(tip=TrackedTip(0.1)),
-        Controls(guides=(Guide(3.3, 0.05, in_tissue=True),)),
-        Controls(guides=(Guide(-4.0), Guide(5.0, 0.1, None, in_tissue=True))),
-    ],
-)
-def test_inputs_without_a_lane_use_the_scalar_kernel(controls: Controls) -> None:
+def test_a_free_guide_before_a_short_first_element_has_no_lane() -> None:
+    controls = Controls(guides=(Guide(-4.0, 0.1, None), Guide(0.3, 0.05, in_tissue=True)))
     batch = Batch(NEEDLE, TISSUE, (Step(9.6, Bevel(0.1), controls),), mu=[[0.3, 3.0], [2.0, 20.0]])
     shapes = one(batch)
     for i in range(2):
         assert_same_bits(shapes[i], simulate_steps(*batch.pick(i)))
+
+
+def test_strong_friction_is_left_to_the_scalar_kernel() -> None:
+    batch = Batch(
+        NEEDLE, replace(TISSUE, friction=[60.0, 60.0]), (Step(25.0, Bevel(0.2)),), offset=[0.2, 0.02]
+    )
+    shapes = one(batch)
+    assert_same_bits(shapes[0], simulate_steps(*batch.pick(0)))
+    assert_close(shapes[1], simulate_steps(*batch.pick(1)))
 
 
 def test_different_insertions_come_back_in_their_order() -> None:
@@ -274,6 +343,8 @@ def test_a_guide_that_the_base_would_reach_is_the_failure_of_its_set_alone() -> 
 
 
 def test_what_a_workspace_held_before_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = replace(WIDE, depth=40.2, controls=HELD[-1])
+
     def fill(value: float) -> NeedleShapes:
         def make(nodes: int, points: int) -> newton.LaneWorkspace:
             workspace = newton.make_workspace(nodes, points)
@@ -284,26 +355,37 @@ def test_what_a_workspace_held_before_changes_no_bit(monkeypatch: pytest.MonkeyP
             return workspace
 
         monkeypatch.setattr(lanes, "make_workspace", make)
-        return one(broad(40, steps=(WIDE, replace(WIDE, depth=40.2))))
+        return one(broad(40, steps=(WIDE, replace(WIDE, depth=30.2), held), tissue=RUBBING))
 
     assert_same_bits(fill(np.nan), fill(0.0))
 
 
 @pytest.mark.parametrize("advance", ["tangent", "path_angle"])
-@pytest.mark.parametrize("case", [0, 1, 2, 3])
-def test_kept_factors_leave_less_than_3e_7_mm(advance: str, case: int) -> None:
-    """Against full passes to 1e-10 mm: straight on, turns, moves of base and guide, a retraction."""
+@pytest.mark.parametrize("case", range(7))
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_kept_factors_leave_less_than_3e_7_mm(advance: str, case: int, friction: float) -> None:
+    """Against full passes to 1e-10 mm: straight on, turns, moves of base and guide, a retraction; a tracked
+    tip, guides in the tissue, and both with a retraction and a turn.
+    """
     bevel, depth = Bevel(0.1) if advance == "tangent" else Bevel(cut_angle=0.01), 45.0
     other, moved = replace(bevel, side=-1), Controls(base_y=0.8, base_slope=0.01)
     guided = [Controls(guides=(Guide(-5.0, y),)) for y in (0.1, 0.6)]
+    track = [Step(float(d), bevel, Controls(tip=TrackedTip(2e-4 * d**2))) for d in range(1, 16)]
+    template = Controls(
+        guides=(Guide(10.0, 0.03, None, in_tissue=True), Guide(20.3, 0.1, None, in_tissue=True))
+    )
     steps = [
         (),
         (Step(15.0, bevel), Step(30.0, other)),
         (Step(15.0, bevel, guided[0]), Step(30.0, bevel, guided[1]), Step(37.0, bevel, moved)),
         (Step(35.0, bevel), Step(17.4, other)),
+        tuple(track),
+        (Step(30.0, bevel, template),),
+        (*track, Step(32.0, other, template), Step(24.4, bevel, template)),
     ][case]
     rng = np.random.default_rng(case)
-    tissue = Tissue(mu=[0.2, 33.0, 0.2], alpha=[1.0, -1.0, 1.0], boundaries=[14.0, 27.0])
+    tissue = Tissue(mu=[0.2, 33.0, 0.2], alpha=[1.0, -1.0, 1.0], boundaries=[14.0, 27.0],
+                    friction=[friction] * 3)  # fmt: skip
     mu, alpha = 10 ** rng.uniform(-1.3, 1.78, (32, 3)), rng.uniform(-3, 3, (32, 3))
     batch = Batch(
         NEEDLE, tissue, (*steps, Step(depth, bevel)), ModelOptions(advance=advance), mu=mu, alpha=alpha
@@ -313,8 +395,18 @@ def test_kept_factors_leave_less_than_3e_7_mm(advance: str, case: int) -> None:
         assert_close(shapes[i], simulate_steps(*exact.pick(i)), 3e-7)
 
 
+def test_a_guide_may_take_the_node_of_a_constraint_point() -> None:
+    """Less than a quarter element before it; the stop there is not one of the main grid."""
+    guides = (Guide(4.9, 0.02, None, in_tissue=True), Guide(8.06, 0.05, None, in_tissue=True))
+    batch = Batch(NEEDLE, TISSUE, (Step(15.0, Bevel(0.1), Controls(guides=guides)),), offset=[0.02, 0.1])
+    shapes = one(batch)
+    assert not np.isin([5.0], shapes.x[0]).any()
+    for i in range(2):
+        assert_close(shapes[i], simulate_steps(*batch.pick(i)))
+
+
 PACKED = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
-          "solve_tip", "substitute_back", "shift_load", "add_compliance")  # fmt: skip
+          "solve_tip", "substitute_back", "shift_load", "add_compliance", "friction_point")  # fmt: skip
 
 
 @pytest.mark.parametrize("name", PACKED)
@@ -335,9 +427,10 @@ def assembly(loop: numba.core.dispatcher.Dispatcher) -> str:
         name: v for name, v in loop.targetoptions.items() if name in ("nogil", "error_model", "fastmath")
     }
     named = inspect.signature(loop.py_func).parameters.items()
-    arrays = {"table": numba.float64[:, ::1], "bending": numba.float64[:, ::1]}
+    kinds = dict.fromkeys(("table", "bending", "shapes"), numba.float64[:, ::1])
+    kinds |= dict.fromkeys(("share", "weight"), numba.float64)
     signature = tuple(
-        numba.uint64 if of.annotation is passes.Offset else arrays.get(name, numba.float64[::1])
+        numba.uint64 if of.annotation is passes.Offset else kinds.get(name, numba.float64[::1])
         for name, of in named
     )
     compiled = numba.njit(**given)(loop.py_func)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import pairwise
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -16,8 +17,14 @@ from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.batch import VARYING_FIELDS, Batch, NeedleShapes
 from needlefit.mechanics.insertion_limits import check_size
 from needlefit.mechanics.kernel.foundation import SERIES_TERMS, make_foundation
-from needlefit.mechanics.kernel.grid import list_constraint_depths
-from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion, TipStops
+from needlefit.mechanics.kernel.grid import GUIDE_ENGAGEMENT_MM, list_constraint_depths
+from needlefit.mechanics.kernel.insertion import (
+    GUIDE_X,
+    BoundaryConditions,
+    KernelInsertion,
+    TipStops,
+    build_stop_grid,
+)
 from needlefit.mechanics.kernel.lanes import insertion as kernel
 from needlefit.mechanics.kernel.lanes.newton import LEFT_LANES, LaneInputs, LaneWorkspace, make_workspace
 from needlefit.mechanics.kernel.lanes.tables import LANES, LAYER_ROWS, LaneTables, tabulate
@@ -40,8 +47,8 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     """Simulate every parameter set of every batch on all cores, the longest insertions first.
 
     What a set gives does not depend on the sets beside it, on their order, or on the number of threads. A
-    set whose tissue is compressed beyond the series of its law, and every set of an insertion with
-    friction, a tracked tip or guides in the tissue, goes through the scalar kernel, alone.
+    set goes through the scalar kernel, alone, where its tissue is compressed beyond the series of its law, or
+    where friction is so strong that the lanes do not converge.
 
     Parameters
     ----------
@@ -70,7 +77,7 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     points = max((job.points for job in lane_jobs), default=0)
     spare = SimpleQueue[LaneWorkspace]()  # of tasks that have ended
 
-    def run(task: tuple[int, int]) -> NeedleShapes:
+    def run(task: tuple[int, int]) -> _Block:
         try:
             workspace = spare.get_nowait()
         except Empty:
@@ -85,18 +92,25 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     else:
         with ThreadPoolExecutor(threads) as pool:  # the kernel lets go of the interpreter
             parts = list(pool.map(run, tasks))
-    found: list[list[NeedleShapes]] = [[] for _ in jobs]
+    found: list[list[_Block]] = [[] for _ in jobs]
     for (n, _), part in zip(tasks, parts, strict=True):
         found[n].append(part)
     return tuple(_join_blocks(job, some) for job, some in zip(jobs, found, strict=True))
 
 
+_Block = tuple[NeedleShapes, Bools]  # of up to LANES sets, and which of them went through the scalar kernel
+_Grids = tuple[KernelInsertion, LaneTables]
+
+
 @dataclass(frozen=True)
 class _LaneGroup:
-    """The stops under the same controls, and what their inputs are in every set."""
+    """The stops under the same controls and past the same guides in the tissue, and what their inputs are in
+    every set.
+    """
 
     conditions: BoundaryConditions
     stops: TipStops
+    grids: int  # number of its main grid in `_LaneJob.grids`
     base: Floats  # (3, S) as `LaneInputs`, of the sets in `_LaneJob.lane`
     turns: Floats  # (bevels, S) of every bevel
     of_stop: Ints  # the bevel of each stop
@@ -106,25 +120,25 @@ class _LaneGroup:
 class _LaneJob:
     """What the sets of a batch share in the lanes; S of them, whole blocks."""
 
-    grids: KernelInsertion
-    tables: LaneTables
+    grids: tuple[_Grids, ...]  # a main grid for each choice of guides in the tissue that are passed
     lane: Ints  # (S,) the set of each lane; those to spare repeat the last block's
     mu: Floats  # (S, n) harmless numbers where a set is invalid
     alpha: Floats  # (S, n)
     thickness: Floats  # (LANES n,)
     friction: Floats  # (LANES n,)
+    has_friction: bool
     rigidity: Floats  # (S,)
     groups: tuple[_LaneGroup, ...]
 
     @property
     def nodes(self) -> int:
         """Nodes in the tissue, at most."""
-        return len(self.grids.main.nodes) + 2
+        return max(len(grids.main.nodes) for grids, _ in self.grids) + 2
 
     @property
     def points(self) -> int:
         """Quadrature points, at most; the grid of a stop between constraint points may have a few more."""
-        return len(self.grids.main.x) + 8
+        return max(len(grids.main.x) for grids, _ in self.grids) + 8
 
 
 @dataclass(frozen=True)
@@ -134,7 +148,6 @@ class _BatchJob:
     stops: tuple[TipStop, ...]
     valid: Bools  # (B,) which sets are made of numbers that needle and tissue accept
     scales: Floats  # (B, 3) what their validity is measured by, mm
-    alone: Bools  # (B,) which sets go through the scalar kernel: filled block by block
     lanes: _LaneJob | None  # None: every set goes alone
 
     @cached_property
@@ -157,7 +170,7 @@ def _prepare_job(batch: Batch) -> _BatchJob:
         grids = begin_insertion(needle, batch.tissue, steps, lattice, rules)
         lanes = _prepare_lanes(batch, grids, pack_groups(moves, lattice), valid)
     scales = _make_scales(batch, valid, stops[-1].tip)
-    return _BatchJob(batch, lattice, stops, valid, scales, np.ones(len(batch), dtype=bool), lanes)
+    return _BatchJob(batch, lattice, stops, valid, scales, lanes)
 
 
 def _prepare_lanes(
@@ -178,7 +191,7 @@ def _prepare_lanes(
     # Lanes of invalid sets compute with harmless numbers; `_simulate_block` replaces their results.
     mu, alpha = (np.where(valid[lane, None], values, 1.0) for values in (mu, alpha))
     thickness, friction = (np.tile(part, LANES) for part in (tissue.thickness, tissue.friction))
-    prepared = []
+    prepared, mains = [], _MainGrids(grids)
     name = "cut_angle" if batch.rules.path_angle else "offset"
     for controls_id, stops, bevel_id in groups:
         conditions = compile_controls(batch.steps[controls_id].controls)
@@ -188,11 +201,43 @@ def _prepare_lanes(
         strengths = [(bevel.side, *batch.rules.bevel_strength(bevel)) for bevel in bevels]
         turns = np.array([side / length * given(name, strength) for side, strength, length in strengths])
         base = np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])])
-        prepared.append(_LaneGroup(conditions, stops, base, turns, of_stop))
+        for run, run_stops, passed in _divide_stops(conditions, stops):
+            number = mains.find(conditions, passed)
+            prepared.append(_LaneGroup(conditions, run_stops, number, base, turns, of_stop[run]))
     return _LaneJob(
-        grids, tabulate(grids.main), lane, mu, alpha, thickness, friction,
+        tuple(mains.grids), lane, mu, alpha, thickness, friction, bool(tissue.friction.any()),
         given("rigidity", batch.needle.flexural_rigidity), tuple(prepared),
     )  # fmt: skip
+
+
+def _divide_stops(conditions: BoundaryConditions, stops: TipStops) -> list[tuple[slice, TipStops, int]]:
+    """Return the runs of stops past the same number of guides in the tissue, and that number."""
+    if not len(conditions.within):
+        return [(slice(None), stops, 0)]
+    passed = np.searchsorted(conditions.within[:, GUIDE_X], stops.tip - GUIDE_ENGAGEMENT_MM, side="right")
+    ends = [0, *(np.flatnonzero(np.diff(passed)) + 1), len(passed)]
+    runs = [slice(start, end) for start, end in pairwise(ends)]
+    return [(run, TipStops._make(part[run] for part in stops), int(passed[run.start])) for run in runs]
+
+
+class _MainGrids:
+    """The main grids of an insertion with their tables, by the guides in the tissue that have nodes there."""
+
+    def __init__(self, insertion: KernelInsertion) -> None:
+        self._numbers: dict[bytes, int] = {b"": 0}
+        self.grids: list[_Grids] = [(insertion, tabulate(insertion.main))]
+
+    def find(self, conditions: BoundaryConditions, passed: int) -> int:
+        """Return the number of the grid past the first `passed` guides; make it if it is missing."""
+        within = np.ascontiguousarray(conditions.within[:passed])
+        key = within[:, GUIDE_X].tobytes()
+        if key not in self._numbers:
+            insertion, _ = self.grids[0]
+            tip, cell = float(insertion.main.nodes[-1]), len(insertion.y) - 1
+            main = build_stop_grid(insertion, conditions._replace(within=within), tip, cell)
+            self._numbers[key] = len(self.grids)
+            self.grids.append((insertion._replace(main=main), tabulate(main)))
+        return self._numbers[key]
 
 
 def _find_valid(batch: Batch) -> Bools:
@@ -219,14 +264,11 @@ def _fits_lanes(batch: Batch, lattice: Lattice, stops: Sequence[TipStop]) -> boo
     element, first = batch.rules.element, lattice.first_cell
     least = first - element * (math.ceil((first - SAME_DEPTH_MM) / element) - 1)  # depth of the first node
     # element 0 carries tissue where the entry has no node; its length must then be the same in all lanes
-    short = least < 0.5 * element or any(0 < stop.tip < 0.5 * element for stop in stops)
     inputs = [step.controls for step in batch.steps]
+    least = min([least, *(guide.x for controls in inputs for guide in controls.within if guide.x > 0)])
+    short = least < 0.5 * element or any(0 < stop.tip < 0.5 * element for stop in stops)
     free = any(controls.before and controls.before[-1].slope is None for controls in inputs)
-    return not (
-        np.any(batch.tissue.friction > 0)
-        or any(controls.tip is not None or controls.within for controls in inputs)
-        or (short and (free or batch.guide_x is not None))
-    )
+    return not (short and (free or batch.guide_x is not None))
 
 
 def _make_layers(job: _LaneJob, law: str, at: slice) -> tuple[Floats, Floats]:
@@ -238,23 +280,24 @@ def _make_layers(job: _LaneJob, law: str, at: slice) -> tuple[Floats, Floats]:
     series[:, :SERIES_TERMS] = found.series.reshape(LANES, -1, SERIES_TERMS).transpose(1, 2, 0)
     series[:, SERIES_TERMS] = found.limit.reshape(LANES, -1).T
     series[:, SERIES_TERMS + 1] = found.curvature.reshape(LANES, -1).T
+    series[:, SERIES_TERMS + 2] = found.friction.reshape(LANES, -1).T
     return series.ravel(), series[:, SERIES_TERMS + 1].max(axis=0)
 
 
-def _simulate_block(job: _BatchJob, start: int, workspace: LaneWorkspace) -> NeedleShapes:
+def _simulate_block(job: _BatchJob, start: int, workspace: LaneWorkspace) -> _Block:
     """Return the shapes of one block of sets; base and guides of those from the lanes are not filled in."""
     sets = slice(start, min(start + LANES, len(job.batch)))
-    shapes = None
+    shapes, alone = None, np.ones(sets.stop - start, dtype=bool)
     if job.lanes is not None:
         shapes, left_lanes = _simulate_lanes(job, job.lanes, sets, workspace)
-        job.alone[sets] = left_lanes | ~job.valid[sets]
-    if shapes is None or job.alone[sets].all():  # the lanes may have been given up before their last stop
-        return NeedleShapes.from_shapes([_simulate_alone(job, i) for i in range(sets.start, sets.stop)])
-    for i in np.flatnonzero(job.alone[sets]):
-        alone = NeedleShapes.from_shapes([_simulate_alone(job, start + int(i))])
-        for part, value in zip(_list_fields(shapes), _list_fields(alone), strict=True):
+        alone = left_lanes | ~job.valid[sets]
+    if shapes is None or alone.all():  # the lanes may have been given up before their last stop
+        return NeedleShapes.from_shapes([_simulate_alone(job, start + i) for i in range(len(alone))]), alone
+    for i in np.flatnonzero(alone):
+        one = NeedleShapes.from_shapes([_simulate_alone(job, start + int(i))])
+        for part, value in zip(_list_fields(shapes), _list_fields(one), strict=True):
             part[i] = value[0]
-    return shapes
+    return shapes, alone
 
 
 def _simulate_alone(job: _BatchJob, i: int) -> NeedleShape:
@@ -273,19 +316,22 @@ def _simulate_lanes(
     """Return the shapes of up to LANES sets, and which of them left the lanes."""
     batch, last = job.batch, job.stops[-1]
     at, count = slice(sets.start, sets.start + LANES), sets.stop - sets.start
-    grids, tables = _copy_entry_tables(lanes)
-    lane_state = kernel.begin_lanes(len(grids.y), lanes.nodes, len(grids.rays))
+    grids, number = [_copy_entry_tables(*pair) for pair in lanes.grids], 0
+    first, _ = grids[0]
+    lane_state = kernel.begin_lanes(len(first.y), lanes.nodes, len(first.rays))
     newton = NewtonOptions(batch.rules.tolerance, batch.rules.max_iterations)
     tissue = _make_layers(lanes, batch.tissue.law, at)
     for group in lanes.groups:
+        if group.grids != number:  # the nodes of another main grid
+            number, lane_state.size[kernel.ON_MAIN_GRID] = group.grids, 0
         before = np.repeat(group.conditions.before[:, :, None], LANES, axis=2)  # (F, 3, W)
         if batch.guide_x is not None:
             before[0, 0] = batch.guide_x[lanes.lane[at]]
         turns = group.turns[:, at].take(group.of_stop, axis=0)  # (S, W)
         base = np.ascontiguousarray(group.base[:, at])
-        inputs = LaneInputs(lanes.rigidity[at], *tissue, base, before, turns)
+        inputs = LaneInputs(lanes.rigidity[at], *tissue, base, before, turns, lanes.has_friction)
         kernel.advance_lanes(
-            lane_state, grids, tables, group.conditions, inputs, group.stops, newton, workspace
+            lane_state, *grids[number], group.conditions, inputs, group.stops, newton, workspace
         )
     size, front = int(lane_state.size[kernel.NODES_NOW]), 1 + len(group.conditions.before)
     current = lane_state.states[lane_state.size[kernel.CURRENT_STATE], :size]
@@ -303,10 +349,11 @@ def _simulate_lanes(
     return shapes, lane_state.lane_status[:count] == LEFT_LANES
 
 
-def _join_blocks(job: _BatchJob, parts: Sequence[NeedleShapes]) -> NeedleShapes:
+def _join_blocks(job: _BatchJob, blocks: Sequence[_Block]) -> NeedleShapes:
     """Return the shapes of a batch, and fill in base and guides of the sets that the lanes have solved."""
+    parts, alone = zip(*blocks, strict=True)
     shapes = NeedleShapes(*(np.concatenate(some) for some in zip(*map(_list_fields, parts), strict=True)))
-    sets = np.flatnonzero(~job.alone)
+    sets = np.flatnonzero(~np.concatenate(alone))
     if len(sets):
         conditions = compile_controls(job.batch.steps[job.stops[-1].controls_id].controls)
         n = 1 + len(conditions.before)
@@ -326,13 +373,13 @@ def _make_scales(batch: Batch, valid: Bools, depth: float) -> Floats:
     return compute_batch_scales(mu, rigidity, batch.tissue, depth, batch.rules.spacing)
 
 
-def _copy_entry_tables(shared: _LaneJob) -> tuple[KernelInsertion, LaneTables]:
+def _copy_entry_tables(insertion: KernelInsertion, tables: LaneTables) -> _Grids:
     """Return grid and tables for one block: element 0 changes at every stop if the entry has no node."""
-    main, tables = shared.grids.main, shared.tables
+    main = insertion.main
     if main.first[1] == 0:
-        return shared.grids, tables
+        return insertion, tables
     own = main._replace(shapes=main.shapes.copy())
-    return shared.grids._replace(main=own), tables._replace(points=tables.points.copy())
+    return insertion._replace(main=own), tables._replace(points=tables.points.copy())
 
 
 def _solve_front(

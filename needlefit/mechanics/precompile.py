@@ -29,6 +29,7 @@ from needlefit.mechanics.kernel.insertion import (
     advance_needle,
     begin_insertion,
     begin_run,
+    build_stop_grid,
     get_insertion,
     make_run_type,
     return_needle,
@@ -149,10 +150,11 @@ def _compile_derivatives() -> None:
 def _compile_block() -> None:
     insertion, conditions, stops = _make_arguments()
     tables = LaneTables(_TABLE, _TABLE, _TABLE, *[np.zeros(1, np.int64)] * 2)
-    inputs = LaneInputs(_ROW, _ROW, _ROW, _TABLE, _CUBE, _TABLE)
+    inputs = LaneInputs(_ROW, _ROW, _ROW, _TABLE, _CUBE, _TABLE, False)
     lanes, workspace = begin_lanes(1, 1, 1), make_workspace(1, 1)
     compile_for(advance_lanes, lanes, insertion, tables, conditions, inputs, stops, _NEWTON, workspace)
     compile_for(tabulate, insertion.main)
+    compile_for(build_stop_grid, insertion, conditions, _DEPTH, 4)
     compile_for(beam.compute_batch_positions, *[_TABLE] * 3, _ROW)
 
 

@@ -29,6 +29,7 @@ from needlefit.mechanics.kernel.insertion import (
 from needlefit.mechanics.kernel.lanes.newton import (  # fmt: skip
     IN_LANE,
     LIVE_CELLS,
+    HeldNodes,
     LaneInputs,
     LaneWorkspace,
     equilibrate_lanes,
@@ -81,21 +82,32 @@ def advance_lanes(
 ) -> None:  # fmt: skip
     """Bring the needles of all lanes from stop to stop, as `kernel.insertion.advance_needle` does with one.
 
-    `insertion` provides the grids, `conditions` the positions of guides.
+    `insertion` provides the grids: its main one has a node at each guide in the tissue that the tip of these
+    stops has passed. `conditions` provides the guides and the tracked tip.
     """
+    room = len(conditions.within) + 1
+    nodes, values = np.empty(room, np.int64), np.empty((room, 2))
+    holds = room > 1 or not math.isnan(conditions.tip[0])
     for s in range(len(stops.tip)):
         tip, cell = stops.tip[s], stops.cell[s]
         _place_constraint(lanes, inputs, stops, s, insertion)
-        on_main = stops.permanent[s] and cell > 0
         grid, tables = insertion.main, main
+        # The main grid reaches to the deepest stop: the tip's node is not its last one. A guide in the tissue
+        # just before a constraint point has taken the place of its node.
+        last = count_below(grid.nodes, tip - SAME_DEPTH_MM)
+        on_main = stops.permanent[s] and cell > 0 and grid.nodes[last] <= tip + SAME_DEPTH_MM
         if not on_main:
             grid = build_stop_grid(insertion, conditions, tip, cell)
             tables = tabulate(grid)
-        # The main grid reaches to the deepest stop: the tip's node is not its last one.
-        last = count_below(grid.nodes, tip - SAME_DEPTH_MM)
+            last = len(grid.nodes) - 1
+        # Only where something holds: a call counts the references of all arrays.
+        number = _find_held_nodes(nodes, values, conditions, grid, last) if holds else 0
+        held = HeldNodes(number, nodes, values)
         begin = _guess_next_state(lanes, grid, last, on_main, s > 0)
         ends = _condense_front(lanes, inputs, grid, tables, tip, insertion.length)
         state = lanes.states[lanes.size[CURRENT_STATE]].reshape(-1)
+        if holds:
+            _impose_held_nodes(state, held)
         equilibrate_lanes(
             state,
             lanes.y.reshape(-1),
@@ -107,9 +119,12 @@ def advance_lanes(
             begin,
             last,
             ends,
+            held,
             workspace,
             newton,
         )
+        if holds:
+            _impose_held_nodes(state, held)  # they are met to rounding; now to the bit
         lanes.depth[0] = tip
         for l in range(2 * W):
             lanes.track[cell, l] = lanes.states[lanes.size[CURRENT_STATE], last, l]
@@ -121,6 +136,38 @@ def advance_lanes(
         # The caller solves every set with the scalar kernel then: further stops are of no use.
         if here == 0:
             return
+
+
+@njit(cache=True, nogil=True)
+def _find_held_nodes(
+    nodes: Ints, values: Floats, conditions: BoundaryConditions, grid: NodeGrid, last: int
+) -> int:
+    """Fill in the nodes that guides in the tissue and a tracked tip hold at a stop; return their number."""
+    within, count = conditions.within, 0
+    for i in range(len(within)):
+        node = count_below(grid.nodes, within[i, GUIDE_X])
+        if node < last and grid.nodes[node] == within[i, GUIDE_X]:  # none holds the tip itself
+            nodes[count], values[count, 0], values[count, 1] = (
+                node,
+                within[i, GUIDE_Y],
+                within[i, GUIDE_SLOPE],
+            )
+            count += 1
+    if not math.isnan(conditions.tip[0]):
+        nodes[count], values[count, 0], values[count, 1] = last, conditions.tip[0], conditions.tip[1]
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _impose_held_nodes(state: Floats, held: HeldNodes) -> None:
+    """Write what is prescribed into the `state` (N 2 W,) of all lanes."""
+    for h in range(held.number):
+        at = held.node[h] * 2 * W
+        for l in range(W):
+            state[at + l] = held.value[h, 0]
+            if not math.isnan(held.value[h, 1]):
+                state[at + W + l] = held.value[h, 1]
 
 
 @njit(cache=True, nogil=True)

@@ -11,6 +11,10 @@ that follows another one cell ahead costs
 
 The first stop on a grid begins with a full pass over the whole needle.
 
+Guides in the tissue and a tracked tip hold a node by a support so stiff that the rest is lost in rounding:
+elimination and chord passes are those of a free node. Friction is no part of the tangent: the load that it
+takes away is computed before each pass, and the increment alone shows convergence.
+
 The kept factor belongs to an older S of the needle before the tissue. What S has changed by goes to the
 right-hand side, times the first node's new state; the compliance of the first node predicts that state.
 """
@@ -28,6 +32,8 @@ from needlefit.mechanics.kernel.lanes.passes import (  # fmt: skip
     chord_interval,
     chord_regular,
     chord_sums,
+    clear_load,
+    friction_point,
     full_interval,
     full_regular,
     full_sums,
@@ -36,13 +42,18 @@ from needlefit.mechanics.kernel.lanes.passes import (  # fmt: skip
     solve_tip,
     start_front,
     substitute_back,
+    support_node,
     update_tip,
 )
 from needlefit.mechanics.kernel.lanes.tables import (  # fmt: skip
     AT_WORK,
     COMPLIANCE_ROWS,
     EXCESS,
+    F2,
+    F3,
     INCREMENT,
+    K22,
+    K33,
     LANES,
     LAYER_ROWS,
     NODE,
@@ -51,6 +62,7 @@ from needlefit.mechanics.kernel.lanes.tables import (  # fmt: skip
     PRODUCT,
     SUM_ROWS,
     W1,
+    W2,
     LaneTables,
     R,
 )
@@ -67,6 +79,9 @@ REFACTOR_NODES = 8
 # After a chord pass the tangent is wrong by at most `curvature` times itself times the distance from where it
 # was taken; four times that, since the errors of all stops add up.
 CHORD_ERROR = 4.0
+# N / mm and N mm: so large that an element's stiffness added to it is lost in rounding. What it holds is then
+# met as if prescribed, while elimination and chord passes remain those of a free node.
+SUPPORT_STIFFNESS = 2.0**100
 MAX_PASSES = 12  # at one stop; a lane that needs more goes to the scalar kernel
 IN_LANE, LEFT_LANES = 0, 1  # a lane: under way, gone to the scalar kernel
 
@@ -75,11 +90,20 @@ class LaneInputs(NamedTuple):
     """The inputs that differ between lanes: rigidity, layers, base, guides and bevel."""
 
     rigidity: Floats  # (W,) EI, N mm^2
-    layers: Floats  # (n LAYER_ROWS W,) series of k in |e|, and the |e| up to which it holds
+    layers: Floats  # (n LAYER_ROWS W,) series of k in |e|, the |e| up to which it holds, curvature, friction
     curvature: Floats  # (W,) a full pass leaves at most about this times its increment squared, 1 / mm
     base: Floats  # (3, W) y, slope, slope of the stage's axis
     before: Floats  # (F, 3, W) x, y, slope (NaN: free, then in all lanes) of the guides before the tissue
     turn: Floats  # (S, W) of each stop's bevel
+    has_friction: bool  # whether any layer has friction
+
+
+class HeldNodes(NamedTuple):
+    """The nodes in the tissue that guides and a tracked tip hold at one stop, alike in all lanes."""
+
+    number: int  # H
+    node: Ints  # (H or more,)
+    value: Floats  # (H or more, 2) deflection and slope; a slope that is left free is NaN
 
 
 class LaneWorkspace(NamedTuple):
@@ -92,9 +116,11 @@ class LaneWorkspace(NamedTuple):
     sums: Floats  # (SUM_ROWS W,) of one such element
     frozen: Floats  # (COMPLIANCE_ROWS W,) compliance of the first node, without the elements near the tip
     compliance: Floats  # (COMPLIANCE_ROWS W,) with them
-    rigid: Floats  # (COMPLIANCE_ROWS W,) that of a node which no load moves
+    rigid: Floats  # (COMPLIANCE_ROWS W,) that of a node which no load moves: zeros
     front: Floats  # (4 W,) the first node as predicted, and what a difference of it is worth
     load: Floats  # (2 W,) a further load, handed from node to node
+    friction: Floats  # ((N + 1) 2 W,) force and moment that friction takes from the load on each node; the
+    # first two rows are those of the last node before the tissue
     busy: Floats  # (3 W,) whether a lane iterates, its increment, and what a chord pass is wrong by
     counted: Ints  # (1,) elements that `frozen` holds
 
@@ -105,14 +131,16 @@ def make_workspace(nodes: int, points: int) -> LaneWorkspace:
     return LaneWorkspace(
         np.empty((nodes + 2) * NODE_ROWS * W), np.empty(points * W), np.empty(SUM_ROWS * W),
         np.empty(COMPLIANCE_ROWS * W), np.empty(COMPLIANCE_ROWS * W), np.zeros(COMPLIANCE_ROWS * W),
-        np.empty(4 * W), np.empty(2 * W), np.empty(3 * W), np.zeros(1, np.int64),
+        np.empty(4 * W), np.empty(2 * W), np.empty((nodes + 1) * 2 * W), np.empty(3 * W),
+        np.zeros(1, np.int64),
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def equilibrate_lanes(
     state: Floats, y: Floats, lane_status: Ints, passes: Ints, inputs: LaneInputs, grid: NodeGrid,
-    tables: LaneTables, begin: int, last: int, ends: Floats, workspace: LaneWorkspace, newton: NewtonOptions,
+    tables: LaneTables, begin: int, last: int, ends: Floats, held: HeldNodes, workspace: LaneWorkspace,
+    newton: NewtonOptions,
 ) -> None:  # fmt: skip
     """Iterate until every lane has converged or left for the scalar kernel; no lane depends on another.
 
@@ -145,10 +173,12 @@ def equilibrate_lanes(
             counted = 0 if full else _sum_compliance(workspace, counted, begin, last)
         for l in range(W1):
             load[l], load[W1 + l] = -work[R + l], -work[R + W1 + l]
-        _start_entry(grid, tables, inputs, y, state, ends, workspace, compliance, whole and full)
+        if inputs.has_friction:
+            _sum_friction(grid, inputs, y, state, ends, 0 if whole else begin, last, workspace)
+        _start_entry(grid, tables, inputs, y, state, ends, held, workspace, compliance, whole and full)
         if not whole:
             _shift_load(workspace, begin)
-        _eliminate(grid, tables, inputs, y, state, begin if n == 0 else 1, last, workspace, full)
+        _eliminate(grid, tables, inputs, y, state, begin if n == 0 else 1, last, held, workspace, full)
         layer = U(tables.layer[last]) * LAYER_OFFSET
         update_tip(work, tip, state, U(last) * NODE_STATE_OFFSET, inputs.layers, layer, busy)
         for e in range(last, 0, -1):
@@ -158,6 +188,7 @@ def equilibrate_lanes(
             continue
         at_work = 0
         excess = work[tip + EXCESS :]
+        blind = n < 2 and held.number > last  # all deflections are prescribed: only slopes change
         for l in range(W):
             if busy[AT_WORK + U(l)] == 0.0:
                 continue
@@ -171,11 +202,13 @@ def equilibrate_lanes(
                 ahead += abs(front[3 * W + l] * (state[W + l] - front[W + l]))
             # An increment this small after so many passes is rounding, as in the scalar kernel.
             stalled = n > 2 and change < ROUNDING_MM
+            if inputs.has_friction:
+                ahead, stalled = change, False
             if not math.isfinite(change):
                 # A lost solution must not keep the other lanes iterating; the scalar kernel solves this set
                 # again.
                 lane_status[l], busy[AT_WORK + U(l)] = LEFT_LANES, 0.0
-            elif min(change, ahead) < newton.tolerance or stalled:
+            elif not blind and (min(change, ahead) < newton.tolerance or stalled):
                 # a guess may have left the range of the series on the way; the solution must not
                 busy[AT_WORK + U(l)] = 0.0
                 lane_status[l] = IN_LANE if excess[l] <= 0.0 else LEFT_LANES
@@ -223,10 +256,43 @@ def _sum_compliance(workspace: LaneWorkspace, counted: int, begin: int, last: in
     return begin - 1
 
 
+@njit(cache=True, nogil=True, forceinline=True)
+def _find_support(held: HeldNodes, h: int, node: int) -> tuple[float, float, float, float]:
+    """Return stiffness against deflection and rotation, force and moment on a node; 0 if it is not node h."""
+    if h >= held.number or held.node[h] != node:
+        return 0.0, 0.0, 0.0, 0.0
+    y, slope = SUPPORT_STIFFNESS * held.value[h, 0], SUPPORT_STIFFNESS * held.value[h, 1]
+    if math.isnan(slope):
+        return SUPPORT_STIFFNESS, 0.0, y, 0.0
+    return SUPPORT_STIFFNESS, SUPPORT_STIFFNESS, y, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _sum_friction(
+    grid: NodeGrid, inputs: LaneInputs, y: Floats, state: Floats, ends: Floats, begin: int, last: int,
+    workspace: LaneWorkspace,
+) -> None:  # fmt: skip
+    """Sum what friction takes from the loads on the nodes of the elements from `begin` on."""
+    friction, busy, span = workspace.friction, workspace.busy, np.empty(4 * W)
+    for l in range(2 * W):
+        span[l], span[2 * W + l] = ends[5 * W + l], state[l]
+    for e in range(begin, last + 2):
+        clear_load(friction, U(e) * NODE_STATE_OFFSET, busy)
+    for e in range(begin, last + 1):
+        ends_of = span if e == 0 else state  # the first element begins at the prescribed end of the front
+        node = U(max(e - 1, 0)) * NODE_STATE_OFFSET
+        for q in range(grid.first[e], grid.first[e + 1]):
+            point, other = U(grid.constraint[q]) * W1, U(grid.other[q]) * W1
+            friction_point(
+                ends_of, node, y, point, other, grid.share[q], inputs.layers, U(grid.layer[q]) * LAYER_OFFSET,
+                grid.shapes, U(q), grid.weight[q], friction, U(e) * NODE_STATE_OFFSET, busy,
+            )  # fmt: skip
+
+
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _start_entry(
     grid: NodeGrid, tables: LaneTables, inputs: LaneInputs, y: Floats, state: Floats, ends: Floats,
-    workspace: LaneWorkspace, compliance: Floats, full: bool,
+    held: HeldNodes, workspace: LaneWorkspace, compliance: Floats, full: bool,
 ) -> None:  # fmt: skip
     """Hand on S and r from before the tissue, with what of element 0 lies in it."""
     sums, work, busy = workspace.sums, workspace.work, workspace.busy
@@ -241,6 +307,14 @@ def _start_entry(
     else:
         for l in range(W1):
             sums[OVER + l] = -np.inf
+    stiff, turned, force, moment = _find_support(held, 0, 0)
+    if stiff > 0.0 or inputs.has_friction:
+        extra, at = (workspace.friction, W2) if inputs.has_friction else (workspace.rigid, U(0))
+        for l in range(W1):
+            sums[K22 + l] += stiff
+            sums[K33 + l] += turned
+            sums[F2 + l] += force + extra[at + l]
+            sums[F3 + l] += moment + extra[at + W1 + l]
     # The first node of element 0 is the prescribed end of the front: its columns go to the right-hand side.
     start_front(sums, ends, state, work, compliance, workspace.front, full, busy)
 
@@ -248,7 +322,7 @@ def _start_entry(
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _eliminate(
     grid: NodeGrid, tables: LaneTables, inputs: LaneInputs, y: Floats, state: Floats, begin: int, last: int,
-    workspace: LaneWorkspace, full: bool,
+    held: HeldNodes, workspace: LaneWorkspace, full: bool,
 ) -> None:  # fmt: skip
     """Go from element `begin` to the tip, element by element."""
     layers, rigidity, sums, work, busy = (
@@ -257,6 +331,10 @@ def _eliminate(
     firsts, layer, constraint, regular_row, regular = (
         grid.first, grid.layer, grid.constraint, tables.regular_row, tables.regular,
     )  # fmt: skip
+    extra = workspace.friction if inputs.has_friction else workspace.rigid  # or zeros
+    h = 0
+    while h < held.number and held.node[h] < begin:
+        h += 1
     for e in range(begin, last + 1):
         node, own, q = U(e - 1) * NODE_STATE_OFFSET, U(e) * NODE, firsts[e]
         if regular_row[e] >= 0:
@@ -268,15 +346,20 @@ def _eliminate(
                 )
             else:
                 chord_regular(state, node, y, point, layers, first, second, regular, row, work, own, busy)
-            continue
-        for l in range(SUM_ROWS * W):
-            sums[l] = 0.0
-        for p in range(q, firsts[e + 1], 2):
-            _add_interval(grid, tables, inputs, y, state, node, p, workspace.tangents, sums, busy, full)
-        if full:
-            full_sums(sums, tables.bending, U(e), rigidity, work, own, busy)
         else:
-            chord_sums(sums, work, own, busy)
+            for l in range(SUM_ROWS * W):
+                sums[l] = 0.0
+            for p in range(q, firsts[e + 1], 2):
+                _add_interval(grid, tables, inputs, y, state, node, p, workspace.tangents, sums, busy, full)
+            if full:
+                full_sums(sums, tables.bending, U(e), rigidity, work, own, busy)
+            else:
+                chord_sums(sums, work, own, busy)
+        support = _find_support(held, h, e)
+        if support[0] > 0.0 or inputs.has_friction:
+            at = U(e + 1) * NODE_STATE_OFFSET if inputs.has_friction else U(0)
+            support_node(work, own, extra, at, support, full, busy)
+            h += int(support[0] > 0.0)
     if full:
         for e in range(begin, last + 2):
             keep_reference(work, U(e) * NODE, state, U(e - 1) * NODE_STATE_OFFSET, busy)

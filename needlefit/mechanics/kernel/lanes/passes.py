@@ -28,6 +28,7 @@ from needlefit.mechanics.kernel.lanes.tables import (
     F1,
     F2,
     F3,
+    FRICTION,
     INCREMENT,
     INVERSE,
     K01,
@@ -514,6 +515,66 @@ def keep_reference(work: Floats, own: Offset, state: Floats, node: Offset, busy:
     """Note the deflection of a node about which its element is linearised."""
     for l in range(W1):
         _keep(work, own + REFERENCE + l, state[node + l], busy[AT_WORK + l] > 0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def support_node(
+    work: Floats, own: Offset, load: Floats, at: Offset, support: tuple[float, float, float, float],
+    full: bool, busy: Floats,
+) -> None:  # fmt: skip
+    """Add a support (`newton.HeldNodes`) and a load to the node an element ends at, once that is eliminated.
+
+    A chord pass keeps the S of the last full one.
+    """
+    stiff, turned, force, moment = support
+    for l in range(W1):
+        chosen = busy[AT_WORK + l] > 0.0
+        change = chosen and full
+        _keep(work, own + S + l, work[own + S + l] + stiff, change)
+        _keep(work, own + S + W2 + l, work[own + S + W2 + l] + turned, change)
+        _keep(work, own + R + l, work[own + R + l] + force + load[at + l], chosen)
+        _keep(work, own + R + W1 + l, work[own + R + W1 + l] + moment + load[at + W1 + l], chosen)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def clear_load(load: Floats, at: Offset, busy: Floats) -> None:
+    """Set the load on a node to 0 where the lane iterates; the next stop reads those of the others."""
+    for l in range(W1):
+        chosen = busy[AT_WORK + l] > 0.0
+        _keep(load, at + l, 0.0, chosen)
+        _keep(load, at + W1 + l, 0.0, chosen)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def friction_point(
+    state: Floats, node: Offset, y: Floats, point: Offset, other: Offset, share: float, layers: Floats,
+    layer: Offset, shapes: Floats, row: Offset, weight: float, load: Floats, at: Offset, busy: Floats,
+) -> None:  # fmt: skip
+    """Add k e (1 - g) at a quadrature point, which friction takes from the tissue's load, to the `load` of an
+    element's two nodes.
+
+    Parameters
+    ----------
+    shapes : (Q, HERMITE_COLUMNS) array
+        Of the grid; `row` is the point's.
+    at
+        Where the rows of the element's first node begin in `load`.
+    """
+    n0, n1, n2, n3 = shapes[row, 0], shapes[row, 1], shapes[row, 2], shapes[row, 3]
+    m0, m1, m2, m3 = shapes[row, 4], shapes[row, 5], shapes[row, 6], shapes[row, 7]
+    for l in range(W1):
+        a0, a1, b0, b1 = _element_state(state, node + l)
+        c0, c1, c2, c3, c4, c5 = _series_of(layers, layer + l)
+        e = n0 * a0 + n1 * a1 + n2 * b0 + n3 * b1 - y[point + l] - share * (y[other + l] - y[point + l])
+        slope = m0 * a0 + m1 * a1 + m2 * b0 + m3 * b1
+        square = slope * slope
+        lost = weight * _series(abs(e), c0, c1, c2, c3, c4, c5) * e
+        lost *= layers[layer + FRICTION + l] * square / (1.0 + square)
+        lost = lost if busy[AT_WORK + l] > 0.0 else 0.0
+        load[at + l] += n0 * lost
+        load[at + W1 + l] += n1 * lost
+        load[at + W2 + l] += n2 * lost
+        load[at + W3 + l] += n3 * lost
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)

@@ -28,10 +28,10 @@ Q1, Q2, Q3 = 19, 38, 57
 B12, B6, B4, B2 = 76, 77, 78, 79
 REGULAR_COLUMNS = 80
 
-# Rows of LANES numbers. Of a layer: the series of k (6), and the |e| up to which it holds. Of a node:
-# G = S^-1 K_ab, S^-1, z = S^-1 r, tangents at its element's points, S, r, excess, and u where its factor
-# was made. Of an element's sums: K (10), f (4), excess.
-LAYER_ROWS, NODE_ROWS, SUM_ROWS = 8, 20, 15
+# Rows of LANES numbers. Of a layer: the series of k (6), the |e| up to which it holds, curvature, friction.
+# Of a node: G = S^-1 K_ab, S^-1, z = S^-1 r, tangents at its element's points, S, r, excess, and u where its
+# factor was made. Of an element's sums: K (10), f (4), excess.
+LAYER_ROWS, NODE_ROWS, SUM_ROWS = 9, 20, 15
 COMPLIANCE_ROWS = 7  # P (4) and the compliance (3): `passes.add_compliance`
 
 # Offsets of rows in flat arrays. All are unsigned: an unsigned number and a signed one would make a float.
@@ -39,7 +39,7 @@ ONE = np.uint64(1)
 W1, W2, W3, W4, W5, W6, W7, W8, W9, W10, W11, W12, W13, W14 = (
     np.uint64(i * LANES) for i in range(1, SUM_ROWS)
 )
-LIMIT, CURVATURE = W6, W7  # of a layer: the |e| up to which its series holds, and the law's curvature
+LIMIT, CURVATURE, FRICTION = W6, W7, W8  # of a layer
 INVERSE, Z, TANGENT, S, R, EXCESS, REFERENCE, NODE = (
     np.uint64(i * LANES) for i in (4, 7, 9, 13, 16, 18, 19, NODE_ROWS)
 )
