@@ -15,7 +15,7 @@ from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.studies.kinds.plan.goals import Ball, cut_plane, read_goal_points
+from needlefit.studies.kinds.plan.goals import Ball, cut_plane, name_obstacles, read_goal_points
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal, compute_clearances, find_hits
 from needlefit.studies.kinds.plan.steering import (
@@ -165,6 +165,15 @@ def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_
     twice = save(tmp_path / "c.mrk.json", markup(points=[listed[0], listed[0] | {"id": "9"}]))
     with pytest.raises(DataError):
         read_goal_points(twice, placement, 1.0)
+
+
+def test_an_obstacle_has_the_name_of_its_label_or_a_number_of_its_own() -> None:
+    labels = ["vessel", "", " bone\n1 ", "vessel", "obstacle 1", "=1+1", "x" * 300, "a\x00b"]
+    names = name_obstacles(labels)
+    assert names[:6] == ("vessel", "obstacle 2", "bone 1", "vessel 2", "obstacle 1", "obstacle 3")
+    assert names[6:] == ("x" * 40, "obstacle 4")
+    circles = cut_plane((40.0, 1.0, 0.0), 1.0, tuple(Ball(name, (20.0, 0.0, 0.0), 1.0) for name in names))
+    assert tuple(one.name for one in circles.goal.obstacles) == names
 
 
 def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:

@@ -448,6 +448,9 @@ async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
             {"target": [1, "2"]},
             {"target": [40, 1], "radius": 0},
             {"obstacles": [[1, 2, -1]]},
+            {"obstacles": [3]},
+            {"obstacles": [[1, 2, 3, "bone", 4]]},
+            {"obstacles": 17 * [[20, 4, 1]]},
         ):
             await page.say("aim", **bad)
             assert page.refused
@@ -457,11 +460,12 @@ async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
         assert page.refused  # nor a plan
         await page.say("aim", target=[35.0, 0.5], radius=0.5, obstacles=[[20, 4, 1]])
         aim = await page.hear("aim")
-        assert aim["target"] == [35.0, 0.5] and aim["obstacles"] == [[20.0, 4.0, 1.0]]
+        assert aim["target"] == [35.0, 0.5] and aim["obstacles"] == [[20.0, 4.0, 1.0, "obstacle 1"]]
         region = await page.hear("reach")
         assert region["x"][0] > 5 and len(region["low"]) == 3
         await page.say("plan")
         plan = await page.hear("plan")
+        assert plan["hits"] == plan["draws"] == 1 and plan["touched"] == {"obstacle 1": 0.0}
         assert plan["nominal_miss_mm"] < 0.5 and plan["steps"][-1][0] == pytest.approx(35, abs=1)
         assert len(plan["fan"][0][0]) == len(plan["fan"][0][1]) > 10
         state = await page.say("run", speed_mm_s=1000.0, one=True)

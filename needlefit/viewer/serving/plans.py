@@ -8,7 +8,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.studies.kinds.plan.goals import cut_plane, read_goal_points
+from needlefit.studies.kinds.plan.goals import cut_plane, name_obstacles, read_goal_points
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal
 from needlefit.studies.kinds.plan.steering import (
@@ -54,20 +54,28 @@ def read_goal(message: Message) -> GoalParts:
     if radius <= 0:
         raise ModelError(f"the radius of the target is {radius:g} mm", expected="above 0 mm")
     target = message.content.get("target")
-    rows = message.content.get("obstacles", [])
-    if not isinstance(rows, list) or len(rows) > MAX_OBSTACLES:
-        raise ModelError("these are no obstacles", expected=f"up to {MAX_OBSTACLES} of [x, y, radius]")
-    obstacles = [_read_numbers(row, 3) for row in rows]
-    if any(size <= 0 for _, _, size in obstacles):
-        raise ModelError("the radius of an obstacle is not above 0 mm", expected="above 0 mm")
-    circles = tuple(
-        ObstacleRecord(name=f"obstacle {n}", centre_mm=(x, y), radius_mm=size)
-        for n, (x, y, size) in enumerate(obstacles, start=1)
-    )
+    circles = _read_obstacles(message.content.get("obstacles", []))
     if target is None:
         return None, radius, circles
     x, y = _read_numbers(target, 2)
     return (x, y), radius, circles
+
+
+def _read_obstacles(rows: object) -> tuple[ObstacleRecord, ...]:
+    """Return obstacles from rows of x, y, radius and, where it has one, a name."""
+    if not isinstance(rows, list):
+        raise ModelError("these are no obstacles", expected="a list of [x, y, radius, name]")
+    if len(rows) > MAX_OBSTACLES:
+        raise ModelError(f"there are {len(rows)} obstacles", expected=f"up to {MAX_OBSTACLES}")
+    parts = [(row[:3], row[3]) if isinstance(row, list) and len(row) == 4 else (row, "") for row in rows]
+    names = name_obstacles(label if isinstance(label, str) else "" for _, label in parts)
+    found = []
+    for (numbers, _), name in zip(parts, names, strict=True):
+        x, y, size = _read_numbers(numbers, 3)
+        if size <= 0:
+            raise ModelError(f"the radius of {name} is {size:g} mm", expected="above 0 mm")
+        found.append(ObstacleRecord(name=name, centre_mm=(x, y), radius_mm=size))
+    return tuple(found)
 
 
 def _read_numbers(row: object, count: int) -> list[float]:
@@ -134,7 +142,7 @@ def aim_message(aim: TrialAim) -> dict[str, Any]:
         "target": None if aim.goal is None else list(aim.goal.target),
         "radius": aim.radius,
         "roll_deg": aim.roll_deg,
-        "obstacles": [[*one.centre_mm, one.radius_mm] for one in aim.obstacles],
+        "obstacles": [[*one.centre_mm, one.radius_mm, one.name] for one in aim.obstacles],
     }
 
 
@@ -165,6 +173,7 @@ def plan_message(found: SteeringPlan | NeedlefitError, step: int) -> dict[str, A
         ],
         "turns": len(found.turns),
         "draws": len(found.needles),
+        "hits": found.hits,
         "probability": found.probability,
         "low": found.low,
         "high": found.high,

@@ -46,6 +46,9 @@ BASE_STEP_MM = 5.0
 DEPTH_RANGE_MM = 5.0
 """A plan ends within so much of the target's own depth."""
 
+NEAREST_TARGET_MM = 0.5
+"""A target lies at least so much deeper than the tip."""
+
 TURN_PLACES = {0: 0, 1: 5, 2: 4}
 """On how many places along the way so many turns of the bevel are tried."""
 
@@ -291,10 +294,11 @@ class _Search:
     def check(self) -> None:
         """Raise ModelError unless the target lies ahead, within reach."""
         x, reach = self.goal.target[0], self.insertion.reach
-        if x <= self.insertion.now.depth + 0.5 or self.end > reach:
+        nearest = self.insertion.now.depth + NEAREST_TARGET_MM
+        if x <= nearest or self.end > reach:
             raise ModelError(
                 f"the target lies at a depth of {x:.1f} mm",
-                expected=f"deeper than the tip, {self.insertion.now.depth:.1f} mm, up to {reach:.1f} mm",
+                expected=f"deeper than {nearest:.1f} mm (tip + {NEAREST_TARGET_MM} mm), up to {reach:.1f} mm",
                 fix="retract the needle, or take another target",
             )
 

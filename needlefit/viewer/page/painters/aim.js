@@ -1,6 +1,6 @@
 /** The target with its radius, obstacles, the region that the tip can reach, and the needles of a plan. */
 
-import { aim } from "../aim.js";
+import { aim, nameOf } from "../aim.js";
 import { palette } from "../palette.js";
 import { toPx, toPy, view } from "../view.js";
 import { label, line } from "./strokes.js";
@@ -43,7 +43,7 @@ export function paintGoal(context) {
     context.fill();
     context.globalAlpha = 1;
     outline(context, palette.tip, 2);
-    text(context, x, y + radius, `obstacle ${i + 1}`, palette.tip, -9);
+    text(context, x, y + radius, nameOf(i), palette.tip, -9);
   });
   if (!aim.target) return;
   const [x, y] = aim.target;
