@@ -132,10 +132,24 @@ def test_tips_lie_in_the_reachable_region() -> None:
     assert region.x[-1] == pytest.approx(45.0, abs=1.0)
     assert np.all(region.low[0] <= region.low[2]) and np.all(region.high[0] >= region.high[2])
     assert np.all(region.low[2] < region.high[2])
-    within = tip_of(Step(45.0, insertion().now.bevel, replace(insertion().now.controls, base_y=1.5)))
-    assert region.low[2][-1] < within[1] < region.high[2][-1]
+    within = tip_of(Step(45.0, insertion().now.bevel, insertion().now.controls))
+    assert region.low[1][-1] < within[1] < region.high[1][-1]
     beyond = Goal((45.0, float(region.high[0][-1]) + 3.0), 0.5)
     assert plan_steering(uncertain(), beyond, limits, threads=1).probability < 0.05
+
+
+@pytest.mark.parametrize("depth", [0.0, 20.0])
+def test_the_reachable_region_ends_where_plans_end(depth) -> None:
+    there = replace(insertion(), path=(replace(insertion().now, depth=depth),))
+    region = find_reachable_region(there, 45.0, threads=1)
+    assert region.x[0] == depth + 0.5 and abs(region.high[1][0] - region.low[1][0]) < (2.0 if depth else 0.1)
+    for edge, sign in ((region.low[1][-1], -1), (region.high[1][-1], 1)):
+        inside, outside = (
+            plan_steering(there, Goal((45.0, float(edge) + sign * more), 0.3), threads=1)
+            for more in (-0.4, 1.0)
+        )
+        assert inside.hits == 1 and outside.hits == 0
+        assert outside.nominal_miss < 1.1  # the nearest that a plan gets
 
 
 def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
