@@ -476,6 +476,15 @@ def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromi
         assert page.evaluate(sees)[1] == 1
 
 
+def test_until_it_is_drawn_the_picture_is_not_black(server, chromium) -> None:
+    context = chromium.new_context()
+    page = context.new_page()
+    page.route("**/socket_worker.js", lambda route: route.abort())  # it never connects
+    page.goto(server.address)
+    assert page.locator("#waiting").is_visible() and not page.locator("#background").is_visible()
+    context.close()
+
+
 def test_a_readout_is_defined_on_hover_and_focus(page) -> None:
     until(page, "state => true")
     page.hover("#readouts .term >> nth=1")
@@ -508,8 +517,12 @@ def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
     miss = page.evaluate("import('/page/aim.js').then(({ tipError }) => tipError(window.needlefit.state))")
     planned = page.evaluate("window.needlefit.aim.plan.nominal_miss_mm")
     assert miss == pytest.approx(planned, abs=1e-3) and miss < 0.2
+    assert page.evaluate("window.needlefit.aim.plan.left") is False
+    page.keyboard.press("f")  # a hand leaves the plan
+    until(page, "() => window.needlefit.aim.plan.left")
     page.click("#make-plan")  # behind the tip: refused
     shown(page, "the target lies at a depth")
+    page.keyboard.press("Control+z")
     page.keyboard.press("Control+z")
     until(page, f"state => state.depth_mm < {end['depth_mm'] - 1}")
 

@@ -10,7 +10,6 @@ export const DEFINITIONS = {
   "base moment": "Moment that holds the base.",
   "steepest slope": "Largest slope dy/dx of the needle; the model takes it for small.",
   "bevel": "Side to which the bevel turns the cut.",
-  "strength": "How strongly the bevel turns the cut: b, the offset of the cut per constraint spacing, or the cut angle.",
   "base y": "Deflection of the base of the needle, as it is set.",
   "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
   "guides": "Guides that hold the needle.",
@@ -18,6 +17,9 @@ export const DEFINITIONS = {
   "θ": "Angle of the cut against the needle: how strongly the bevel steers it.",
   "μ": "Shear modulus of the Ogden law of the layer.",
   "α": "Exponent of the Ogden law: how the tissue stiffens with strain.",
+  "target": "Where the tip is to end; within the radius it counts as reached. x along the entry, y to its left.",
+  "obstacle": "What the needle must not touch: a circle in its plane. Distances are those of its axis.",
+  "guide": "Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angle.",
   "noise floor": "Mean error that the stated measurement noise alone would cause.",
 };
 

@@ -1,7 +1,7 @@
 /** The panel of target and plan: places, obstacles, the plan's probability, and a game against the planner. */
 
 import { ownDepth, speed } from "./actions.js";
-import { aim, moveTo, nameOf, place, put, sendAfterGoal, setAim, tipError, touches } from "./aim.js";
+import { aim, moveTo, nameOf, place, put, run, sendAfterGoal, setAim, tipError, touches } from "./aim.js";
 import { say } from "./announcements.js";
 import { makeField, show } from "./fields.js";
 import { command } from "./steering.js";
@@ -15,8 +15,8 @@ const percent = (share) => (100 * share).toFixed(0);
 let fields = []; // [field, () => value]
 let rows = null; // what has fields
 
-function field(into, of, name, current, ask) {
-  const made = makeField(into, { of, name, unit: "mm", step: 0.1, write: asMm, ask });
+function field(into, symbol, of, name, current, ask) {
+  const made = makeField(into, { of, name, symbol, unit: "mm", step: 0.1, write: asMm, ask });
   fields.push([made, current]);
 }
 
@@ -30,9 +30,10 @@ function build() {
   part("obstacles").replaceChildren(...aim.obstacles.map(obstacleRow));
   if (!aim.target) return;
   const into = part("target-fields");
-  field(into, "target", "x", () => aim.target[0], (x) => moveTo(null, x, aim.target[1]));
-  field(into, "target", "y", () => aim.target[1], (y) => moveTo(null, aim.target[0], y));
-  field(into, "target", "radius", () => aim.radius, (radius) => setAim({ radius: Math.max(radius, 0.05) }));
+  into.append(Object.assign(document.createElement("strong"), { textContent: "target" }));
+  field(into, "target", "target", "x", () => aim.target[0], (x) => moveTo(null, x, aim.target[1]));
+  field(into, "target", "target", "y", () => aim.target[1], (y) => moveTo(null, aim.target[0], y));
+  field(into, "target", "target", "radius", () => aim.radius, (radius) => setAim({ radius: Math.max(radius, 0.05) }));
 }
 
 function obstacleRow(_, number) {
@@ -51,7 +52,7 @@ function obstacleRow(_, number) {
     const set = (value) => setAim({
       obstacles: aim.obstacles.map((one, i) => (i === number ? one.with(at, at === 2 ? Math.max(value, 0.05) : value) : one)),
     });
-    field(row, nameOf(number), name, () => aim.obstacles[number][at], set);
+    field(row, "obstacle", nameOf(number), name, () => aim.obstacles[number][at], set);
   });
   return row;
 }
@@ -66,7 +67,7 @@ export function refresh() {
   }
   const ahead = aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) ?? false;
   part("make-plan").disabled = !aim.target || aim.planning;
-  part("run-plan").disabled = part("step-plan").disabled = !ahead;
+  part("run-plan").disabled = part("step-plan").disabled = !ahead || aim.plan.left;
   part("aim-clear").disabled = !aim.target && !aim.obstacles.length;
   write("aim-note", aim.placing ? `Click on the picture where the ${aim.placing} is.` : "");
   write("aim-error", aim.target ? `Tip to target: ${tipError(now.state).toFixed(2)} mm.` : "");
@@ -79,6 +80,7 @@ function describePlan() {
   const { plan } = aim;
   if (!plan || aim.challenge?.hidden) return "";
   const turns = `${plan.turns} turn${plan.turns === 1 ? "" : "s"} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
+  if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
   return `${describeOutcome(plan)} ${turns}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
 }
 
@@ -151,8 +153,8 @@ const PRESSED = {
   "put-obstacle": (event) => placeBy("obstacle", event),
   "aim-clear": () => setAim({ target: null, obstacles: [], reach: null }),
   "make-plan": ask,
-  "run-plan": () => command({ do: "run", speed_mm_s: speed() }),
-  "step-plan": () => command({ do: "run", speed_mm_s: speed(), one: true }),
+  "run-plan": () => run({ speed_mm_s: speed() }),
+  "step-plan": () => run({ speed_mm_s: speed(), one: true }),
   "open-markups": () => part("markups").click(),
   challenge,
 };

@@ -10,6 +10,7 @@ const LEAST_SPAN = 0.5; // mm; smaller deflections are not magnified further
 const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
 const TALL = 0.8; // part of the window's height that needles may take
+const SEEN = 0.42; // from the middle, part of the window's height: beyond it words cover the tip
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /** The window: its centre (mm), its scale (px per mm), its box on the canvas (px). */
@@ -92,7 +93,8 @@ function heights(which) {
   const { x, y } = now.state;
   const seen = which === "whole" ? y : y.filter((_, i) => x[i] >= 0);
   const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
-  const all = [...seen, ...(now.scene.measured?.y ?? []), ...goals, 0];
+  const band = [now.band?.low.at(-1), now.band?.high.at(-1)].filter(Number.isFinite);
+  const all = [...seen, ...(now.scene.measured?.y ?? []), ...goals, ...band, 0];
   return [Math.min(...all), Math.max(...all)];
 }
 
@@ -121,7 +123,8 @@ export function follow() {
   if (view.fit && view.fit !== "tip") {
     const [bottom, top] = heights(view.fit);
     const tall = (top - bottom) * view.scale * view.magnified > TALL * view.box.height;
-    if (tall || !seesTip()) fit(view.fit);
+    const far = Math.abs(now.state.tip.y - view.y) * view.scale * view.magnified > SEEN * view.box.height;
+    if (tall || far || !seesTip()) fit(view.fit);
     return;
   }
   if (view.fit !== "tip") return;
