@@ -561,6 +561,25 @@ def test_a_goal_that_changes_ends_the_search_for_a_plan(page) -> None:
     assert page.evaluate("[window.needlefit.aim.planning, window.needlefit.aim.plan]") == [False, None]
 
 
+def test_a_plan_that_shifts_the_entry_begins_there(page) -> None:
+    page.fill("#speed", "1000")
+    go_to(page, 20)
+    page.evaluate(GOAL, {"target": [35, 5], "radius": 1})
+    page.fill("#plan-entry", "6")
+    page.click("#make-plan")
+    plan = "window.needlefit.aim.plan"
+    until(page, f"() => {plan}?.anew", 60)
+    entry, miss = page.evaluate(f"[{plan}.entry_mm, {plan}.nominal_miss_mm]")
+    assert 1 < entry <= 6.001 and miss < 0.1
+    page.click("#run-plan")
+    until(page, "state => state.depth_mm > 30 && !state.playing && window.needlefit.aim.target", 30)
+    assert page.evaluate("window.needlefit.aim.target[1]") == pytest.approx(5 - entry)
+    error = page.evaluate("import('/page/aim.js').then(({ tipError }) => tipError(window.needlefit.state))")
+    assert error == pytest.approx(miss, abs=1e-3)
+    assert page.evaluate("window.needlefit.scene.measured") is None
+    assert page.input_value("#plan-entry") == "0"
+
+
 def test_a_plan_that_fails_names_what_it_touches(page) -> None:
     go_to(page, 20)
     page.evaluate(GOAL, {"target": [40, -1], "obstacles": [[30, -0.6, 3, "bone"]]})

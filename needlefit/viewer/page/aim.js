@@ -12,7 +12,7 @@ let timer = 0;
 let sent = null; // id of the goal that was sent last
 let known = EMPTY; // the goal that the server took last
 let changedAt = -Infinity; // ms
-let running = false; // whether the plan is carried out
+let running = null; // id of the message by which the plan is carried out
 let at = null; // step of the needle
 let [past, future] = [[], []]; // goals to go back to, and forth, each with the step of the needle at which it was left
 
@@ -142,20 +142,19 @@ listen("reach", (region) => {
 });
 /** Carry out the plan, or its next step alone. */
 export function run(message) {
-  running = true;
-  command({ do: "run", ...message });
+  running = command({ do: "run", ...message });
 }
 
 /** A needle that a hand moves leaves its plan: what the plan says of it holds no more. */
-listen("state", ({ step, playing }) => {
+listen("state", ({ step, playing, answers }) => {
   if (aim.plan && step !== at && !(running && playing) && !aim.challenge) aim.plan.left = true;
-  if (!playing) running = false;
+  if (!playing && answers >= running) running = null;
   at = step;
 });
 listen("plan", (plan) => {
   if (plan.fault) publish("notice", plan.fault);
   aim.planning = false;
-  aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !aim.challenge };
+  aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !aim.challenge && !(running && now.state.playing) };
   if (aim.challenge) {
     const touched = Object.values(aim.plan?.touched ?? {}).some((share) => share >= 0.5);
     aim.challenge.planner = touched ? null : (aim.plan?.nominal_miss_mm ?? null);

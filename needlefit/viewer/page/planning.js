@@ -2,11 +2,14 @@
 
 import { ownDepth, speed } from "./actions.js";
 import { aim, moveTo, nameOf, place, put, run, sendAfterGoal, setAim, tipError, touches } from "./aim.js";
+import { amount } from "./amounts.js";
 import { say } from "./announcements.js";
 import { makeField, show } from "./fields.js";
+import { signed } from "./numbers.js";
 import { command } from "./steering.js";
 import { listen, now } from "./store.js";
 
+const entry = amount(document.getElementById("plan-entry"));
 const AHEAD = 10; // mm before the tip
 const part = (id) => document.getElementById(id);
 const write = (id, text) => part(id).textContent === text || (part(id).textContent = text);
@@ -65,9 +68,9 @@ export function refresh() {
   for (const [id, what] of [["put-target", "target"], ["put-obstacle", "obstacle"]]) {
     part(id).setAttribute("aria-pressed", String(aim.placing === what));
   }
-  const ahead = aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) ?? false;
+  const ahead = aim.plan?.anew || aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) || false;
   part("make-plan").disabled = !aim.target || aim.planning;
-  part("run-plan").disabled = part("step-plan").disabled = !ahead || aim.plan.left;
+  part("run-plan").disabled = part("step-plan").disabled = !ahead || aim.planning || aim.plan.left;
   part("aim-clear").disabled = !aim.target && !aim.obstacles.length;
   write("aim-note", aim.placing ? `Click on the picture where the ${aim.placing} is.` : "");
   write("aim-error", aim.target ? `Tip to target: ${tipError(now.state).toFixed(2)} mm.` : "");
@@ -81,7 +84,8 @@ function describePlan() {
   if (!plan || aim.challenge?.hidden) return "";
   const turns = `${plan.turns} turn${plan.turns === 1 ? "" : "s"} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
   if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
-  return `${describeOutcome(plan)} ${turns}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
+  const begins = plan.anew ? ` Entry shifted by ${signed(plan.entry_mm, 2)} mm along y: Run plan begins there, at first contact.` : "";
+  return `${describeOutcome(plan)} ${turns}${begins}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
 }
 
 /** Whether the plan reaches the target past the obstacles, or how the best one fails. */
@@ -113,9 +117,15 @@ function describeGame() {
 }
 
 function ask() {
-  sendAfterGoal({ do: "plan" });
+  sendAfterGoal({ do: "plan", entry_mm: entry() });
   aim.planning = true;
   refresh();
+}
+
+/** Run the plan; at its entry the next one goes on from where the needle stands. */
+function begin(how) {
+  if (aim.plan.anew) part("plan-entry").value = "0";
+  run({ speed_mm_s: speed(), ...how });
 }
 
 function challenge() {
@@ -153,8 +163,8 @@ const PRESSED = {
   "put-obstacle": (event) => placeBy("obstacle", event),
   "aim-clear": () => setAim({ target: null, obstacles: [], reach: null }),
   "make-plan": ask,
-  "run-plan": () => run({ speed_mm_s: speed() }),
-  "step-plan": () => run({ speed_mm_s: speed(), one: true }),
+  "run-plan": () => begin({}),
+  "step-plan": () => begin({ one: true }),
   "open-markups": () => part("markups").click(),
   challenge,
 };

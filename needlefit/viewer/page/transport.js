@@ -80,7 +80,8 @@ listen("scene", (scene) => {
   part("synthetic").hidden = !scene.synthetic;
   part("choice").hidden = scene.choices.length < 2;
   part("choices").replaceChildren(...scene.choices.map((one) => new Option(one, one)));
-  part("choices").value = scene.measured?.id ?? scene.choices[0] ?? "";
+  if (!scene.measured) part("choices").prepend(new Option("none", ""));
+  part("choices").value = scene.measured?.id ?? "";
   const { first_cell_mm: first, spacing_mm: spacing } = scene;
   part("cell-note").textContent = `Constraint points at ${brief(first)} mm, then every ${brief(spacing)} mm.`;
   const to = act.ownDepth();

@@ -12,6 +12,7 @@ from needlefit.studies.kinds.plan.goals import cut_plane, name_obstacles, read_g
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal
 from needlefit.studies.kinds.plan.steering import (
+    PlanLimits,
     ReachableRegion,
     StartedInsertion,
     SteeringPlan,
@@ -19,13 +20,16 @@ from needlefit.studies.kinds.plan.steering import (
     find_reachable_region,
     plan_steering,
 )
-from needlefit.viewer.opening.plan import find_placement
+from needlefit.viewer.opening.plan import continue_insertion, find_placement, restart_insertion
 from needlefit.viewer.serving.messages import Message
 from needlefit.viewer.serving.trials import DEFAULT_RADIUS_MM, InteractiveTrial, TrialAim
 
 MAX_OBSTACLES = 16
 MAX_PLACE_MM = 1000.0
 """Greatest coordinate and radius of a target or an obstacle, mm."""
+
+MAX_ENTRY_MM = 100.0
+"""By how much a plan may shift the entry to either side at most, mm."""
 
 FAN_NEEDLES = 40
 """Needles of a plan that are drawn."""
@@ -127,10 +131,16 @@ def find_region(insertion: StartedInsertion, goal: Goal, depth: float) -> Reacha
     return find_reachable_region(insertion, max(goal.target[0] + BEYOND_TARGET_MM, depth), threads=1)
 
 
-def make_plan(insertion: StartedInsertion, goal: Goal) -> SteeringPlan | NeedlefitError:
+def begin_plan(trial: InteractiveTrial) -> StartedInsertion:
+    """Return the insertion that a trial's plan continues: from first contact where it may shift the entry."""
+    begin = restart_insertion if trial.aim.entry_mm else continue_insertion
+    return begin(trial.steering, trial.viewed_scene)
+
+
+def make_plan(insertion: StartedInsertion, goal: Goal, entry_mm: float) -> SteeringPlan | NeedlefitError:
     """Return a plan, or why there is none; on one core."""
     try:
-        return plan_steering(insertion, goal, threads=1)
+        return plan_steering(insertion, goal, PlanLimits(entry_mm), threads=1)
     except NeedlefitError as error:
         return error
 
@@ -154,7 +164,7 @@ def region_message(region: ReachableRegion, step: int) -> dict[str, Any]:
     }
 
 
-def plan_message(found: SteeringPlan | NeedlefitError, step: int) -> dict[str, Any]:
+def plan_message(found: SteeringPlan | NeedlefitError, aim: TrialAim) -> dict[str, Any]:
     """Return the message of a plan, or of why there is none."""
     if isinstance(found, NeedlefitError):
         return {"kind": "plan", "fault": {"what": found.what, "expected": found.expected, "fix": found.fix}}
@@ -164,7 +174,9 @@ def plan_message(found: SteeringPlan | NeedlefitError, step: int) -> dict[str, A
     nominal = found.nominal if np.isfinite(found.nominal[-1, 0]) else found.nominal[:0]
     return {
         "kind": "plan",
-        "step": step,
+        "step": aim.plan_step,
+        "anew": aim.entry_mm > 0,  # it begins at first contact
+        "entry_mm": found.entry_mm,
         "fan": [[_round(column) for column in needle.T] for needle in drawn],
         "x": _round(nominal[:, 0]),
         "y": _round(nominal[:, 1]),

@@ -201,6 +201,17 @@ class SteeringPlan:
         """Distance of the tips from the target, mm, of the draws that have a needle."""
         return compute_misses(self.needles[self.solved], self.goal)
 
+    def move_to_entry(self) -> "SteeringPlan":
+        """Return the same plan in the frame of its own entry."""
+        shift = np.array([0.0, self.entry_mm])
+        return replace(
+            self,
+            entry_mm=0.0,
+            goal=self.goal.move(-self.entry_mm),
+            needles=self.needles - shift,
+            nominal=self.nominal - shift,
+        )
+
     @property
     def nominal_miss(self) -> float:
         """Distance from the target of the tip with the exact parameters, mm."""
