@@ -19,6 +19,7 @@ export const view = {
 };
 
 let changed = true;
+let left = "tissue"; // what was shown before the picture was shifted or zoomed
 
 /** Whether the window has changed since this was last asked. */
 export function takeChange() {
@@ -137,13 +138,21 @@ export function follow() {
   touch();
 }
 
+/** Show again what was shown before the picture was shifted or zoomed. */
+export const refit = () => fit(left);
+
+function leave() {
+  left = view.fit ?? left;
+  view.fit = null;
+}
+
 /** Zoom by a factor about a point on the canvas (px), by default the middle. */
 export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
   const [x, y] = [fromPx(px), fromPy(py)];
   view.scale = limited(view.scale * factor);
   view.x += x - fromPx(px);
   view.y += y - fromPy(py);
-  if (view.fit !== "tip") view.fit = null;
+  if (view.fit !== "tip") leave();
   touch();
 }
 
@@ -151,7 +160,7 @@ export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
 export function pan(px, py) {
   view.x -= px / view.scale;
   view.y += py / (view.scale * view.magnified);
-  view.fit = null;
+  leave();
   touch();
 }
 
