@@ -476,6 +476,20 @@ def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromi
         assert page.evaluate(sees)[1] == 1
 
 
+def test_after_a_shift_one_button_on_the_picture_comes_back(page) -> None:
+    page.click("[data-fit=tissue]")
+    assert not page.is_visible("#refit")
+    box = page.locator("#canvas").bounding_box()
+    at = (box["x"] + 0.3 * box["width"], box["y"] + 0.2 * box["height"])
+    page.mouse.move(*at)
+    page.mouse.down()
+    page.mouse.move(at[0] + 80, at[1] + 40, steps=4)
+    page.mouse.up()
+    page.click("#refit")
+    assert page.evaluate("import('/page/view.js').then(({ view }) => view.fit)") == "tissue"
+    assert not page.is_visible("#refit")
+
+
 def test_until_it_is_drawn_the_picture_is_not_black(server, chromium) -> None:
     context = chromium.new_context()
     page = context.new_page()

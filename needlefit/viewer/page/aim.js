@@ -145,7 +145,7 @@ export function run(message) {
   running = command({ do: "run", ...message });
 }
 
-/** A needle that a hand moves leaves its plan: what the plan says of it holds no more. */
+/** A needle that is moved by hand leaves its plan, whose outcome is then no longer its own. */
 listen("state", ({ step, playing, answers }) => {
   if (aim.plan && step !== at && !(running && playing) && !aim.challenge) aim.plan.left = true;
   if (!playing && answers >= running) running = null;
