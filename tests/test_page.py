@@ -493,7 +493,7 @@ def test_after_a_shift_one_button_on_the_picture_comes_back(page) -> None:
 def test_until_it_is_drawn_the_picture_is_not_black(server, chromium) -> None:
     context = chromium.new_context()
     page = context.new_page()
-    page.route("**/socket_worker.js", lambda route: route.abort())  # it never connects
+    page.route("**/page/main.js", lambda route: route.abort())  # nothing is ever drawn
     page.goto(server.address)
     assert page.locator("#waiting").is_visible() and not page.locator("#background").is_visible()
     context.close()
