@@ -3,12 +3,15 @@
 python docs/glossary.py      writes docs/glossary.md
 """
 
+import re
 from pathlib import Path
 
 from needlefit.metrics import Metric, list_metrics
 from needlefit.reporting.columns import METRIC_UNIT, Column, list_columns
 
 PAGE = Path(__file__).resolve().parent / "glossary.md"
+DEFINITIONS = PAGE.parent.parent / "needlefit/viewer/page/definitions.js"
+"""What the page of the interactive simulation shows on hover, focus and tap."""
 
 TERMS = (
     (
@@ -182,6 +185,8 @@ def write_page() -> str:
         f"```{{index}} {', '.join(f'! {term[0]}' for term in TERMS)}\n```\n",
         "## Terms\n\n| term | symbol | unit | meaning | page | computed in |\n|---|---|---|---|---|---|\n"
         + "\n".join(terms),
+        "\n## On the page of the interactive simulation\n\n| word | meaning |\n|---|---|\n"
+        + "\n".join(f"| {word} | {words} |" for word, words in _list_definitions()),
         "\n## Error metrics\n\nValues of the column `metric`, and columns of tables of single insertions.\n\n"
         "| name | symbol | unit | meaning | computed in |\n|---|---|---|---|---|\n"
         + "\n".join(_metric_row(one) for one in list_metrics()),
@@ -192,6 +197,10 @@ def write_page() -> str:
         + "\n".join(_row(one) for one in columns if one.where),
     ]
     return "\n".join(parts) + "\n"
+
+
+def _list_definitions() -> list[tuple[str, str]]:
+    return re.findall(r'^  "([^"]+)": "([^"]+)",$', DEFINITIONS.read_text("utf-8"), re.MULTILINE)
 
 
 def _define(metric: Metric) -> str:

@@ -5,9 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from needlefit.inference.importance.fit_posterior import sample_about_minimum, sample_about_modes
 from needlefit.schemas.medium import ParameterRecord
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.opening.live_fit import (
+    EFFORT,
     KNOTS,
     SHOWN_DRAWS,
     LiveMode,
@@ -31,7 +33,7 @@ def mode() -> LiveMode:
 
 
 def test_the_mode_is_a_maximum_of_the_posterior() -> None:
-    problem, theta = mode().problem, mode().theta
+    problem, theta = mode().problem, mode().minimum.theta
     top, slope = problem.gradient(theta)
     assert np.max(np.abs(slope)) < 0.1
     rng = np.random.default_rng(2)
@@ -50,6 +52,18 @@ def test_draws_lie_about_the_mode() -> None:
     assert np.quantile(found.bevel, 0.05) < mode().values["bevel_mm"] < np.quantile(found.bevel, 0.95)
     again = draw_about(mode(), shown().insertion, 1)
     assert np.array_equal(again.mu, found.mu)
+
+
+@pytest.mark.slow
+def test_draws_about_the_information_of_the_search_have_the_evidence_of_others() -> None:
+    found = find_mode(shown(), select_insertions(shown(), "specimen")[:4])
+    problem, minimum, rng = found.problem, found.minimum, np.random.default_rng
+    fast = sample_about_minimum(problem, minimum, rng(1), EFFORT)
+    slow = sample_about_modes(problem, minimum.theta[None], rng(1), effort=EFFORT)
+    assert fast.certified and slow.certified
+    assert fast.log_evidence == pytest.approx(slow.log_evidence, abs=0.1)
+    means = [np.exp(one.log_weights) @ one.thetas for one in (fast, slow)]
+    assert means[0] == pytest.approx(means[1], abs=0.03)
 
 
 @pytest.mark.slow

@@ -476,6 +476,29 @@ def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromi
         assert page.evaluate(sees)[1] == 1
 
 
+def test_after_a_shift_one_button_on_the_picture_comes_back(page) -> None:
+    page.click("[data-fit=tissue]")
+    assert not page.is_visible("#refit")
+    box = page.locator("#canvas").bounding_box()
+    at = (box["x"] + 0.3 * box["width"], box["y"] + 0.2 * box["height"])
+    page.mouse.move(*at)
+    page.mouse.down()
+    page.mouse.move(at[0] + 80, at[1] + 40, steps=4)
+    page.mouse.up()
+    page.click("#refit")
+    assert page.evaluate("import('/page/view.js').then(({ view }) => view.fit)") == "tissue"
+    assert not page.is_visible("#refit")
+
+
+def test_until_it_is_drawn_the_picture_is_not_black(server, chromium) -> None:
+    context = chromium.new_context()
+    page = context.new_page()
+    page.route("**/page/main.js", lambda route: route.abort())  # nothing is ever drawn
+    page.goto(server.address)
+    assert page.locator("#waiting").is_visible() and not page.locator("#background").is_visible()
+    context.close()
+
+
 def test_a_readout_is_defined_on_hover_and_focus(page) -> None:
     until(page, "state => true")
     page.hover("#readouts .term >> nth=1")
@@ -508,10 +531,88 @@ def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
     miss = page.evaluate("import('/page/aim.js').then(({ tipError }) => tipError(window.needlefit.state))")
     planned = page.evaluate("window.needlefit.aim.plan.nominal_miss_mm")
     assert miss == pytest.approx(planned, abs=1e-3) and miss < 0.2
+    assert page.evaluate("window.needlefit.aim.plan.left") is False
+    page.keyboard.press("f")  # a hand leaves the plan
+    until(page, "() => window.needlefit.aim.plan.left")
     page.click("#make-plan")  # behind the tip: refused
     shown(page, "the target lies at a depth")
     page.keyboard.press("Control+z")
+    page.keyboard.press("Control+z")
     until(page, f"state => state.depth_mm < {end['depth_mm'] - 1}")
+
+
+GOAL = "goal => import('/page/aim.js').then(({ setAim }) => setAim(goal))"
+
+
+def test_a_goal_can_be_undone_and_one_that_is_refused_is_taken_back(page) -> None:
+    go_to(page, 5)
+    page.evaluate(GOAL, {"target": [35, 0.5]})
+    until(page, "() => window.needlefit.aim.reach")
+    page.wait_for_timeout(1100)  # changes that follow sooner are undone together
+    radius = page.locator("#target-fields .number").nth(2)
+    radius.fill("1.5")
+    radius.press("Enter")
+    until(page, "() => window.needlefit.aim.radius === 1.5")
+    radius.press("Control+z")
+    until(page, "() => window.needlefit.aim.radius === 2")
+    assert page.evaluate("window.needlefit.state.depth_mm") == 5
+    page.keyboard.press("Control+y")
+    until(page, "() => window.needlefit.aim.radius === 1.5")
+    x = page.locator("#target-fields .number").first
+    x.fill("1e300")
+    x.press("Enter")
+    page.locator("#refusal strong").wait_for()
+    until(page, "() => window.needlefit.aim.target[0] === 35")
+    assert float(x.input_value()) == 35
+
+
+def test_a_goal_that_changes_ends_the_search_for_a_plan(page) -> None:
+    go_to(page, 5)
+    page.evaluate(GOAL, {"target": [40, 0.5]})
+    page.click("#make-plan")
+    page.evaluate(GOAL, {"target": [41, 0.5]})
+    until(page, "() => !document.getElementById('make-plan').disabled")
+    assert page.evaluate("[window.needlefit.aim.planning, window.needlefit.aim.plan]") == [False, None]
+
+
+def test_a_plan_that_shifts_the_entry_begins_there(page) -> None:
+    page.fill("#speed", "1000")
+    go_to(page, 20)
+    page.evaluate(GOAL, {"target": [35, 5], "radius": 1})
+    page.fill("#plan-entry", "6")
+    page.click("#make-plan")
+    plan = "window.needlefit.aim.plan"
+    until(page, f"() => {plan}?.anew", 60)
+    entry, miss = page.evaluate(f"[{plan}.entry_mm, {plan}.nominal_miss_mm]")
+    assert 1 < entry <= 6.001 and miss < 0.1
+    page.click("#run-plan")
+    until(page, "state => state.depth_mm > 30 && !state.playing && window.needlefit.aim.target", 30)
+    assert page.evaluate("window.needlefit.aim.target[1]") == pytest.approx(5 - entry)
+    error = page.evaluate("import('/page/aim.js').then(({ tipError }) => tipError(window.needlefit.state))")
+    assert error == pytest.approx(miss, abs=1e-3)
+    assert page.evaluate("window.needlefit.scene.measured") is None
+    assert page.input_value("#plan-entry") == "0"
+
+
+def test_a_plan_that_fails_names_what_it_touches(page) -> None:
+    go_to(page, 20)
+    page.evaluate(GOAL, {"target": [40, -1], "obstacles": [[30, -0.6, 3, "bone"]]})
+    page.click("#make-plan")
+    plan = "window.needlefit.aim.plan"
+    until(page, f"() => {plan}", 60)
+    assert page.evaluate(f"[{plan}.hits, {plan}.touched.bone]") == [0, 1]
+    assert "bone" in page.inner_text("#plan-note")
+
+
+def test_by_keyboard_a_target_is_put_ahead_of_the_tip(page) -> None:
+    go_to(page, 5)
+    page.focus("#put-target")
+    page.keyboard.press("Enter")
+    until(page, "state => window.needlefit.aim.target?.[0] > state.depth_mm + 5")
+    assert page.evaluate("document.activeElement.closest('#target-fields') !== null")
+    page.click("#put-obstacle")
+    page.keyboard.press("Escape")
+    assert page.evaluate("[window.needlefit.aim.placing, window.needlefit.aim.obstacles.length]") == [None, 0]
 
 
 def test_a_hand_is_compared_with_the_planner(page) -> None:
@@ -524,7 +625,7 @@ def test_a_hand_is_compared_with_the_planner(page) -> None:
     found = page.evaluate("window.needlefit.aim.challenge")
     assert found["hand"] >= 0 and (found["planner"] is None or found["planner"] < 3.0)
     shown(page, "You touch" if found["touched"] else f"You {found['hand']:.2f} mm")
-    ((x, y, radius),) = page.evaluate("window.needlefit.aim.obstacles")
+    ((x, y, radius, _),) = page.evaluate("window.needlefit.aim.obstacles")
     assert 0.4 * depth - 1e-6 <= x <= 0.6 * depth + 1e-6
     state = page.evaluate("window.needlefit.state")
     along = np.linspace(-5, depth, 20_000)
@@ -550,7 +651,8 @@ def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
     until(page, "() => window.needlefit.aim.target && window.needlefit.aim.obstacles.length === 1")
     aim = page.evaluate("[window.needlefit.aim.target, window.needlefit.aim.obstacles[0].slice(0, 2)]")
     assert np.array(aim) == pytest.approx(np.array([[35.0, 1.0], [20.0, -2.0]]), abs=1e-6)
-    page.get_by_role("button", name="Remove obstacle 1").click()
+    assert page.evaluate("window.needlefit.aim.obstacles[0][3]") == "vessel"
+    page.get_by_role("button", name="Remove vessel").click()
     until(page, "() => window.needlefit.aim.obstacles.length === 0")
 
 

@@ -15,7 +15,7 @@ from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.studies.kinds.plan.goals import Ball, cut_plane, read_goal_points
+from needlefit.studies.kinds.plan.goals import Ball, cut_plane, name_obstacles, read_goal_points
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal, compute_clearances, find_hits
 from needlefit.studies.kinds.plan.steering import (
@@ -132,10 +132,24 @@ def test_tips_lie_in_the_reachable_region() -> None:
     assert region.x[-1] == pytest.approx(45.0, abs=1.0)
     assert np.all(region.low[0] <= region.low[2]) and np.all(region.high[0] >= region.high[2])
     assert np.all(region.low[2] < region.high[2])
-    within = tip_of(Step(45.0, insertion().now.bevel, replace(insertion().now.controls, base_y=1.5)))
-    assert region.low[2][-1] < within[1] < region.high[2][-1]
+    within = tip_of(Step(45.0, insertion().now.bevel, insertion().now.controls))
+    assert region.low[1][-1] < within[1] < region.high[1][-1]
     beyond = Goal((45.0, float(region.high[0][-1]) + 3.0), 0.5)
     assert plan_steering(uncertain(), beyond, limits, threads=1).probability < 0.05
+
+
+@pytest.mark.parametrize("depth", [0.0, 20.0])
+def test_the_reachable_region_ends_where_plans_end(depth) -> None:
+    there = replace(insertion(), path=(replace(insertion().now, depth=depth),))
+    region = find_reachable_region(there, 45.0, threads=1)
+    assert region.x[0] == depth + 0.5 and abs(region.high[1][0] - region.low[1][0]) < (2.0 if depth else 0.1)
+    for edge, sign in ((region.low[1][-1], -1), (region.high[1][-1], 1)):
+        inside, outside = (
+            plan_steering(there, Goal((45.0, float(edge) + sign * more), 0.3), threads=1)
+            for more in (-0.4, 1.0)
+        )
+        assert inside.hits == 1 and outside.hits == 0
+        assert outside.nominal_miss < 1.1  # the nearest that a plan gets
 
 
 def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
@@ -165,6 +179,15 @@ def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_
     twice = save(tmp_path / "c.mrk.json", markup(points=[listed[0], listed[0] | {"id": "9"}]))
     with pytest.raises(DataError):
         read_goal_points(twice, placement, 1.0)
+
+
+def test_an_obstacle_has_the_name_of_its_label_or_a_number_of_its_own() -> None:
+    labels = ["vessel", "", " bone\n1 ", "vessel", "obstacle 1", "=1+1", "x" * 300, "a\x00b"]
+    names = name_obstacles(labels)
+    assert names[:6] == ("vessel", "obstacle 2", "bone 1", "vessel 2", "obstacle 1", "obstacle 3")
+    assert names[6:] == ("x" * 40, "obstacle 4")
+    circles = cut_plane((40.0, 1.0, 0.0), 1.0, tuple(Ball(name, (20.0, 0.0, 0.0), 1.0) for name in names))
+    assert tuple(one.name for one in circles.goal.obstacles) == names
 
 
 def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:

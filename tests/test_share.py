@@ -57,6 +57,9 @@ def test_it_plays_from_a_file_without_requests(shared) -> None:
         slider.fill(str(last))
         depth = page.evaluate("window.needlefit.state.depth_mm")
         assert f"{depth:.2f}" in page.inner_text("#readouts")
+        synthetic = page.evaluate("window.needlefit.scene.synthetic")
+        assert page.locator("#synthetic").is_visible() is synthetic
+        assert page.locator("#inputs .term", has_text=re.compile("^b$")).count() == 1
         slider.fill("10")
         assert page.evaluate("window.needlefit.state.depth_mm") < depth
         page.hover("#readouts .term >> nth=0")

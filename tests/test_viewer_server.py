@@ -3,6 +3,7 @@
 import asyncio
 import functools
 import json
+import math
 import threading
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -10,9 +11,15 @@ from dataclasses import replace
 import aiohttp
 import pytest
 
+from needlefit.errors import ModelError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
+from needlefit.studies.kinds.plan.schema import ObstacleRecord
+from needlefit.studies.kinds.plan.search import Goal
+from needlefit.studies.kinds.plan.steering import PlanLimits, plan_steering
+from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.opening import open_target
+from needlefit.viewer.opening.plan import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
 from needlefit.viewer.serving.connections import (
     MAX_BURST_MESSAGES,
@@ -22,6 +29,7 @@ from needlefit.viewer.serving.connections import (
     RateLimit,
 )
 from needlefit.viewer.serving.messages import read_message as read_message
+from needlefit.viewer.serving.plans import begin_plan
 from needlefit.viewer.serving.server import serve
 from needlefit.viewer.serving.steering_page import SteeringPage
 from needlefit.viewer.serving.trials import MAX_TRIALS, TrialRegistry
@@ -448,6 +456,9 @@ async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
             {"target": [1, "2"]},
             {"target": [40, 1], "radius": 0},
             {"obstacles": [[1, 2, -1]]},
+            {"obstacles": [3]},
+            {"obstacles": [[1, 2, 3, "bone", 4]]},
+            {"obstacles": 17 * [[20, 4, 1]]},
         ):
             await page.say("aim", **bad)
             assert page.refused
@@ -457,11 +468,12 @@ async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
         assert page.refused  # nor a plan
         await page.say("aim", target=[35.0, 0.5], radius=0.5, obstacles=[[20, 4, 1]])
         aim = await page.hear("aim")
-        assert aim["target"] == [35.0, 0.5] and aim["obstacles"] == [[20.0, 4.0, 1.0]]
+        assert aim["target"] == [35.0, 0.5] and aim["obstacles"] == [[20.0, 4.0, 1.0, "obstacle 1"]]
         region = await page.hear("reach")
         assert region["x"][0] > 5 and len(region["low"]) == 3
         await page.say("plan")
         plan = await page.hear("plan")
+        assert plan["hits"] == plan["draws"] == 1 and plan["touched"] == {"obstacle 1": 0.0}
         assert plan["nominal_miss_mm"] < 0.5 and plan["steps"][-1][0] == pytest.approx(35, abs=1)
         assert len(plan["fan"][0][0]) == len(plan["fan"][0][1]) > 10
         state = await page.say("run", speed_mm_s=1000.0, one=True)
@@ -472,6 +484,58 @@ async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
         page.kept.clear()
         await page.say("aim", target=None)
         assert (await page.hear("aim"))["target"] is None
+
+
+@visit
+async def test_a_plan_shifts_the_entry_as_the_command_does_and_begins_there(tmp_path) -> None:
+    async with house(tmp_path, "phantom2") as server:
+        page = await server.page()
+        await page.say("change", insert_mm=5.0)
+        first = page.scene["needle"]
+        await page.say("aim", target=[40.0, 7.0], radius=0.5, obstacles=[[20, 4, 1, "bone"]])
+        for bad in (-1.0, "far", 1e6):
+            await page.say("plan", entry_mm=bad)
+            assert page.refused
+        await page.say("plan", entry_mm=5.0)
+        plan = await page.hear("plan")
+        bone = ObstacleRecord(name="bone", centre_mm=(20, 4), radius_mm=1)
+        goal = Goal((40.0, 7.0), 0.5, (bone,))
+        same = plan_steering(begin_insertion(open_target("phantom2")), goal, PlanLimits(5.0), threads=1)
+        assert plan["anew"] and plan["entry_mm"] == same.entry_mm and abs(same.entry_mm) > 1
+        assert plan["steps"] == [
+            [one.depth, one.bevel.side, one.controls.base_y, one.controls.base_slope] for one in same.steps
+        ]
+        page.kept.clear()
+        state = await page.say("run", speed_mm_s=1000.0)
+        assert page.scene["needle"] != first and state["playing"]
+        aim = await page.hear("aim")
+        assert aim["target"] == [40.0, 7.0 - same.entry_mm]
+        assert aim["obstacles"] == [[20.0, 4.0 - same.entry_mm, 1.0, "bone"]]
+        assert (await page.hear("plan"))["anew"] is False
+        while state["playing"]:
+            await asyncio.sleep(0.02)
+            state = await page.say("frame")
+        miss = math.hypot(state["tip"]["x"] - 40, state["tip"]["y"] - aim["target"][1])
+        assert state["depth_mm"] == same.end.depth and miss == pytest.approx(same.nominal_miss, abs=1e-3)
+    recording = read_recording(tmp_path / page.scene["recording"])
+    assert recording.head.scene.entry.y_mm == same.entry_mm
+
+
+def test_a_needle_at_the_entry_of_its_plan_keeps_parameters_set_by_hand(tmp_path) -> None:
+    trials = TrialRegistry(open_target("phantom2"), tmp_path, lambda insertion: open_target("phantom2"))
+    trial = trials.open("")
+    trial.act((Change("mu_pa", 2, 3e7), Change("offset_throughout_mm", None, 0.05)))
+    trial.act((Change("depth_mm", None, 10.0),))
+    with pytest.raises(ModelError):
+        trials.entered(trial)  # there is no plan
+    trial.aim.set((40.0, 2.0), 1.0, ())
+    trial.aim.entry_mm = 3.0
+    trial.aim.plan = plan_steering(begin_plan(trial), trial.aim.goal, PlanLimits(3.0), threads=1)
+    other = trials.entered(trial)
+    assert other.steering.now.step.depth == 0
+    assert other.steering.now.tissue.mu == pytest.approx(trial.steering.now.tissue.mu, rel=1e-14)
+    assert other.aim.plan.steps[0].bevel.offset == 0.05
+    assert other.aim.goal.target == (40.0, 2.0 - trial.aim.plan.entry_mm)
 
 
 @visit

@@ -112,7 +112,7 @@ def _make_goal(
     markups: Path | None,
     obstacle_radius: float,
 ) -> "PlaneGoal":
-    from needlefit.studies.kinds.plan.goals import Ball, cut_plane, read_goal_points
+    from needlefit.studies.kinds.plan.goals import Ball, cut_plane, name_obstacles, read_goal_points
     from needlefit.viewer.opening.plan import find_placement
 
     aim, balls = None, list[Ball]()
@@ -126,11 +126,12 @@ def _make_goal(
         raise typer.BadParameter(
             "give a target, or a point labelled `target` in --markups", param_hint="--target"
         )
-    for count, text in enumerate(obstacles, start=len(balls) + 1):
+    names = name_obstacles([*(ball.name for ball in balls), *([""] * len(obstacles))])
+    for name, text in zip(names[len(balls) :], obstacles, strict=True):
         x, y, *rest, size = _read_numbers(text, (3, 4), "--obstacle", "X,Y,R or X,Y,Z,R")
         if size <= 0:
             raise typer.BadParameter(f"the radius is {size:g} mm; expected above 0", param_hint="--obstacle")
-        balls.append(Ball(f"obstacle {count}", (x, y, rest[0] if rest else 0.0), size))
+        balls.append(Ball(name, (x, y, rest[0] if rest else 0.0), size))
     return cut_plane(aim, radius, tuple(balls))
 
 

@@ -108,7 +108,7 @@ class Validity:
     def faults(self) -> tuple[str, ...]:
         """Descriptions of the quantities of a single solution that exceed their limits."""
         return tuple(
-            f"{words} {float(value):.3g} (limit {limit:g})"
+            f"{words} {float(value):.3g}{_unit(name)} (limit {limit:g}{_unit(name)})"
             for name, limit, words in LIMITS
             if (value := getattr(self, name)) > limit
         )
@@ -119,13 +119,17 @@ class Validity:
         return {"ok": bool(self.ok), **values, "faults": list(self.faults)}
 
 
+def _unit(name: str) -> str:
+    return " mm" if name.endswith("_mm") else ""
+
+
 LIMITS: tuple[tuple[str, float, str], ...] = (
     ("max_slope", MAX_SLOPE, "slope"),
     ("deflection_per_length", MAX_DEFLECTION_PER_LENGTH, "deflection over length"),
     ("shortening_per_layer", MAX_SHORTENING_PER_LAYER, "shortening over the thinnest layer"),
-    ("miss_mm", MAX_MISS_MM, "miss of guides or entry in mm"),
+    ("miss_mm", MAX_MISS_MM, "miss of guides or entry"),
     ("compression", MAX_COMPRESSION, "compression of the tissue"),
-    ("rounding_mm", MAX_ROUNDING_MM, "rounding error in mm"),
+    ("rounding_mm", MAX_ROUNDING_MM, "rounding error"),
 )
 """Attribute of `Validity`, its limit, and its printed name."""
 

@@ -20,12 +20,16 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.inference.draws import Draws
 from needlefit.inference.fit import Fit
-from needlefit.inference.identifiability.gauss_newton import minimize_squares
+from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.importance.pareto import MAX_PARETO_K
 from needlefit.inference.importance.sampler import Effort, WeightedDraws, resample, sample_by_importance
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
+from needlefit.inference.sampling.log_density import (
+    Evaluator,
+    approximate_by_information,
+    approximate_by_laplace,
+)
 
 MAX_LOG_DENSITY_GAP = 10.0
 """A start that ended with a log density this much below the best one's found no mode."""
@@ -67,6 +71,15 @@ def sample_about_modes(
     evaluator = Evaluator(problem, jobs)
     approximations = [approximate_by_laplace(evaluator, end, problem.lower, problem.upper) for end in ends]
     return sample_by_importance(evaluator, approximations, (problem.lower, problem.upper), rng, effort)
+
+
+def sample_about_minimum(
+    problem: Problem, minimum: LocalMinimum, rng: np.random.Generator, effort: Effort
+) -> WeightedDraws:
+    """Return weighted draws of a posterior about its mode, where a search by Gauss-Newton has ended."""
+    bounds = (problem.lower, problem.upper)
+    approximation = approximate_by_information(minimum.information, minimum.theta, *bounds)
+    return sample_by_importance(Evaluator(problem, 1), [approximation], bounds, rng, effort)
 
 
 def sample_about_fit(

@@ -144,9 +144,26 @@ def approximate_by_laplace(
     with np.errstate(invalid="ignore"):  # -inf less -inf: no curvature is known there
         steps = _choose_steps(at, inner)
         information = _difference_information(at, inner, steps) / np.outer(steps, steps)
+    return _approximate(information, lower + inner * width, width)
+
+
+def approximate_by_information(
+    information: Floats, centre: Floats, lower: Floats, upper: Floats
+) -> LaplaceApproximation:
+    """Return the Laplace approximation at `centre` (P,) whose information (P, P) is known.
+
+    Of a sum of squares that is J^T J: no density has to be evaluated.
+    """
+    width = upper - lower
+    inner = np.clip((centre - lower) / width, BOUND_MARGIN, 1 - BOUND_MARGIN)
+    return _approximate(information * np.outer(width, width), lower + inner * width, width)
+
+
+def _approximate(information: Floats, centre: Floats, width: Floats) -> LaplaceApproximation:
+    """Return the approximation with this information in the unit cube, no wider than uniform in it."""
     precisions, directions = np.linalg.eigh(information)
     sds = 1.0 / np.sqrt(np.maximum(precisions, 0.0) + UNIFORM_PRECISION)
-    return LaplaceApproximation(lower + inner * width, width[:, None] * directions * sds)
+    return LaplaceApproximation(centre, width[:, None] * directions * sds)
 
 
 def _choose_steps(at: LogDensityFunction, centre: Floats) -> Floats:

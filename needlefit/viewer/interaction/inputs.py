@@ -12,6 +12,7 @@ from typing import Literal
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
+from needlefit.mechanics.tissue import Tissue
 
 Item = Literal["guide", "layer"]
 
@@ -115,6 +116,16 @@ class Change:
             return f"{math.degrees(math.atan(self.value)):.1f}°"
         unit = " mm" if self.name.endswith("_mm") else "°" if self.name.endswith("_deg") else ""
         return f"{self.value:g}{unit}"
+
+
+def find_tissue_changes(tissue: Tissue, before: Tissue) -> tuple[Change, ...]:
+    """Return the changes that lead from the moduli and alphas of one tissue to those of another."""
+    pairs = [
+        (Change("mu_pa", n, float(mu) * 1e6), Change("alpha", n, float(alpha)))
+        for n, (mu, alpha) in enumerate(zip(tissue.mu, tissue.alpha, strict=True), start=1)
+    ]
+    same = (before.mu == tissue.mu) & (before.alpha == tissue.alpha)
+    return tuple(change for pair, kept in zip(pairs, same, strict=True) if not kept for change in pair)
 
 
 def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:

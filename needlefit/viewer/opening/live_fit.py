@@ -17,8 +17,12 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.errors import FitError
 from needlefit.geometry.curves import arc_length
 from needlefit.inference.forward_model import find_layers
-from needlefit.inference.identifiability.gauss_newton import minimize_squares
-from needlefit.inference.importance.fit_posterior import resample_draws, sample_about_modes
+from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
+from needlefit.inference.importance.fit_posterior import (
+    resample_draws,
+    sample_about_minimum,
+    sample_about_modes,
+)
 from needlefit.inference.importance.sampler import Effort
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.problem import Problem, make_problem
@@ -50,7 +54,7 @@ class LiveMode:
     """The fitted values (Pa, mm) of all parameters, and how long they took, s."""
 
     problem: Problem
-    theta: Floats
+    minimum: LocalMinimum
     values: Mapping[str, float]
     seconds: float
 
@@ -106,14 +110,17 @@ def find_mode(shown: ShownInsertion, insertions: Sequence[Insertion]) -> LiveMod
             expected="parameters with which every needle has a solution",
             fix="change them by hand, then fit again",
         )
-    return LiveMode(problem, found.theta, problem.values(found.theta), perf_counter() - began)
+    return LiveMode(problem, found, problem.values(found.theta), perf_counter() - began)
 
 
 def draw_about(mode: LiveMode, insertion: Insertion, seed: int) -> LiveDraws:
     """Return draws about a mode, for the layers that an insertion meets; on one core."""
     began, problem = perf_counter(), mode.problem
     rng = np.random.default_rng(seed)
-    weighted = sample_about_modes(problem, mode.theta[None], rng, effort=EFFORT)
+    if len(problem.insertions) == 1:
+        weighted = sample_about_modes(problem, mode.minimum.theta[None], rng, effort=EFFORT)
+    else:  # near to a Gaussian, and each density takes long: the search's own information is enough
+        weighted = sample_about_minimum(problem, mode.minimum, rng, EFFORT)
     draws = resample_draws(weighted, SHOWN_DRAWS, rng)
     table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
     layers = [layer for _, layer in find_layers(insertion)]

@@ -10,6 +10,7 @@ import numpy as np
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.control import Step
+from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.mechanics.scene import Scene
 from needlefit.studies.kinds.plan.steering import StartedInsertion, SteeringPlan
 from needlefit.viewer.interaction.inputs import Change, find_changes
@@ -32,6 +33,19 @@ def continue_insertion(steering: SteeredNeedle, viewed_scene: ViewedScene) -> St
     rules = replace(steering.scene.rules, first_cell=steering.first_cell)
     path = steering.input_path()
     return StartedInsertion(steering.scene.needle, steering.now.tissue, rules, path, viewed_scene.spread)
+
+
+def restart_insertion(steering: SteeredNeedle, viewed_scene: ViewedScene) -> StartedInsertion:
+    """Return the insertion of a steered needle at first contact, with its present parameters.
+
+    One that stands there keeps its inputs; another gets those of the scene's first step.
+    """
+    there = continue_insertion(steering, viewed_scene)
+    if steering.now.step.depth <= SAME_DEPTH_MM:
+        return there
+    first = steering.scene.steps[0]
+    bevel = replace(steering.now.step.bevel, side=first.bevel.side)
+    return replace(there, path=(Step(0.0, bevel, first.controls),))
 
 
 def find_placement(viewed_scene: ViewedScene) -> Placement:
@@ -72,7 +86,7 @@ def write_plan(viewed_scene: ViewedScene, plan: SteeringPlan, path: Path) -> Non
     ModelError
         If a step has no needle with the scene's parameters.
     """
-    viewed_scene = _shift_entry(viewed_scene, plan.entry_mm)
+    viewed_scene = shift_entry(viewed_scene, plan.entry_mm)
     scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
     steering = SteeredNeedle(scene, viewed_scene.first_cell)
     tables = viewed_scene.record.model_dump(mode="json", by_alias=True)
@@ -98,8 +112,8 @@ def list_changes(
             yield (*inputs, Change("depth_mm", None, depth))
 
 
-def _shift_entry(viewed_scene: ViewedScene, shift: float) -> ViewedScene:
-    """Return a scene whose entry lies elsewhere, `shift` mm along y."""
+def shift_entry(viewed_scene: ViewedScene, shift: float) -> ViewedScene:
+    """Return a scene whose entry lies elsewhere, `shift` mm along y; nothing was measured there."""
     if not shift:
         return viewed_scene
     entry = viewed_scene.record.entry
@@ -113,4 +127,7 @@ def _shift_entry(viewed_scene: ViewedScene, shift: float) -> ViewedScene:
         frame = replace(placed.frame, origin=placed.frame.to_world([[0.0, shift, 0.0]])[0])
         placement = replace(placed, frame=frame).to_record()
     record = viewed_scene.record.model_copy(update={"entry": moved})
-    return replace(viewed_scene, record=record, placement=placement)
+    note = f"{viewed_scene.note} The entry is shifted by {shift:+.2f} mm along y.".strip()
+    return replace(
+        viewed_scene, record=record, placement=placement, note=note, measured=None, scanned=None, shown=None
+    )

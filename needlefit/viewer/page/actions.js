@@ -1,5 +1,6 @@
 /** What buttons, keys and gestures ask for in the same words. */
 
+import { redoGoal, undoGoal } from "./aim.js";
 import { amount } from "./amounts.js";
 import { strengthOf } from "./bevel.js";
 import { degrees, slope } from "./numbers.js";
@@ -67,8 +68,8 @@ export function toggleTip(at) {
   change([["tip_held", null, now.state.tip.held ? 0 : 1]], { at });
 }
 
-export const undo = () => command({ do: "undo" });
-export const redo = () => command({ do: "redo" });
+export const undo = () => undoGoal() || command({ do: "undo" });
+export const redo = () => redoGoal() || command({ do: "redo" });
 export const reset = () => command({ do: "reset" });
 export const play = () => command({ do: "play", speed_mm_s: speed() });
 

@@ -5,23 +5,62 @@ import { listen, now, publish } from "./store.js";
 
 const SMALLEST = 0.05; // mm, of a radius
 const PAUSE = 80; // ms between two goals while one is dragged
+const WITHIN = 1000; // ms; changes that follow so soon are undone together
+const MAX_OBSTACLES = 16; // the server takes no more
+const EMPTY = { target: null, radius: 2, obstacles: [] };
 let timer = 0;
+let sent = null; // id of the goal that was sent last
+let known = EMPTY; // the goal that the server took last
+let changedAt = -Infinity; // ms
+let running = null; // id of the message by which the plan is carried out
+let at = null; // step of the needle
+let [past, future] = [[], []]; // goals to go back to, and forth, each with the step of the needle at which it was left
 
-/** What is aimed at, the reachable region and the plan, as the server sent them last. */
-export const aim = { target: null, radius: 2, obstacles: [], reach: null, plan: null, placing: null, challenge: null };
+/** What is aimed at (an obstacle: x, y, radius, name), the reachable region and the plan, as the server sent them last. */
+export const aim = { ...EMPTY, reach: null, plan: null, planning: false, placing: null, challenge: null };
+
+const goal = () => ({ target: aim.target, radius: aim.radius, obstacles: aim.obstacles });
+
+/** What an obstacle is called. */
+export const nameOf = (number) => aim.obstacles[number][3] ?? `obstacle ${number + 1}`;
 
 /** Send a goal; what is not given stays. A goal changed by hand ends the game. */
 export function setAim(changes) {
-  Object.assign(aim, changes);
-  aim.plan = aim.challenge = null;
+  const at = performance.now();
+  if (at - changedAt > WITHIN || past.at(-1)?.step !== now.state.step) past.push({ ...goal(), step: now.state.step });
+  changedAt = at;
+  future = [];
+  take(changes);
+}
+
+function take(changes) {
+  Object.assign(aim, changes, { plan: null, challenge: null, planning: false });
+  if (!aim.target) aim.reach = null;
   timer ||= setTimeout(send, PAUSE);
   publish("aimed");
 }
 
 function send() {
   timer = 0;
-  command({ do: "aim", target: aim.target, radius: aim.radius, obstacles: aim.obstacles });
+  sent = command({ do: "aim", ...goal() });
 }
+
+/** Go back (or forth) to the goal before, if it was changed after the last step of the needle; returns whether it was. */
+function go(from, to) {
+  if (!now.state || from.at(-1)?.step !== now.state.step) return false;
+  const { step, ...before } = from.pop();
+  to.push({ ...goal(), step });
+  changedAt = -Infinity;
+  take(before);
+  return true;
+}
+
+export const undoGoal = () => go(past, future);
+export const redoGoal = () => go(future, past);
+
+/** Whether the last change is one of the goal, or the last one undone. */
+export const canUndoGoal = () => past.at(-1)?.step === now.state.step;
+export const canRedoGoal = () => future.at(-1)?.step === now.state.step;
 
 /** Send a goal that still waits, then a message about it. */
 export function sendAfterGoal(message) {
@@ -43,15 +82,22 @@ export function put(x, y) {
   const what = aim.placing;
   if (!what) return false;
   aim.placing = null;
+  changedAt = -Infinity; // it is undone alone
   if (what === "target") setAim({ target: [x, y] });
-  else setAim({ obstacles: [...aim.obstacles, [x, y, Math.max(aim.radius, SMALLEST)]] });
+  else if (aim.obstacles.length < MAX_OBSTACLES) setAim({ obstacles: [...aim.obstacles, [x, y, Math.max(aim.radius, SMALLEST)]] });
+  else refuseMore();
   return true;
+}
+
+function refuseMore() {
+  publish("notice", { what: `There are ${MAX_OBSTACLES} obstacles.`, expected: `at most ${MAX_OBSTACLES}`, fix: "remove one" });
+  publish("aimed");
 }
 
 /** Move the target (null) or an obstacle by its number. */
 export function moveTo(number, x, y) {
   if (number === null) return setAim({ target: [x, y] });
-  setAim({ obstacles: aim.obstacles.map((one, i) => (i === number ? [x, y, one[2]] : one)) });
+  setAim({ obstacles: aim.obstacles.map((one, i) => (i === number ? [x, y, ...one.slice(2)] : one)) });
 }
 
 /** Whether the needle touches an obstacle. */
@@ -71,13 +117,21 @@ export function tipError({ tip }) {
 }
 
 listen("scene", () => {
-  Object.assign(aim, { target: null, obstacles: [], reach: null, plan: null, placing: null, challenge: null });
+  known = EMPTY;
+  [past, future] = [[], []];
+  Object.assign(aim, { target: null, obstacles: [], reach: null, plan: null, planning: false, placing: null, challenge: null });
+  publish("aimed");
+});
+listen("refused", ({ answers }) => { // what was refused is taken back
+  aim.planning = false;
+  if (sent !== null && answers === sent && !timer) Object.assign(aim, known);
   publish("aimed");
 });
 listen("aim", ({ target, radius, obstacles, roll_deg: roll }) => {
+  known = { target, radius, obstacles };
   if (timer) return; // it is older than what waits to be sent
   publish("accepted");
-  Object.assign(aim, { target, radius, obstacles });
+  Object.assign(aim, known);
   if (!target) aim.reach = null;
   if (roll) publish("notice", { what: `The needle is rolled by ${roll.toFixed(1)}° about x: its plane holds the target.` });
   publish("aimed");
@@ -86,9 +140,21 @@ listen("reach", (region) => {
   aim.reach = aim.target && region.x.length ? region : null;
   publish("aimed");
 });
+/** Carry out the plan, or its next step alone. */
+export function run(message) {
+  running = command({ do: "run", ...message });
+}
+
+/** A needle that is moved by hand leaves its plan, whose outcome is then no longer its own. */
+listen("state", ({ step, playing, answers }) => {
+  if (aim.plan && step !== at && !(running && playing) && !aim.challenge) aim.plan.left = true;
+  if (!playing && answers >= running) running = null;
+  at = step;
+});
 listen("plan", (plan) => {
   if (plan.fault) publish("notice", plan.fault);
-  aim.plan = plan.fault ? null : plan;
+  aim.planning = false;
+  aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !aim.challenge && !(running && now.state.playing) };
   if (aim.challenge) {
     const touched = Object.values(aim.plan?.touched ?? {}).some((share) => share >= 0.5);
     aim.challenge.planner = touched ? null : (aim.plan?.nominal_miss_mm ?? null);

@@ -1,8 +1,8 @@
 /** What the words of the page mean, shown on hover, focus and tap. */
 
-/** One sentence each; those of error metrics come with the scene. */
+/** One or two sentences each, which `docs/glossary.py` copies; those of error metrics come with the scene. */
 export const DEFINITIONS = {
-  "depth": "Length of the needle behind the entry, along x.",
+  "depth": "Inserted arc length: how much of the needle is beyond the entry.",
   "tip deflection": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
   "tip slope": "Angle of the needle at its tip against the entry axis.",
   "tip force": "Lateral force of the tissue on the part of the shaft at the last constraint point.",
@@ -10,15 +10,17 @@ export const DEFINITIONS = {
   "base moment": "Moment that holds the base.",
   "steepest slope": "Largest slope dy/dx of the needle; the model takes it for small.",
   "bevel": "Side to which the bevel turns the cut.",
-  "strength": "How strongly the bevel turns the cut: b, the offset of the cut per constraint spacing, or the cut angle.",
   "base y": "Deflection of the base of the needle, as it is set.",
   "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
   "guides": "Guides that hold the needle.",
-  "b": "Offset of the cut per constraint spacing: how strongly the bevel steers the needle.",
-  "θ": "Angle of the cut against the needle: how strongly the bevel steers it.",
-  "μ": "Shear modulus of the Ogden law of the layer.",
-  "α": "Exponent of the Ogden law: how the tissue stiffens with strain.",
-  "noise floor": "Mean error that the stated measurement noise alone would cause.",
+  "b": "Bevel offset: how far the bevel shifts the cut that the needle follows, per constraint spacing.",
+  "θ": "Cut angle: angle of the cut to the needle's tangent, under the advance by the path angle.",
+  "μ": "Foundation modulus: stiffness of the tissue as the model sees it, for each layer; no material constant.",
+  "α": "Exponent of the tissue law: how the tissue stiffens with strain (Ogden).",
+  "target": "Where the tip is to end; within the radius it counts as reached. x along the entry, y to its left.",
+  "obstacle": "What the needle must not touch: a circle in its plane. Distances are those of its axis.",
+  "guide": "Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angle.",
+  "noise floor": "The mean error that perfect parameters would still show if measurements err as stated.",
 };
 
 const ROOM = 110; // px, of the highest definition

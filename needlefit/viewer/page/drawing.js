@@ -43,6 +43,7 @@ export function paint(fresh) {
   drawnTissue = tissue;
   if (moved || fresh || stale) paintForeground(now.state);
   stale = false;
+  document.body.classList.add("begun");
 }
 
 function paintBackground() {

@@ -19,7 +19,7 @@ function makeRow({ item, name: called = numbered(item) }) {
   remove.setAttribute("aria-label", `Remove ${called}`);
   free.setAttribute("aria-label", `Needle turns freely in ${called}`);
   const field = (name, unit, digits, input, meant = (x) => x) => makeField(fields, {
-    of: called, name, unit, step: 0.1, write: (value) => value.toFixed(digits),
+    of: called, name, symbol: "guide", unit, step: 0.1, write: (value) => value.toFixed(digits),
     ask: (value, how) => change([[input, item, meant(value)]], how),
   });
   const row = {

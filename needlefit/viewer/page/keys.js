@@ -1,6 +1,7 @@
 /** The keyboard: what each key does, and the list of it. */
 
 import * as act from "./actions.js";
+import { aim, place } from "./aim.js";
 import { describe } from "./description.js";
 import { belongs } from "./focus.js";
 import { holds, press, release, releaseAll } from "./held_keys.js";
@@ -34,7 +35,7 @@ const KEYS = [
   [["3"], "3", "follow the tip", () => show("tip")],
 ];
 const steps = (event) => (event.shiftKey ? 10 : 1);
-const ALWAYS = [["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
+const ALWAYS = [["Esc", "no target, no obstacle after all"], ["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
 
 function along(event, direction) {
   if (holds(event.key)) return; // it is repeated
@@ -56,6 +57,7 @@ function down(event) {
   if (dialog.open || !now.state || event.altKey || belongs(event)) return;
   if (event.ctrlKey || event.metaKey) return history(event);
   if (event.key === "?") return dialog.showModal();
+  if (event.key === "Escape" && aim.placing) return place(aim.placing);
   const found = KEYS.find(([keys]) => keys.includes(event.key));
   if (!found) return;
   event.preventDefault();

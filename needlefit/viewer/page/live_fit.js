@@ -30,6 +30,8 @@ function takeMode(message) {
   const needles = message.insertions === 1 ? "1 needle" : `${message.insertions} needles`;
   part("fit-note").textContent = `Fitted to ${needles} in ${message.seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `
     + `first layer μ ${brief(message.layers[0][0] * 1e-6, 3)} MPa. Drawing …`;
+  part("ridge").classList.add("stale"); // of the fit before
+  part("ridge-note").textContent = "";
 }
 
 function takeRidge(message) {
@@ -42,6 +44,7 @@ function takeRidge(message) {
   part("fit-note").textContent = part("fit-note").textContent.replace(" Drawing …", "");
   part("ridge-note").textContent = words;
   part("ridge").hidden = false;
+  part("ridge").classList.remove("stale");
   drawRidge();
   say(words);
 }

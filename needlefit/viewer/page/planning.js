@@ -1,28 +1,31 @@
 /** The panel of target and plan: places, obstacles, the plan's probability, and a game against the planner. */
 
-import { speed } from "./actions.js";
-import { aim, moveTo, place, sendAfterGoal, setAim, tipError, touches } from "./aim.js";
+import { ownDepth, speed } from "./actions.js";
+import { aim, moveTo, nameOf, place, put, run, sendAfterGoal, setAim, tipError, touches } from "./aim.js";
+import { amount } from "./amounts.js";
 import { say } from "./announcements.js";
 import { makeField, show } from "./fields.js";
+import { signed } from "./numbers.js";
 import { command } from "./steering.js";
 import { listen, now } from "./store.js";
 
+const entry = amount(document.getElementById("plan-entry"));
+const AHEAD = 10; // mm before the tip
 const part = (id) => document.getElementById(id);
 const write = (id, text) => part(id).textContent === text || (part(id).textContent = text);
 const asMm = (value) => value.toFixed(2);
 const percent = (share) => (100 * share).toFixed(0);
-let planning = false;
 let fields = []; // [field, () => value]
-let rows = -1; // obstacles that have fields
+let rows = null; // what has fields
 
-function field(into, of, name, current, ask) {
-  const made = makeField(into, { of, name, unit: "mm", step: 0.1, write: asMm, ask });
+function field(into, symbol, of, name, current, ask) {
+  const made = makeField(into, { of, name, symbol, unit: "mm", step: 0.1, write: asMm, ask });
   fields.push([made, current]);
 }
 
 /** Fields of the target and of each obstacle, made anew where their number changes. */
 function build() {
-  const shown = aim.target ? aim.obstacles.length : -2 - aim.obstacles.length;
+  const shown = JSON.stringify([Boolean(aim.target), aim.obstacles.map((_, i) => nameOf(i))]);
   if (rows === shown) return;
   rows = shown;
   fields = [];
@@ -30,17 +33,18 @@ function build() {
   part("obstacles").replaceChildren(...aim.obstacles.map(obstacleRow));
   if (!aim.target) return;
   const into = part("target-fields");
-  field(into, "target", "x", () => aim.target[0], (x) => moveTo(null, x, aim.target[1]));
-  field(into, "target", "y", () => aim.target[1], (y) => moveTo(null, aim.target[0], y));
-  field(into, "target", "radius", () => aim.radius, (radius) => setAim({ radius: Math.max(radius, 0.05) }));
+  into.append(Object.assign(document.createElement("strong"), { textContent: "target" }));
+  field(into, "target", "target", "x", () => aim.target[0], (x) => moveTo(null, x, aim.target[1]));
+  field(into, "target", "target", "y", () => aim.target[1], (y) => moveTo(null, aim.target[0], y));
+  field(into, "target", "target", "radius", () => aim.radius, (radius) => setAim({ radius: Math.max(radius, 0.05) }));
 }
 
 function obstacleRow(_, number) {
   const row = document.createElement("li");
   const head = Object.assign(document.createElement("div"), { className: "head" });
-  const name = Object.assign(document.createElement("strong"), { textContent: `obstacle ${number + 1}` });
+  const name = Object.assign(document.createElement("strong"), { textContent: nameOf(number) });
   const remove = Object.assign(document.createElement("button"), { type: "button", textContent: "Remove" });
-  remove.setAttribute("aria-label", `Remove obstacle ${number + 1}`);
+  remove.setAttribute("aria-label", `Remove ${nameOf(number)}`);
   remove.addEventListener("click", () => {
     setAim({ obstacles: aim.obstacles.filter((_, i) => i !== number) });
     part("put-obstacle").focus(); // its own button has gone
@@ -51,7 +55,7 @@ function obstacleRow(_, number) {
     const set = (value) => setAim({
       obstacles: aim.obstacles.map((one, i) => (i === number ? one.with(at, at === 2 ? Math.max(value, 0.05) : value) : one)),
     });
-    field(row, `obstacle ${number + 1}`, name, () => aim.obstacles[number][at], set);
+    field(row, "obstacle", nameOf(number), name, () => aim.obstacles[number][at], set);
   });
   return row;
 }
@@ -64,27 +68,41 @@ export function refresh() {
   for (const [id, what] of [["put-target", "target"], ["put-obstacle", "obstacle"]]) {
     part(id).setAttribute("aria-pressed", String(aim.placing === what));
   }
-  const ahead = aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) ?? false;
-  part("make-plan").disabled = !aim.target || planning;
-  part("run-plan").disabled = part("step-plan").disabled = !ahead;
+  const ahead = aim.plan?.anew || aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) || false;
+  part("make-plan").disabled = !aim.target || aim.planning;
+  part("run-plan").disabled = part("step-plan").disabled = !ahead || aim.planning || aim.plan.left;
   part("aim-clear").disabled = !aim.target && !aim.obstacles.length;
   write("aim-note", aim.placing ? `Click on the picture where the ${aim.placing} is.` : "");
   write("aim-error", aim.target ? `Tip to target: ${tipError(now.state).toFixed(2)} mm.` : "");
-  write("plan-note", planning ? "Planning …" : describePlan());
+  write("plan-note", aim.planning ? "Planning …" : describePlan());
   write("game-note", describeGame());
 }
 
-/** The plan in sentences, its probability first. */
+/** The plan in sentences, its outcome first. */
 function describePlan() {
   const { plan } = aim;
   if (!plan || aim.challenge?.hidden) return "";
   const turns = `${plan.turns} turn${plan.turns === 1 ? "" : "s"} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
-  const nominal = plan.nominal_miss_mm === null ? "" : `This needle misses by ${plan.nominal_miss_mm.toFixed(2)} mm. `;
-  if (plan.draws < 2) return `${nominal}${turns} Parameters are taken as exact.`;
+  if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
+  const begins = plan.anew ? ` Entry shifted by ${signed(plan.entry_mm, 2)} mm along y: Run plan begins there, at first contact.` : "";
+  return `${describeOutcome(plan)} ${turns}${begins}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
+}
+
+/** Whether the plan reaches the target past the obstacles, or how the best one fails. */
+function describeOutcome(plan) {
+  const goal = `the target${aim.obstacles.length ? " and touches no obstacle" : ""}`;
   const near = Object.entries(plan.touched).filter(([, share]) => share > 0);
+  const miss = plan.nominal_miss_mm;
+  const ends = miss === null ? "With the parameters shown there is no needle within the model's limits."
+    : `With the parameters shown the tip${plan.hits ? "" : " of the best one"} ends ${miss.toFixed(2)} mm from the target.`;
+  const none = `No plan was found that reaches ${goal}.`;
+  if (plan.draws < 2) {
+    const touched = near.length ? ` The needle touches ${near.map(([name]) => name).join(", ")}.` : "";
+    return plan.hits ? `The plan reaches ${goal}. ${ends}` : `${none} ${ends}${touched}`;
+  }
   const touched = near.map(([name, share]) => `${percent(share)} % touch ${name}. `).join("");
-  return `Reaches the target with probability ${percent(plan.probability)} % (95 % CI ${percent(plan.low)} to `
-    + `${percent(plan.high)} %, ${plan.draws} draws). ${touched}${nominal}${turns}`;
+  const chance = `${plan.hits ? "with probability" : "Probability"} ${percent(plan.probability)} % (95 % CI ${percent(plan.low)} to ${percent(plan.high)} %, ${plan.draws} draws). `;
+  return `${plan.hits ? `Reaches ${goal} ` : `${none} `}${chance}${touched}${ends}`;
 }
 
 function describeGame() {
@@ -99,9 +117,15 @@ function describeGame() {
 }
 
 function ask() {
-  planning = true;
-  sendAfterGoal({ do: "plan" });
+  sendAfterGoal({ do: "plan", entry_mm: entry() });
+  aim.planning = true;
   refresh();
+}
+
+/** Run the plan; at its entry the next one goes on from where the needle stands. */
+function begin(how) {
+  if (aim.plan.anew) part("plan-entry").value = "0";
+  run({ speed_mm_s: speed(), ...how });
 }
 
 function challenge() {
@@ -123,24 +147,33 @@ async function readFile(input) {
   input.value = "";
 }
 
+/** Wait for a click on the picture; a key puts it ahead of the tip at once, where its numbers can be changed. */
+function placeBy(what, { detail }) {
+  place(what);
+  if (detail || aim.placing !== what) return;
+  const { tip, depth_mm: depth } = now.state;
+  const far = Math.max(ownDepth(), depth + AHEAD);
+  put(what === "target" ? far : (depth + far) / 2, tip.y);
+  refresh();
+  part(what === "target" ? "target-fields" : "obstacles").querySelector(".number")?.focus();
+}
+
 const PRESSED = {
-  "put-target": () => place("target"),
-  "put-obstacle": () => place("obstacle"),
+  "put-target": (event) => placeBy("target", event),
+  "put-obstacle": (event) => placeBy("obstacle", event),
   "aim-clear": () => setAim({ target: null, obstacles: [], reach: null }),
   "make-plan": ask,
-  "run-plan": () => command({ do: "run", speed_mm_s: speed() }),
-  "step-plan": () => command({ do: "run", speed_mm_s: speed(), one: true }),
+  "run-plan": () => begin({}),
+  "step-plan": () => begin({ one: true }),
   "open-markups": () => part("markups").click(),
   challenge,
 };
-for (const [id, press] of Object.entries(PRESSED)) part(id).addEventListener("click", () => now.state && press());
+for (const [id, press] of Object.entries(PRESSED)) part(id).addEventListener("click", (event) => now.state && press(event));
 part("markups").addEventListener("change", ({ target }) => readFile(target));
 listen("plan", (plan) => {
-  planning = false;
   refresh();
   if (!plan.fault && !aim.challenge) say(describePlan());
 });
-listen("refused", () => (planning = false));
 listen("aimed", () => {
   if (!aim.challenge) part("challenge").textContent = "Beat the planner";
   refresh();

@@ -13,7 +13,7 @@ function write(id, text) {
 /** Write what has changed. */
 export function refresh() {
   const { perSecond, latency } = rates();
-  write("line", now.connected ? "connected" : "not connected");
+  write("line", now.connected ? "connected" : now.state ? "not connected" : "connecting …");
   part("line").classList.toggle("up", now.connected);
   write("frame-rate", perSecond === null ? "" : `${perSecond.toFixed(0)} frames/s`);
   write("latency", latency === null ? "" : `input to picture ${latency.toFixed(0)} ms`);

@@ -3,13 +3,15 @@
 import { aim } from "./aim.js";
 import { invalidate, shown } from "./drawing.js";
 import { listen, now } from "./store.js";
-import { drawTrue, fit, touch, view, zoom } from "./view.js";
+import { drawTrue, fit, refit, touch, view, zoom } from "./view.js";
 
 const fits = document.querySelectorAll("[data-fit]");
+const refitButton = document.getElementById("refit"); // a shared page has none
 const shows = document.querySelectorAll("[data-show]");
 
 /** Let the buttons say which view is seen. */
 export function pressed() {
+  if (refitButton) refitButton.hidden = view.fit !== null;
   for (const button of fits) button.setAttribute("aria-pressed", String(button.dataset.fit === view.fit));
 }
 
@@ -22,9 +24,10 @@ function toggle(button) {
 }
 
 for (const button of fits) button.addEventListener("click", () => (fit(button.dataset.fit), pressed()));
+refitButton?.addEventListener("click", () => (refit(), pressed()));
 for (const button of shows) button.addEventListener("click", () => toggle(button));
 for (const button of document.querySelectorAll("[data-zoom]")) {
-  button.addEventListener("click", () => zoom(button.dataset.zoom === "in" ? 1.25 : 0.8));
+  button.addEventListener("click", () => (zoom(button.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
 }
 
 listen("scene", ({ measured, band, slice }) => {
@@ -42,5 +45,5 @@ listen("aimed", () => {
     if (button.dataset.show === "reach") button.hidden = aim.reach === null;
   }
 });
-listen("view", pressed);
+listen("redraw", pressed);
 listen("state", () => now.state && pressed());

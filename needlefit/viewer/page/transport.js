@@ -1,6 +1,7 @@
 /** The buttons and fields of the insertion: held to move, or pressed once. */
 
 import * as act from "./actions.js";
+import { canRedoGoal, canUndoGoal } from "./aim.js";
 import { brief } from "./numbers.js";
 import { command, halt, letGo } from "./steering.js";
 import { listen, now } from "./store.js";
@@ -43,8 +44,8 @@ function holdButton(button, direction) {
 /** Let the buttons say what can be done, and the bevel's which side it turns to. */
 export function refresh() {
   const { undo, redo, moving, playing, paused, bevel } = now.state;
-  part("undo").disabled = !undo;
-  part("redo").disabled = !redo;
+  part("undo").disabled = !undo && !canUndoGoal();
+  part("redo").disabled = !redo && !canRedoGoal();
   part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
@@ -71,6 +72,7 @@ part("goto").addEventListener("submit", (event) => {
 });
 part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
 
+listen("aimed", () => now.state && refresh());
 listen("scene", (scene) => {
   part("title").textContent = scene.title;
   part("note").textContent = scene.note;
@@ -78,7 +80,8 @@ listen("scene", (scene) => {
   part("synthetic").hidden = !scene.synthetic;
   part("choice").hidden = scene.choices.length < 2;
   part("choices").replaceChildren(...scene.choices.map((one) => new Option(one, one)));
-  part("choices").value = scene.measured?.id ?? scene.choices[0] ?? "";
+  if (!scene.measured) part("choices").prepend(new Option("none", ""));
+  part("choices").value = scene.measured?.id ?? "";
   const { first_cell_mm: first, spacing_mm: spacing } = scene;
   part("cell-note").textContent = `Constraint points at ${brief(first)} mm, then every ${brief(spacing)} mm.`;
   const to = act.ownDepth();

@@ -2,6 +2,7 @@
 
 import { say } from "./announcements.js";
 import { listen } from "./store.js";
+import { toPy, view } from "./view.js";
 
 let announced = false; // of this needle
 
@@ -14,6 +15,7 @@ listen("state", (state) => {
   const sentence = words && `${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`;
   const beyond = document.getElementById("beyond");
   if (beyond.textContent !== sentence) beyond.textContent = sentence;
+  beyond.classList.toggle("low", toPy(state.tip.y) < view.box.top + view.box.height / 2); // not on the tip
   if (announced || !exceeded(state)) return;
   announced = true;
   say(`The needle is ${exceeded(state)}.`);

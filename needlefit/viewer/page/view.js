@@ -10,6 +10,7 @@ const LEAST_SPAN = 0.5; // mm; smaller deflections are not magnified further
 const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
 const TALL = 0.8; // part of the window's height that needles may take
+const SEEN = 0.42; // from the middle, part of the window's height: beyond it words cover the tip
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /** The window: its centre (mm), its scale (px per mm), its box on the canvas (px). */
@@ -18,6 +19,7 @@ export const view = {
 };
 
 let changed = true;
+let left = "tissue"; // what was shown before the picture was shifted or zoomed
 
 /** Whether the window has changed since this was last asked. */
 export function takeChange() {
@@ -92,7 +94,8 @@ function heights(which) {
   const { x, y } = now.state;
   const seen = which === "whole" ? y : y.filter((_, i) => x[i] >= 0);
   const goals = goalCircles().flatMap(([, y, radius]) => [y - radius, y + radius]);
-  const all = [...seen, ...(now.scene.measured?.y ?? []), ...goals, 0];
+  const band = [now.band?.low.at(-1), now.band?.high.at(-1)].filter(Number.isFinite);
+  const all = [...seen, ...(now.scene.measured?.y ?? []), ...goals, ...band, 0];
   return [Math.min(...all), Math.max(...all)];
 }
 
@@ -121,7 +124,8 @@ export function follow() {
   if (view.fit && view.fit !== "tip") {
     const [bottom, top] = heights(view.fit);
     const tall = (top - bottom) * view.scale * view.magnified > TALL * view.box.height;
-    if (tall || !seesTip()) fit(view.fit);
+    const far = Math.abs(now.state.tip.y - view.y) * view.scale * view.magnified > SEEN * view.box.height;
+    if (tall || far || !seesTip()) fit(view.fit);
     return;
   }
   if (view.fit !== "tip") return;
@@ -134,13 +138,21 @@ export function follow() {
   touch();
 }
 
+/** Show again what was shown before the picture was shifted or zoomed. */
+export const refit = () => fit(left);
+
+function leave() {
+  left = view.fit ?? left;
+  view.fit = null;
+}
+
 /** Zoom by a factor about a point on the canvas (px), by default the middle. */
 export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
   const [x, y] = [fromPx(px), fromPy(py)];
   view.scale = limited(view.scale * factor);
   view.x += x - fromPx(px);
   view.y += y - fromPy(py);
-  if (view.fit !== "tip") view.fit = null;
+  if (view.fit !== "tip") leave();
   touch();
 }
 
@@ -148,7 +160,7 @@ export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
 export function pan(px, py) {
   view.x -= px / view.scale;
   view.y += py / (view.scale * view.magnified);
-  view.fit = null;
+  leave();
   touch();
 }
 

@@ -27,6 +27,7 @@ from needlefit.viewer.serving.fits import draws_message, measured_message, mode_
 from needlefit.viewer.serving.messages import Message, read_message
 from needlefit.viewer.serving.plans import (
     aim_message,
+    begin_plan,
     draw_challenge,
     find_region,
     make_plan,
@@ -276,21 +277,22 @@ async def _send_plans(window: Window, socket: web.WebSocketResponse) -> None:
         if aimed != (trial.name, aim.version):
             if aimed is not None or aim.version:
                 await _send(socket, [aim_message(aim)])
+            if aim.plan is not None:  # of a page that was reloaded, or of a needle at the entry of its plan
+                await _send(socket, [plan_message(aim.plan, aim)])
             aimed, reached = (trial.name, aim.version), None
         if aim.challenged:
             insertion = continue_insertion(trial.steering, trial.viewed_scene)
-            aim.challenged, version = False, aim.version
+            aim.challenged, aim.entry_mm, version = False, 0.0, aim.version
             goal_parts = await asyncio.to_thread(draw_challenge, insertion, trial.scene.depth, aim.radius)
             if version == aim.version:
                 aim.set(*goal_parts)
                 aim.wanted = aim.goal is not None
         elif aim.goal is not None and aim.wanted:
-            aim.wanted, version = False, aim.version
-            insertion = continue_insertion(trial.steering, trial.viewed_scene)
-            found = await asyncio.to_thread(make_plan, insertion, aim.goal)
+            aim.wanted, version, step = False, aim.version, trial.steering.number
+            found = await asyncio.to_thread(make_plan, begin_plan(trial), aim.goal, aim.entry_mm)
             if version == aim.version and trial is window.trial:
-                aim.plan = None if isinstance(found, NeedlefitError) else found
-                await _send(socket, [plan_message(found, trial.steering.number)])
+                aim.plan, aim.plan_step = None if isinstance(found, NeedlefitError) else found, step
+                await _send(socket, [plan_message(found, aim)])
         # not while it moves: the region takes a third of a second
         elif aim.goal is not None and not window.moves and reached != trial.steering.number:
             reached = trial.steering.number

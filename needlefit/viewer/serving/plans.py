@@ -8,10 +8,11 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.studies.kinds.plan.goals import cut_plane, read_goal_points
+from needlefit.studies.kinds.plan.goals import cut_plane, name_obstacles, read_goal_points
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal
 from needlefit.studies.kinds.plan.steering import (
+    PlanLimits,
     ReachableRegion,
     StartedInsertion,
     SteeringPlan,
@@ -19,13 +20,16 @@ from needlefit.studies.kinds.plan.steering import (
     find_reachable_region,
     plan_steering,
 )
-from needlefit.viewer.opening.plan import find_placement
+from needlefit.viewer.opening.plan import continue_insertion, find_placement, restart_insertion
 from needlefit.viewer.serving.messages import Message
 from needlefit.viewer.serving.trials import DEFAULT_RADIUS_MM, InteractiveTrial, TrialAim
 
 MAX_OBSTACLES = 16
 MAX_PLACE_MM = 1000.0
 """Greatest coordinate and radius of a target or an obstacle, mm."""
+
+MAX_ENTRY_MM = 100.0
+"""By how much a plan may shift the entry to either side at most, mm."""
 
 FAN_NEEDLES = 40
 """Needles of a plan that are drawn."""
@@ -54,20 +58,28 @@ def read_goal(message: Message) -> GoalParts:
     if radius <= 0:
         raise ModelError(f"the radius of the target is {radius:g} mm", expected="above 0 mm")
     target = message.content.get("target")
-    rows = message.content.get("obstacles", [])
-    if not isinstance(rows, list) or len(rows) > MAX_OBSTACLES:
-        raise ModelError("these are no obstacles", expected=f"up to {MAX_OBSTACLES} of [x, y, radius]")
-    obstacles = [_read_numbers(row, 3) for row in rows]
-    if any(size <= 0 for _, _, size in obstacles):
-        raise ModelError("the radius of an obstacle is not above 0 mm", expected="above 0 mm")
-    circles = tuple(
-        ObstacleRecord(name=f"obstacle {n}", centre_mm=(x, y), radius_mm=size)
-        for n, (x, y, size) in enumerate(obstacles, start=1)
-    )
+    circles = _read_obstacles(message.content.get("obstacles", []))
     if target is None:
         return None, radius, circles
     x, y = _read_numbers(target, 2)
     return (x, y), radius, circles
+
+
+def _read_obstacles(rows: object) -> tuple[ObstacleRecord, ...]:
+    """Return obstacles from rows of x, y, radius and, where it has one, a name."""
+    if not isinstance(rows, list):
+        raise ModelError("these are no obstacles", expected="a list of [x, y, radius, name]")
+    if len(rows) > MAX_OBSTACLES:
+        raise ModelError(f"there are {len(rows)} obstacles", expected=f"up to {MAX_OBSTACLES}")
+    parts = [(row[:3], row[3]) if isinstance(row, list) and len(row) == 4 else (row, "") for row in rows]
+    names = name_obstacles(label if isinstance(label, str) else "" for _, label in parts)
+    found = []
+    for (numbers, _), name in zip(parts, names, strict=True):
+        x, y, size = _read_numbers(numbers, 3)
+        if size <= 0:
+            raise ModelError(f"the radius of {name} is {size:g} mm", expected="above 0 mm")
+        found.append(ObstacleRecord(name=name, centre_mm=(x, y), radius_mm=size))
+    return tuple(found)
 
 
 def _read_numbers(row: object, count: int) -> list[float]:
@@ -119,10 +131,16 @@ def find_region(insertion: StartedInsertion, goal: Goal, depth: float) -> Reacha
     return find_reachable_region(insertion, max(goal.target[0] + BEYOND_TARGET_MM, depth), threads=1)
 
 
-def make_plan(insertion: StartedInsertion, goal: Goal) -> SteeringPlan | NeedlefitError:
+def begin_plan(trial: InteractiveTrial) -> StartedInsertion:
+    """Return the insertion that a trial's plan continues: from first contact where it may shift the entry."""
+    begin = restart_insertion if trial.aim.entry_mm else continue_insertion
+    return begin(trial.steering, trial.viewed_scene)
+
+
+def make_plan(insertion: StartedInsertion, goal: Goal, entry_mm: float) -> SteeringPlan | NeedlefitError:
     """Return a plan, or why there is none; on one core."""
     try:
-        return plan_steering(insertion, goal, threads=1)
+        return plan_steering(insertion, goal, PlanLimits(entry_mm), threads=1)
     except NeedlefitError as error:
         return error
 
@@ -134,7 +152,7 @@ def aim_message(aim: TrialAim) -> dict[str, Any]:
         "target": None if aim.goal is None else list(aim.goal.target),
         "radius": aim.radius,
         "roll_deg": aim.roll_deg,
-        "obstacles": [[*one.centre_mm, one.radius_mm] for one in aim.obstacles],
+        "obstacles": [[*one.centre_mm, one.radius_mm, one.name] for one in aim.obstacles],
     }
 
 
@@ -146,7 +164,7 @@ def region_message(region: ReachableRegion, step: int) -> dict[str, Any]:
     }
 
 
-def plan_message(found: SteeringPlan | NeedlefitError, step: int) -> dict[str, Any]:
+def plan_message(found: SteeringPlan | NeedlefitError, aim: TrialAim) -> dict[str, Any]:
     """Return the message of a plan, or of why there is none."""
     if isinstance(found, NeedlefitError):
         return {"kind": "plan", "fault": {"what": found.what, "expected": found.expected, "fix": found.fix}}
@@ -156,7 +174,9 @@ def plan_message(found: SteeringPlan | NeedlefitError, step: int) -> dict[str, A
     nominal = found.nominal if np.isfinite(found.nominal[-1, 0]) else found.nominal[:0]
     return {
         "kind": "plan",
-        "step": step,
+        "step": aim.plan_step,
+        "anew": aim.entry_mm > 0,  # it begins at first contact
+        "entry_mm": found.entry_mm,
         "fan": [[_round(column) for column in needle.T] for needle in drawn],
         "x": _round(nominal[:, 0]),
         "y": _round(nominal[:, 1]),
@@ -165,6 +185,7 @@ def plan_message(found: SteeringPlan | NeedlefitError, step: int) -> dict[str, A
         ],
         "turns": len(found.turns),
         "draws": len(found.needles),
+        "hits": found.hits,
         "probability": found.probability,
         "low": found.low,
         "high": found.high,

@@ -14,10 +14,10 @@ from needlefit.mechanics.scene import Scene
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal
 from needlefit.studies.kinds.plan.steering import SteeringPlan
-from needlefit.viewer.interaction.inputs import Change
+from needlefit.viewer.interaction.inputs import Change, find_tissue_changes
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.opening.live_fit import FitScope
-from needlefit.viewer.opening.plan import list_changes
+from needlefit.viewer.opening.plan import list_changes, shift_entry
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, make_head
 from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
 
@@ -35,8 +35,12 @@ class TrialAim:
         None: there is no target.
     plan : SteeringPlan or None
         The last plan for this goal.
+    plan_step : int
+        Step of the needle at which it was sought.
     roll_deg : float
         Angle about x by which the needle's plane contains a target in space.
+    entry_mm : float
+        By how much a plan may shift the entry to either side. Above 0 it begins anew at first contact.
     wanted, challenged : bool
         Whether a plan, or a random target, has been asked for and is not computed yet.
     version : int
@@ -47,7 +51,9 @@ class TrialAim:
     radius: float = DEFAULT_RADIUS_MM
     obstacles: tuple[ObstacleRecord, ...] = ()
     plan: SteeringPlan | None = None
+    plan_step: int = 0
     roll_deg: float = 0.0
+    entry_mm: float = 0.0
     wanted: bool = False
     challenged: bool = False
     version: int = 0
@@ -64,6 +70,11 @@ class TrialAim:
         self.radius, self.obstacles, self.roll_deg = radius, obstacles, roll_deg
         self.plan, self.wanted, self.challenged = None, False, False
         self.version += 1
+
+    def take(self, other: "TrialAim") -> None:
+        """Take the goal of another trial of the same tissue."""
+        target = None if other.goal is None else other.goal.target
+        self.set(target, other.radius, other.obstacles, other.roll_deg)
 
 
 @dataclass
@@ -329,11 +340,34 @@ class TrialRegistry:
         other = self._begin(replace(trial.viewed_scene, first_cell=first_cell), None)
         for changes in list_changes(other.steering, trial.steering.input_path(), depth):
             other.act(changes, gesture=0)
+        other.aim.take(trial.aim)
+        return self._instead(trial, other)
+
+    def entered(self, trial: InteractiveTrial) -> InteractiveTrial:
+        """Return a new trial at first contact, at the entry of a trial's plan, with its parameters and plan.
+
+        Raises
+        ------
+        ModelError
+            If the trial has no plan.
+        """
+        plan = trial.aim.plan
+        if plan is None:
+            raise ModelError("there is no plan", expected="a plan", fix="plan again")
+        other = self._begin(shift_entry(trial.viewed_scene, plan.entry_mm), None)
+        changes = find_tissue_changes(trial.steering.now.tissue, other.scene.tissue)
+        if changes:
+            other.act(changes, gesture=0)
+        moved, aim = plan.move_to_entry(), other.aim
+        aim.set(moved.goal.target, moved.goal.radius, moved.goal.obstacles, trial.aim.roll_deg)
+        aim.plan, aim.plan_step = moved, other.steering.number
         return self._instead(trial, other)
 
     def again(self, trial: InteractiveTrial, source: Recording) -> InteractiveTrial:
         """Return a new trial for the same window, at first contact, for a replay."""
-        return self._instead(trial, self._begin(trial.viewed_scene, source))
+        other = self._begin(trial.viewed_scene, source)
+        other.aim.take(trial.aim)
+        return self._instead(trial, other)
 
     def written(self) -> list[Path]:
         """Return the recordings that have been started."""

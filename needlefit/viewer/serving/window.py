@@ -24,7 +24,7 @@ from needlefit.viewer.serving.messages import (
     scene_message,
     state_message,
 )
-from needlefit.viewer.serving.plans import read_goal, read_markups
+from needlefit.viewer.serving.plans import MAX_ENTRY_MM, read_goal, read_markups
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 
 MAX_FRAME_S = 0.1
@@ -211,8 +211,10 @@ class Window:
                 want_fit(self.trial, message)
                 self.trial.fit.offsets = offsets
             case "plan":
-                self._want_plan()
+                self._want_plan(message)
             case "run":
+                if self.trial.aim.plan is not None and self.trial.aim.entry_mm:
+                    self.trial = self.trials.entered(self.trial)
                 self._start(Play(self._next_steps(message), _read_speed(message), message.id))
             case "undo":
                 self.trial.undo()
@@ -230,10 +232,14 @@ class Window:
             )
         self.trial = self.trials.aligned(self.trial)
 
-    def _want_plan(self) -> None:
-        if self.trial.aim.goal is None:
+    def _want_plan(self, message: Message) -> None:
+        entry, aim = message.number("entry_mm", 0.0, MAX_ENTRY_MM, "mm"), self.trial.aim
+        if aim.goal is None:
             raise ModelError("there is no target", expected="a target in the tissue", fix="place one")
-        self.trial.aim.wanted = True
+        if entry < 0 or (entry and self.trials.shared):
+            expected = "0 mm: a tracker moves the needle" if self.trials.shared else "0 mm or above"
+            raise ModelError(f"the entry may shift by {entry:g} mm", expected=expected)
+        aim.wanted, aim.entry_mm, aim.plan = True, entry, None
 
     def _next_steps(self, message: Message) -> tuple[Step, ...]:
         """Return the steps of the plan that lie ahead of the tip, or only the first of them."""

@@ -1,7 +1,9 @@
 """Targets and obstacles in space, and the plane of the needle that contains the target."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +13,15 @@ from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement
+from needlefit.schemas.names import name_fault
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal
 
 TARGET_LABEL = "target"
 """Beginning of the label of the target in a file of markups, in any case."""
+
+MAX_NAME_LENGTH = 40
+"""Characters of the name of an obstacle; of a longer label the first ones."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +98,29 @@ def read_goal_points(
             fix="rename the others",
         )
     others = [n for n in range(len(points)) if n not in aims]
+    names = name_obstacles(labels[n] for n in others)
     balls = tuple(
-        Ball(labels[n].strip() or f"obstacle {count}", tuple(points[n]), obstacle_radius)
-        for count, n in enumerate(others, start=1)
+        Ball(name, tuple(points[n]), obstacle_radius) for name, n in zip(names, others, strict=True)
     )
     return (tuple(points[aims[0]]) if aims else None), balls
+
+
+def name_obstacles(labels: Iterable[str]) -> tuple[str, ...]:
+    """Return a name for each obstacle, no two the same: its label, cut to `MAX_NAME_LENGTH`.
+
+    One without a label, or with one that is no name, gets the first free `obstacle 1`, `obstacle 2`, ...
+    """
+    wanted = [" ".join(label.split())[:MAX_NAME_LENGTH] for label in labels]
+    taken, found = set(wanted), list[str]()
+    for name in wanted:
+        usable = bool(name) and not name_fault(name)
+        if usable and name not in found:
+            found.append(name)
+            continue
+        stem, first = (name, 2) if usable else ("obstacle", 1)
+        found.append(next(one for n in count(first) if (one := f"{stem} {n}") not in taken))
+        taken.add(found[-1])
+    return tuple(found)
 
 
 def _to_frame(points: Floats, placement: Placement) -> Floats:

@@ -7,7 +7,7 @@ none.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -35,6 +35,14 @@ class Goal:
     target: tuple[float, float]
     radius: float = math.inf
     obstacles: tuple[ObstacleRecord, ...] = ()
+
+    def move(self, shift: float) -> "Goal":
+        """Return the goal `shift` mm along y."""
+        (x, y), around = self.target, []
+        for one in self.obstacles:
+            along, across = one.centre_mm
+            around.append(one.model_copy(update={"centre_mm": (along, across + shift)}))
+        return replace(self, target=(x, y + shift), obstacles=tuple(around))
 
 
 def compute_clearances(needles: Floats, obstacle: ObstacleRecord) -> Floats:

@@ -46,6 +46,9 @@ BASE_STEP_MM = 5.0
 DEPTH_RANGE_MM = 5.0
 """A plan ends within so much of the target's own depth."""
 
+NEAREST_TARGET_MM = 0.5
+"""A target lies at least so much deeper than the tip."""
+
 TURN_PLACES = {0: 0, 1: 5, 2: 4}
 """On how many places along the way so many turns of the bevel are tried."""
 
@@ -60,6 +63,12 @@ RISK_WIDTH = 0.15
 
 TURN_RISK, EFFORT_RISK = 0.005, 0.01
 """Risk for which a further turn is taken, and for which base and entry are moved over their ranges."""
+
+CERTAIN_RISK = 0.99
+"""From this risk on a choice counts as one that misses the target in all draws."""
+
+REACH_DEPTHS = 6
+"""At how many depths the reachable region is computed, besides the tip."""
 
 REACH_SHARES = (0.05, 0.5, 0.95)
 """Shares of draws for which the reachable region is given."""
@@ -192,6 +201,17 @@ class SteeringPlan:
         """Distance of the tips from the target, mm, of the draws that have a needle."""
         return compute_misses(self.needles[self.solved], self.goal)
 
+    def move_to_entry(self) -> "SteeringPlan":
+        """Return the same plan in the frame of its own entry."""
+        shift = np.array([0.0, self.entry_mm])
+        return replace(
+            self,
+            entry_mm=0.0,
+            goal=self.goal.move(-self.entry_mm),
+            needles=self.needles - shift,
+            nominal=self.nominal - shift,
+        )
+
     @property
     def nominal_miss(self) -> float:
         """Distance from the target of the tip with the exact parameters, mm."""
@@ -291,10 +311,11 @@ class _Search:
     def check(self) -> None:
         """Raise ModelError unless the target lies ahead, within reach."""
         x, reach = self.goal.target[0], self.insertion.reach
-        if x <= self.insertion.now.depth + 0.5 or self.end > reach:
+        nearest = self.insertion.now.depth + NEAREST_TARGET_MM
+        if x <= nearest or self.end > reach:
             raise ModelError(
                 f"the target lies at a depth of {x:.1f} mm",
-                expected=f"deeper than the tip, {self.insertion.now.depth:.1f} mm, up to {reach:.1f} mm",
+                expected=f"deeper than {nearest:.1f} mm (tip + {NEAREST_TARGET_MM} mm), up to {reach:.1f} mm",
                 fix="retract the needle, or take another target",
             )
 
@@ -374,12 +395,18 @@ class _Search:
         return [_Choice(side, turned, begin) for turned, side in product(turns, sides)]
 
     def best(self) -> _Choice:
-        """Return the choice of least risk."""
+        """Return the choice of least risk; where all miss the target, the one of the least expected miss."""
         tried = self._step_once(self.list_choices())
-        order = np.argsort(self.risks(tried), kind="stable")
-        found = [self._optimize(tried[n]) for n in order[:REFINED_PLANS]]
-        risks = self.risks(found)
-        return self._lower_risk(found[int(np.argmin(risks))])
+        found = [self._optimize(one) for one in self._rank(tried)[:REFINED_PLANS]]
+        best = self._rank(found)[0]
+        return best if self.risks([best])[0] >= CERTAIN_RISK else self._lower_risk(best)
+
+    def _rank(self, choices: Sequence[_Choice]) -> list[_Choice]:
+        """Return choices, the best one first."""
+        values = self.risks(choices)
+        if min(values) >= CERTAIN_RISK:  # far from the target the smoothed risk has no slope
+            values = [float(np.sum(one**2)) for one in self.residuals(choices)]
+        return [choices[n] for n in np.argsort(values, kind="stable")]
 
     def _step_once(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices after one Gauss-Newton step each, all their needles simulated together."""
@@ -495,31 +522,34 @@ def find_reachable_region(
 ) -> ReachableRegion:
     """Return where the tip can come to stand up to `depth` (mm), by draws of the parameters.
 
-    The bevel stays to one side and the base goes at once to a corner of its range: these are the needles that
-    bend most.
+    The bevel stays to one side and the base goes to a corner of its range or stays, in the steps of a plan to
+    that depth: these are the needles that bend most.
     """
-    limits, now = limits or PlanLimits(), insertion.now
-    still = replace(now.controls, tip=None)
-    held = [still] + [
-        replace(still, base_y=y * limits.base_mm, base_slope=slope * limits.base_slope)
-        for y, slope in product((-1, 1), (-1, 1))
-    ]
-    ways = [
-        (Step(min(depth, insertion.reach), replace(now.bevel, side=side), controls),)
-        for side, controls in product((1, -1), held)
-    ]
+    limits, end = limits or PlanLimits(), min(depth, insertion.reach)
+    begin = min(insertion.now.depth + NEAREST_TARGET_MM, end)
+    depths = np.append(begin, np.linspace(min(begin + 2 * BASE_STEP_MM, end), end, REACH_DEPTHS))
+    ways = [way for to in depths.tolist() for way in _list_outermost_ways(insertion, to, limits)]
     draws = insertion.samples[0] if insertion.draws is not None else insertion.exact
     found = insertion.simulate(draws, ways, threads)
-    tips = np.array([np.where(one.valid[:, None], one.tip_track[:, :, 0], np.nan) for one in found])
-    x = found[0].constraints[0, :, 0]
-    ahead = x > now.depth + SAME_DEPTH_MM
-    solved = np.isfinite(tips[:, :, -1]).any(axis=0)
-    if not solved.any() or not ahead.any():
+    tips = np.array([np.where(one.valid, one.tip_track[:, -1, 0], np.nan) for one in found])
+    tips = tips.reshape(len(depths), -1, len(draws))  # (K, ways, B)
+    kept = np.isfinite(tips).any(axis=1).all(axis=0)  # draws with a needle at every depth
+    if not kept.any() or end <= insertion.now.depth + SAME_DEPTH_MM:
         empty = np.empty((len(REACH_SHARES), 0))
         return ReachableRegion(np.empty(0), empty, empty)
-    tips = tips[:, solved][:, :, ahead]
-    least, greatest = np.nanmin(tips, axis=0), np.nanmax(tips, axis=0)  # (B, K)
+    least, greatest = np.nanmin(tips[..., kept], axis=1).T, np.nanmax(tips[..., kept], axis=1).T  # (B, K)
     shares = np.array(REACH_SHARES)
     return ReachableRegion(
-        x[ahead], np.quantile(least, shares, axis=0), np.quantile(greatest, 1 - shares, axis=0)
+        depths, np.quantile(least, shares, axis=0), np.quantile(greatest, 1 - shares, axis=0)
     )
+
+
+def _list_outermost_ways(
+    insertion: StartedInsertion, depth: float, limits: PlanLimits
+) -> list[tuple[Step, ...]]:
+    """Return the ways to a depth without a turn, whose base stays or goes to a corner of its range."""
+    search = _Search(insertion, Goal((depth, 0.0)), limits, threads=1)
+    corners = product((-limits.base_mm, limits.base_mm), (-limits.base_slope, limits.base_slope))
+    ends = [search.still, *(np.array([0.0, depth, *corner]) for corner in corners)]
+    side = insertion.now.bevel.side
+    return [search.way(_Choice(one, (), at)) for one, at in product((side, -side), ends)]

@@ -1,11 +1,12 @@
 /** The target with its radius, obstacles, the region that the tip can reach, and the needles of a plan. */
 
-import { aim } from "../aim.js";
+import { aim, nameOf } from "../aim.js";
 import { palette } from "../palette.js";
 import { toPx, toPy, view } from "../view.js";
 import { label, line } from "./strokes.js";
 
 const FAN = 0.3; // opacity of the plan's draws
+const PALE = 0.35; // of a plan that the needle has left
 const CROSS = 5; // px
 
 /** Shade where the tip can come to stand: the more of the draws, the stronger. */
@@ -27,11 +28,13 @@ export function paintReach(context) {
 /** Draw the needles of the draws, and over them the one of the parameters shown; in a challenge nothing. */
 export function paintPlan(context) {
   if (!aim.plan || aim.challenge?.hidden) return;
-  context.globalAlpha = FAN;
+  const pale = aim.plan.left ? PALE : 1;
+  context.globalAlpha = FAN * pale;
   for (const [x, y] of aim.plan.fan) line(context, x, y, palette.plan, 1);
-  context.globalAlpha = 1;
+  context.globalAlpha = pale;
   line(context, aim.plan.x, aim.plan.y, palette.halo, 4);
   line(context, aim.plan.x, aim.plan.y, palette.plan, 2, [10, 4]);
+  context.globalAlpha = 1;
 }
 
 /** Draw target and obstacles. */
@@ -43,7 +46,7 @@ export function paintGoal(context) {
     context.fill();
     context.globalAlpha = 1;
     outline(context, palette.tip, 2);
-    text(context, x, y + radius, `obstacle ${i + 1}`, palette.tip, -9);
+    text(context, x, y + radius, nameOf(i), palette.tip, -9);
   });
   if (!aim.target) return;
   const [x, y] = aim.target;

@@ -9,8 +9,9 @@ import { line, ring, straight, turned } from "./strokes.js";
 const THINNEST = 2; // px
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const LONGEST_BEVEL = 2.5; // diameters
-const TUBE = 7; // px; from here on one sees through it
-const RIM = 1.5; // px
+const WIDE = 7; // px; from here on the body is drawn faint
+const FAINT = 0.24; // opacity
+const AXIS = 2; // px
 
 /** How thick the needle is drawn, px. */
 export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THINNEST);
@@ -18,24 +19,24 @@ export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THIN
 /**
  * Draw the shaft and the bevel, whose point lies where it turns the cut to.
  *
- * The shaft is a tube that one sees through, with its centreline: what it is compared with is thinner than it.
+ * The shaft is its centreline with its body faint behind: what it is compared with is thinner than the body.
  */
 export function paintNeedle(context, { x, y, bevel, faults }) {
-  const colour = faults?.length ? palette.bad : palette.needle; // outside the model it looks different
-  context.setLineDash(faults?.length ? [9, 5] : []);
+  const outside = faults?.length > 0; // of the model: it looks different
+  const colour = outside ? palette.bad : palette.needle;
   const width = thickness();
   const shaft = shortened(x.map(toPx), y.map(toPy), LONGEST_BEVEL * Math.max(width, 3));
   const axis = new Path2D();
   for (const [px, py] of shaft.points) axis.lineTo(px, py);
   context.lineJoin = "round";
   context.lineCap = "butt";
-  stroke(context, axis, colour, width);
-  if (width >= TUBE) {
-    context.globalCompositeOperation = "destination-out";
-    stroke(context, axis, "#000c", width - 2 * RIM);
-    context.globalCompositeOperation = "source-over";
-    stroke(context, axis, colour, 1.5);
+  if (width >= WIDE) {
+    context.globalAlpha = FAINT;
+    stroke(context, axis, colour, width);
+    context.globalAlpha = 1;
   }
+  context.setLineDash(outside ? [9, 5] : []);
+  stroke(context, axis, colour, width < WIDE ? width : AXIS);
   context.setLineDash([]);
   paintBevel(context, shaft, Math.max(width, 3) / 2, bevel.side);
 }

@@ -33,7 +33,7 @@ export function paintBand(context, { x, low, high }, pale) {
   context.fillStyle = palette.band;
   context.fill();
   context.globalAlpha = pale ? 0.4 : 1;
-  for (const edge of [low, high]) line(context, x, edge, palette.band, 1.5);
+  for (const edge of [low, high]) line(context, x, edge, palette.band, 1.5, [3, 2]);
   context.globalAlpha = 1;
 }
 

@@ -23,7 +23,7 @@ const timeOf = (index) => (ends > 0 ? (states[index][0].time_s / ends) * lasts :
 /** What is put in at a state. */
 const INPUTS = [
   ["bevel", ({ bevel }) => (bevel.side > 0 ? "▲ to +y" : "▼ to −y"), ""],
-  ["strength", ({ bevel }) => strengthOf(bevel).value.toFixed(strengthOf(bevel).digits), strengthOf(scene.fitted).unit],
+  [strengthOf(scene.fitted).symbol, ({ bevel }) => strengthOf(bevel).value.toFixed(strengthOf(bevel).digits), strengthOf(scene.fitted).unit],
   ["base y", ({ base }) => signed(base.input_y, 2), "mm"],
   ["base slope", ({ base }) => signed(degrees(base.input_slope), 2), "°"],
   ["guides", ({ guides }) => String(guides.length), ""],
@@ -85,6 +85,7 @@ slider.addEventListener("input", () => {
 });
 part("version").textContent = `Recorded with needlefit ${needlefit}, an interactive simulation of needles in soft tissue.`;
 part("note").textContent = scene.note;
+part("synthetic").hidden = !scene.synthetic;
 take({ ...scene, kind: "scene" });
 showState(states.length - 1);
 requestAnimationFrame(frame);
