@@ -1,0 +1,71 @@
+"""Whether draws by importance sampling leave out a part of the posterior where the truth lies.
+
+Replicates of `needlefit calibrate STUDY` are drawn twice: about the peaks that the search finds, as always,
+and about these and the true parameters. Printed is the share of draws below the truth (PIT), of the
+combination that the design determines best. Where the first draws cover the posterior, both are alike.
+
+    python benchmarks/missed_draws.py study1 [--replicates 0,1,2] [--starts 16]
+"""
+
+import argparse
+
+import numpy as np
+
+from needlefit.inference.importance.fit_posterior import find_modes, sample_about_modes
+from needlefit.inference.optimize import minimize
+from needlefit.project.load import load
+from needlefit.project.locate import find_file
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.kinds.calibration.quantities import best_determined_direction
+from needlefit.studies.kinds.calibration.replicate import simulate_experiment
+from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
+
+
+def find_direction(job: Job) -> np.ndarray:
+    """Return the combination (P,) that the design determines best."""
+    values, place = choose_reference_values(job)
+    design = simulate_design(job, job.folds[0], values)
+    if design is None:
+        raise SystemExit(f"the planned insertions have no solution at {place}")
+    return best_determined_direction(design, design.parameters.theta(values))
+
+
+def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) -> list[str]:
+    """Return share, effective draws and Pareto k of a replicate: about peaks, and with the truth."""
+    seed = job.recipe.seed
+    simulated = simulate_experiment(job, random_stream(seed, job.name, "calibrate", number, "data"))
+    problem = simulated.problem
+    recipe = job.recipe.model_copy(update={"minimize": "posterior", "starts": starts})
+    rng = random_stream(seed, job.name, "calibrate", number, "inference")
+    peaks = find_modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
+    cells = []
+    for centres in (peaks, np.vstack([peaks, simulated.theta])):
+        found = sample_about_modes(problem, centres, np.random.default_rng(number))
+        below = found.thetas @ direction < simulated.theta @ direction
+        share = float(np.exp(found.log_weights[below]).sum())
+        cells.append(f"{share:.3f} | {found.effective_sample_size:.0f} | {found.k:.2f}")
+    return cells
+
+
+def main() -> None:
+    """Print a row per replicate."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("study")
+    parser.add_argument("--replicates", default="0,1,2")
+    parser.add_argument("--starts", type=int, default=16)
+    arguments = parser.parse_args()
+    name = arguments.study
+    job = prepare(name, load(find_file("study", name), StudyRecord), Settings())
+    direction = find_direction(job)
+    print(
+        "replicate | PIT about peaks | draws worth | Pareto k | with the truth: PIT | draws worth | Pareto k"
+    )
+    for number in map(int, arguments.replicates.split(",")):
+        cells = compute_shares(job, number, arguments.starts, direction)
+        print(number, *cells, sep=" | ", flush=True)
+
+
+if __name__ == "__main__":
+    main()
