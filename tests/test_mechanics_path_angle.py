@@ -76,7 +76,9 @@ def test_the_lanes_are_used() -> None:
 
     batch = Batch(NEEDLE, PHANTOM, (Step(25.0, Bevel(cut_angle=0.1)),), RULES, cut_angle=np.array([0.1, 0.2]))
     job = _prepare_job(batch)
-    assert job.lanes is not None and (job.lanes.tables.regular_row[1:] >= 0).mean() > 0.8
+    assert job.lanes is not None
+    ((_, tables),) = job.lanes.grids
+    assert (tables.regular_row[1:] >= 0).mean() > 0.8
     assert not _simulate_lanes(
         job, job.lanes, slice(0, 2), make_workspace(job.lanes.nodes, job.lanes.points)
     )[1].any()
