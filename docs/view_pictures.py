@@ -1,21 +1,31 @@
-"""Take the pictures of the page in docs/figures: view.png, view_fit.png and view_plan.png.
+"""Take the pictures of the page in docs/figures: view.png, view_fit.png, view_plan.png and view_tracked.png.
 
     python docs/view_pictures.py
 
 Opens the page of twin/phantom2-05 in the installed Chromium (Playwright): at a depth of 34 mm; fitted to the
-measured needle; and fitted at 15 mm, with a target, an obstacle and the plan.
+measured needle; and fitted at 15 mm, with a target, an obstacle and the plan. Last comes phantom2, its needle
+tracked through OpenIGTLink to 40 mm (`benchmarks/openigtlink.py` has the truth).
 """
 
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 from playwright.sync_api import Page, sync_playwright
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from openigtlink import TRACKER, pack, simulate_tips
 
 FIGURES = Path(__file__).parent / "figures"
 GOAL = "{ target: [46, -1], radius: 0.8, obstacles: [[30, -1.4, 0.4]] }"
+TRACKED_DEPTH_MM = 40
 SIZE = {"width": 1280, "height": 900}
 
 
@@ -52,7 +62,9 @@ def save(page: Page, name: str, shown: str | None = None) -> None:
     page.screenshot(path=FIGURES / name)
 
 
-def take(address: str) -> None:
+@contextmanager
+def open_browser(address: str) -> Iterator[Callable[[], Page]]:
+    """Yield what opens the page anew."""
     with sync_playwright() as play:
         browser = play.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
@@ -64,6 +76,12 @@ def take(address: str) -> None:
             wait(page, "state => state && window.needlefit.connected")
             return page
 
+        yield open_page
+        browser.close()
+
+
+def take(address: str) -> None:
+    with open_browser(address) as open_page:
         page = open_page()
         insert(page, 34)
         save(page, "view.png")
@@ -79,18 +97,63 @@ def take(address: str) -> None:
         page.click("#make-plan")
         wait(page, "() => window.needlefit.aim.plan")
         save(page, "view_plan.png", "#plan-note")
-        browser.close()
+
+
+def send_tips(port: int, stop: threading.Event) -> None:
+    """Send the poses of base and tip of a needle that goes in and stays, with errors, until told to stop."""
+    path, rng, depth = simulate_tips(), np.random.default_rng(3), 0.0
+    with socket.create_connection(("127.0.0.1", port)) as link:
+        while not stop.wait(0.03):
+            depth = min(depth + 0.2, TRACKED_DEPTH_MM)
+            tip = np.array([np.interp(depth, path[:, 0], path[:, k]) for k in (1, 2)])
+            tip += 0.3 * rng.standard_normal(2)
+            link.sendall(pack("Base", np.array([depth - 150.0, 0.0])) + pack("Tip", tip))
+
+
+def take_tracked(address: str, port: int) -> None:
+    stop = threading.Event()
+    sender = threading.Thread(target=send_tips, args=(port, stop))
+    with open_browser(address) as open_page:
+        page = open_page()
+        sender.start()
+        try:
+            wait(page, f"state => state.depth_mm > {TRACKED_DEPTH_MM - 1}")
+            page.wait_for_timeout(2000)
+            save(page, "view_tracked.png")
+        finally:
+            stop.set()
+            sender.join()
+
+
+def serve(target: str, *options: str, then: Callable[[str], None]) -> None:
+    """Run the page of a target while pictures of it are taken."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [
+            sys.executable,
+            "-m",
+            "needlefit",
+            "view",
+            target,
+            "--no-browser",
+            "--out",
+            folder,
+            *options,
+        ]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            try:
+                then(process.stdout.readline().strip())
+            finally:
+                process.terminate()
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "needlefit", "view", "twin/phantom2-05"]
-        command += ["--no-browser", "--out", folder]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-            try:
-                take(process.stdout.readline().strip())
-            finally:
-                process.terminate()
+    serve("twin/phantom2-05", then=take)
+    with tempfile.TemporaryDirectory() as folder, socket.create_server(("127.0.0.1", 0)) as free:
+        port, tracker = free.getsockname()[1], Path(folder) / "tracker.toml"
+        free.close()
+        tracker.write_text(TRACKER)
+        options = "--openigtlink", str(port), "--tracker", str(tracker)
+        serve("phantom2", *options, then=lambda address: take_tracked(address, port))
 
 
 if __name__ == "__main__":
