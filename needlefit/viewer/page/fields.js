@@ -106,8 +106,9 @@ function wireNumber(field) {
   number.addEventListener("keydown", (event) => {
     if (event.key in ARROWS) stepBy(field, ARROWS[event.key], event);
     if (event.key === "Escape") giveBack(field);
-    if (event.key === "Enter") field.editing = false;
   });
+  // Not at keydown: the change comes after it, and a state that arrives between them would replace what is typed.
+  number.addEventListener("keyup", ({ key }) => { if (key === "Enter") field.editing = false; });
 }
 
 /** What was typed and not asked for goes; what is stands there again. */
