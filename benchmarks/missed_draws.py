@@ -18,18 +18,8 @@ from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.calibration.quantities import best_determined_direction
 from needlefit.studies.kinds.calibration.replicate import simulate_experiment
-from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
-
-
-def find_direction(job: Job) -> np.ndarray:
-    """Return the combination (P,) that the design determines best."""
-    values, place = choose_reference_values(job)
-    design = simulate_design(job, job.folds[0], values)
-    if design is None:
-        raise SystemExit(f"the planned insertions have no solution at {place}")
-    return best_determined_direction(design, design.parameters.theta(values))
+from needlefit.studies.kinds.calibration.run import weigh_design
 
 
 def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) -> list[str]:
@@ -58,7 +48,7 @@ def main() -> None:
     arguments = parser.parse_args()
     name = arguments.study
     job = prepare(name, load(find_file("study", name), StudyRecord), Settings())
-    direction = find_direction(job)
+    direction = np.array(list(weigh_design(job, job.folds[0]).values()))
     print(
         "replicate | PIT about peaks | draws worth | Pareto k | with the truth: PIT | draws worth | Pareto k"
     )

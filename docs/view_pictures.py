@@ -100,7 +100,7 @@ def take(address: str) -> None:
 
 
 def send_tips(port: int, stop: threading.Event) -> None:
-    """Send the poses of base and tip of a needle that goes in and stays, with errors, until told to stop."""
+    """Send poses of base and tip, with errors, of a needle that goes in and stays, until `stop` is set."""
     path, rng, depth = simulate_tips(), np.random.default_rng(3), 0.0
     with socket.create_connection(("127.0.0.1", port)) as link:
         while not stop.wait(0.03):

@@ -152,6 +152,17 @@ def _prepare_experiment(job: Job, record: CalibrationRecord) -> Experiment:
     fold = job.folds[0]
     if record.sampled:
         fold = Fold(fold.name, _select_few(fold.tune), ())
+    return Experiment(replace(job, folds=(fold,)), weigh_design(job, fold), record.sampled, record.control)
+
+
+def weigh_design(job: Job, fold: Fold) -> dict[str, float]:
+    """Return the weights, by parameter, of the combination that the planned insertions determine best.
+
+    Raises
+    ------
+    FitError
+        If these have no solution where they are looked at.
+    """
     values, place = choose_reference_values(job)
     design = simulate_design(job, fold, values)
     if design is None:
@@ -159,8 +170,7 @@ def _prepare_experiment(job: Job, record: CalibrationRecord) -> Experiment:
             f"the planned insertions have no solution at {place}", fix="name a set of the paper's parameters"
         )
     stiff = best_determined_direction(design, design.parameters.theta(values))
-    weights = dict(zip(design.names, stiff.tolist(), strict=True))
-    return Experiment(replace(job, folds=(fold,)), weights, record.sampled, record.control)
+    return dict(zip(design.names, stiff.tolist(), strict=True))
 
 
 def _select_few(insertions: tuple[Insertion, ...]) -> tuple[Insertion, ...]:
