@@ -1,8 +1,9 @@
 """Whether draws by importance sampling leave out a part of the posterior where the truth lies.
 
-Replicates of `needlefit calibrate STUDY` are drawn twice: about the peaks that the search finds, as always,
-and about these and the true parameters. Printed is the share of draws below the truth (PIT), of the
-combination that the design determines best. Where the first draws cover the posterior, both are alike.
+Replicates of `needlefit calibrate STUDY` are drawn three times: about the peaks that the search finds, along
+the profiles through the best of them too (as always), and about the true parameters besides. Printed is the
+share of draws below the truth (PIT), of the combination that the design determines best. Where the first
+draws cover the posterior, all three are alike.
 
     python benchmarks/missed_draws.py study1 [--replicates 0,1,2] [--starts 16]
 """
@@ -12,6 +13,7 @@ import argparse
 import numpy as np
 
 from needlefit.inference.importance.fit_posterior import find_modes, sample_about_modes
+from needlefit.inference.importance.sampler import Effort
 from needlefit.inference.optimize import minimize
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
@@ -23,7 +25,7 @@ from needlefit.studies.kinds.calibration.run import weigh_design
 
 
 def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) -> list[str]:
-    """Return share, effective draws and Pareto k of a replicate: about peaks, and with the truth."""
+    """Return share, effective draws and Pareto k of a replicate: about peaks, along profiles, with the truth."""
     seed = job.recipe.seed
     simulated = simulate_experiment(job, random_stream(seed, job.name, "calibrate", number, "data"))
     problem = simulated.problem
@@ -31,8 +33,11 @@ def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) ->
     rng = random_stream(seed, job.name, "calibrate", number, "inference")
     peaks = find_modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
     cells = []
-    for centres in (peaks, np.vstack([peaks, simulated.theta])):
-        found = sample_about_modes(problem, centres, np.random.default_rng(number))
+    three = ((peaks, False), (peaks, True), (np.vstack([peaks, simulated.theta]), True))
+    for centres, profiles in three:
+        found = sample_about_modes(
+            problem, centres, np.random.default_rng(number), effort=Effort(profiles=profiles)
+        )
         below = found.thetas @ direction < simulated.theta @ direction
         share = float(np.exp(found.log_weights[below]).sum())
         cells.append(f"{share:.3f} | {found.effective_sample_size:.0f} | {found.k:.2f}")
@@ -50,7 +55,8 @@ def main() -> None:
     job = prepare(name, load(find_file("study", name), StudyRecord), Settings())
     direction = np.array(list(weigh_design(job, job.folds[0]).values()))
     print(
-        "replicate | PIT about peaks | draws worth | Pareto k | with the truth: PIT | draws worth | Pareto k"
+        "replicate | PIT about peaks | draws worth | Pareto k | along profiles: PIT | draws worth | Pareto k"
+        " | with the truth: PIT | draws worth | Pareto k"
     )
     for number in map(int, arguments.replicates.split(",")):
         cells = compute_shares(job, number, arguments.starts, direction)

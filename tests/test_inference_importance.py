@@ -1,5 +1,7 @@
 """Importance sampling about modes: densities known in closed form come back, or k says that they do not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from sampling_cases import Known, banana, gaussian, two_hills
@@ -11,6 +13,7 @@ from needlefit.inference.importance.fit_posterior import (
     compute_predictive_density,
     find_modes,
     resample_draws,
+    sample_about_modes,
     select_distinct,
 )
 from needlefit.inference.importance.pareto import fit_pareto, smooth_weights
@@ -97,6 +100,38 @@ def test_two_equal_modes_have_equal_weight():
     found = weighted(Known(two_hills), [[5.0, 0.0], [-5.0, 0.0]])
     assert found.certified
     assert np.exp(found.log_weights)[found.thetas[:, 0] > 0].sum() == pytest.approx(0.5, abs=0.06)
+
+
+class Plateau(Known):
+    """A peak of x0 at 5, SD 0.2, on a plateau e^-2.88 as high; x1 is normal with SD 0.05 about 4 sin x0."""
+
+    parameters = SimpleNamespace(prior=SimpleNamespace(ties=()), half_normal={})
+
+    def __init__(self):
+        super().__init__(
+            lambda x: np.array([-0.5 * self.jacobian(one)[0] @ self.jacobian(one)[0] for one in x])
+        )
+
+    def jacobian(self, theta):
+        u, v = theta
+        hill = np.exp(-2 * (u - 5) ** 2)
+        residuals = np.array([2.4 * (1 - hill), (v - 4 * np.sin(u)) / 0.05])
+        return residuals, np.array([[9.6 * hill * (u - 5), 0.0], [-80 * np.cos(u), 20.0]])
+
+    def approach(self, minimized):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("effort", "share", "tolerance"),
+    [(Effort(profiles=False), 0.0, 1e-6), (Effort(draws=1000, components=30), 0.2994, 0.05)],
+)
+def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile(effort, share, tolerance):
+    """By quadrature 0.2994 of it lies at x0 < 2. From the peak alone none is found, and k is 0.46."""
+    mode = np.array([[5.0, 4 * np.sin(5.0)]])
+    found = sample_about_modes(Plateau(), mode, np.random.default_rng(1), effort=effort)
+    assert found.certified
+    assert np.exp(found.log_weights)[found.thetas[:, 0] < 2].sum() == pytest.approx(share, abs=tolerance)
 
 
 def test_heavy_tails_are_not_certified():

@@ -68,7 +68,11 @@ class LocalMinimum:
 
 
 def minimize_squares(
-    target: SumOfSquares, theta: Floats, held: int | None = None, max_evaluations: int = MAX_EVALUATIONS
+    target: SumOfSquares,
+    theta: Floats,
+    held: int | None = None,
+    max_evaluations: int = MAX_EVALUATIONS,
+    min_gain: float = MIN_GAIN,
 ) -> LocalMinimum:
     """Return the minimum nearest to `theta` (P,); the parameter numbered `held` keeps its value."""
     moving = np.arange(len(theta)) != held
@@ -83,7 +87,7 @@ def minimize_squares(
         step = _step(at, moving, step_bounds)
         # the decrease that the linear model predicts: slope is 2 J^T r, so this is -(2 r^T J s + |J s|^2)
         gain = -float(at.slope[moving] @ step + step @ at.information[np.ix_(moving, moving)] @ step)
-        converged = gain < MIN_GAIN
+        converged = gain < min_gain
         if converged:
             break
         ahead = at.theta.copy()

@@ -14,11 +14,28 @@ from needlefit.inference.identifiability.gauss_newton import (
     minimize_squares,
 )
 
-STOP_DEVIANCE = 1.5 * float(2 * gammaincinv(0.5, 0.95))
-"""Deviance at which a side ends: far enough above the threshold to see where it is passed."""
 
-TARGET_ROOT_RISE, MAX_ROOT_RISE = 0.6, 1.2
-"""Wanted and longest step, of the root of the deviance."""
+@dataclass(frozen=True)
+class ProfileSteps:
+    """How far a profile is traced, and how finely.
+
+    Attributes
+    ----------
+    stop_deviance : float
+        Deviance at which a side ends.
+    root_rise : float
+        Wanted step, of the root of the deviance; twice as much is accepted.
+    min_gain : float
+        Fall of the sum of squares below which a point counts as minimised.
+    """
+
+    stop_deviance: float
+    root_rise: float
+    min_gain: float = MIN_GAIN
+
+
+INTERVAL_STEPS = ProfileSteps(stop_deviance=1.5 * float(2 * gammaincinv(0.5, 0.95)), root_rise=0.6)
+"""For a 95 % interval: far enough above its threshold to see where it is passed."""
 
 MAX_STEP_GROWTH, MAX_STEP_FRACTION = 3.0, 0.34
 """A step is at most this times the one before, and this part of the parameter's range."""
@@ -66,6 +83,7 @@ class _PathSettings:
     elsewhere: Sequence[Floats]
     scale: float
     cheaper: SumOfSquares | None
+    steps: ProfileSteps
 
     @property
     def range(self) -> float:
@@ -73,10 +91,16 @@ class _PathSettings:
 
 
 def trace_profile(
-    target: SumOfSquares, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats] = (), scale: float = 1.0
+    target: SumOfSquares,
+    k: int,
+    optimum: LocalMinimum,
+    elsewhere: Sequence[Floats] = (),
+    scale: float = 1.0,
+    steps: ProfileSteps = INTERVAL_STEPS,
 ) -> ProfilePath:
     """Trace parameter `k` to both sides of the optimum, or of a better one that is found on the way."""
-    settings, spent, retries = _PathSettings(target, k, elsewhere, scale, target.approach("posterior")), 0, 0
+    settings = _PathSettings(target, k, elsewhere, scale, target.approach("posterior"), steps)
+    spent, retries = 0, 0
     for _ in range(MAX_RESTARTS):
         path = ProfilePath([optimum], evaluations=spent, retries=retries)
         for side in (-1, 1):
@@ -113,7 +137,8 @@ def _step_outward(
     side, step = last_step
     while len(found) <= MAX_SIDE_POINTS:
         last = found[-1]
-        if last.theta[k] == bound or _deviance_root(settings, optimum, last) ** 2 > STOP_DEVIANCE:
+        deviance = _deviance_root(settings, optimum, last) ** 2
+        if last.theta[k] == bound or deviance > settings.steps.stop_deviance:
             break
         place = last.theta[k] + side * step
         # a remainder of less than a fifth of a step is not worth a point of its own
@@ -124,10 +149,10 @@ def _step_outward(
             abs(place - float(last.theta[k])),
         )
         # the root of the deviance is linear where the profile is a parabola, so steps are judged by it
-        if rise > MAX_ROOT_RISE and step > MIN_STEP_FRACTION * settings.range:
+        if rise > 2 * settings.steps.root_rise and step > MIN_STEP_FRACTION * settings.range:
             if np.isfinite(point.value):
                 path.points.append(point)  # it is a point of the profile all the same
-            step *= float(np.clip(TARGET_ROOT_RISE / rise, 0.1, 0.6))
+            step *= float(np.clip(settings.steps.root_rise / rise, 0.1, 0.6))
         elif np.isfinite(point.value):
             found.append(point)
             step = _next_step(settings, optimum, point, (side, step))
@@ -147,7 +172,7 @@ def _first_step(settings: _PathSettings, optimum: LocalMinimum) -> float:
     rest = np.linalg.lstsq(optimum.information[np.ix_(others, others)], cross, rcond=1e-12)[0]
     remaining = max(float(optimum.information[settings.k, settings.k] - cross @ rest), 0.0)
     slope = np.sqrt(remaining / settings.scale)
-    return float(min(TARGET_ROOT_RISE / max(slope, 1e-9), MAX_STEP_FRACTION * settings.range))
+    return float(min(settings.steps.root_rise / max(slope, 1e-9), MAX_STEP_FRACTION * settings.range))
 
 
 def _next_step(
@@ -158,7 +183,7 @@ def _next_step(
     # at the optimum the root is 0, and its derivative is divided by it
     root = max(_deviance_root(settings, optimum, point), 1e-3)
     slope = side * float(point.slope[settings.k]) / settings.scale / (2 * root)
-    wanted = TARGET_ROOT_RISE / slope if slope > 0 else step if slope < 0 else np.inf
+    wanted = settings.steps.root_rise / slope if slope > 0 else step if slope < 0 else np.inf
     return float(
         np.clip(
             wanted,
@@ -177,7 +202,7 @@ def _compute_point(
     before, after = _deviance_root(settings, optimum, last), _deviance_root(settings, optimum, point)
     # first order in the deviance: d(root) = slope * step / (2 root); 0.5 keeps the first step finite
     lead = abs(place - float(last.theta[settings.k])) * abs(float(last.slope[settings.k])) / settings.scale
-    expected = before + lead / (2 * max(before, 0.5)) + TARGET_ROOT_RISE
+    expected = before + lead / (2 * max(before, 0.5)) + settings.steps.root_rise
     # a fall of the root, or a jump, means that the search has changed to another branch
     if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
         return point
@@ -223,7 +248,9 @@ def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, place: 
 
 
 def _minimize_held(settings: _PathSettings, path: ProfilePath, start: Floats, place: float) -> LocalMinimum:
-    point = minimize_squares(settings.target, _set_held(settings, start, place), held=settings.k)
+    point = minimize_squares(
+        settings.target, _set_held(settings, start, place), settings.k, min_gain=settings.steps.min_gain
+    )
     path.evaluations += point.evaluations
     return point
 

@@ -22,6 +22,7 @@ from needlefit.inference.draws import Draws
 from needlefit.inference.fit import Fit
 from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
 from needlefit.inference.identifiability.precision import add_estimated_noise
+from needlefit.inference.identifiability.profile_path import ProfileSteps, trace_profile
 from needlefit.inference.importance.pareto import MAX_PARETO_K
 from needlefit.inference.importance.sampler import Effort, WeightedDraws, resample, sample_by_importance
 from needlefit.inference.problem import Problem
@@ -36,6 +37,9 @@ MAX_LOG_DENSITY_GAP = 10.0
 
 MIN_MODE_DISTANCE = 1e-3
 """Ends nearer to each other than this part of the bounds are one mode."""
+
+PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.05)
+"""Profiles along which draws begin: coarse ones, down to densities of a thousandth of the peak's."""
 
 EFFORT = Effort()
 LARGER_EFFORT = Effort(draws=1000, components=30)
@@ -67,10 +71,29 @@ def escalate_effort(sample: Callable[[Effort], WeightedDraws]) -> WeightedDraws:
 def sample_about_modes(
     problem: Problem, ends: Floats, rng: np.random.Generator, jobs: int = 1, effort: Effort = EFFORT
 ) -> WeightedDraws:
-    """Return weighted draws of a posterior whose modes (M, P) are known."""
-    evaluator = Evaluator(problem, jobs)
-    approximations = [approximate_by_laplace(evaluator, end, problem.lower, problem.upper) for end in ends]
-    return sample_by_importance(evaluator, approximations, (problem.lower, problem.upper), rng, effort)
+    """Return weighted draws of a posterior whose modes (M, P), the best first, are known."""
+    evaluator, bounds = Evaluator(problem, jobs), (problem.lower, problem.upper)
+    approximations = [approximate_by_laplace(evaluator, end, *bounds) for end in ends]
+    if effort.profiles:
+        points = trace_profiles(problem, ends[0])
+        approximations += [approximate_by_information(one.information, one.theta, *bounds) for one in points]
+    return sample_by_importance(evaluator, approximations, bounds, rng, effort)
+
+
+def trace_profiles(problem: Problem, mode: Floats) -> list[LocalMinimum]:
+    """Return points along the profiles of the parameters on which no prior is stated, about a mode (P,).
+
+    A plateau beside the peak, where the data no longer tell a layer from none, may hold a tenth of the
+    posterior and end far from the peak. A mixture that grows from the peak alone may never reach it, and the
+    weights do not show it.
+    """
+    stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
+    optimum, points = minimize_squares(problem, mode), list[LocalMinimum]()
+    for k, name in enumerate(problem.names):
+        if name not in stated:
+            found = trace_profile(problem, k, optimum, steps=PROFILE_STEPS).points[1:]
+            points += [one for one in found if one.value - optimum.value <= 2 * MAX_LOG_DENSITY_GAP]
+    return points
 
 
 def sample_about_minimum(

@@ -123,12 +123,15 @@ class Effort:
         Independent draws that they must be worth, to be good.
     components : int
         Of the mixture.
+    profiles : bool
+        Whether the first draws are made along the profiles too, beside the modes.
     """
 
     draws: int = 250
     rounds: int = 14
     min_ess: float = 250.0
     components: int = 12
+    profiles: bool = True
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
 
 FitScope = Literal["insertion", "specimen", "dataset"]
 
-EFFORT = Effort(draws=200, rounds=2, min_ess=100.0)
+EFFORT = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
 """Less than a study takes: the draws are waited for."""
 
 SHOWN_DRAWS = 100
