@@ -25,7 +25,7 @@ from needlefit.studies.kinds.calibration.run import weigh_design
 
 
 def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) -> list[str]:
-    """Return share, effective draws and Pareto k of a replicate: about peaks, along profiles, with the truth."""
+    """Return share, effective draws and Pareto k: about peaks, along profiles, with the truth."""
     seed = job.recipe.seed
     simulated = simulate_experiment(job, random_stream(seed, job.name, "calibrate", number, "data"))
     problem = simulated.problem
