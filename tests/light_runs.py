@@ -1,14 +1,11 @@
 """Runs that predict by few draws or draw empty figures, for tests of neither predictions nor figures."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from needlefit.inference import predictive_distribution
 from needlefit.inference.importance.fit_posterior import EFFORT
+from needlefit.reporting.figures import style
 from needlefit.studies import held_out_predictions, posterior_fit
 from needlefit.studies.kinds.tracks import run as tracks
 
@@ -38,14 +35,8 @@ def draw_blank(patch: pytest.MonkeyPatch) -> None:
     Saving is what takes the time. `style.draw` is left as it is: a module that is first loaded while it is
     replaced would keep the replacement for the tests that follow.
     """
-    save = Figure.savefig
-
-    def save_blank(_: Figure, path: Path, **options: Any) -> None:
-        blank = Figure(figsize=(1, 1))
-        FigureCanvasAgg(blank)
-        save(blank, path, **options)
-
-    patch.setattr(Figure, "savefig", save_blank)
+    save = style.save_figure
+    patch.setattr(style, "save_figure", lambda _, suffix: save(Figure(figsize=(1, 1)), suffix))
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import os
 import socket
 import threading
+import tomllib
 from contextlib import chdir
 from pathlib import Path
 from time import process_time
@@ -160,3 +161,17 @@ def test_a_toml_key_of_many_parts_takes_no_time(key):
     refused(parse_toml, f"{key} = 1", "f", error=ConfigError)
     assert process_time() - began < 1.0
     assert parse_toml("a" + ".a" * (MAX_NESTING_LEVELS - 2) + " = 1.5", "f")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ("a = 1\nb = [1, 2.5, [-3e-2]]\n", "a = -0", "a = +1\r\nb = 2", "a = [1,]", "a = 1e400", "a-b = [ ]"),
+)
+def test_keys_with_numbers_alone_mean_what_toml_says(text):
+    assert repr(parse_toml(text, "here")) == repr(tomllib.loads(text))
+
+
+@pytest.mark.parametrize("text", ("a = 1\na = 2", "a = 01", "a = [1.]", "a = 1\x0bb = 2", "a = 1 2", "a = "))
+def test_keys_with_numbers_that_are_no_toml_are_refused(text):
+    with pytest.raises(ConfigError):
+        parse_toml(text, "here")

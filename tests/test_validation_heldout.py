@@ -73,7 +73,7 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
 
 
 def test_the_band_ends_at_the_predicted_tip(job, known):
-    (one,) = predict_held_out(job, of(job, exact(job.folds[0].validate[0])), sure(known))
+    (one,) = predict_held_out(job, of(job, exact(job.folds[0].validate[0])), sure(known), bands=True)
     assert len(one.band) == BAND_POINTS and all(tuple(point) == BAND_COLUMNS for point in one.band)
     last = one.band[-1]
     for name in ("low_50", "high_50", "low_95", "high_95"):

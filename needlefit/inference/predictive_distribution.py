@@ -92,13 +92,11 @@ def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
     """
     values = np.asarray(observed, dtype=np.float64)
     off = _mean_absolute(values - mixture.means, mixture.sd).mean(axis=0)
-    some = mixture.means[:: -(-len(mixture.means) // PAIR_DRAWS)]
-    between = np.array(
-        [
-            _mean_absolute(means[:, None] - means[None, :], np.sqrt(2) * sd).mean()
-            for means, sd in zip(some.T, mixture.sd, strict=True)
-        ]
-    )
+    some, sd = mixture.means[:: -(-len(mixture.means) // PAIR_DRAWS)], np.sqrt(2) * mixture.sd
+    first, second = np.triu_indices(len(some), 1)
+    pairs = [_mean_absolute(m[first] - m[second], s).sum() for m, s in zip(some.T, sd, strict=True)]
+    # the mean over all pairs: each of different draws counts twice, and each draw beside itself
+    between = (2 * np.array(pairs) / len(some) + _mean_absolute(np.zeros(len(sd)), sd)) / len(some)
     score: Floats = off - between / 2
     return score
 

@@ -40,6 +40,7 @@ from needlefit.mechanics.simulate import (
     read_shape,
     simulate_steps,
 )
+from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import compute_batch_scales
 
 
@@ -66,7 +67,8 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     ModelError
         If a needle is too short for its steps.
     """
-    jobs = [_prepare_job(batch) for batch in batches]
+    known: _KnownLayers = {}
+    jobs = [_prepare_job(batch, known) for batch in batches]
     tasks = [(n, start) for n, job in enumerate(jobs) for start in range(0, len(job.batch), LANES)]
     # Longest first: a long task that begins last would leave the other threads idle.
     tasks.sort(key=lambda task: -jobs[task[0]].cost)  # stable: blocks of one batch stay in order
@@ -100,6 +102,7 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
 
 _Block = tuple[NeedleShapes, Bools]  # of up to LANES sets, and which of them went through the scalar kernel
 _Grids = tuple[KernelInsertion, LaneTables]
+_KnownLayers = dict[tuple[object, ...], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True)
@@ -122,10 +125,7 @@ class _LaneJob:
 
     grids: tuple[_Grids, ...]  # a main grid for each choice of guides in the tissue that are passed
     lane: Ints  # (S,) the set of each lane; those to spare repeat the last block's
-    mu: Floats  # (S, n) harmless numbers where a set is invalid
-    alpha: Floats  # (S, n)
-    thickness: Floats  # (LANES n,)
-    friction: Floats  # (LANES n,)
+    layers: tuple[Floats, Floats]  # of every block, as `_make_layers` returns them
     has_friction: bool
     rigidity: Floats  # (S,)
     groups: tuple[_LaneGroup, ...]
@@ -156,7 +156,7 @@ class _BatchJob:
         return sum(stop.tip for stop in self.stops)
 
 
-def _prepare_job(batch: Batch) -> _BatchJob:
+def _prepare_job(batch: Batch, known: _KnownLayers) -> _BatchJob:
     valid = _find_valid(batch)
     needle, steps, rules = batch.needle, batch.steps, batch.rules
     if valid.any():  # depths and controls are alike in all valid sets: so one of them is used for all
@@ -168,15 +168,22 @@ def _prepare_job(batch: Batch) -> _BatchJob:
     lanes = None
     if _fits_lanes(batch, lattice, stops):
         grids = begin_insertion(needle, batch.tissue, steps, lattice, rules)
-        lanes = _prepare_lanes(batch, grids, pack_groups(moves, lattice), valid)
+        lanes = _prepare_lanes(batch, grids, pack_groups(moves, lattice), valid, known)
     scales = _make_scales(batch, valid, stops[-1].tip)
     return _BatchJob(batch, lattice, stops, valid, scales, lanes)
 
 
 def _prepare_lanes(
-    batch: Batch, grids: KernelInsertion, groups: Sequence[tuple[int, TipStops, Ints]], valid: Bools
+    batch: Batch,
+    grids: KernelInsertion,
+    groups: Sequence[tuple[int, TipStops, Ints]],
+    valid: Bools,
+    known: _KnownLayers,
 ) -> _LaneJob:
-    """Return what the sets share, and what differs between them in the order of the lanes."""
+    """Return what the sets share, and what differs between them in the order of the lanes.
+
+    `known` are the layers of batches before this one, which often has the same sets at other depths.
+    """
     starts = range(0, len(batch), LANES)
     lane = np.concatenate([np.resize(np.arange(i, min(i + LANES, len(batch))), LANES) for i in starts])
 
@@ -190,7 +197,9 @@ def _prepare_lanes(
     alpha = np.broadcast_to(tissue.alpha if batch.alpha is None else batch.alpha[lane], shape)
     # Lanes of invalid sets compute with harmless numbers; `_simulate_block` replaces their results.
     mu, alpha = (np.where(valid[lane, None], values, 1.0) for values in (mu, alpha))
-    thickness, friction = (np.tile(part, LANES) for part in (tissue.thickness, tissue.friction))
+    key = (tissue.law, *(part.tobytes() for part in (mu, alpha, tissue.thickness, tissue.friction)))
+    if key not in known:
+        known[key] = _make_layers(tissue, mu, alpha)
     prepared, mains = [], _MainGrids(grids)
     name = "cut_angle" if batch.rules.path_angle else "offset"
     for controls_id, stops, bevel_id in groups:
@@ -205,7 +214,7 @@ def _prepare_lanes(
             number = mains.find(conditions, passed)
             prepared.append(_LaneGroup(conditions, run_stops, number, base, turns, of_stop[run]))
     return _LaneJob(
-        tuple(mains.grids), lane, mu, alpha, thickness, friction, bool(tissue.friction.any()),
+        tuple(mains.grids), lane, known[key], bool(tissue.friction.any()),
         given("rigidity", batch.needle.flexural_rigidity), tuple(prepared),
     )  # fmt: skip
 
@@ -271,17 +280,20 @@ def _fits_lanes(batch: Batch, lattice: Lattice, stops: Sequence[TipStop]) -> boo
     return not (short and (free or batch.guide_x is not None))
 
 
-def _make_layers(job: _LaneJob, law: str, at: slice) -> tuple[Floats, Floats]:
-    """Return the series and limits of every lane's layers (n LAYER_ROWS W,), and curvatures (W,)."""
-    mu = job.mu[at]
-    terms = compile_law(law, job.alpha[at].ravel())
-    found = make_foundation(mu.ravel(), *terms, job.thickness, job.friction)
-    series = np.empty((mu.shape[1], LAYER_ROWS, LANES))  # each row of LANES numbers must be contiguous
-    series[:, :SERIES_TERMS] = found.series.reshape(LANES, -1, SERIES_TERMS).transpose(1, 2, 0)
-    series[:, SERIES_TERMS] = found.limit.reshape(LANES, -1).T
-    series[:, SERIES_TERMS + 1] = found.curvature.reshape(LANES, -1).T
-    series[:, SERIES_TERMS + 2] = found.friction.reshape(LANES, -1).T
-    return series.ravel(), series[:, SERIES_TERMS + 1].max(axis=0)
+def _make_layers(tissue: Tissue, mu: Floats, alpha: Floats) -> tuple[Floats, Floats]:
+    """Return the series and limits of the layers of every block, (blocks, n LAYER_ROWS W), and curvatures
+    (blocks, W), of parameters (S, n).
+    """
+    sets, layers = mu.shape
+    terms = compile_law(tissue.law, alpha.ravel())
+    common = (np.tile(part, sets) for part in (tissue.thickness, tissue.friction))
+    found = make_foundation(mu.ravel(), *terms, *common)
+    # each row of LANES numbers must be contiguous
+    series = np.empty((sets // LANES, layers, LAYER_ROWS, LANES))
+    series[:, :, :SERIES_TERMS] = found.series.reshape(-1, LANES, layers, SERIES_TERMS).transpose(0, 2, 3, 1)
+    for row, part in enumerate((found.limit, found.curvature, found.friction), start=SERIES_TERMS):
+        series[:, :, row] = part.reshape(-1, LANES, layers).transpose(0, 2, 1)
+    return series.reshape(len(series), -1), series[:, :, SERIES_TERMS + 1].max(axis=1)
 
 
 def _simulate_block(job: _BatchJob, start: int, workspace: LaneWorkspace) -> _Block:
@@ -320,7 +332,7 @@ def _simulate_lanes(
     first, _ = grids[0]
     lane_state = kernel.begin_lanes(len(first.y), lanes.nodes, len(first.rays))
     newton = NewtonOptions(batch.rules.tolerance, batch.rules.max_iterations)
-    tissue = _make_layers(lanes, batch.tissue.law, at)
+    series, curvatures = (part[sets.start // LANES] for part in lanes.layers)
     for group in lanes.groups:
         if group.grids != number:  # the nodes of another main grid
             number, lane_state.size[kernel.ON_MAIN_GRID] = group.grids, 0
@@ -329,7 +341,7 @@ def _simulate_lanes(
             before[0, 0] = batch.guide_x[lanes.lane[at]]
         turns = group.turns[:, at].take(group.of_stop, axis=0)  # (S, W)
         base = np.ascontiguousarray(group.base[:, at])
-        inputs = LaneInputs(lanes.rigidity[at], *tissue, base, before, turns, lanes.has_friction)
+        inputs = LaneInputs(lanes.rigidity[at], series, curvatures, base, before, turns, lanes.has_friction)
         kernel.advance_lanes(
             lane_state, *grids[number], group.conditions, inputs, group.stops, newton, workspace
         )

@@ -43,6 +43,7 @@ _INT64 = 2**63
 _DEEP_KEY = re.compile(
     r"""(?<![\w-])(?>(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % MAX_NESTING_LEVELS  # noqa: UP031
 )
+_KEY_WITH_NUMBERS = re.compile(r"([A-Za-z0-9_-]+) = ([-+.,eE0-9 \[\]]+)")
 _PLACE = re.compile(r" \(at (line \d+, column \d+|end of document)\)$")
 
 FileErrorType = type[DataError] | type[ConfigError]
@@ -194,7 +195,20 @@ def _loads_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text; tomllib copies a key with many dots once for every part."""
     if _DEEP_KEY.search(text):
         raise RecursionError
-    return tomllib.loads(text)
+    return _loads_numbers(text) or tomllib.loads(text)
+
+
+def _loads_numbers(text: str) -> dict[str, Any]:
+    """Return the values of a text in which every line is a key with numbers; nothing of any other.
+
+    Such lines mean the same to the JSON parser, which reads long lists thirty times as fast as tomllib.
+    """
+    lines = [_KEY_WITH_NUMBERS.fullmatch(line) for line in text.rstrip("\n").split("\n")]
+    try:
+        found = {line[1]: json.loads(line[2]) for line in lines if line}
+    except (ValueError, RecursionError):
+        return {}
+    return found if len(found) == len(lines) else {}
 
 
 @contextmanager

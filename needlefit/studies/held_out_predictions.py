@@ -29,7 +29,6 @@ from needlefit.inference.predictive_distribution import (
     PredictiveMixture,
     cdf,
     crps,
-    interval,
     quantile,
     simulate_shape_pit,
 )
@@ -100,6 +99,9 @@ BAND_COLUMNS = (
 )
 """Columns: where a held-out needle was predicted to be measured, point by point, at its measured x."""
 
+_PROBABILITIES = (0.5, *((1 + side * level) / 2 for level in INTERVAL_PROBABILITIES for side in (-1, 1)))
+"""Of the median and the ends of the intervals: one search finds all quantiles."""
+
 BAND_POINTS = 41
 """Points of a band that are kept, of up to some 200."""
 
@@ -123,12 +125,12 @@ def tabulate_held_out(job: Job, fold: Fold, draws: Draws, new: NewSpecimens | No
 
 
 def predict_held_out(
-    job: Job, fold: Fold, draws: Draws, new: NewSpecimens | None = None, jobs: int = 1
+    job: Job, fold: Fold, draws: Draws, new: NewSpecimens | None = None, jobs: int = 1, *, bands: bool = False
 ) -> Iterator[HeldOutPrediction]:
     """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
 
     Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
-    With `new`, parameters differ in specimens that were not tuned on.
+    With `new`, parameters differ in specimens that were not tuned on. Without `bands`, those are left out.
     """
     given = [one for one in fold.validate if job.dataset.noise.stated or one.sd is not None]
     if new is not None:
@@ -147,6 +149,7 @@ def predict_held_out(
         find_repeats(job.dataset),
         job.problem(fold) if fold.tune else None,
         jobs // side_by_side,
+        bands,
     )
     if side_by_side == 1:
         yield from filter(None, map(predict.predict, given))
@@ -168,6 +171,7 @@ class _Predictor:
     repeats: Mapping[str, tuple[str, int]]
     tuned_on: Problem | None
     jobs: int
+    bands: bool
 
     def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
         """Return the prediction of an insertion; None where too few draws have a solution."""
@@ -198,7 +202,8 @@ class _Predictor:
         row = {"fold": fold.name, **_describe_insertion(job, insertion, draws, int(np.sum(~solved))), **about}
         row |= _score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
         where = {"fold": fold.name, "insertion": insertion.id}
-        band = ({**where, **point} for point in _band_rows(mixture, observation.measured))
+        points = _band_rows(mixture, observation.measured) if self.bands else ()
+        band = ({**where, **point} for point in points)
         return HeldOutPrediction(
             {name: row[name] for name in PREDICTIVE_COLUMNS},
             tuple(band),
@@ -248,10 +253,11 @@ def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
     """Yield median and intervals at some of the measured points (K, 2), the tip the last."""
     kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
     some = PredictiveMixture(mixture.means[:, kept], mixture.sd[kept])
-    columns = {"x_mm": measured[kept, 0], "measured_mm": measured[kept, 1], "median_mm": quantile(some, 0.5)}
-    for level in INTERVAL_PROBABILITIES:
-        ends = zip(("low", "high"), interval(some, level), strict=True)
-        columns |= {f"{side}_{100 * level:.0f}_mm": end for side, end in ends}
+    columns = {"x_mm": measured[kept, 0], "measured_mm": measured[kept, 1]}
+    median, *ends = quantile(some, _PROBABILITIES)
+    columns |= {"median_mm": median}
+    for level, low, high in zip(INTERVAL_PROBABILITIES, ends[::2], ends[1::2], strict=True):
+        columns |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}
 
@@ -260,12 +266,12 @@ def _score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: f
     """Return what became of the prediction of points (K,), the last of them the tip."""
     tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
     at, score, pit = float(measured[-1]), crps(mixture, measured), cdf(mixture, measured)
-    row: Row = {"tip_measured_mm": at, "tip_median_mm": float(quantile(tip, 0.5)[0])}
+    median, *ends = quantile(tip, _PROBABILITIES)[:, 0].tolist()
+    row: Row = {"tip_measured_mm": at, "tip_median_mm": median}
     row |= {"tip_pit": float(pit[-1]), "tip_crps_mm": float(score[-1])}
     row |= {"shape_crps_mm": float(score.mean()), "shape_pit": shape_pit}
-    for level in INTERVAL_PROBABILITIES:
+    for level, low, high in zip(INTERVAL_PROBABILITIES, ends[::2], ends[1::2], strict=True):
         name = f"{100 * level:.0f}"
-        low, high = (float(end[0]) for end in interval(tip, level))
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
         row |= {f"tip_in_{name}": low <= at <= high}
         row |= {f"shape_in_{name}": shape_pit <= level}

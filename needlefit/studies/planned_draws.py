@@ -9,6 +9,7 @@ meet and others miss) is simulated draw by draw.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -221,15 +222,19 @@ class _Interpolation:
     points: Floats
     reach: Floats
 
+    @cached_property
+    def _steps(self) -> Floats:
+        """Return the points less those of the centre, (B, 2 d, 2 K)."""
+        nodes, count, points, _ = self.points.shape
+        steps = (self.points[1:] - self.points[0]).reshape(nodes - 1, count, 2 * points)
+        return np.ascontiguousarray(steps.swapaxes(0, 1))
+
     def at(self, shifts: Floats, deep: Floats) -> Floats:
         """Return the points (B, K, 2) with boundaries shifted by (B, n - 1) and the entry by (B,), mm."""
         whole = np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach  # (B, d)
-        found: Floats = self.points[0].copy()
-        for axis, part in enumerate(whole.T):
-            weights = make_spline_weights(NODE_PLACES, part)  # (B, 2)
-            for place, weight in enumerate(weights.T, start=1 + len(NODE_PLACES) * axis):
-                found += weight[:, None, None] * (self.points[place] - self.points[0])
-        return found
+        weights = make_spline_weights(NODE_PLACES, whole.ravel()).reshape(len(whole), 1, len(self.points) - 1)
+        moved: Floats = self.points[0] + (weights @ self._steps).reshape(self.points[0].shape)
+        return moved
 
 
 def _simulate_each(

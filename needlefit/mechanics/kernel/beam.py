@@ -67,9 +67,87 @@ def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
 def compute_batch_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     """Return the points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates."""
     points, reached = np.empty((len(x), len(s), 2)), np.empty((x.shape[1], 2))
-    for b in range(len(x)):
-        _fill_positions(points[b], reached, x[b], u[b], slope[b], s)
+    block = np.empty((x.shape[1] + 1, BLOCK_ROWS, BLOCK_NEEDLES))
+    for start in range(0, len(x), BLOCK_NEEDLES):
+        end = min(start + BLOCK_NEEDLES, len(x))
+        alike = _have_same_nodes(x[start:end])
+        if alike:
+            _fill_block_positions(points[start:end], block, x[start], u[start:end], slope[start:end], s)
+        for b in range(start, end):
+            # the block knows the series alone
+            if not alike or block[-1, LARGEST, b - start] > MAX_SERIES_ROTATION:
+                _fill_positions(points[b], reached, x[b], u[b], slope[b], s)
     return points
+
+
+BLOCK_NEEDLES = 32  # needles whose points are computed side by side, in the vectors of the processor
+
+# Rows of a block at each node: its point, deflection and slope; how the slope goes on over the element behind
+# it. Behind the last node: the integrals of an element's cosine and sine, and the greatest rotation met.
+AHEAD, ASIDE, DEFLECTION, SLOPE, BEND, CURL = range(6)
+BLOCK_ROWS, LARGEST = 6, 2
+
+
+@njit(cache=True, nogil=True)
+def _have_same_nodes(x: Floats) -> bool:
+    for b in range(1, len(x)):
+        for n in range(x.shape[1]):
+            if x[b, n] != x[0, n]:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _fill_block_positions(
+    points: Floats, block: Floats, x: Floats, u: Floats, slope: Floats, s: Floats
+) -> None:  # fmt: skip
+    """Fill the `points` (B, K, 2) of up to `BLOCK_NEEDLES` needles with the same nodes.
+
+    Operations and their order are those of `_fill_positions`. Where a rotation is above
+    `MAX_SERIES_ROTATION`, they are wrong, and `block` has that rotation.
+    """
+    count, found = len(points), block[-1]
+    for w in range(count):
+        found[LARGEST, w] = 0.0
+        block[0, AHEAD, w], block[0, ASIDE, w] = x[0], u[w, 0]
+        for n in range(len(x)):
+            block[n, DEFLECTION, w], block[n, SLOPE, w] = u[w, n], slope[w, n]
+    for e in range(len(x) - 1):
+        length, first, second = x[e + 1] - x[e], block[e], block[e + 1]
+        for w in range(count):
+            rise = (second[DEFLECTION, w] - first[DEFLECTION, w]) / length
+            first[BEND, w] = 6 * rise - 4 * first[SLOPE, w] - 2 * second[SLOPE, w]
+            first[CURL, w] = 3 * (first[SLOPE, w] + second[SLOPE, w]) - 6 * rise
+        _integrate_block(found, first, length, length, count)
+        for j in range(2):
+            for w in range(count):
+                second[j, w] = first[j, w] + found[j, w]
+    for i in range(len(s)):
+        e = find_element(x, s[i])
+        _integrate_block(found, block[e], x[e + 1] - x[e], s[i] - x[e], count)
+        for w in range(count):
+            for j in range(2):
+                points[w, i, j] = block[e, j, w] + found[j, w]
+
+
+@njit(cache=True, nogil=True)
+def _integrate_block(found: Floats, element: Floats, length: float, upto: float, count: int) -> None:
+    """Fill the integrals in `found` (BLOCK_ROWS, W) as `_integrate_direction` does for one needle."""
+    for w in range(count):
+        found[AHEAD, w] = found[ASIDE, w] = 0.0
+    rule, nodes = (0, 3) if length <= MAX_SHORT_ELEMENT_MM else (1, 5)
+    part = upto / length
+    for i in range(nodes):
+        t, weight = _NODES[rule, i] * part, _WEIGHTS[rule, i]
+        for w in range(count):
+            rotation = element[SLOPE, w] + t * (element[BEND, w] + t * element[CURL, w])
+            cosine, sine = _sum_direction_series(rotation)
+            found[LARGEST, w] = max(found[LARGEST, w], abs(rotation))
+            found[AHEAD, w] += weight * cosine
+            found[ASIDE, w] += weight * sine
+    for j in range(2):
+        for w in range(count):
+            found[j, w] *= upto
 
 
 @njit(cache=True, nogil=True)
@@ -129,6 +207,12 @@ def _compute_direction(rotation: float) -> tuple[float, float]:
     """Return cosine and sine of a rotation; of a small one by their series, at a quarter of the time."""
     if abs(rotation) > MAX_SERIES_ROTATION:
         return math.cos(rotation), math.sin(rotation)
+    return _sum_direction_series(rotation)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _sum_direction_series(rotation: float) -> tuple[float, float]:
+    """Return cosine and sine of a rotation up to `MAX_SERIES_ROTATION`."""
     q = rotation * rotation
     a = 1 - q * (1 / 30) * (1 - q * (1 / 56) * (1 - q * (1 / 90) * (1 - q * (1 / 132))))
     b = 1 - q * (1 / 20) * (1 - q * (1 / 42) * (1 - q * (1 / 72) * (1 - q * (1 / 110))))

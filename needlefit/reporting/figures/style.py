@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -53,10 +54,13 @@ def choose_width(natural: float = TEXT_WIDTH_IN) -> float:
 
 _VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)
 _METADATA: dict[str, dict[str, None]] = {".svg": {"Date": None}, ".png": {"Software": None}}
+_CANVASES = {".svg": FigureCanvasSVG, ".png": FigureCanvasAgg}
+_SAVED_DPI = 200
 RC_PARAMS = {
     "font.family": "DejaVu Sans",  # ships with matplotlib
     "font.size": FONT_SIZE_PT,
     "axes.titlesize": FONT_SIZE_PT,
+    "axes.titley": 1.0,  # else matplotlib looks for ticks above the axes, again and again: there are none
     "axes.labelsize": FONT_SIZE_PT,
     "xtick.labelsize": FONT_SIZE_PT,
     "ytick.labelsize": FONT_SIZE_PT,
@@ -82,7 +86,6 @@ RC_PARAMS = {
     "svg.hashsalt": "needlefit",
     "figure.constrained_layout.use": True,
     "figure.dpi": 100,
-    "savefig.dpi": 200,
     "axes.unicode_minus": True,
 }
 
@@ -140,12 +143,19 @@ def _paint_sheet(paint: Callable[[], Figure]) -> bytes:
 def _paint_bytes(
     paint: Callable[[], Figure], suffix: str, style: Mapping[str, str] = MappingProxyType({})
 ) -> bytes:
-    drawing = BytesIO()
     with matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
-        figure = paint()
-        # A figure made without pyplot has no canvas; without one it cannot be laid out or saved.
-        FigureCanvasAgg(figure)
-        figure.savefig(drawing, format=suffix[1:], metadata=_METADATA[suffix])
+        return save_figure(paint(), suffix)
+
+
+def save_figure(figure: Figure, suffix: str) -> bytes:
+    """Return a figure made without pyplot as the bytes of an .svg or .png file."""
+    canvas, drawing = _CANVASES[suffix](figure), BytesIO()
+    figure.dpi = _SAVED_DPI
+    _lay_out(figure)
+    figure.set_layout_engine("none")
+    figure.dpi = _SAVED_DPI  # the layout of an SVG leaves 72
+    # `savefig` would draw twice, once for the layout alone
+    getattr(canvas, f"print_{suffix[1:]}")(drawing, metadata=_METADATA[suffix])
     return drawing.getvalue()
 
 
@@ -177,10 +187,15 @@ def count_legend_columns(figure: Figure, names: Sequence[str], most: int) -> int
     return 2 if max(map(len, names)) <= MAX_HALF_COLUMN_LETTERS else 1
 
 
+def _lay_out(figure: Figure) -> None:
+    """Place the axes of a figure, which matplotlib else does when it draws."""
+    if figure.axes and (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+
+
 def fit_height(figure: Figure) -> None:
     """Set a figure's height to that of its contents; axes of fixed aspect may not fill it."""
-    # Constrained layout sets the axes only when the figure is drawn.
-    figure.draw_without_rendering()
+    _lay_out(figure)
     margin = 0.04  # inches, as the layout leaves at the sides
     figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
 

@@ -159,7 +159,7 @@ def tabulate_predictions(
     Those into new specimens are predicted as the paper does too, by what was tuned alone.
     """
     new = NewSpecimens(job, fold, theta)
-    for one in predict_held_out(job, fold, draws, new, settings.jobs):
+    for one in predict_held_out(job, fold, draws, new, settings.jobs, bands=True):
         tables.predictive.append(one.row)
         tables.bands += one.band
         tables.counts.predicted.add(one.solved, one.outside)

@@ -65,16 +65,16 @@ def _paint(frame: pd.DataFrame, summary: dict[str, str]) -> Figure:
     width = choose_width(COLUMN_WIDTH_IN if count <= _MAX_COLUMN_PARAMETERS else TEXT_WIDTH_IN)
     height = min(max(_MAX_PANEL_IN * count, 2.2) + 0.4, 1.1 * width)
     figure = Figure(figsize=(width, height))
-    grid = figure.subplots(count, count, squeeze=False, sharex="col")
+    grid = figure.add_gridspec(count, count)
+    marginals: list[Axes] = []
     for row, below in enumerate(names):
-        for column, left in enumerate(names):
-            axes = grid[row, column]
-            if column > row:
-                axes.set_axis_off()
-                continue
+        for column, left in enumerate(names[: row + 1]):
             if column == row:
+                axes = figure.add_subplot(grid[row, column])
+                marginals.append(axes)
                 _paint_marginal(axes, frame, left)
             else:
+                axes = figure.add_subplot(grid[row, column], sharex=marginals[column])
                 _paint_pair(axes, frame, left, below)
             _format_axes(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
             if width / count < _MIN_PANEL_IN:
