@@ -120,14 +120,14 @@ def test_every_needle_is_in_the_world_of_its_dataset(fitted):
 
 def test_the_linear_band_lies_about_the_fit_and_follows_the_noise(fitted):
     job, fold, known = fitted
-    band = place_needles(job, fold, known)["needle-4"].band
+    band = place_needles(job, fold, known)["needle-2"].band
     assert band.source == "linear"
     width = np.linalg.norm(band.high - band.low, axis=1)
     np.testing.assert_allclose((band.low + band.high) / 2, band.middle, atol=1e-9)
     assert 0.01 < width[-1] < 5
     wider = tuple(dataclasses.replace(d, sd=2 * d.sd) for d in known.verdict.directions)
     known = dataclasses.replace(known, verdict=dataclasses.replace(known.verdict, directions=wider))
-    doubled = place_needles(job, fold, known)["needle-4"].band
+    doubled = place_needles(job, fold, known)["needle-2"].band
     np.testing.assert_allclose(doubled.high - doubled.low, 2 * (band.high - band.low), atol=1e-9)
 
 
@@ -137,17 +137,35 @@ def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
     values = known.fit.values
     offsets = values["bevel_mm"] * np.linspace(0.9, 1.1, BAND_DRAWS)
     draws = posterior(job, [[values["mu1_pa"], b, 0.1] for b in offsets])
-    one = place_needles(job, fold, dataclasses.replace(known, posterior=draws))["needle-3"]
+    one = place_needles(job, fold, dataclasses.replace(known, posterior=draws))["needle-1"]
     assert one.band.source == "posterior" and not one.band.converged  # a single short ensemble
     same = place_needles(
         job, fold, dataclasses.replace(known, posterior=posterior(job, draws.draws[0, [9, 9]]))
     )
-    assert np.abs(same["needle-3"].band.high - same["needle-3"].band.low).max() < 1e-12
+    assert np.abs(same["needle-1"].band.high - same["needle-1"].band.low).max() < 1e-12
     for height, b in ((one.band.low, 0.905), (one.band.middle, 1.0), (one.band.high, 1.095)):
         at = posterior(job, [[values["mu1_pa"], b * values["bevel_mm"], 0.1]])
-        single = place_needles(job, fold, dataclasses.replace(known, posterior=at))["needle-3"].band
+        single = place_needles(job, fold, dataclasses.replace(known, posterior=at))["needle-1"].band
         np.testing.assert_allclose(height[-1], single.middle[-1], atol=2e-3)
     np.testing.assert_allclose(one.band.middle, one.fitted, atol=2e-3)
+
+
+def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
+    job, fold, known = fitted
+    insertion = next(one for one in fold.validate if one.id == "needle-3")
+    x = np.linspace(0.0, insertion.planar[-1, 0], 5)
+    y = np.interp(x, *insertion.planar.T)
+    rows = [
+        {"fold": fold.name, "insertion": "needle-3", "x_mm": at, "measured_mm": height + 7.0,
+         "low_95_mm": height + 6.0, "median_mm": height + 7.5, "high_95_mm": height + 9.0}
+        for at, height in zip(x, y, strict=True)
+    ]  # fmt: skip
+    placed = place_needles(job, fold, known, rows)
+    band = placed["needle-3"].band
+    assert band.source == "predicted" and band.converged
+    np.testing.assert_allclose(band.high - band.low, np.tile([0.0, 3.0, 0.0], (5, 1)), atol=1e-9)
+    np.testing.assert_allclose(band.middle[-1], insertion.centerline[-1] + [0, 0.5, 0], atol=1e-6)
+    assert placed["needle-4"].band is None and placed["needle-1"].band.source == "linear"
 
 
 def turned(folder: Path) -> None:
@@ -172,7 +190,7 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
         f"needle-{n}.{e}" for n in range(1, 5) for e in ("mrk.json", "needle.ply", "band.ply")
     )
     assert all((out / name).read_bytes() == (again / name).read_bytes() for name in names)
-    measured, predicted, low, high = read_mrk_json(out / "needle-3.mrk.json")
+    measured, predicted, _, low, high = read_mrk_json(out / "needle-3.mrk.json")
     assert [one.name for one in (measured, predicted)] == [
         "needle-3 measured (synthetic)", "needle-3 predicted (synthetic)"
     ]  # fmt: skip

@@ -1,13 +1,14 @@
-"""Place measured and fitted needles in the scan's coordinates, with the uncertainty band of the fit.
+"""Place measured and fitted needles in the scan's coordinates, with 95 % bands.
 
-The band says how the needle would move with the parameters, as far as the data know them: neither the
-noise of the measured points nor what the model misses is in it. From a posterior it is the central 95 % of
-the needles of its draws. Without one it is linear about the fit: 1.96 standard deviations, over every
-direction that `identify` found.
+The band of a held-out needle is where it was predicted to be measured; without a prediction there is none.
+That of a needle that was fitted to says how it would move with the parameters, as far as the data know them:
+neither the noise of the measured points nor what the model misses is in it. From a posterior it is the
+central 95 % of the needles of its draws. Without one it is linear about the fit: 1.96 standard deviations,
+over every direction that `identify` found.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -46,15 +47,16 @@ DEFAULT_DIAMETER_MM = 1.27
 
 @dataclass(frozen=True)
 class Band:
-    """The central 95 % band across a fitted needle, in its bending plane; (K, 3) each, LPS, mm.
+    """The central 95 % band across a needle, in its bending plane; (K, 3) each, LPS, mm.
 
-    `converged` is false where the posterior that it is drawn from has not.
+    `source` says of what it is the band: of what was predicted of a held-out needle, or of the parameters, by
+    draws of the posterior or linear about the fit. `converged` is false where that posterior has not.
     """
 
     low: Floats
     middle: Floats
     high: Floats
-    source: Literal["posterior", "linear"]
+    source: Literal["predicted", "posterior", "linear"]
     converged: bool = True
 
 
@@ -76,7 +78,7 @@ class NeedleInScan:
     fitted : (K, 3) array or None
         In the bending plane; None where the solve failed.
     band : Band or None
-        None where no needle beside the fitted one can be solved.
+        None where nothing certified was predicted, or no needle beside the fitted one can be solved.
     """
 
     insertion: str
@@ -151,38 +153,72 @@ class FoldFit:
     posterior: Posterior | None = None
 
 
-def place_needles(job: Job, fold: Fold, known: FoldFit, jobs: int = 1) -> dict[str, NeedleInScan]:
+def place_needles(
+    job: Job, fold: Fold, known: FoldFit, predicted: Sequence[Mapping[str, Any]] = (), jobs: int = 1
+) -> dict[str, NeedleInScan]:
     """Return every insertion that a fold holds out; with one fold only, also those it is fitted to.
 
-    Tip tracks were never in a scan: of them there is none.
+    `predicted` are the rows of `BAND_COLUMNS`. Tip tracks were never in a scan: of them there is none.
     """
-    roles = [("tune", fold.tune), ("validate", fold.validate)]
-    chosen = roles if len(job.folds) == 1 else roles[1:]
-    return {
-        insertion.id: _place_needle(_NeedleCurve(job, insertion), fold.name, role, known, jobs)
-        for role, insertions in chosen
-        for insertion in insertions
-        if not isinstance(insertion, TipTrack)
-    }
+    bands: dict[str, list[Mapping[str, Any]]] = {}
+    for row in predicted:
+        if row["fold"] == fold.name:
+            bands.setdefault(row["insertion"], []).append(row)
+    found = {}
+    for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+        if role == "tune" and len(job.folds) > 1:
+            continue
+        for insertion in insertions:
+            if not isinstance(insertion, TipTrack):
+                placed = _place_needle(_NeedleCurve(job, insertion), fold.name, role, known)
+                if role == "validate":
+                    band = _place_predicted(insertion, bands.get(insertion.id, ()))
+                else:
+                    band = _find_parameter_band(_NeedleCurve(job, insertion), known, jobs)
+                found[insertion.id] = replace(placed, band=band)
+    return found
 
 
-def _place_needle(stations: "_NeedleCurve", fold: str, role: str, known: FoldFit, jobs: int) -> NeedleInScan:
+def _place_needle(stations: "_NeedleCurve", fold: str, role: str, known: FoldFit) -> NeedleInScan:
     insertion, stated = stations.insertion, stations.job.dataset.outer_diameter
     placement = Placement(insertion.frame, insertion.patient)
-    in_scan = placement.to_patient
     points = stations.points(np.array(known.fit.theta))
-    fitted, band = None, None
-    if np.isfinite(points).all():
-        fitted = in_scan(points)
-        draws = known.posterior
-        heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
-        if heights is not None:
-            low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
-            converged = draws is None or draws.converged
-            band = Band(low, middle, high, "posterior" if draws else "linear", converged)
+    fitted = placement.to_patient(points) if np.isfinite(points).all() else None
     diameter = DEFAULT_DIAMETER_MM if stated is None else stated
     measured = insertion.patient.to_local(insertion.centerline)
-    return NeedleInScan(insertion.id, fold, role, measured, placement.across, diameter, fitted, band)
+    return NeedleInScan(insertion.id, fold, role, measured, placement.across, diameter, fitted)
+
+
+def _place_predicted(insertion: Insertion, rows: Sequence[Mapping[str, Any]]) -> Band | None:
+    """Return the band of what was predicted to be measured; None without a prediction.
+
+    Where only the shape is known, predictions stand in a frame of their own: the band keeps its distance from
+    the measured needle.
+    """
+    if not rows:
+        return None
+    x, measured, *heights = np.array(
+        [[row[f"{name}_mm"] for name in ("x", "measured", "low_95", "median", "high_95")] for row in rows]
+    ).T
+    shift = np.interp(x, *insertion.planar.T) - measured
+    in_scan = Placement(insertion.frame, insertion.patient).to_patient
+    low, middle, high = (in_scan(np.column_stack([x, y + shift])) for y in heights)
+    return Band(low, middle, high, "predicted")
+
+
+def _find_parameter_band(stations: "_NeedleCurve", known: FoldFit, jobs: int) -> Band | None:
+    """Return the band of the parameters' uncertainty; None where needles cannot be solved."""
+    points, draws = stations.points(np.array(known.fit.theta)), known.posterior
+    if not np.isfinite(points).all():
+        return None
+    heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
+    if heights is None:
+        return None
+    in_scan = Placement(stations.insertion.frame, stations.insertion.patient).to_patient
+    low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
+    return Band(
+        low, middle, high, "posterior" if draws else "linear", converged=draws is None or draws.converged
+    )
 
 
 @dataclass(frozen=True)

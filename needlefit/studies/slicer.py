@@ -36,8 +36,9 @@ def write_needles(results: Run, folder: Path) -> None:
     """Write every needle of a run to `folder`, in the patient coordinates of its scan.
 
     `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), and the edges of
-    the 95 % band, of a posterior its median too. `<id>.needle.ply` is the fitted needle's body,
-    `<id>.band.ply` the space that it takes when it goes through the band.
+    the 95 % band with, of draws, their median. The band of a held-out needle is the predicted one of its
+    measurement, that of a fitted needle the one of the parameters. `<id>.needle.ply` is the fitted needle's
+    body, `<id>.band.ply` the space that it takes when it goes through the band.
     """
     folder.mkdir(exist_ok=True)
     summary = " (synthetic)" if results.origin == "synthetic" else ""
@@ -99,10 +100,13 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
         yield curve, CurveStyle(rgb(colour), thickness)
 
 
+_BAND_SOURCES = {"predicted": "predicted", "posterior": "parameters", "linear": "parameters, linear"}
+
+
 def _band_edges(band: Band) -> Iterable[tuple[str, Floats, str, float]]:
-    source = band.source if band.converged else f"{band.source}, NOT CONVERGED"
-    if band.source == "posterior":
-        yield source.replace("posterior", "posterior median", 1), band.middle, _BAND_COLOUR, LINE_WIDTH_MM
+    source = _BAND_SOURCES[band.source] + ("" if band.converged else ", NOT CONVERGED")
+    if band.source != "linear":
+        yield f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM
     yield f"95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM
     yield f"95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM
 

@@ -76,12 +76,12 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         few: Draws | None = None
         if fold.name in tables.verdicts:
             known = FoldFit(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
-            needles |= place_needles(job, fold, known, settings.jobs)
             if fold.validate or not interrupted:
                 few, many = draw_fold_parameters(job, fold, known.fit, known.posterior, settings)
                 tabulate_draws(job, fold, many, tables)
                 if not few.faults:  # of what is not certified nothing is predicted
                     tabulate_predictions(job, fold, few, np.array(fits["fitted"].theta), settings, tables)
+            needles |= place_needles(job, fold, known, tables.bands, settings.jobs)
         tabulate_intervals(job, fold, few, tables)
         if interrupted:
             break
