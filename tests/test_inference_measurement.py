@@ -192,6 +192,13 @@ def test_sections_off_the_centreline_are_refused(scanned, tmp_path, shift, fault
     assert [f"{name}.toml" in fault.where for fault in found] == [True] * faults
 
 
+def test_sections_of_shapes_without_a_pose_are_refused(scanned, tmp_path):
+    file = with_measurement(tmp_path / "n", STORED, [(one.id, one.sections) for one in scanned.insertions])
+    text = file.read_text()
+    file.write_text(text[: text.index("[media")].replace('pose = "known"', 'pose = "free"'))
+    assert any("measurement.knot_spacing_mm" in str(fault) for fault in check(file))
+
+
 def test_the_spline_of_the_shipped_sections_is_their_centreline():
     twin = read(find_file("dataset", "twin"))
     for one in twin.insertions:

@@ -219,7 +219,9 @@ def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, An
     within = f"within {found.goal.radius:g} mm of the target"
     if shown.spread is None:
         nominal = f"{found.nominal_miss:.2f} mm from it"
-        known = f"With the parameters of {shown.name}, taken as exact (a run gives a probability): the tip"
+        scene = shown.shown is None
+        why = "for a probability, plan with a run" if scene else "the run has no certified draws"
+        known = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
         if found.hits:
             return f"The plan reaches the target{past}. {known} ends {nominal}."
         touched = [name for name, share in found.touched.items() if share]

@@ -304,6 +304,10 @@ class DatasetRecord(SourceRecord):
             raise ValueError("without insertions.file, insertions.id_template must name the insertions")
         if self.frame.pose == "free" and any(medium.surfaces for medium in self.media.values()):
             raise ValueError('surfaces stand in the world: with frame.pose = "free" give boundaries_mm')
+        if self.frame.pose == "free" and self.measurement is not None and self.measurement.sections:
+            raise ValueError(
+                'cross-sections stand in the world: with frame.pose = "free" give measurement.knot_spacing_mm'
+            )
         return self
 
 
