@@ -29,8 +29,8 @@ def tune(
     Prints each parameter with its 95 % interval, and which ones the data do not determine.
 
     Of a study only the fit is run; results go to OUT/STUDY-tune/. The folder slicer/ holds every needle,
-    measured and fitted with the 95 % band of the parameters, for 3D Slicer. Ctrl-C writes the best result so far, marked as
-    interrupted, and prints the command that continues; a second Ctrl-C stops at once.
+    measured and fitted with the 95 % band of the parameters, for 3D Slicer. Ctrl-C writes the best result so
+    far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
     """
     with catch_interrupts(
         context.find_root().obj

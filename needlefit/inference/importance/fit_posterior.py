@@ -81,7 +81,7 @@ def sample_about_modes(
 
 
 def trace_profiles(problem: Problem, mode: Floats) -> list[LocalMinimum]:
-    """Return points along the profiles of the parameters on which no prior is stated, about a mode (P,).
+    """Return points along the profiles, about a mode (P,), of parameters neither tied nor a spread.
 
     A plateau beside the peak, where the data no longer tell a layer from none, may hold a tenth of the
     posterior and end far from the peak. A mixture that grows from the peak alone may never reach it, and the
