@@ -124,7 +124,9 @@ def list_missed_levels(predictive: pd.DataFrame) -> list[tuple[str, int, Proport
 
 
 _TOO_NARROW = "the intervals are too narrow: they do not include model error"
-_CENTRE_OFF = "the predictions are biased or too narrow at their centre; the 95 % interval is consistent"
+_CENTRE_OFF = (
+    "the predictions are biased, or too narrow at their centre; the 95 % interval does not miss too often"
+)
 
 
 def warn_of_coverage(results: Run) -> Iterator[ResultWarning]:
@@ -159,12 +161,13 @@ def warn_of_width(results: Run) -> Iterator[ResultWarning]:
         if width > max(MAX_AIMING_WIDTH_MM, deflection):
             medium, new = medium_name(group.head["medium"]), (rows["specimen_treatment"] == "others").any()
             study = f" (`needlefit validate {name}`)" if (name := _find_adaptation(results, group)) else ""
+            tuned = median_width(_select_group(results.frames["predictive_training"], group))
             yield ResultWarning(
                 "wide_intervals",
                 f"the 95 % predictive intervals of tips on {medium} are {width:.2g} mm wide (median), and "
                 f"the tips are deflected by {deflection:.2g} mm: too wide for aiming",
-                fix="measure one insertion into the new specimen first; a study of kind adaptation"
-                f"{study} measures what each insertion gains"
+                fix="measure one insertion into the new specimen first: in a specimen of the fit they would "
+                f"be {tuned:.2g} mm wide; a study of kind adaptation{study} measures what each insertion gains"
                 if new
                 else "add insertions, or fix what the data do not determine",
             )
