@@ -167,7 +167,7 @@ def warn_of_width(results: Run) -> Iterator[ResultWarning]:
                 f"the 95 % predictive intervals of tips on {medium} are {width:.2g} mm wide (median), and "
                 f"the tips are deflected by {deflection:.2g} mm: too wide for aiming",
                 fix="measure one insertion into the new specimen first: in a specimen of the fit they would "
-                f"be {tuned:.2g} mm wide; a study of kind adaptation{study} measures what each insertion gains"
+                f"be {tuned:.2g} mm wide; a study of kind adaptation{study} shows what each insertion gains"
                 if new
                 else "add insertions, or fix what the data do not determine",
             )
