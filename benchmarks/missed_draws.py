@@ -2,13 +2,14 @@
 
 Replicates of `needlefit calibrate STUDY` are drawn three times: about the peaks that the search finds, along
 the profiles through the best of them too (as always), and about the true parameters besides. Printed is the
-share of draws below the truth (PIT), of the combination that the design determines best. Where the first
-draws cover the posterior, all three are alike.
+share of draws below the truth (PIT), of the combination that the design determines best, what the draws
+are worth, Pareto's k and the processor time. Where the first draws cover the posterior, all shares are alike.
 
     python benchmarks/missed_draws.py study1 [--replicates 0,1,2] [--starts 16]
 """
 
 import argparse
+import time
 
 import numpy as np
 
@@ -35,12 +36,14 @@ def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) ->
     cells = []
     three = ((peaks, False), (peaks, True), (np.vstack([peaks, simulated.theta]), True))
     for centres, profiles in three:
+        began = time.process_time()
         found = sample_about_modes(
             problem, centres, np.random.default_rng(number), effort=Effort(profiles=profiles)
         )
+        spent = time.process_time() - began
         below = found.thetas @ direction < simulated.theta @ direction
         share = float(np.exp(found.log_weights[below]).sum())
-        cells.append(f"{share:.3f} | {found.effective_sample_size:.0f} | {found.k:.2f}")
+        cells.append(f"{share:.3f} | {found.effective_sample_size:.0f} | {found.k:.2f} | {spent:.1f}")
     return cells
 
 
@@ -54,10 +57,8 @@ def main() -> None:
     name = arguments.study
     job = prepare(name, load(find_file("study", name), StudyRecord), Settings())
     direction = np.array(list(weigh_design(job, job.folds[0]).values()))
-    print(
-        "replicate | PIT about peaks | draws worth | Pareto k | along profiles: PIT | draws worth | Pareto k"
-        " | with the truth: PIT | draws worth | Pareto k"
-    )
+    ways = ("about peaks", "along profiles", "with the truth")
+    print("replicate", *(f"{way}: PIT | draws worth | Pareto k | s" for way in ways), sep=" | ")
     for number in map(int, arguments.replicates.split(",")):
         cells = compute_shares(job, number, arguments.starts, direction)
         print(number, *cells, sep=" | ", flush=True)
