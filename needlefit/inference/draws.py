@@ -30,6 +30,15 @@ class Draws:
     pareto_k: float = math.nan
     effective_sample_size: float = math.nan
 
+    def describe(self) -> dict[str, str | float | bool]:
+        """Return by column how the draws were made, and whether they represent the posterior."""
+        return {
+            "draw_source": self.source,
+            "pareto_k": self.pareto_k,
+            "ess": self.effective_sample_size,
+            "certified": not self.faults,
+        }
+
 
 def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> Draws:
     """Return `count` draws of a sampled posterior, evenly spread over all chains and steps.

@@ -128,13 +128,7 @@ def tabulate_posterior(job: Job, fold: Fold, posterior: Posterior, tables: Resul
 
 def tabulate_draws(job: Job, fold: Fold, draws: Draws, tables: ResultRows) -> None:
     """Add draws of a fold's parameters, in Pa and mm."""
-    about = {
-        "fold": fold.name,
-        "draw_source": draws.source,
-        "pareto_k": draws.pareto_k,
-        "ess": draws.effective_sample_size,
-        "certified": not draws.faults,
-    }
+    about = {"fold": fold.name, **draws.describe()}
     if draws.faults:
         tables.uncertified[fold.name] = draws.faults
     tables.draws += [{**about, **job.parameters.values(theta)} for theta in draws.thetas]

@@ -219,7 +219,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
     tasks = [task for n in range(len(record.fits)) for task in _tasks(name, record, n, settings, dataset)]
     for one in tasks:
         require_scored(one, record.registration_depth_mm)
-    doing = {**describe_configuration(name, record, dataset, tasks), "draws": PREDICTION_DRAWS}
+    doing = {**describe_configuration(name, record, dataset, tasks), "prediction_draws": PREDICTION_DRAWS}
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, doing, settings.note)
     tables = _TrackRows()
     for one in tasks:
@@ -241,7 +241,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         run={
             **doing,
             "not_converged": list(faults),
-            "draw_sources": {fit: one.source for fit, one in tables.draws.items()},
+            "draws": {fit: one.describe() for fit, one in tables.draws.items()},
             **warnings_entry(warnings),
         },
         timing={"dataset": str(dataset.path)},
