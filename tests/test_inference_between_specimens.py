@@ -84,3 +84,21 @@ def test_a_new_specimen_stays_within_the_bounds_of_its_medium():
         (known.lower - tuned) / [3, 1.5] / math.sqrt(2), (known.upper - tuned) / [3, 1.5] / math.sqrt(2)
     )
     assert np.mean(moved - tuned, axis=0) == pytest.approx(kept.mean() * [3, 1.5] * math.sqrt(2), abs=0.1)
+
+
+def test_the_spread_is_learned_from_the_sources_of_ties_alone():
+    """Layer 3 of one specimen is another material: it says nothing of how much specimens differ."""
+    layers = {
+        "mu1_pa": {"bounds": (1e3, 1e9)},
+        "mu2_pa": {"tie": "mu1_pa", "spread": 1.2},
+        "alpha1": {"fixed": 1.0},
+        "alpha2": {"fixed": 1.0},
+        "bevel_mm": {"bounds": (1e-3, 0.5)},
+    }
+    known, one = parameters(layers=2, parameters=layers), one_layer()
+    covariance = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, 0.0], [0.002, 0.0, 0.01]])
+    means = (np.array([11.0, 11.1, -2.0]), np.array([11.3, 16.0, -2.2]))
+    found = learn_spread([SpecimenEstimate(mean, covariance) for mean in means], known, PRIOR)
+    kept = [0, 2]
+    alone = [SpecimenEstimate(mean[kept], covariance[np.ix_(kept, kept)]) for mean in means]
+    assert found.rms == pytest.approx(learn_spread(alone, one, PRIOR).rms, rel=1e-12)

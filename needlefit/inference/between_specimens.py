@@ -5,7 +5,9 @@
 for the specimens i of one population. z_g marks the parameters that move together: the moduli of one
 material, or the bevel offset, all in logarithms. There is one tau of all materials and one of the bevel;
 both have a half-normal prior, m a flat one. The posterior of a specimen by itself is taken as Gaussian, so
-that m is integrated out in closed form and (tau_mu, tau_b) stand on a grid.
+that m is integrated out in closed form and (tau_mu, tau_b) stand on a grid. Ties with a spread are left out
+of it: they are known of the specimens that are fitted, and a wrong tie moves all parameters. Of each material
+the source of the ties counts.
 
 Draws theta of a posterior learned from n specimens become draws of a further one by adding
 N( 0, (1 + 1 / n) T ): both it and the mean of the n vary about m. Between layers of nominally one material,
@@ -16,7 +18,7 @@ many.)
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -80,13 +82,16 @@ def learn_spread(
     taus, logs = units * prior, -0.5 * np.sum(units**2, axis=1)
     if len(estimates) < 2:
         return SpecimenSpread(taus, np.exp(logs - logsumexp(logs)), len(estimates))
-    between = make_covariances(parameters, taus)  # (G, P, P)
+    tied = {tie.name for tie in parameters.prior.ties}
+    untied = [k for k, name in enumerate(parameters.free) if name not in tied]
+    square = np.ix_(untied, untied)
+    between = make_covariances(parameters, taus)[:, untied][:, :, untied]  # (G, Q, Q)
     information, pull = np.zeros_like(between), np.zeros(between.shape[:2])
     for one in estimates:
-        whole = one.covariance + between
+        whole, mean = one.covariance[square] + between, one.mean[untied]
         inverse = np.linalg.inv(whole)
-        pulled = inverse @ one.mean
-        logs -= 0.5 * (np.linalg.slogdet(whole)[1] + pulled @ one.mean)
+        pulled = inverse @ mean
+        logs -= 0.5 * (np.linalg.slogdet(whole)[1] + pulled @ mean)
         information, pull = information + inverse, pull + pulled
     # the mean of the population, flat, is integrated out
     best = np.linalg.solve(information, pull[..., None])[..., 0]
@@ -150,10 +155,12 @@ def _draw_specimens(parameters: Parameters, thetas: Floats, taus: Floats, rng: n
 
 
 def estimate_specimen(problem: Problem, begin: Floats) -> SpecimenEstimate | None:
-    """Return the posterior of one specimen about its peak, which is searched from `begin` (P,).
+    """Return the posterior of one specimen, without ties, about its peak, searched from `begin` (P,).
 
     None where its needles cannot be solved.
     """
+    prior = problem.parameters.prior.without_ties()
+    problem = problem.with_parameters(replace(problem.parameters, prior=prior))
     easier = problem.approach("posterior")
     near = begin if easier is None else minimize_squares(easier, begin).theta
     found = minimize_squares(problem, near)
