@@ -7,6 +7,7 @@ of one process cannot share. Studies whose work falls into tasks follow one afte
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from multiprocessing import parent_process
 from pathlib import Path
 
 from needlefit.cli import screen
@@ -100,13 +101,19 @@ def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> Iterable[Run]:
         return map(partial(_run_one, execution), todo)
     # a process among several shows no progress of its own
     quiet = replace(execution.invocation, quiet=True)
-    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=stop_requested, pool=None))
+    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=_stop_in_process, pool=None))
     finished: dict[int, Run] = {}
     with show_progress(execution.invocation.quiet) as report:
         for n, result in execution.pool.run(sent, todo, execution.stop):
             finished[n] = result
             report(f"studies: {result.name}", len(finished), len(todo))
     return [finished[n] for n in sorted(finished)]
+
+
+def _stop_in_process() -> bool:
+    """Return whether to stop: it was asked for, or the program that began this process has ended."""
+    program = parent_process()
+    return stop_requested() or not (program is None or program.is_alive())
 
 
 def _run_in_process(execution: Execution, work: StudyTask) -> Run:
