@@ -5,22 +5,21 @@
 
 Runs commands as whole processes, in turns: those of this source tree and, with `--against`, of another one (a
 checkout of an earlier revision). Other work stretches the wall; processor seconds (user and system, of all
-processes of a command) and their ratio are what to compare. `--profile` runs each command once more and adds
-up by package the time of its main thread: of each its own functions alone, imports included; the profiler
-doubles what calls small functions. `--cold` gives numba an empty cache folder before every command, so that
+processes of a command) and their ratio are what to compare. `--profile` runs each command once more with
+`--jobs 1`, looks every 4 ms of processor time where it is, and adds up: by package, of each its own functions
+alone, and by function with what that calls. A profiler that counts calls would double what calls small
+functions. `--cold` gives numba an empty cache folder before every command, so that
 the kernel is compiled again, as after a fresh install. Memory is the largest resident set of a process.
 """
 
 import argparse
 import json
 import os
-import pstats
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from pathlib import Path
 
 COMMANDS = {
@@ -37,16 +36,33 @@ COMMANDS = {
 GOALS_S = {"simulate": 5.0, "study3": 5.0, "report": 3.0, "tune": 3.0, "all": 40.0}
 """Wall seconds on two free cores; of `simulate` after a fresh install."""
 
-SHOWN_PACKAGES = 8
+SHOWN_PACKAGES, SHOWN_FUNCTIONS = 8, 10
+
+MAX_SHARE = 0.9
+"""Functions that hold more of a command than this only lead to the others."""
 
 PROFILER = """
-import cProfile, sys, time
-sys.argv = ["needlefit", *sys.argv[2:]]
-profile = cProfile.Profile(time.thread_time)
+import collections, json, os, signal, sys, time
+file, sys.argv = sys.argv[1], ["needlefit", *sys.argv[2:]]
+own, whole = collections.Counter(), collections.Counter()
+def look(_, frame):
+    seen, own_code = set(), frame.f_code
+    while frame:
+        seen.add(frame.f_code)
+        frame = frame.f_back
+    own[own_code] += 1
+    whole.update(seen)
+signal.signal(signal.SIGPROF, look)
+signal.setitimer(signal.ITIMER_PROF, 0.004, 0.004)
+process = os.getpid()
 try:
-    profile.runcall(lambda: __import__("needlefit.cli").cli.main())
+    __import__("needlefit.cli").cli.main()
 finally:
-    profile.dump_stats({file!r})
+    signal.setitimer(signal.ITIMER_PROF, 0)
+    if os.getpid() == process:  # and no copy that draws figures
+        tables = [[(c.co_filename, c.co_qualname, n) for c, n in t.items()] for t in (own, whole)]
+        with open(file, "w") as text:
+            json.dump([time.process_time() / own.total(), *tables], text)
 """
 
 Figures = dict[str, float]
@@ -66,29 +82,39 @@ def measure(arguments: list[str], folder: Path, environment: dict[str, str]) -> 
     }
 
 
-def profile(words: tuple[str, ...], folder: Path, environment: dict[str, str]) -> Figures:
-    """Return the seconds of the main thread by package, the largest first."""
+def profile(words: tuple[str, ...], folder: Path, environment: dict[str, str]) -> dict[str, Figures]:
+    """Return the seconds of the main thread by package and by function, the largest first."""
     file = folder / "profile"
-    program = PROFILER.format(file=str(file))
+    one_thread = ("--jobs", "1") if words[0] in ("validate", "tune") else ()
     subprocess.run(
-        [sys.executable, "-c", program, "-", *words],
+        [sys.executable, "-c", PROFILER, str(file), *words, *one_thread],
         cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
-    found: Counter[str] = Counter()
-    for (path, _, name), (_, _, own, *_) in pstats.Stats(str(file)).stats.items():  # type: ignore[attr-defined]
-        found[_find_package(path, name)] += own
-    return dict(found.most_common(SHOWN_PACKAGES))
+    seconds, own, whole = json.loads(file.read_text())
+    packages: Figures = {}
+    for path, _, count in own:
+        package = _find_package(path)
+        packages[package] = packages.get(package, 0.0) + count * seconds
+    most = MAX_SHARE * sum(packages.values())
+    functions = {
+        f"{_find_package(path)} {name}": count * seconds
+        for path, name, count in whole
+        if "needlefit" in path and count * seconds < most
+    }
+    return {"packages": _sort(packages, SHOWN_PACKAGES), "functions": _sort(functions, SHOWN_FUNCTIONS)}
 
 
-def _find_package(path: str, name: str) -> str:
-    """Return the package of a function, of needlefit's with the one below it."""
+def _sort(values: Figures, most: int) -> Figures:
+    return dict(sorted(values.items(), key=lambda item: -item[1])[:most])
+
+
+def _find_package(path: str) -> str:
+    """Return the package of a file, of needlefit's with the one below it."""
     parts = Path(path).parts
     if "needlefit" in parts:
         return ".".join(parts[len(parts) - parts[::-1].index("needlefit") - 1 :][:2]).removesuffix(".py")
     if "site-packages" in parts:
         return parts[parts.index("site-packages") + 1].removesuffix(".py")
-    if "built-in" in name or path == "~":
-        return "built-in functions"
     return "imports" if "importlib" in path else "standard library"
 
 
@@ -104,7 +130,7 @@ def main() -> None:
     arguments = parser.parse_args()
     trees = {"": Path(__file__).parents[1], **({"before: ": arguments.against} if arguments.against else {})}
     found: dict[str, list[Figures]] = {}
-    profiles: dict[str, Figures] = {}
+    profiles: dict[str, dict[str, Figures]] = {}
     with tempfile.TemporaryDirectory() as scratch:
         for turn in range(arguments.rounds):
             for name in arguments.commands.split(","):
@@ -132,8 +158,10 @@ def main() -> None:
             f"{name:20s} {values['wall_seconds']:8.2f} s, {values['processor_seconds']:8.2f} s processor, "
             f"{values['memory_mib']:6.0f} MiB" + (f" (goal {goal:g} s on free cores)" if goal else "")
         )
-        for package, share in profiles.get(name, {}).items():
-            print(f"    {share:8.2f} s {package}")
+        for kind, shares in profiles.get(name, {}).items():
+            print(f"    {kind}")
+            for what, share in shares.items():
+                print(f"    {share:8.2f} s {what}")
 
 
 if __name__ == "__main__":

@@ -275,3 +275,32 @@ def test_scans_and_what_is_reconstructed_of_them_are_the_same(new_project):
         second = begin(COMMAND, [*words, "--jobs", "1"], alone, one_core(), **ELSEWHERE)
         outputs(first, second)
         assert_same(contents(alone / words[-1]), contents(once / words[-1]))
+
+
+# --- several studies of one command
+
+SEVERAL = (
+    ON_CORES
+    + """
+from pathlib import Path
+from needlefit.cli.execution import Execution
+from needlefit.cli.exit_codes import Invocation
+from needlefit.cli.run_study import plan_studies, run_studies
+from needlefit.project.tasks import LocalPool
+jobs = int(sys.argv[2])
+todo = [*plan_studies("small"), *plan_studies("tiny")]
+pool = LocalPool(jobs)
+execution = Execution(Invocation(()), Path("reports"), None, jobs, False, lambda: False, pool=pool)
+print([one.name for one in run_studies(execution, todo, json=True).runs])
+"""
+)
+
+
+@pytest.mark.slow
+def test_studies_side_by_side_are_the_same_as_one_after_the_other(new_project):
+    places = new_project("one"), new_project("two")
+    running = [begin(SEVERAL, [str(jobs)], place) for jobs, place in enumerate(places, start=1)]
+    assert outputs(*running) == 2 * ["['small', 'tiny']\n"]
+    for study in STUDIES:
+        found, expected = (contents(place / "reports" / study) for place in places)
+        assert_same(found, expected)

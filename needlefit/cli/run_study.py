@@ -1,17 +1,25 @@
-"""Run the studies that a name means, one after the other; write and print their results."""
+"""Run the studies that a name means; write and print their results.
 
-from collections.abc import Sequence
+Several studies and fits run side by side, one in each process: much of a fit keeps Python busy, which threads
+of one process cannot share. Studies whose work falls into tasks follow one after the other.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing import parent_process
 from pathlib import Path
 
 from needlefit.cli import screen
 from needlefit.cli.execution import Execution
+from needlefit.cli.progress import show_progress
 from needlefit.cli.show_results import show_run, show_warnings
 from needlefit.project.load import load
 from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
+from needlefit.project.tasks import LocalPool, stop_requested, threads_of_task
 from needlefit.project.toml_lines import add_file_context
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.study import FitRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.run import Run
 from needlefit.studies.study_files import find_missing_data, load_study
 
@@ -71,22 +79,51 @@ def plan_studies(study: str) -> list[StudyTask]:
 def run_studies(execution: Execution, todo: Sequence[StudyTask], json: bool) -> StudyOutcomes:
     """Run, write and print every work; their checkpoints stay."""
     done = StudyOutcomes()
-    for work in todo:
-        with add_file_context(work.file):
-            done.runs.append(_run(replace(execution, file=work.file), work, json, len(todo) > 1))
+    for result in _run_each(execution, todo):
+        if result.interrupted:
+            break
+        if json:
+            show_warnings(execution.invocation, result)
+        else:
+            show_run(execution.invocation, result, execution.folder(result.name), len(todo) > 1)
+            if len(todo) > 1:
+                screen.print_line()
+        done.runs.append(result)
+    if len(done.runs) < len(todo):
+        raise execution.interrupted()
     return done
 
 
-def _run(execution: Execution, work: StudyTask, json: bool, named: bool) -> Run:
-    """Run, write and print one study."""
-    result = execution.run(work.name, work.record)
-    if result.interrupted:
-        raise execution.interrupted()
-    folder = execution.write(result)
-    if json:
-        show_warnings(execution.invocation, result)
-    else:
-        show_run(execution.invocation, result, folder, named)
-    if named and not json:
-        screen.print_line()
+def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> Iterable[Run]:
+    """Run and write the studies; yield them in their order, not all where Ctrl-C asks to stop."""
+    fits = all(isinstance(work.record, FitRecord | StudyRecord) for work in todo)
+    if not fits or len(todo) == 1 or not isinstance(execution.pool, LocalPool) or execution.pool.size == 1:
+        return map(partial(_run_one, execution), todo)
+    # a process among several shows no progress of its own
+    quiet = replace(execution.invocation, quiet=True)
+    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=_stop_in_process, pool=None))
+    finished: dict[int, Run] = {}
+    with show_progress(execution.invocation.quiet) as report:
+        for n, result in execution.pool.run(sent, todo, execution.stop):
+            finished[n] = result
+            report(f"studies: {result.name}", len(finished), len(todo))
+    return [finished[n] for n in sorted(finished)]
+
+
+def _stop_in_process() -> bool:
+    """Return whether to stop: it was asked for, or the program that began this process has ended."""
+    program = parent_process()
+    return stop_requested() or not (program is None or program.is_alive())
+
+
+def _run_in_process(execution: Execution, work: StudyTask) -> Run:
+    return _run_one(replace(execution, jobs=threads_of_task()), work)
+
+
+def _run_one(execution: Execution, work: StudyTask) -> Run:
+    """Run one study and, unless it was interrupted, write it."""
+    with add_file_context(work.file):
+        result = replace(execution, file=work.file).run(work.name, work.record)
+        if not result.interrupted:
+            execution.write(result)
     return result

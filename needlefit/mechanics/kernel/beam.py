@@ -245,17 +245,18 @@ def compute_position_derivatives(
     `x_by`, `u_by` and `slope_by` (N, P) are those of the nodes x, u, slope (N,).
     """
     columns = u_by.shape[1]
+    work = np.empty((4, HERMITE_COLUMNS))
     reached = np.zeros((len(x), 2, columns))  # of the points of the nodes
     for p in range(columns):
         reached[0, 1, p] = u_by[0, p]
     for e in range(len(x) - 1):
         _copy_derivatives(reached[e + 1], reached[e])
-        _add_derivatives(reached[e + 1], e, x[e + 1] - x[e], x, u, slope, x_by, u_by, slope_by)
+        _add_derivatives(reached[e + 1], work, e, x[e + 1] - x[e], x, u, slope, x_by, u_by, slope_by)
     moves = np.empty((len(s), 2, columns))
     for i in range(len(s)):
         e = find_element(x, s[i])
         _copy_derivatives(moves[i], reached[e])
-        _add_derivatives(moves[i], e, s[i] - x[e], x, u, slope, x_by, u_by, slope_by)
+        _add_derivatives(moves[i], work, e, s[i] - x[e], x, u, slope, x_by, u_by, slope_by)
     return moves
 
 
@@ -269,15 +270,18 @@ def _copy_derivatives(into: Floats, given: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def _add_derivatives(
-    into: Floats, e: int, upto: float, x: Floats, u: Floats, slope: Floats, x_by: Floats, u_by: Floats,
-    slope_by: Floats,
+    into: Floats, work: Floats, e: int, upto: float, x: Floats, u: Floats, slope: Floats, x_by: Floats,
+    u_by: Floats, slope_by: Floats,
 ) -> None:  # fmt: skip
     """Add to `into` (2, P) the derivatives of the integrals of cos u' and sin u' over the first `upto` mm of
     an element.
 
-    Where nodes move along the needle, what the ends of an element gain its neighbours lose.
+    Where nodes move along the needle, what the ends of an element gain its neighbours lose. `work` has room
+    for four Hermite rows.
     """
-    n, n_by, by_ends = np.empty(HERMITE_COLUMNS), np.empty(HERMITE_COLUMNS), np.zeros((2, 4))
+    n, n_by, by_ends = work[0], work[1], work[2:]
+    for j in range(4):
+        by_ends[0, j] = by_ends[1, j] = 0.0
     length, columns = x[e + 1] - x[e], u_by.shape[1]
     rule, count = (0, 3) if length <= MAX_SHORT_ELEMENT_MM else (1, 5)
     for i in range(count):

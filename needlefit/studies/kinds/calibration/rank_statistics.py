@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.special import bdtr, gammaln, xlogy  # scipy.stats takes 0.4 s to load
 
 from needlefit.arrays import Bools, Floats
 
@@ -26,33 +27,39 @@ def count_limits(replicates: int, probability: float | Floats, error: float) -> 
 
     Each end is passed with half the error at most: exact, of the binomial distribution.
     """
-    from scipy.stats import binom  # late: it takes 0.2 s to load
+    return _cut_tails(_tabulate_cdf(replicates, probability), error)
 
-    low = np.asarray(binom.ppf(error / 2, replicates, probability), dtype=np.int64)
-    high = np.asarray(binom.ppf(1 - error / 2, replicates, probability), dtype=np.int64)
+
+def _tabulate_cdf(replicates: int, probability: float | Floats) -> Floats:
+    """Return the probability (..., N + 1) of at most 0, 1, ..., N events of this probability (...)."""
+    counts = np.arange(replicates + 1)
+    return np.asarray(bdtr(counts, replicates, np.asarray(probability)[..., None]), dtype=np.float64)
+
+
+def _cut_tails(cdf: Floats, error: float) -> tuple[Counts, Counts]:
+    """Return the quantiles (...) at half the error from both ends, of `_tabulate_cdf`."""
+    low, high = (np.sum(cdf < level, axis=-1) for level in (error / 2, 1 - error / 2))
     return low, high
 
 
 def ecdf_band(replicates: int, places: int, error: float) -> tuple[Counts, Counts]:
     """Return the band of ranks (K - 1,) that holds at all places together, up to the probability `error`."""
-    levels = np.arange(1, places) / places
+    cdf = _tabulate_cdf(replicates, np.arange(1, places) / places)
     narrow, wide = math.log(error), math.log(error / places)  # by Bonferroni the second is wide enough
     for _ in range(BISECTIONS):
         middle = 0.5 * (narrow + wide)
-        if probability_inside(replicates, *count_limits(replicates, levels, math.exp(middle))) >= 1 - error:
+        if probability_inside(replicates, *_cut_tails(cdf, math.exp(middle))) >= 1 - error:
             wide = middle
         else:
             narrow = middle
-    return count_limits(replicates, levels, math.exp(wide))
+    return _cut_tails(cdf, math.exp(wide))
 
 
 def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
     """Return the probability that uniform ranks stay within limits (K - 1,) at every place."""
     # counts between neighbouring places are independent Poisson numbers, given that they add up to the
     # replicates
-    from scipy.stats import poisson
-
-    step = poisson.pmf(np.arange(replicates + 1), replicates / (len(low) + 1))
+    step = _poisson(np.arange(replicates + 1), replicates / (len(low) + 1))
     alive, first = np.ones(1), 0  # probabilities of sums first, first + 1, ...
     for least, most in zip(low.tolist(), high.tolist(), strict=True):
         # convolve, then cut to the limits: probability outside them is lost and never returns
@@ -60,7 +67,12 @@ def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
         start = max(least, first)
         alive, first = summed[start - first : most - first + 1], start
     last = step[replicates - first - np.arange(len(alive))]
-    return float(alive @ last / poisson.pmf(replicates, replicates))
+    return float(alive @ last / _poisson(np.array(replicates), replicates))
+
+
+def _poisson(counts: Counts, mean: float) -> Floats:
+    """Return the Poisson probabilities of counts."""
+    return np.asarray(np.exp(xlogy(counts, mean) - gammaln(counts + 1) - mean))
 
 
 RANK_DRAWS = 79
