@@ -125,7 +125,8 @@ def open_pool(jobs: int | None, scheduler: str | None, insecure: bool) -> "Itera
     from needlefit.project.tasks import LocalPool
 
     if scheduler is None:
-        yield LocalPool(jobs or count_cores())
+        with LocalPool(jobs or count_cores()) as local:
+            yield local
         return
     from needlefit.project.cluster import connect
 
