@@ -169,10 +169,11 @@ def run_parts(
                 return
         if threads > 1:
             with ThreadPoolExecutor(threads) as side_by_side:
-                futures = {side_by_side.submit(work, items[n]): n for n in left}
+                futures = {side_by_side.submit(_unless_stopped, work, items[n], stop): n for n in left}
                 try:
                     for future in as_completed(futures):
-                        yield futures[future], future.result()
+                        for result in future.result():
+                            yield futures[future], result
                 finally:
                     stop.leave()  # before the threads are waited for
             return
@@ -182,6 +183,11 @@ def run_parts(
             yield n, work(items[n])
     finally:
         stop.leave()
+
+
+def _unless_stopped(work: Callable[[Item], Result], item: Item, stop: Stop) -> tuple[Result, ...]:
+    """Return the result; nothing where a stop came before."""
+    return () if stop() else (work(item),)
 
 
 class _Surroundings:

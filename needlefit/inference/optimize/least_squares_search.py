@@ -28,6 +28,9 @@ NEAR_TOLERANCE = 1e-2
 MAX_FAILED_STEPS = 3
 """Newton's steps in a row from which the sum of squares rises: there its method is left."""
 
+MIN_COSINE = 1e-6
+"""Cosine between a step and the change of the gradient below which that gives no curvature along the step."""
+
 VALUE_ROUNDING = 1e-9
 """Rise of the sum of squares, as a part of it, that may be rounding of the simulation."""
 
@@ -126,7 +129,7 @@ def _update_curvature(curvature: Floats, step: Floats, change: Floats, whole: Fl
     where it predicted more.
     """
     along, predicted = float(whole @ step), float(step @ curvature @ step)
-    if along <= 0:
+    if along <= MIN_COSINE * float(np.linalg.norm(whole) * np.linalg.norm(step)):
         return curvature
     if predicted:
         curvature = curvature * min(1.0, abs(float(change @ step) / predicted))
