@@ -6,6 +6,8 @@ import time
 from pathlib import Path
 
 from needlefit.errors import ConfigError
+from needlefit.project.progress import Stop
+from needlefit.project.tasks import stop_requested
 
 
 def square(number: float, offset: float = 0.0) -> float:
@@ -37,3 +39,22 @@ def calculate(seconds: float) -> float:
     while time.process_time() < end:
         pass
     return seconds
+
+
+def find_process(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def wait_for_stop(seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and not stop_requested():
+        time.sleep(0.01)
+
+
+def nap_until(stop: Stop, seconds: float) -> float:
+    """Return the seconds slept, fewer where a stop comes."""
+    begun = time.monotonic()
+    while time.monotonic() < begun + seconds and not stop():
+        time.sleep(0.01)
+    return time.monotonic() - begun

@@ -202,6 +202,18 @@ def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
     assert not any(start.succeeded for start in fit.starts)
 
 
+def test_residuals_that_stay_large_and_curve_take_few_evaluations():
+    # at the minimum the second derivatives are 0.28, and 1 by J^T J alone: that took 43 evaluations
+    def bent(theta):
+        x, y = theta
+        return np.array([x, y, 0.9 - 0.4 * (x**2 + y**2)]), np.array([[1, 0], [0, 1], [-0.8 * x, -0.8 * y]])
+
+    fit = minimize(squares(bent), squares_recipe(), rng())
+    assert all(start.succeeded for start in fit.starts)
+    assert fit.objective == pytest.approx(0.5 * 0.9**2 - 7.0, abs=1e-9)
+    assert max(start.evaluations for start in fit.starts) <= 20
+
+
 def test_a_plateau_is_no_success():
     fit = minimize(
         squares(lambda t: (np.array([1.0, t[0]]), np.array([[0, 0], [1.0, 0]]))), squares_recipe(), rng()

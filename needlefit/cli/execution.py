@@ -1,7 +1,7 @@
 """Settings of a run: options, progress, and the folders of results and checkpoints."""
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 class Execution:
     """What the options say about a run; results go to `out/<name>/`, checkpoints to `out/<name>.partial/`.
 
-    `file` is the study's, where it is known: warnings name it. `pool` is where tasks run.
+    `file` is the study's, where it is known: warnings name it. `pool` is where tasks run; None: in
+    processes of each run.
     """
 
     invocation: Invocation
@@ -74,8 +75,9 @@ class Execution:
         """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`."""
         from needlefit.studies.kind import kind_of
 
-        with show_progress(self.invocation.quiet) as report:
-            return kind_of(record).run(name, record, self._settings(name, report))
+        opened = open_pool(self.jobs, None, False) if self.pool is None else nullcontext(self.pool)
+        with show_progress(self.invocation.quiet) as report, opened as pool:
+            return kind_of(record).run(name, record, self._settings(name, report, pool))
 
     def run_and_write(self, name: str, record: "FileRecord") -> "Run":
         """Run one study and write its folder; an interrupted one ends the command."""
@@ -85,13 +87,13 @@ class Execution:
         self.write(result)
         return result
 
-    def _settings(self, name: str, report: "Progress") -> "Settings":
+    def _settings(self, name: str, report: "Progress", pool: "TaskPool") -> "Settings":
         from needlefit.studies.job import Settings
 
         return Settings(
             seed=self.seed,
             jobs=self.jobs or count_cores(),
-            pool=self.pool,
+            pool=pool,
             checkpoint=self.checkpoint(name),
             resume=self.resume,
             sample=self.sample,
@@ -125,7 +127,8 @@ def open_pool(jobs: int | None, scheduler: str | None, insecure: bool) -> "Itera
     from needlefit.project.tasks import LocalPool
 
     if scheduler is None:
-        yield LocalPool(jobs or count_cores())
+        with LocalPool(jobs or count_cores()) as local:
+            yield local
         return
     from needlefit.project.cluster import connect
 

@@ -1,11 +1,12 @@
 """`needlefit tune`: fit a medium's parameters to measured needles."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import typer
 
 from needlefit.cli import options
-from needlefit.cli.execution import Execution, require_converged
+from needlefit.cli.execution import Execution, open_pool, require_converged
 from needlefit.cli.exit_codes import catch_interrupts
 from needlefit.cli.show_results import show_result
 
@@ -16,6 +17,8 @@ def tune(
     sample: options.Sample = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
     out: options.Out = Path("reports"),
     resume: options.Resume = False,
     strict: options.Strict = False,
@@ -41,8 +44,8 @@ def tune(
         name, record, file = load_target(target)
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample)
         execution.prepare([name])
-        with add_file_context(file):
-            results = execution.run(name, record)
+        with add_file_context(file), open_pool(jobs, scheduler, insecure) as pool:
+            results = replace(execution, pool=pool).run(name, record)
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         written = execution.write(results)

@@ -44,6 +44,8 @@ class EvaluationRecorder:
         What half the sum of squares lacks to be the value; known once `find_constant` was called.
     theta : (P,) array or None
         Best point evaluated, None before any evaluation succeeded.
+    linearized : (R,) and (R, P) arrays or None
+        Residuals and Jacobian at `theta`, where they were evaluated.
     objective, worst : float
         Smallest and largest finite value.
     evaluations, gradients, failures : int
@@ -58,6 +60,7 @@ class EvaluationRecorder:
         self.budget = budget
         self.constant = 0.0
         self.theta: Floats | None = None
+        self.linearized: tuple[Floats, Floats] | None = None
         self.objective, self.worst = math.inf, -math.inf
         self.evaluations = self.gradients = self.failures = 0
         self.failed: list[tuple[float, ...]] = []
@@ -103,18 +106,21 @@ class EvaluationRecorder:
         if found is None or not np.all(np.isfinite(found[1])):
             self._record(point, None)
             return None
-        value = self._record(point, self.constant + half_square(found[0]))
+        value = self._record(point, self.constant + half_square(found[0]), found)
         return found if math.isfinite(value) else None
 
     def find_constant(self, theta: Floats) -> bool:
         """Find the constant between value and half the sum of squares; return whether theta was solved."""
-        assert self.objective_function.residuals is not None
+        assert self.objective_function.jacobian is not None
         value, point = self.value(theta), self._begin_evaluation(theta)
-        found = self._evaluate(self.objective_function.residuals, point)
-        if found is None or not math.isfinite(value) or not np.all(np.isfinite(found)):
+        self.gradients += 1
+        found = self._evaluate(self.objective_function.jacobian, point)
+        if found is None or not math.isfinite(value) or not np.all(np.isfinite(found[0])):
             self._record(point, None)
             return False
-        self.constant = value - half_square(found)
+        self.constant = value - half_square(found[0])
+        if np.all(np.isfinite(found[1])) and self.theta is not None and np.array_equal(point, self.theta):
+            self.linearized = found
         return True
 
     def _begin_evaluation(self, theta: Floats) -> Floats:
@@ -136,7 +142,9 @@ class EvaluationRecorder:
         except EVALUATION_ERRORS:
             return None
 
-    def _record(self, theta: Floats, value: float | None) -> float:
+    def _record(
+        self, theta: Floats, value: float | None, linearized: tuple[Floats, Floats] | None = None
+    ) -> float:
         if value is None or not math.isfinite(value):
             self.failures += 1
             if len(self.failed) < MAX_FAILED_POINTS:
@@ -144,5 +152,5 @@ class EvaluationRecorder:
             return math.inf
         self.worst = max(self.worst, float(value))
         if value < self.objective:
-            self.objective, self.theta = float(value), theta
+            self.objective, self.theta, self.linearized = float(value), theta, linearized
         return float(value)

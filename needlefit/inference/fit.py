@@ -8,6 +8,7 @@ from typing import Any
 
 from needlefit.errors import FitError
 from needlefit.project.progress import never_stop
+from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
@@ -138,6 +139,8 @@ class Callbacks:
         and all.
     jobs : int
         Threads; the result does not depend on their number.
+    pool : TaskPool
+        Where the starts of a search run, if they take long; nor does it depend on that.
     """
 
     finished: Mapping[int, Start] = field(default_factory=lambda: MappingProxyType({}))
@@ -145,6 +148,7 @@ class Callbacks:
     stop: Callable[[], bool] = never_stop
     step: Callable[[int, int], None] = _ignore_step
     jobs: int = 1
+    pool: TaskPool = THIS_PROCESS
 
 
 def start_to_dict(start: Start) -> dict[str, Any]:

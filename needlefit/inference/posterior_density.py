@@ -17,8 +17,8 @@ from needlefit.inference.forward_model import (
 )
 from needlefit.inference.likelihood.marginal import (
     count_residuals,
-    linear_residual_derivatives,
     linear_residuals,
+    linearize_residuals,
     log_marginals,
     mixing_matrices,
     solve_shared,
@@ -163,8 +163,7 @@ class PosteriorDensity:
             white = [pairs[k][0] for k in members]
             # residuals are white / scale: d/d(ln scale) is minus the residual
             by = [pairs[k][1] - pairs[k][0][..., None] * self._by_scale for k in members]
-            part, more = linear_residuals(white, group, scale, spread)
-            part_slopes, more_slopes = linear_residual_derivatives(
+            part, more, part_slopes, more_slopes = linearize_residuals(
                 white, by, group, (scale, spread), self._by_spread
             )
             log_det, by_det = log_det + more, by_det + more_slopes

@@ -10,7 +10,7 @@ A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -114,6 +114,10 @@ class Problem:
                 key="parameters",
                 expected=f"{GUIDE_DISTANCE}: from the guide to the skin, free or fixed",
             )
+
+    def __reduce__(self) -> tuple[type["Problem"], tuple[object, ...]]:
+        # what is computed once is computed anew elsewhere: it refers to objects of this process
+        return Problem, tuple(getattr(self, field.name) for field in fields(self))
 
     @property
     def lower(self) -> Floats:

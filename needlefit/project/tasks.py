@@ -8,14 +8,24 @@ cluster that trust each other; no file is ever unpickled.
 This module imports nothing heavy, so that a new process limits itself to one thread before it imports numpy.
 """
 
+import pickle
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 from needlefit.errors import ConfigError
 from needlefit.project.progress import Stop, never_stop
@@ -26,6 +36,10 @@ Result = TypeVar("Result")
 
 STOP_POLL_S = 0.2
 """Seconds between two questions whether to stop, while tasks run elsewhere."""
+
+
+MIN_SHARED_S = 3.0
+"""Seconds of work that are worth a process, which takes about two to begin."""
 
 
 class TaskPool(Protocol):
@@ -60,10 +74,21 @@ class TaskPool(Protocol):
 
 @dataclass(frozen=True)
 class LocalPool:
-    """Processes of this machine; with one task or `size` 1 everything is done in this process."""
+    """Processes of this machine; with one task or `size` 1 everything is done in this process.
+
+    They end with each run, or, in a `with` statement, with that.
+    """
 
     size: int = 1
     remote: bool = False
+    _kept: "list[_Processes]" = field(default_factory=list, repr=False, compare=False)
+
+    def __enter__(self) -> Self:
+        self._kept.append(_Processes(self.size))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._kept.pop().close()
 
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop
@@ -71,7 +96,12 @@ class LocalPool:
         """Yield results as they are finished: see `TaskPool.run`."""
         count = min(self.size, len(items))
         if count > 1:
-            yield from _run_in_processes(work, items, count, self.size // count, stop)
+            processes = self._kept[-1] if self._kept else _Processes(count)
+            try:
+                yield from processes.run(work, items, count, self.size // count, stop)
+            finally:
+                if not self._kept:
+                    processes.close()
             return
         for n, item in enumerate(items):
             if stop():
@@ -96,6 +126,70 @@ def run_in_order(
             due += 1
 
 
+class TaskStop:
+    """A request to stop that travels with a task, which then ends early with what it has.
+
+    In another process it is that of the pool.
+    """
+
+    def __init__(self, stop: Stop) -> None:
+        self._stop, self._left = stop, False
+
+    def __call__(self) -> bool:
+        """Whether to end."""
+        return self._left or self._stop()
+
+    def __reduce__(self) -> tuple[Callable[..., Stop], tuple[()]]:
+        return _find_stop_of_task, ()
+
+    def leave(self) -> None:
+        """Request a stop."""
+        self._left = True
+
+
+def _find_stop_of_task() -> Stop:
+    return _is_stop_set
+
+
+def run_parts(
+    work: Callable[[Item], Result], items: Sequence[Item], pool: TaskPool, threads: int, stop: TaskStop
+) -> Iterator[tuple[int, Result]]:
+    """Yield results as `TaskPool.run` does, of parts that may be short.
+
+    The first one shows how long they take: if the others are worth a process they go to the pool, else they
+    stay in this process, on so many threads. `stop` is requested in the end.
+    """
+    begun, left = time.perf_counter(), list(range(len(items)))
+    try:
+        if pool is not THIS_PROCESS and len(items) > 1 and not stop():
+            yield left.pop(0), work(items[0])
+            if (time.perf_counter() - begun) * len(left) > MIN_SHARED_S:
+                for n, result in pool.run(work, [items[n] for n in left], stop):
+                    yield left[n], result
+                return
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as side_by_side:
+                futures = {side_by_side.submit(_unless_stopped, work, items[n], stop): n for n in left}
+                try:
+                    for future in as_completed(futures):
+                        for result in future.result():
+                            yield futures[future], result
+                finally:
+                    stop.leave()  # before the threads are waited for
+            return
+        for n in left:
+            if stop():
+                return
+            yield n, work(items[n])
+    finally:
+        stop.leave()
+
+
+def _unless_stopped(work: Callable[[Item], Result], item: Item, stop: Stop) -> tuple[Result, ...]:
+    """Return the result; nothing where a stop came before."""
+    return () if stop() else (work(item),)
+
+
 class _Surroundings:
     """What a task may know about the process that it runs in."""
 
@@ -106,9 +200,12 @@ class _Surroundings:
 
 def stop_requested() -> bool:
     """Whether the task that asks shall end early; it then has no result."""
-    event = _Surroundings.stop
-    _Surroundings.stopped = _Surroundings.stopped or (event is not None and event.is_set())
+    _Surroundings.stopped = _Surroundings.stopped or _is_stop_set()
     return _Surroundings.stopped
+
+
+def _is_stop_set() -> bool:
+    return _Surroundings.stop is not None and _Surroundings.stop.is_set()
 
 
 def threads_of_task() -> int:
@@ -116,12 +213,17 @@ def threads_of_task() -> int:
     return _Surroundings.threads
 
 
-def _run_in_processes(
-    work: Callable[[Item], Result], items: Sequence[Item], count: int, threads: int, stop: Stop
-) -> Iterator[tuple[int, Result]]:
-    context = get_context("spawn")  # a fork would copy threads that hold locks
-    event = context.Event()
-    with ProcessPoolExecutor(count, context, _begin_process, (event, threads)) as pool:
+class _Processes:
+    """Processes that run tasks until they are closed; they are started when tasks need them."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item], count: int, threads: int, stop: Stop
+    ) -> Iterator[tuple[int, Result]]:
+        pool, event = self._pool
+        data = pickle.dumps(work)
         waiting = list(range(len(items)))[::-1]
         running: dict[Future[tuple[Result, bool]], int] = {}
         try:
@@ -130,7 +232,7 @@ def _run_in_processes(
                     event.set()
                 while waiting and len(running) < count and not event.is_set():
                     n = waiting.pop()
-                    running[pool.submit(_run_task, work, items[n])] = n
+                    running[pool.submit(_run_task, data, items[n], threads)] = n
                 if not running:
                     return
                 for future in wait(running, STOP_POLL_S, FIRST_COMPLETED).done:
@@ -139,13 +241,34 @@ def _run_in_processes(
                     if whole:
                         yield n, result
         finally:
-            event.set()  # where a task failed, or nobody wants more: the others end early
+            if running:  # where a task failed, or nobody wants more: the others end early
+                event.set()
+                wait(running)
+            event.clear()
+
+    def close(self) -> None:
+        """End the processes."""
+        if "_pool" in self.__dict__:
+            self._pool[0].shutdown()
+
+    @cached_property
+    def _pool(self) -> tuple[ProcessPoolExecutor, Event]:
+        context = get_context("spawn")  # a fork would copy threads that hold locks
+        event = context.Event()
+        return ProcessPoolExecutor(self._size, context, _begin_process, (event,)), event
 
 
-def _run_task(work: Callable[[Item], Result], item: Item) -> tuple[Result, bool]:
+def _run_task(data: bytes, item: object, threads: int) -> tuple[Any, bool]:
     """Return a result, and whether nothing made the task end early."""
-    result = work(item)
+    _Surroundings.stopped, _Surroundings.threads = False, threads
+    result = _read_work(data)(item)
     return result, not _Surroundings.stopped
+
+
+@lru_cache(maxsize=1)  # tasks of the same work share what it computes once
+def _read_work(data: bytes) -> Callable[[object], object]:
+    work: Callable[[object], object] = pickle.loads(data)  # noqa: S301  from the process that started this one
+    return work
 
 
 def _result(future: "Future[tuple[Result, bool]]") -> tuple[Result, bool]:
@@ -159,8 +282,8 @@ def _result(future: "Future[tuple[Result, bool]]") -> tuple[Result, bool]:
         ) from None
 
 
-def _begin_process(stop: Event, threads: int) -> None:
+def _begin_process(stop: Event) -> None:
     """Keep linear algebra to one thread, and leave Ctrl-C to the process that started this one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     limit_to_one_thread()
-    _Surroundings.stop, _Surroundings.threads = stop, threads
+    _Surroundings.stop = stop

@@ -93,7 +93,7 @@ def weigh_or_sample(
 
 def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
     """Return the fit alone, by the recipe of the job; arguments and errors as of `fit_posterior`."""
-    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs, pool=settings.part_pool)
     return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), callbacks)
 
 

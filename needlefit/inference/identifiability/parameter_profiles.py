@@ -1,8 +1,8 @@
 """Compute the profile likelihoods of all free parameters of a fit, and of the alphas that it held fixed."""
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from needlefit.inference.identifiability.profile import LikelihoodProfile, compu
 from needlefit.inference.parameters import Parameters, without_prior
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.laws import LAWS
+from needlefit.project.progress import Stop, never_stop
+from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
 
 FREED_ALPHA_BOUNDS = (-3.0, 5.0)
 """Bounds of a fixed alpha once it is freed: tissues and gels lie well within."""
@@ -120,9 +122,9 @@ class FitProfiles:
 
 
 def profile_parameters(
-    problem: Problem, fit: Fit, jobs: int = 1, stop: Callable[[], bool] = lambda: False
+    problem: Problem, fit: Fit, jobs: int = 1, stop: Stop = never_stop, pool: TaskPool = THIS_PROCESS
 ) -> FitProfiles:
-    """Compute the profiles about a fit; the result does not depend on the number of threads.
+    """Compute the profiles about a fit; the result depends neither on the number of threads nor on the pool.
 
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
     """
@@ -135,21 +137,24 @@ def profile_parameters(
     elsewhere = [*ends[1:], 0.5 * (noisy.lower + noisy.upper)]
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
 
-    def free(k: int) -> ParameterProfile | None:
-        return None if stop() else _profile_free(noisy, k, optimum, elsewhere, scale)
-
-    def alpha(name: str) -> ParameterProfile | None:
-        return None if stop() else _profile_fixed(noisy, name, optimum, scale)
-
-    with ThreadPoolExecutor(max(1, jobs), thread_name_prefix="profile") as pool:
-        tasks = [pool.submit(free, k) for k in range(len(noisy.names))]
-        tasks += [pool.submit(alpha, name) for name in find_fixed_alphas(noisy)]
-        found = tuple(one for task in tasks if (one := task.result()) is not None)
+    parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_alphas(noisy)]
+    work = partial(_profile_one, noisy, optimum, elsewhere, scale)
+    every = dict(run_parts(work, parts, pool, jobs, TaskStop(stop)))
+    found = tuple(every[n] for n in sorted(every))
     spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
     at_fit = noisy.residuals(np.array(fit.theta))
     # residuals are those of the posterior: of a metric fit their gain means nothing
     gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
     return FitProfiles(found, scale, spent, gain)
+
+
+def _profile_one(
+    problem: Problem, optimum: LocalMinimum, elsewhere: Sequence[Floats], scale: float, part: str | int
+) -> ParameterProfile:
+    """Return the profile of a free parameter, by its number, or of a fixed alpha, by its name."""
+    if isinstance(part, str):
+        return _profile_fixed(problem, part, optimum, scale)
+    return _profile_free(problem, part, optimum, elsewhere, scale)
 
 
 def _profile_free(

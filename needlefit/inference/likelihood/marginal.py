@@ -228,14 +228,14 @@ def linear_residuals(
     return found[_order(group, [white.shape[1] for white in whites])], float(_log_det(stiff))
 
 
-def linear_residual_derivatives(
+def linearize_residuals(
     whites: Sequence[Floats],
     by: Sequence[Floats],
     group: NodeGroup,
     at: tuple[float, float],
     by_log_spread: Floats,
-) -> tuple[Floats, Floats]:
-    """Return the derivatives (R + D, P) and (P,) of `linear_residuals`, given those of white, (m, R, P).
+) -> tuple[Floats, float, Floats, Floats]:
+    """Return `linear_residuals` and their derivatives (R + D, P) and (P,), given those of white, (m, R, P).
 
     `at` are scale and spread; `by_log_spread` (P,) are the derivatives of the latter's logarithm.
     """
@@ -250,8 +250,9 @@ def linear_residual_derivatives(
     # zero off the optimum
     by_best = -np.linalg.solve(stiff, np.einsum("drp,r->dp", by_slopes, left) + slopes @ by_left)
     by_det = 2 * np.einsum("dr,drp->p", np.linalg.solve(stiff, slopes), by_slopes)
-    found = np.concatenate([by_left + slopes.T @ by_best, by_best])
-    return found[_order(group, [white.shape[1] for white in whites])], by_det
+    order = _order(group, [white.shape[1] for white in whites])
+    found = np.concatenate([left, best])[order], float(_log_det(stiff))
+    return *found, np.concatenate([by_left + slopes.T @ by_best, by_best])[order], by_det
 
 
 def count_residuals(group: NodeGroup, rows: Sequence[int]) -> list[int]:

@@ -1,21 +1,38 @@
 """Run one stage of a search by nonlinear least squares, with the exact Jacobian, in theta itself.
 
-SciPy's trust region method within the bounds. As with nlopt, the best point is the recorder's own.
+SciPy's trust region method within the bounds comes near a minimum. It takes J^T J for the second derivatives,
+which leaves out those of the residuals: where these matter each step gains the same part of what is left. So
+the last steps are Newton's, with the missing part estimated from the changes of J^T r, as in NL2SOL (Dennis,
+Gay and Welsch, https://doi.org/10.1145/355958.355965). Where they fail SciPy's method goes on. As with nlopt,
+the best point is the recorder's own.
 """
 
 from contextlib import suppress
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import least_squares, lsq_linear
 
 from needlefit.arrays import Floats
-from needlefit.inference.evaluation_recorder import EvaluationRecorder, SearchEnded
+from needlefit.inference.evaluation_recorder import EvaluationRecorder, SearchEnded, half_square
 
 MIN_TOLERANCE = 1e-15
 """Relative change of the sum of squares, and of theta, under which it ends, unless more is negligible."""
 
 TYPICAL_HALF_SQUARES = 1e2
 """About as large as half the squares are at their least: a part of them is negligible."""
+
+NEAR_TOLERANCE = 1e-2
+"""Relative change of the sum of squares by a step under which a minimum is near."""
+
+MAX_FAILED_STEPS = 3
+"""Newton's steps in a row from which the sum of squares rises: there its method is left."""
+
+MIN_COSINE = 1e-6
+"""Cosine between a step and the change of the gradient below which that gives no curvature along the step."""
+
+VALUE_ROUNDING = 1e-9
+"""Rise of the sum of squares, as a part of it, that may be rounding of the simulation."""
 
 SUM_TOLERANCE, CONSTANT_ROUNDING = 1e-6, 1e-12
 """Differences between value and sum of squares from which on one does not stand for the other: of the best
@@ -38,50 +55,127 @@ def _run_scipy(recorder: EvaluationRecorder, start: Floats) -> str:
     if len(start) == 0:
         return "tolerance"
 
-    cached = _CachedJacobian(recorder)
-    found = least_squares(
-        cached.residuals,
-        np.clip(start, recorder.objective_function.lower, recorder.objective_function.upper),
-        jac=cached.slopes,
-        bounds=(recorder.objective_function.lower, recorder.objective_function.upper),
-        x_scale="jac",
-        ftol=small,
-        xtol=small,
-        gtol=None,  # absolute: it would depend on the units of theta
-        max_nfev=recorder.budget,  # the recorder ends it, which counts the Jacobians too
-    )
-    return _verify_sum(recorder, CONSTANT_ROUNDING * first, "tolerance" if found.status > 0 else "budget")
+    lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
+    steps = _ScipySteps(recorder, small)
+    try:
+        found = least_squares(
+            steps.residuals,
+            np.clip(start, lower, upper),
+            jac=steps.slopes,
+            bounds=(lower, upper),
+            x_scale="jac",
+            ftol=small,
+            xtol=small,
+            gtol=None,  # absolute: it would depend on the units of theta
+            max_nfev=recorder.budget,  # the recorder ends it, which counts the Jacobians too
+        )
+        reason = "tolerance" if found.status > 0 else "budget"
+    except _Converged:
+        reason = "tolerance"
+    return _verify_sum(recorder, CONSTANT_ROUNDING * first, reason)
 
 
-class _CachedJacobian:
-    """Residuals and Jacobian from one evaluation: SciPy asks for both at almost every point.
+class _Converged(Exception):  # noqa: N818  (no error: the way out of SciPy's method)
+    """Raised to leave SciPy's method where Newton's steps have converged."""
 
-    Attributes
-    ----------
-    theta, slopes : (P,) and (R, P) arrays
-        Where it was asked last, and the Jacobian there; None if there is none.
+
+def _run_newton(
+    recorder: EvaluationRecorder, theta: Floats, found: tuple[Floats, Floats], small: float
+) -> bool:
+    """Take Newton's steps from theta (P,), with its residuals and Jacobian; return whether they converged."""
+    lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
+    curvature = np.zeros((len(theta), len(theta)))  # what J^T J lacks
+    failed = 0
+    while failed < MAX_FAILED_STEPS:
+        residuals, jacobian = found
+        value, slope = half_square(residuals), residuals @ jacobian
+        step = _find_step(slope, jacobian.T @ jacobian + curvature, lower - theta, upper - theta)
+        if step is None:
+            return False
+        gain = -0.5 * float(slope @ step)
+        if gain <= max(recorder.objective_function.absolute_tolerance, small * value):
+            return True
+        tried = recorder.jacobian(theta + step) if gain <= NEAR_TOLERANCE * value else None
+        if tried is None:
+            return False
+        # a step too far says as much of the curvature as another one
+        change = tried[0] @ (tried[1] - jacobian)
+        curvature = _update_curvature(curvature, step, change, tried[0] @ tried[1] - slope)
+        if half_square(tried[0]) <= (1 + VALUE_ROUNDING) * value:
+            theta, found, failed = np.clip(theta + step, lower, upper), tried, 0
+        else:
+            failed += 1
+    return False
+
+
+def _find_step(slope: Floats, curvature: Floats, low: Floats, high: Floats) -> Floats | None:
+    """Return the step (P,) to the minimum of a quadratic function between two bounds; None if it has none."""
+    try:
+        factor = cholesky(curvature, lower=True)
+    except np.linalg.LinAlgError:
+        return None
+    target = -solve_triangular(factor, slope, lower=True)
+    step: Floats = solve_triangular(factor.T, target, lower=False)
+    if np.all((step >= low) & (step <= high)):
+        return step
+    bounded: Floats = lsq_linear(factor.T, target, (np.minimum(low, 0), np.maximum(high, 0)), method="bvls").x
+    return bounded
+
+
+def _update_curvature(curvature: Floats, step: Floats, change: Floats, whole: Floats) -> Floats:
+    """Return the estimate (P, P) of what J^T J lacks, after a step that changed J^T r by `whole` (P,).
+
+    `change` (P,) is what of this the residuals' second derivatives do. The estimate is first made smaller
+    where it predicted more.
+    """
+    along, predicted = float(whole @ step), float(step @ curvature @ step)
+    if along <= MIN_COSINE * float(np.linalg.norm(whole) * np.linalg.norm(step)):
+        return curvature
+    if predicted:
+        curvature = curvature * min(1.0, abs(float(change @ step) / predicted))
+    missing = change - curvature @ step
+    both = np.outer(missing, whole) + np.outer(whole, missing)
+    updated: Floats = curvature + both / along - float(missing @ step) / along**2 * np.outer(whole, whole)
+    return updated
+
+
+class _ScipySteps:
+    """Residuals and Jacobian for SciPy's method, which asks for both at almost every point; near a minimum
+    Newton's steps are tried between its own.
     """
 
-    def __init__(self, recorder: EvaluationRecorder) -> None:
-        self._recorder = recorder
+    def __init__(self, recorder: EvaluationRecorder, small: float) -> None:
+        self._recorder, self._small = recorder, small
         self._theta: Floats | None = None
-        self._slopes: Floats | None = None
+        self._found: tuple[Floats, Floats] | None = None
+        self._value, self._near = np.inf, NEAR_TOLERANCE
 
     def residuals(self, theta: Floats) -> Floats:
         """Return (R,); a single infinite one where they failed."""
-        found = self._recorder.jacobian(theta)
-        self._theta, self._slopes = theta.copy(), None if found is None else found[1]
+        best, found = self._recorder.theta, self._recorder.linearized
+        if best is None or found is None or not np.array_equal(theta, best):
+            found = self._recorder.jacobian(theta)
+        self._theta, self._found = theta.copy(), found
         # one infinite residual is enough: SciPy rejects the step and shortens it
         return np.array([np.inf]) if found is None else found[0]
 
     def slopes(self, theta: Floats) -> Floats:
-        """Return the Jacobian (R, P); where it cannot be computed the search ends with its best point."""
+        """Return the Jacobian (R, P) at a point that SciPy accepted.
+
+        Where it cannot be computed the search ends with its best point.
+        """
         if self._theta is None or not np.array_equal(theta, self._theta):
             self.residuals(theta)
-        if self._slopes is None:
+        if self._found is None:
             self._recorder.reason = "no Jacobian"
             raise SearchEnded
-        return self._slopes
+        value, before = half_square(self._found[0]), self._value
+        self._value = value
+        if before - value <= self._near * value:
+            if _run_newton(self._recorder, theta, self._found, self._small):
+                raise _Converged
+            self._near *= NEAR_TOLERANCE  # SciPy's method must come nearer before the next attempt
+        return self._found[1]
 
 
 def _verify_sum(recorder: EvaluationRecorder, rounding: float, reason: str) -> str:

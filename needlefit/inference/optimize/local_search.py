@@ -150,10 +150,10 @@ def certify_minimum(recorder: EvaluationRecorder, reason: str) -> str:
         or not len(recorder.theta)
     ):
         return reason
-    found, recorder.reason = None, ""
+    found, recorder.reason = recorder.linearized, ""
     recorder.budget = recorder.evaluations + 1  # this evaluation is no part of the search
     with suppress(SearchEnded):
-        found = recorder.jacobian(recorder.theta)
+        found = found or recorder.jacobian(recorder.theta)
     return recorder.reason or reason if found is None else _classify_minimum(recorder, *found)
 
 

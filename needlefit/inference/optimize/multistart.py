@@ -1,4 +1,4 @@
-"""Search from many starts spread over the box, in threads, resumable; the best end is the fit.
+"""Search from many starts spread over the box, side by side, resumable; the best end is the fit.
 
 An easier objective is minimised first; starts that end at the same point there continue as one.
 
@@ -7,10 +7,9 @@ modes lie next to those of the whole one, at a fraction of the cost.
 """
 
 import math
-import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -20,6 +19,8 @@ from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
 from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
 from needlefit.inference.objective import ObjectiveFunction, SupportsPosterior, make_objective
 from needlefit.inference.optimize.local_search import search, select_algorithms
+from needlefit.project.progress import Stop
+from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.project.threads import one_thread
 from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
@@ -91,31 +92,51 @@ def minimize(
         If no evaluation of any start succeeded, or finished starts belong to another fit.
     """
     callbacks = Callbacks() if callbacks is None else callbacks
-    objective_function = make_objective(problem, recipe.minimize)
-    select_algorithms(
-        recipe.algorithm, objective_function
-    )  # an unknown algorithm is an error before anything is computed
+    whole = _Search(problem, recipe)
+    # an unknown algorithm is an error before anything is computed
+    select_algorithms(recipe.algorithm, whole.objective_function)
     # the order of draws from `rng` is part of the result: first the points, then the seeds
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     seeds = rng.integers(1, 2**31, size=len(design))
     done = _load_finished(callbacks, design)
     start_points = [StartPoint(k, tuple(design[k].tolist()), int(seeds[k])) for k in range(len(design))]
-    if objective_function.approach is None or not recipe.approach or len(done) == len(start_points):
-        for start in _search_in_threads(
-            objective_function, recipe, [p for p in start_points if p.index not in done], callbacks
-        ):
+    easier = whole.objective_function.approach
+    if easier is None or not recipe.approach or len(done) == len(start_points):
+        for start in _search_each(whole, [p for p in start_points if p.index not in done], callbacks):
             _add_start(start, done, callbacks)
     else:
-        _search_by_approach(
-            objective_function, objective_function.approach, recipe, start_points, done, callbacks
-        )
+        _search_by_approach(whole, easier, start_points, done, callbacks)
     return _select_fit(problem, recipe.minimize, tuple(done[index] for index in sorted(done)), design)
 
 
+@dataclass(frozen=True)
+class _Search:
+    """A search, of which every start is a task: by a recipe, of a problem or of the easier one before it."""
+
+    problem: SupportsPosterior
+    recipe: RecipeRecord
+    of_approach: bool = False
+
+    def __reduce__(self) -> tuple[type["_Search"], tuple[object, ...]]:
+        return _Search, (self.problem, self.recipe, self.of_approach)  # functions cannot travel
+
+    @cached_property
+    def objective_function(self) -> ObjectiveFunction:
+        """What is minimised."""
+        found = make_objective(self.problem, self.recipe.minimize)
+        if not self.of_approach:
+            return found
+        assert found.approach is not None
+        return found.approach
+
+    def run(self, stop: Stop, start_point: StartPoint) -> Start:
+        """Return what came of one start."""
+        return search(self.objective_function, self.recipe, start_point, stop)
+
+
 def _search_by_approach(
-    objective_function: ObjectiveFunction,
+    whole: _Search,
     easier: ObjectiveFunction,
-    recipe: RecipeRecord,
     start_points: list[StartPoint],
     done: dict[int, Start],
     callbacks: Callbacks,
@@ -124,14 +145,15 @@ def _search_by_approach(
 
     Approaches are not stored: a resumed search repeats them, and so finds the same groups.
     """
-    half = recipe.model_copy(update={"evaluations": max(1, recipe.evaluations // 2)})
+    half = whole.recipe.model_copy(update={"evaluations": max(1, whole.recipe.evaluations // 2)})
     first_recipe = half if easier.jacobian is None else half.model_copy(update={"algorithm": "leastsquares"})
+    approach = _Search(whole.problem, first_recipe, of_approach=True)
     ends: dict[int, Start] = {}
-    for end in _search_in_threads(easier, first_recipe, start_points, callbacks):
+    for end in _search_each(approach, start_points, callbacks):
         ends[end.index] = end
         callbacks.step(len(ends), len(start_points))
     if callbacks.stop():
-        _add_interrupted(objective_function, list(ends.values()), done)
+        _add_interrupted(whole.objective_function, list(ends.values()), done)
         return
     leader = group_approaches([ends[start_point.index] for start_point in start_points])
     begin = [
@@ -140,7 +162,7 @@ def _search_by_approach(
         # a group whose members are all stored needs no continuation
         if leader[p.index] == p.index and any(k not in done for k in leader if leader[k] == p.index)
     ]
-    for continued in _search_in_threads(objective_function, half, begin, callbacks):
+    for continued in _search_each(_Search(whole.problem, half), begin, callbacks):
         for index in (k for k in leader if leader[k] == continued.index and k not in done):
             _add_start(continue_start(ends[index], continued), done, callbacks)
 
@@ -192,33 +214,11 @@ def _load_finished(callbacks: Callbacks, design: Floats) -> dict[int, Start]:
     return kept
 
 
-def _search_in_threads(
-    objective_function: ObjectiveFunction,
-    recipe: RecipeRecord,
-    start_points: list[StartPoint],
-    callbacks: Callbacks,
-) -> Iterator[Start]:
+def _search_each(what: _Search, start_points: list[StartPoint], callbacks: Callbacks) -> Iterator[Start]:
     """Yield the search from each place as it ends, in the calling thread."""
-    if callbacks.jobs <= 1:
-        for start_point in start_points:
-            if callbacks.stop():
-                return
-            yield search(objective_function, recipe, start_point, callbacks.stop)
-        return
-    leave = threading.Event()  # ends the other threads when one of them finds a bug
-
-    def stop() -> bool:
-        return leave.is_set() or callbacks.stop()
-
-    with ThreadPoolExecutor(callbacks.jobs, thread_name_prefix="start") as pool:
-        futures = [
-            pool.submit(search, objective_function, recipe, start_point, stop) for start_point in start_points
-        ]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            leave.set()
+    stop = TaskStop(callbacks.stop)
+    for _, start in run_parts(partial(what.run, stop), start_points, callbacks.pool, callbacks.jobs, stop):
+        yield start
 
 
 def _select_fit(

@@ -181,7 +181,9 @@ def _run_searches(job: Job, fold: Fold, steps: _FoldSteps, checkpoint: Checkpoin
         counter = _StartCounter(
             steps, search.replace("_", " "), order * job.recipe.starts + len(kept), key, checkpoint
         )
-        callbacks = Callbacks(kept, counter.report, settings.stop, counter.approach, settings.jobs)
+        callbacks = Callbacks(
+            kept, counter.report, settings.stop, counter.approach, settings.jobs, settings.part_pool
+        )
         rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
         fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
     return fits
@@ -210,7 +212,9 @@ def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> 
     """Return the profiles of the fit; many folds are scored, not examined."""
     if len(job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
         return None
-    return profile_parameters(job.problem(fold), fits["fitted"], settings.jobs, settings.stop)
+    return profile_parameters(
+        job.problem(fold), fits["fitted"], settings.jobs, settings.stop, settings.part_pool
+    )
 
 
 def _sample(

@@ -101,7 +101,7 @@ def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] |
     theta = problem.parameters.theta(values)
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(expectation.names, expectation.sds[0].tolist(), strict=True))
-    profiles = profile_parameters(problem, here, settings.jobs, settings.stop)
+    profiles = profile_parameters(problem, here, settings.jobs, settings.stop, settings.part_pool)
     found = identify_parameters(problem, profiles, sds, loosened=loosen(problem, theta))
     rows = [
         {"fold": fold.name, **row, "value": values[n := row["parameter"]], **_sd_range(expectation, n)}

@@ -136,7 +136,11 @@ def draw_parameters(
     rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted", "starts")
     kept = checkpoint or Checkpoint(None)
     callbacks = Callbacks(
-        kept.finished(_SEARCH), partial(kept.keep, _SEARCH), settings.stop, jobs=settings.jobs
+        kept.finished(_SEARCH),
+        partial(kept.keep, _SEARCH),
+        settings.stop,
+        jobs=settings.jobs,
+        pool=settings.part_pool,
     )
     fit = minimize(job.problem(fold), job.recipe, rng, callbacks)
     if fit.interrupted:

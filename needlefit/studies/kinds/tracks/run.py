@@ -284,7 +284,7 @@ def _draw_posterior(
         settings.progress(f"{name}: posterior of {task.name}", done, total)
 
     seed = task.recipe.seed
-    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
+    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs, pool=settings.part_pool)
     fit = minimize(task.problem, task.recipe, random_stream(seed, name, task.name, "starts"), callbacks)
     if fit.interrupted or settings.stop():
         return None

@@ -1,0 +1,100 @@
+"""Processes that stay, and the parts of one fit that go to a pool where they are long."""
+
+import math
+import os
+import time
+from functools import partial
+
+import pytest
+from inference_cases import squares_recipe, two_layers
+
+from needlefit.errors import ConfigError
+from needlefit.inference.fit import Callbacks
+from needlefit.inference.identifiability.parameter_profiles import profile_parameters
+from needlefit.inference.optimize import minimize
+from needlefit.project import tasks
+from needlefit.project.cluster import connect
+from needlefit.project.progress import never_stop
+from needlefit.project.random_streams import random_stream
+from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskStop, run_in_order, run_parts
+from tests.cluster_processes import start_scheduler, start_worker
+from tests.cluster_work import fail, find_process, nap_until, square, wait_for_stop
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with LocalPool(2) as kept:
+        yield kept
+
+
+@pytest.fixture
+def long(monkeypatch):
+    monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
+
+
+def test_processes_stay_until_the_end_of_the_with_statement(pool):
+    first, second = (set(run_in_order(find_process, [0.3] * 4, pool)) for _ in range(2))
+    assert first == second and len(first) == 2 and os.getpid() not in first
+
+
+def test_processes_serve_again_after_a_stop_and_an_error(pool):
+    begun = time.monotonic()
+    assert list(pool.run(wait_for_stop, [60.0, 60.0], lambda: time.monotonic() > begun + 0.5)) == []
+    with pytest.raises(ConfigError, match="of task 1"):
+        list(pool.run(fail, [1, 1]))
+    assert list(run_in_order(square, [1.0, 2.0, 3.0], pool)) == [1.0, 4.0, 9.0]
+    assert time.monotonic() < begun + 60
+
+
+def test_short_parts_stay_in_this_process(pool):
+    found = dict(run_parts(find_process, [0.0] * 4, pool, 1, TaskStop(never_stop)))
+    assert found == dict.fromkeys(range(4), os.getpid())
+
+
+def test_long_parts_go_to_the_pool_after_the_first(pool, long):
+    found = dict(run_parts(find_process, [0.3] * 5, pool, 1, TaskStop(never_stop)))
+    assert sorted(found) == [0, 1, 2, 3, 4] and found.pop(0) == os.getpid()
+    assert os.getpid() not in found.values() and len(set(found.values())) == 2
+
+
+@pytest.mark.parametrize(
+    "changed", [{}, {"algorithm": "praxis"}, {"minimize": "metric", "algorithm": "slsqp"}]
+)
+def test_a_search_in_processes_has_the_same_bytes(pool, long, changed):
+    problem, search = two_layers(count=2), squares_recipe(starts=5, evaluations=60, **changed)
+    fits = [
+        minimize(problem, search, random_stream(1, "starts"), Callbacks(pool=where))
+        for where in (THIS_PROCESS, pool)
+    ]
+    assert fits[0] == fits[1]
+
+
+def test_a_part_that_is_stopped_returns_what_it_has(pool):
+    begun = time.monotonic()
+    stop = TaskStop(lambda: time.monotonic() > begun + 0.5)
+    found = list(pool.run(partial(nap_until, stop), [60.0, 60.0, 60.0], stop))
+    assert len(found) == 2 and all(slept < 60 for _, slept in found)
+
+
+def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(pool, long):
+    problem, search = two_layers(count=2), squares_recipe(starts=5, algorithm="praxis", evaluations=20_000)
+    begun = time.monotonic()
+    callbacks = Callbacks(stop=lambda: time.monotonic() > begun + 1.0, pool=pool)
+    part = minimize(problem, search, random_stream(1, "starts"), callbacks)
+    assert part.interrupted and math.isfinite(part.objective)
+
+
+def test_profiles_in_processes_have_the_same_bytes(pool, long):
+    problem = two_layers(count=2)
+    fit = minimize(problem, squares_recipe(starts=2), random_stream(1, "starts"))
+    found = [profile_parameters(problem, fit, pool=where) for where in (THIS_PROCESS, pool)]
+    assert len(found[0].parameters) >= 3 and repr(found[0]) == repr(found[1])
+
+
+def test_a_search_on_a_cluster_has_the_same_bytes(tmp_path, long):
+    pytest.importorskip("distributed")
+    problem, search = two_layers(count=2), squares_recipe(starts=4, evaluations=60)
+    run = partial(minimize, problem, search)
+    with start_scheduler(tmp_path) as (address, _), start_worker(address), connect(address) as cluster:
+        found = run(random_stream(1, "starts"), Callbacks(pool=cluster))
+    assert found == run(random_stream(1, "starts"))
