@@ -38,8 +38,8 @@ STOP_POLL_S = 0.2
 """Seconds between two questions whether to stop, while tasks run elsewhere."""
 
 
-MIN_SHARED_S = 3.0
-"""Seconds of work that are worth a process, which takes about two to begin."""
+MIN_SHARED_S = 8.0
+"""Seconds of work that are worth processes: each takes two or three of processor time to begin."""
 
 
 class TaskPool(Protocol):
