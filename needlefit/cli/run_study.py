@@ -104,6 +104,7 @@ def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> Iterable[Run]:
     sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=_stop_in_process, pool=None))
     finished: dict[int, Run] = {}
     with show_progress(execution.invocation.quiet) as report:
+        report(f"{len(todo)} studies side by side", 0, len(todo))
         for n, result in execution.pool.run(sent, todo, execution.stop):
             finished[n] = result
             report(f"studies: {result.name}", len(finished), len(todo))
