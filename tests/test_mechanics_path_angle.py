@@ -75,7 +75,7 @@ def test_the_lanes_are_used() -> None:
     from needlefit.mechanics.lanes import _prepare_job, _simulate_lanes
 
     batch = Batch(NEEDLE, PHANTOM, (Step(25.0, Bevel(cut_angle=0.1)),), RULES, cut_angle=np.array([0.1, 0.2]))
-    job = _prepare_job(batch)
+    job = _prepare_job(batch, {})
     assert job.lanes is not None
     ((_, tables),) = job.lanes.grids
     assert (tables.regular_row[1:] >= 0).mean() > 0.8

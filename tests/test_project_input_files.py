@@ -167,7 +167,7 @@ def test_a_toml_key_of_many_parts_takes_no_time(key):
     "text",
     ("a = 1\nb = [1, 2.5, [-3e-2]]\n", "a = -0", "a = +1\r\nb = 2", "a = [1,]", "a = 1e400", "a-b = [ ]"),
 )
-def test_keys_with_numbers_alone_mean_what_toml_says(text):
+def test_keys_with_numbers_alone_are_read_as_toml(text):
     assert repr(parse_toml(text, "here")) == repr(tomllib.loads(text))
 
 

@@ -146,7 +146,8 @@ def test_a_medium_that_is_not_new_costs_nothing(not_new):
 
 def test_without_spread_and_new_data_the_inflated_posterior_is_the_old_one(not_new):
     scores = not_new.frames["adaptation"].set_index(["method", "n"])["tip_crps_mm"]
-    assert scores["inflated", 0] == pytest.approx(scores["none", 0], rel=0.2)  # as a Gaussian
+    # as a Gaussian, which is wider than a posterior whose draws lie on a plateau too
+    assert 0.8 < scores["inflated", 0] / scores["none", 0] < 1.5
 
 
 def test_held_out_insertions_are_never_fitted(not_new):

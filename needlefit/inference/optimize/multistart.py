@@ -92,7 +92,7 @@ def minimize(
         If no evaluation of any start succeeded, or finished starts belong to another fit.
     """
     callbacks = Callbacks() if callbacks is None else callbacks
-    whole = _Search(problem, recipe)
+    whole = _SearchTask(problem, recipe)
     # an unknown algorithm is an error before anything is computed
     select_algorithms(recipe.algorithm, whole.objective_function)
     # the order of draws from `rng` is part of the result: first the points, then the seeds
@@ -110,15 +110,15 @@ def minimize(
 
 
 @dataclass(frozen=True)
-class _Search:
+class _SearchTask:
     """A search, of which every start is a task: by a recipe, of a problem or of the easier one before it."""
 
     problem: SupportsPosterior
     recipe: RecipeRecord
     of_approach: bool = False
 
-    def __reduce__(self) -> tuple[type["_Search"], tuple[object, ...]]:
-        return _Search, (self.problem, self.recipe, self.of_approach)  # functions cannot travel
+    def __reduce__(self) -> tuple[type["_SearchTask"], tuple[object, ...]]:
+        return _SearchTask, (self.problem, self.recipe, self.of_approach)  # functions cannot travel
 
     @cached_property
     def objective_function(self) -> ObjectiveFunction:
@@ -135,7 +135,7 @@ class _Search:
 
 
 def _search_by_approach(
-    whole: _Search,
+    whole: _SearchTask,
     easier: ObjectiveFunction,
     start_points: list[StartPoint],
     done: dict[int, Start],
@@ -147,7 +147,7 @@ def _search_by_approach(
     """
     half = whole.recipe.model_copy(update={"evaluations": max(1, whole.recipe.evaluations // 2)})
     first_recipe = half if easier.jacobian is None else half.model_copy(update={"algorithm": "leastsquares"})
-    approach = _Search(whole.problem, first_recipe, of_approach=True)
+    approach = _SearchTask(whole.problem, first_recipe, of_approach=True)
     ends: dict[int, Start] = {}
     for end in _search_each(approach, start_points, callbacks):
         ends[end.index] = end
@@ -162,7 +162,7 @@ def _search_by_approach(
         # a group whose members are all stored needs no continuation
         if leader[p.index] == p.index and any(k not in done for k in leader if leader[k] == p.index)
     ]
-    for continued in _search_each(_Search(whole.problem, half), begin, callbacks):
+    for continued in _search_each(_SearchTask(whole.problem, half), begin, callbacks):
         for index in (k for k in leader if leader[k] == continued.index and k not in done):
             _add_start(continue_start(ends[index], continued), done, callbacks)
 
@@ -214,7 +214,7 @@ def _load_finished(callbacks: Callbacks, design: Floats) -> dict[int, Start]:
     return kept
 
 
-def _search_each(what: _Search, start_points: list[StartPoint], callbacks: Callbacks) -> Iterator[Start]:
+def _search_each(what: _SearchTask, start_points: list[StartPoint], callbacks: Callbacks) -> Iterator[Start]:
     """Yield the search from each place as it ends, in the calling thread."""
     stop = TaskStop(callbacks.stop)
     for _, start in run_parts(partial(what.run, stop), start_points, callbacks.pool, callbacks.jobs, stop):
