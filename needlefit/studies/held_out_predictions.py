@@ -99,9 +99,6 @@ BAND_COLUMNS = (
 )
 """Columns: where a held-out needle was predicted to be measured, point by point, at its measured x."""
 
-_PROBABILITIES = (0.5, *((1 + side * level) / 2 for level in INTERVAL_PROBABILITIES for side in (-1, 1)))
-"""Of the median and the ends of the intervals: one search finds all quantiles."""
-
 BAND_POINTS = 41
 """Points of a band that are kept, of up to some 200."""
 
@@ -253,25 +250,32 @@ def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
     """Yield median and intervals at some of the measured points (K, 2), the tip the last."""
     kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
     some = PredictiveMixture(mixture.means[:, kept], mixture.sd[kept])
-    columns = {"x_mm": measured[kept, 0], "measured_mm": measured[kept, 1]}
-    median, *ends = quantile(some, _PROBABILITIES)
-    columns |= {"median_mm": median}
-    for level, low, high in zip(INTERVAL_PROBABILITIES, ends[::2], ends[1::2], strict=True):
+    median, intervals = _find_intervals(some)
+    columns = {"x_mm": measured[kept, 0], "measured_mm": measured[kept, 1], "median_mm": median}
+    for level, (low, high) in intervals.items():
         columns |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}
+
+
+def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Floats]]:
+    """Return the median (K,), and by level the ends (2, K) of the intervals: one search finds them all."""
+    ends = [(1 + side * level) / 2 for level in INTERVAL_PROBABILITIES for side in (-1, 1)]
+    median, *found = quantile(mixture, (0.5, *ends))
+    pairs = np.array(found).reshape(len(INTERVAL_PROBABILITIES), 2, -1)
+    return median, dict(zip(INTERVAL_PROBABILITIES, pairs, strict=True))
 
 
 def _score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
     """Return what became of the prediction of points (K,), the last of them the tip."""
     tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
     at, score, pit = float(measured[-1]), crps(mixture, measured), cdf(mixture, measured)
-    median, *ends = quantile(tip, _PROBABILITIES)[:, 0].tolist()
-    row: Row = {"tip_measured_mm": at, "tip_median_mm": median}
+    median, intervals = _find_intervals(tip)
+    row: Row = {"tip_measured_mm": at, "tip_median_mm": float(median[0])}
     row |= {"tip_pit": float(pit[-1]), "tip_crps_mm": float(score[-1])}
     row |= {"shape_crps_mm": float(score.mean()), "shape_pit": shape_pit}
-    for level, low, high in zip(INTERVAL_PROBABILITIES, ends[::2], ends[1::2], strict=True):
-        name = f"{100 * level:.0f}"
+    for level, ends in intervals.items():
+        name, (low, high) = f"{100 * level:.0f}", ends[:, 0].tolist()
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
         row |= {f"tip_in_{name}": low <= at <= high}
         row |= {f"shape_in_{name}": shape_pit <= level}

@@ -8,7 +8,7 @@ over every direction that `identify` found.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -164,32 +164,50 @@ def place_needles(
     for row in predicted:
         if row["fold"] == fold.name:
             bands.setdefault(row["insertion"], []).append(row)
-    found = {}
-    for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
-        if role == "tune" and len(job.folds) > 1:
-            continue
-        for insertion in insertions:
-            if not isinstance(insertion, TipTrack):
-                placed = _place_needle(_NeedleCurve(job, insertion), fold.name, role, known)
-                if role == "validate":
-                    band = _place_predicted(insertion, bands.get(insertion.id, ()))
-                else:
-                    band = _find_parameter_band(_NeedleCurve(job, insertion), known, jobs)
-                found[insertion.id] = replace(placed, band=band)
-    return found
+    roles = [("tune", fold.tune), ("validate", fold.validate)]
+    chosen = roles if len(job.folds) == 1 else roles[1:]
+    return {
+        insertion.id: _place_needle(
+            _NeedleCurve(job, insertion), (fold.name, role), known, bands.get(insertion.id, ()), jobs
+        )
+        for role, insertions in chosen
+        for insertion in insertions
+        if not isinstance(insertion, TipTrack)
+    }
 
 
-def _place_needle(stations: "_NeedleCurve", fold: str, role: str, known: FoldFit) -> NeedleInScan:
+def _place_needle(
+    stations: "_NeedleCurve",
+    place: tuple[str, str],
+    known: FoldFit,
+    predicted: Sequence[Mapping[str, Any]],
+    jobs: int,
+) -> NeedleInScan:
+    """Return an insertion that has this place, a fold and a role in it."""
     insertion, stated = stations.insertion, stations.job.dataset.outer_diameter
     placement = Placement(insertion.frame, insertion.patient)
     points = stations.points(np.array(known.fit.theta))
-    fitted = placement.to_patient(points) if np.isfinite(points).all() else None
-    diameter = DEFAULT_DIAMETER_MM if stated is None else stated
-    measured = insertion.patient.to_local(insertion.centerline)
-    return NeedleInScan(insertion.id, fold, role, measured, placement.across, diameter, fitted)
+    fitted = points if np.isfinite(points).all() else None
+    band = None
+    if place[1] == "validate":
+        band = _place_predicted_band(insertion, placement, predicted)
+    elif fitted is not None:
+        band = _place_parameter_band(stations, placement, fitted[:, 0], known, jobs)
+    return NeedleInScan(
+        insertion=insertion.id,
+        fold=place[0],
+        role=place[1],
+        measured=insertion.patient.to_local(insertion.centerline),
+        toward=placement.across,
+        diameter=DEFAULT_DIAMETER_MM if stated is None else stated,
+        fitted=None if fitted is None else placement.to_patient(fitted),
+        band=band,
+    )
 
 
-def _place_predicted(insertion: Insertion, rows: Sequence[Mapping[str, Any]]) -> Band | None:
+def _place_predicted_band(
+    insertion: Insertion, placement: Placement, rows: Sequence[Mapping[str, Any]]
+) -> Band | None:
     """Return the band of what was predicted to be measured; None without a prediction.
 
     Where only the shape is known, predictions stand in a frame of their own: the band keeps its distance from
@@ -201,24 +219,21 @@ def _place_predicted(insertion: Insertion, rows: Sequence[Mapping[str, Any]]) ->
         [[row[f"{name}_mm"] for name in ("x", "measured", "low_95", "median", "high_95")] for row in rows]
     ).T
     shift = np.interp(x, *insertion.planar.T) - measured
-    in_scan = Placement(insertion.frame, insertion.patient).to_patient
-    low, middle, high = (in_scan(np.column_stack([x, y + shift])) for y in heights)
+    low, middle, high = (placement.to_patient(np.column_stack([x, y + shift])) for y in heights)
     return Band(low, middle, high, "predicted")
 
 
-def _find_parameter_band(stations: "_NeedleCurve", known: FoldFit, jobs: int) -> Band | None:
+def _place_parameter_band(
+    stations: "_NeedleCurve", placement: Placement, x: Floats, known: FoldFit, jobs: int
+) -> Band | None:
     """Return the band of the parameters' uncertainty; None where needles cannot be solved."""
-    points, draws = stations.points(np.array(known.fit.theta)), known.posterior
-    if not np.isfinite(points).all():
-        return None
+    draws = known.posterior
     heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
     if heights is None:
         return None
-    in_scan = Placement(stations.insertion.frame, stations.insertion.patient).to_patient
-    low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
-    return Band(
-        low, middle, high, "posterior" if draws else "linear", converged=draws is None or draws.converged
-    )
+    low, middle, high = (placement.to_patient(np.column_stack([x, y])) for y in heights)
+    converged = draws is None or draws.converged
+    return Band(low, middle, high, "posterior" if draws else "linear", converged)
 
 
 @dataclass(frozen=True)

@@ -222,10 +222,15 @@ def linear_residuals(
     deviations, insertion by insertion; `count_residuals` says how many belong to each.
     """
     first, slopes = _stack(whites, group, scale, spread)
-    stiff = np.eye(len(slopes)) + slopes @ slopes.T
-    best = -np.linalg.solve(stiff, slopes @ first)
+    stiff, best = _fit_conditions(first, slopes)
     found = np.concatenate([first + best @ slopes, best])
     return found[_order(group, [white.shape[1] for white in whites])], float(_log_det(stiff))
+
+
+def _fit_conditions(first: Floats, slopes: Floats) -> tuple[Floats, Floats]:
+    """Return the precision (D, D) of the conditions, and those (D,) that fit residuals (R,) best."""
+    stiff = np.eye(len(slopes)) + slopes @ slopes.T
+    return stiff, np.asarray(-np.linalg.solve(stiff, slopes @ first))
 
 
 def linearize_residuals(
@@ -242,8 +247,7 @@ def linearize_residuals(
     first, slopes = _stack(whites, group, *at)
     by_first, by_slopes = _stack(by, group, *at)  # (R, P), (D, R, P)
     by_slopes = by_slopes + (_bevel_rows(group)[:, None] * slopes)[..., None] * by_log_spread
-    stiff = np.eye(len(slopes)) + slopes @ slopes.T
-    best = -np.linalg.solve(stiff, slopes @ first)
+    stiff, best = _fit_conditions(first, slopes)
     left = first + best @ slopes  # (R,)
     by_left = by_first + np.tensordot(best, by_slopes, axes=1)  # (R, P), conditions held
     # derivative of the normal equations stiff @ best = -slopes @ first; terms in by_slopes @ left are not
