@@ -122,6 +122,15 @@ TERMS = (
         "needlefit/inference/identifiability/conditions.py",
     ),
     (
+        "scatter between insertions",
+        "",
+        "",
+        "How far independent insertions, or specimens with their repeats, pull a parameter apart. Its "
+        "standard deviation is at least the one that this implies.",
+        "fitting.md#scatter-between-insertions",
+        "needlefit/inference/identifiability/precision.py",
+    ),
+    (
         "posterior",
         "",
         "",

@@ -21,6 +21,7 @@ from needlefit.studies.fit_warnings import (
     analysis_bound_warnings,
     baseline_warnings,
     bound_warnings,
+    cut_off_warnings,
     noise_floor_warnings,
 )
 from needlefit.studies.folds import make_folds, warn_shared_specimens
@@ -88,6 +89,16 @@ def test_an_analysis_names_the_parameters_that_its_fits_left_at_a_bound():
         and re.search(r"mu1\b.*\bone\b", found.what)
         and "1 of 2" in found.what
     )
+
+
+def test_an_interval_that_ends_at_a_bound_is_named_unless_the_value_lies_there():
+    parameters = {"gel": Parameters(tuple(BOUNDS), BOUNDS, {}, {})}
+    high = BOUNDS["mu1_pa"][1]
+    rows = [(1e6, 1e5, 1e7), (1e6, 1e5, 0.99 * high), (high, 1e5, high)]
+    fits = pd.DataFrame([("gel", "mu1_pa", *row) for row in rows])
+    fits.columns = ["fit", "parameter", "value", "p2_5", "p97_5"]
+    (found,) = cut_off_warnings(fits, parameters)
+    assert found.kind == "parameter_at_bound" and "upper" in found.what and "1 of 3" in found.what
 
 
 FAR, NEAR = [0.26, 0.24, 0.25, 0.26, 0.27], [0.04, 0.05, 0.04, 0.03, 0.04]

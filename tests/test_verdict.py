@@ -9,10 +9,13 @@ import pytest
 from reporting_results import study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.studies.kinds.calibration.run import find_calibration_faults
+from needlefit.studies.kinds.calibration.summary import headline_calibration
 from needlefit.studies.kinds.cross_validation.verdict import describe_evidence
 from needlefit.studies.report import run_to_json
 from needlefit.studies.run import Run
 from needlefit.studies.verdict import (
+    NOT_CONVERGED,
     VERDICTS_KEY,
     BestBaseline,
     Verdict,
@@ -125,3 +128,27 @@ def test_what_did_not_converge_does_not_pass():
     assert judge_run(replace(good, faults=("did not converge",)))[0].status == "warn"
     assert judge_run(replace(good, interrupted=True))[0].status == "warn"
     assert worst_status([Verdict(""), Verdict("", "fail"), Verdict("", "warn")]) == "fail"
+
+
+@pytest.mark.parametrize(
+    ("fault", "headline"),
+    [
+        ("2 of 9 simulations of the fit did not converge", "NOT CONVERGED"),
+        ("draws by importance are not certified: Pareto k is 1.20", "NOT CERTIFIED"),
+        ("3 held-out insertions could not be predicted", "INCOMPLETE"),
+    ],
+)
+def test_each_kind_of_fault_has_its_headline(fault, headline):
+    (verdict,) = judge_run(replace(study(4), faults=(fault, fault)))
+    assert verdict.sentence.count(headline) == 1 and verdict.sentence.startswith(headline)
+
+
+def test_an_outcome_that_the_verdict_names_has_no_headline():
+    outcome = {"replicates": 20, "control": None, "not_calibrated": [], "passes": True}
+    outcome |= {"conclusive": False, "untrusted": 0}
+    (few,) = find_calibration_faults(outcome)
+    (wrong,) = find_calibration_faults({**outcome, "not_calibrated": ["b"], "passes": False})
+    (missed,) = find_calibration_faults({**outcome, "control": "noise", "conclusive": True, "passes": False})
+    assert [headline_calibration(one) for one in (few, wrong, missed)] == ["", "", ""]
+    _, unconverged = find_calibration_faults({**outcome, "untrusted": 2})
+    assert headline_calibration(unconverged) == NOT_CONVERGED

@@ -117,7 +117,7 @@ class Problem:
 
     def __reduce__(self) -> tuple[type["Problem"], tuple[object, ...]]:
         # what is computed once is computed anew elsewhere: it refers to objects of this process
-        return Problem, tuple(getattr(self, field.name) for field in fields(self))
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))
 
     @property
     def lower(self) -> Floats:

@@ -1,22 +1,33 @@
 """Make the prior of a new medium: the posterior of an old one, widened by the spread between media.
 
 Both media are taken for draws of one population of which only the spread s is known (a standard deviation of
-each coordinate of theta). Then the new medium lies about the old one with variance 2 s^2, and
+each coordinate of theta). Then the new medium lies about the old one with variance 2 s^2, and with draws
+theta_i of the old posterior the prior is the mixture (`TransferredPrior`)
+
+    theta_new ~ 1/B sum_i N( theta_i,  diag(2 s^2) )
+
+by which draws are made and weighted. Searches need a sum of squares. They use a Gaussian in its place
 
     theta_new ~ N( theta_fit,  E[ (theta - theta_fit) (theta - theta_fit)^T ]  +  diag(2 s^2) )
 
-with E the mean over the old posterior. The prior peaks at the old fit, not at the posterior's mean, so that
-without new data the optimum is what it was. Layers that the old medium ties together may differ in the new.
+with E the mean over the old posterior. It peaks at the old fit, not at the posterior's mean, so that without
+new data the optimum is what it was. Where draws lie on a plateau beside the peak it is too wide.
+Layers that the old medium ties together may differ in the new.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
+from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
+from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.prior import Prior, make_gaussian_prior, to_coordinate
+from needlefit.inference.problem import Problem
 
 MIN_SPREAD = 1e-3
 """Spread that is always added, so that what the old medium fixes or ties keeps a density in the new one."""
@@ -45,7 +56,7 @@ def widen_posterior(
     ConfigError
         If no parameter is common to both, or the old fit lies outside the new bounds.
     """
-    names = tuple(name for name in new.free if name in old.names)
+    names = _find_common(old, new)
     if not names:
         raise ConfigError("old and new medium have no parameter in common", fix="name media that resemble")
     for name in names:
@@ -57,8 +68,97 @@ def widen_posterior(
                 fix="widen the bounds of the new medium",
             )
     centre = np.array([to_coordinate(name, fit[name]) for name in names])
-    drawn = [old.values(theta) for theta in thetas]
-    off = np.array([[to_coordinate(name, values[name]) for name in names] for values in drawn]) - centre
+    off = _find_coordinates(old, thetas, names) - centre
     between = np.array([spread.get(name, 0.0) for name in names])
     covariance = off.T @ off / len(off) + np.diag(2 * between**2 + MIN_SPREAD**2)
     return make_gaussian_prior(names, centre, covariance)
+
+
+@dataclass(frozen=True)
+class TransferredPrior:
+    """The mixture of Gaussians about the draws of an old posterior: the prior of some new parameters.
+
+    Attributes
+    ----------
+    parameters : Parameters
+        Of the new medium, with the Gaussian of `widen_posterior` as their prior.
+    names : tuple of str
+        Q of them: those of the mixture.
+    centres : (B, Q) array
+        Draws of the old posterior, in theta's coordinates.
+    sds : (Q,) array
+        Of each Gaussian.
+    """
+
+    parameters: Parameters
+    names: tuple[str, ...]
+    centres: Floats
+    sds: Floats
+
+    @classmethod
+    def from_draws(
+        cls, old: Parameters, thetas: Floats, new: Parameters, spread: Mapping[str, float]
+    ) -> Self:
+        """Return the mixture about draws (B, P) of the old posterior; arguments as of `widen_posterior`."""
+        names = _find_common(old, new)
+        sds = np.sqrt(2.0) * np.array([spread.get(name, 0.0) for name in names])
+        return cls(new, names, _find_coordinates(old, thetas, names), sds)
+
+    def correct(self, thetas: Floats) -> Floats:
+        """Return the log density (W,) of the mixture at thetas (W, P), less that of the Gaussian prior.
+
+        Both but for a constant. Parameters that do not differ between media have no spread: there the
+        mixture is smoothed, by the rule of Silverman.
+        """
+        at = thetas[:, [self.parameters.free.index(name) for name in self.names]]
+        count, known = len(self.centres), int(np.sum(self.sds == 0))
+        smoothing = (4 / ((known + 2) * count)) ** (1 / (known + 4))
+        smoothed = np.maximum(smoothing * self.centres.std(axis=0), MIN_SPREAD)
+        sds = np.where(self.sds == 0, smoothed, self.sds)
+        white = (at[:, None] - self.centres) / sds  # (W, B, Q)
+        mixture: Floats = logsumexp(-0.5 * np.sum(white**2, axis=2), axis=1)
+        prior = self.parameters.prior
+        gaussian = np.array([prior.log_density(self.parameters.values(theta)) for theta in thetas])
+        found: Floats = mixture - gaussian
+        return found
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return draws (`count`, P) of the prior within the bounds; what is not in the mixture is flat."""
+        thetas = draw_from_prior(self.parameters, count, rng)
+        columns = [self.parameters.free.index(name) for name in self.names]
+        lower, upper = self.parameters.lower[columns], self.parameters.upper[columns]
+        found = np.empty((0, len(columns)))
+        while len(found) < count:
+            drawn = self.centres + self.sds * rng.standard_normal(self.centres.shape)
+            inside = np.all((drawn >= lower - BOUND_TOLERANCE) & (drawn <= upper + BOUND_TOLERANCE), axis=1)
+            found = np.concatenate([found, drawn[inside]])
+        thetas[:, columns] = np.clip(found[:count], lower, upper)
+        return thetas
+
+
+@dataclass(frozen=True)
+class TransferProblem(Problem):
+    """A problem of a new medium: draws are weighted by the mixture, searches use the Gaussian."""
+
+    transferred: TransferredPrior | None = None
+
+    @classmethod
+    def of(cls, problem: Problem, transferred: TransferredPrior) -> Self:
+        """Return a problem with the mixture as its prior."""
+        kept = {field.name: getattr(problem, field.name) for field in fields(problem)}
+        return cls(**{**kept, "parameters": transferred.parameters}, transferred=transferred)
+
+    def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
+        """Return the log of the posterior density (W,) of many thetas (W, P) at once, on `jobs` threads."""
+        density = super().log_posteriors(thetas, jobs)
+        return density if self.transferred is None else density + self.transferred.correct(thetas)
+
+
+def _find_common(old: Parameters, new: Parameters) -> tuple[str, ...]:
+    return tuple(name for name in new.free if name in old.names)
+
+
+def _find_coordinates(old: Parameters, thetas: Floats, names: tuple[str, ...]) -> Floats:
+    """Return the coordinates (B, Q) of some parameters of draws (B, P)."""
+    sets = [old.values(theta) for theta in thetas]
+    return np.array([[to_coordinate(name, values[name]) for name in names] for values in sets])

@@ -81,6 +81,38 @@ def analysis_bound_warnings(
                 )
 
 
+CUT_OFF_FRACTION = 0.01
+"""A 95 % interval that ends closer to a bound than this part of the bounds is cut off there."""
+
+
+def cut_off_warnings(
+    intervals: pd.DataFrame, parameters: Mapping[str, Parameters]
+) -> Iterator[ResultWarning]:
+    """Yield the parameters whose value is at no bound while its 95 % interval ends there, in how many fits.
+
+    `intervals` is as the fits of `analysis_bound_warnings`, with `p2_5` and `p97_5` too.
+    """
+    for name, members in intervals.groupby(intervals.columns[0], sort=False):
+        bounds = parameters[str(name)].bounds
+        for parameter, rows in members.groupby("parameter", sort=False):
+            low, high = bounds[str(parameter)]
+            inside = rows[[not _describe_bound(str(parameter), one, low, high) for one in rows["value"]]]
+            ends = [
+                _describe_bound(str(parameter), end, low, high, CUT_OFF_FRACTION)
+                for pair in zip(inside["p2_5"], inside["p97_5"], strict=True)
+                for end in pair
+            ]
+            reached = [end for end in ends if end]
+            if reached:
+                yield ResultWarning(
+                    "parameter_at_bound",
+                    f"the 95 % interval of {short_name(str(parameter))} of {name} ends at its "
+                    f"{' and '.join(dict.fromkeys(reached))}, in {len(reached)} of {len(rows)} fits: "
+                    "the bound, not the data, limits it",
+                    fix="check the data and what the model leaves out, or widen the bounds",
+                )
+
+
 def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWarning]:
     """Yield the warning about fits that ended at these bounds, "" for those that did not, if any did."""
     reached = [end for end in ends if end]
@@ -94,13 +126,13 @@ def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWa
         )
 
 
-def _describe_bound(name: str, value: float, low: float, high: float) -> str:
-    """Return at which bound a fitted value lies, "" if at none."""
+def _describe_bound(name: str, value: float, low: float, high: float, near: float = BOUND_FRACTION) -> str:
+    """Return at which bound a value lies, to within the part `near` of the bounds; "" if at none."""
     least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
     place = (at - least) / (most - least)
-    if place < BOUND_FRACTION:
+    if place < near:
         return f"lower bound, {format_quantity(name, low)}"
-    return f"upper bound, {format_quantity(name, high)}" if place > 1 - BOUND_FRACTION else ""
+    return f"upper bound, {format_quantity(name, high)}" if place > 1 - near else ""
 
 
 def baseline_warnings(results: Run) -> Iterator[ResultWarning]:

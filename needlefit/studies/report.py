@@ -27,7 +27,15 @@ from needlefit.studies.kind import find_kind
 from needlefit.studies.run import Run, store_run
 from needlefit.studies.run_differences import TableComparison
 from needlefit.studies.validity import VALIDITY_KEY
-from needlefit.studies.verdict import STATUSES, VERDICTS_KEY, Status, Verdict, judge_run, verdicts_to_json
+from needlefit.studies.verdict import (
+    STATUSES,
+    VERDICTS_KEY,
+    Status,
+    Verdict,
+    headline_fault,
+    judge_run,
+    verdicts_to_json,
+)
 
 FigurePaths = Mapping[str, Path]
 
@@ -139,6 +147,8 @@ class StudyReport:
         Result -> the tables that terminal and first page show under the verdict, without their notes.
     explain : callable
         Result -> the tables and sentences that `--explain` prints: all of them unless a kind has more.
+    headline : callable
+        A fault of a run -> what stands before its verdicts; empty where a verdict itself names the fault.
     warn : callable
         Result -> warnings that follow from its stored tables; `list_run_warnings` adds the stored ones.
     """
@@ -158,6 +168,7 @@ class StudyReport:
     explore: Callable[[Run], dict[str, Any] | None] = lambda result: None
     lay_out_first: Callable[[Run], list[TableLayout]] = lay_out_first_table
     explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = explain_by_report
+    headline: Callable[[str], str] = headline_fault
     warn: Callable[[Run], Iterable[ResultWarning]] = warn_of_nothing
 
 
@@ -316,7 +327,10 @@ def state_blocks(result: Run) -> list[Block]:
 
 
 def _fault_blocks(result: Run) -> list[Block]:
-    return [document.warning(f"NOT CONVERGED: {result.name}: {fault}.") for fault in result.faults]
+    headline = find_kind(result.kind).report.headline
+    heads = [f"{head}: " if (head := headline(fault)) else "" for fault in result.faults]
+    pairs = zip(heads, result.faults, strict=True)
+    return [document.warning(f"{head}{result.name}: {fault}.") for head, fault in pairs]
 
 
 _RUN_KEYS = ("versions", "dataset", "datasets", "recipe", "rules")

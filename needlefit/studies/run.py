@@ -185,8 +185,8 @@ _LATER_COLUMNS: Mapping[str, Sequence[str]] = {
 
 
 def _add_missing_columns(frame: pd.DataFrame, name: str) -> pd.DataFrame:
-    # parameters of tip tracks have no status, and none of these columns
     wanted = _LATER_COLUMNS.get(name, ()) if "status" in frame or name == "directions" else ()
+    wanted = ("condition",) if name == "parameters" and "sd_ratio" in frame else wanted  # of tip tracks
     return frame.assign(**{column: math.nan for column in wanted if column not in frame})
 
 

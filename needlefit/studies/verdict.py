@@ -40,15 +40,26 @@ class Verdict:
     numbers: Mapping[str, float | str | None] = field(default_factory=dict)
 
 
+NOT_CONVERGED = "NOT CONVERGED"
+
+
+def headline_fault(fault: str) -> str:
+    """Return what stands before the verdicts of a run with this fault."""
+    if "not certified" in fault:
+        return "NOT CERTIFIED"
+    return "INCOMPLETE" if fault.endswith(("could not be predicted", "have no density")) else NOT_CONVERGED
+
+
 def judge_run(result: "Run") -> tuple[Verdict, ...]:
     """Return the verdicts of a run, one for each group, from its stored tables alone.
 
-    A run that was interrupted, or in which something did not converge, passes nowhere. Those of a
-    preliminary recipe say so.
+    A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come first.
+    Those of a preliminary recipe are marked.
     """
     from needlefit.studies.kind import find_kind  # late: kinds import this module
 
-    verdicts = find_kind(result.kind).report.judge(result)
+    report = find_kind(result.kind).report
+    verdicts = report.judge(result)
     if (result.run.get("recipe") or {}).get("preliminary"):
         recipe = Path(str(getattr(result.record, "recipe", ""))).stem
         mark = f"; preliminary (recipe {recipe})" if recipe else "; preliminary"
@@ -56,7 +67,8 @@ def judge_run(result: "Run") -> tuple[Verdict, ...]:
     if result.interrupted:
         return tuple(qualify(one, f"INTERRUPTED: the best found so far. {one.sentence}") for one in verdicts)
     if result.faults:
-        return tuple(qualify(one, f"NOT CONVERGED. {one.sentence}") for one in verdicts)
+        heads = "".join(dict.fromkeys(f"{head}. " for head in map(report.headline, result.faults) if head))
+        return tuple(qualify(one, f"{heads}{one.sentence}") for one in verdicts)
     return tuple(verdicts)
 
 

@@ -9,8 +9,9 @@ below `MAX_LOG_SD` in the logarithm, `MAX_ALPHA_SD` for alpha; where a prior is 
 The information is J^T J of the whitened residuals plus that of the stated prior or, without one, of the
 bounds, 12 / width^2 (the precision of a uniform distribution): without it, an alpha free to be 300 would
 take mu with it. Where the residuals are larger than the noise explains (reduced chi-square above 1),
-J^T J is divided by that ratio; and where there are needles enough, no deviation is smaller than their
-scatter implies.
+J^T J is divided by that ratio. With five independent groups of insertions or more (repeats in one specimen
+are one group), and two more than parameters, no deviation is smaller than the scatter between groups implies
+(`precision.between_needle_sds`).
 """
 
 import math

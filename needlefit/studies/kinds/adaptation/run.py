@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.inference.draws import Draws, draw_from_prior
-from needlefit.inference.parameters import Parameters
+from needlefit.inference.draws import Draws
+from needlefit.inference.transferred_prior import TransferProblem, TransferredPrior
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import tabulate_held_out
@@ -245,7 +245,7 @@ def plan(task: AdaptationTask) -> AnalysisPlan:
             if ids or approach == "inflated":
                 tasks[f"{approach}: {_name_set(ids)}"] = partial(_run_task, task, approach, ids)
     also = {"orders": [list(order) for order in task.orders]}
-    shared = [partial(getattr, task, "parameters")]
+    shared = [partial(getattr, task, "transferred")]
     return AnalysisPlan(
         (task.old, task.new), tasks, list_frames(), partial(conclude, task), also, shared=shared
     )
@@ -275,11 +275,12 @@ def _score_no_update(task: AdaptationTask) -> FrameRows:
 
 def _run_task(task: AdaptationTask, approach: str, ids: tuple[str, ...]) -> FrameRows:
     """Learn from a set of new insertions in one way, and score what is held out."""
-    parameters = task.parameters if approach == "inflated" else task.new.parameters
     if not ids:
-        return _score_rows(task, task.new, (approach, ids), _from_prior(parameters, task.new))
+        return _score_rows(task, task.new, (approach, ids), _from_prior(task.transferred, task.new))
     fold = Fold(f"{approach}: {_name_set(ids)}", tuple(task.training[one] for one in ids), ())
-    problem = task.new.problem(fold).with_parameters(parameters)
+    problem = task.new.problem(fold)
+    if approach == "inflated":
+        problem = TransferProblem.of(problem, task.transferred)
     return _score_rows(
         task,
         task.new,
@@ -288,12 +289,11 @@ def _run_task(task: AdaptationTask, approach: str, ids: tuple[str, ...]) -> Fram
     )
 
 
-def _from_prior(parameters: Parameters, job: Job) -> _MediumKnowledge:
-    """Return what is expected before any insertion: the prior's peak, or the middle of the bounds."""
-    drawn = draw_from_prior(
-        parameters, PREDICTION_DRAWS, random_stream(job.recipe.seed, job.name, "expected")
-    )
-    return _MediumKnowledge(parameters.values(parameters.expected), Draws(drawn, "importance"))
+def _from_prior(transferred: TransferredPrior, job: Job) -> _MediumKnowledge:
+    """Return what is expected before any insertion: the prior's peak, and draws of the prior."""
+    drawn = transferred.draw(PREDICTION_DRAWS, random_stream(job.recipe.seed, job.name, "expected"))
+    expected = transferred.parameters.values(transferred.parameters.expected)
+    return _MediumKnowledge(expected, Draws(drawn, "importance"))
 
 
 def _score_rows(

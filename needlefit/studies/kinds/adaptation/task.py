@@ -9,8 +9,7 @@ import numpy as np
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
-from needlefit.inference.parameters import Parameters
-from needlefit.inference.transferred_prior import widen_posterior
+from needlefit.inference.transferred_prior import TransferredPrior, widen_posterior
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml_lines import renamed_keys
 from needlefit.schemas.study import FitRecord
@@ -62,12 +61,13 @@ class AdaptationTask:
         return fit_posterior(self.old, self.old.problem(fold), (fold.name,), self.settings)
 
     @cached_property
-    def parameters(self) -> Parameters:
-        """The new medium's parameters, with the widened old posterior as their prior."""
+    def transferred(self) -> TransferredPrior:
+        """The widened old posterior, as the prior of the new medium's parameters."""
         spread = {name: _between_sd(name, self.record.between_media) for name in self.new.parameters.free}
         fit, thetas = self.old_posterior.fit.values, self.old_posterior.draws.thetas
         prior = widen_posterior(self.old.parameters, fit, thetas, self.new.parameters, spread)
-        return replace(self.new.parameters, prior=prior)
+        new = replace(self.new.parameters, prior=prior)
+        return TransferredPrior.from_draws(self.old.parameters, thetas, new, spread)
 
 
 def first_sorted(order: tuple[str, ...], n: int) -> tuple[str, ...]:

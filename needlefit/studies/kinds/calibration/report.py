@@ -21,6 +21,7 @@ from needlefit.studies.kinds.calibration.rank_statistics import RANK_DRAWS
 from needlefit.studies.kinds.calibration.run import NESTED_FRAMES
 from needlefit.studies.kinds.calibration.summary import (
     describe_figure,
+    headline_calibration,
     is_of_synthetic_truths,
     judge_calibration,
     lay_out_calibration,
@@ -131,5 +132,6 @@ REPORT = StudyReport(
     _compose_sections,
     to_json=calibration_to_json,
     judge=judge_calibration,
+    headline=headline_calibration,
     comparisons={"coverage": TableComparison(ANY_COLUMNS, _compare_coverages)},
 )

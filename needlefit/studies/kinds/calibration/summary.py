@@ -18,7 +18,7 @@ from needlefit.studies.kinds.calibration.replicate import UNDERSTATED_SD_FACTOR
 from needlefit.studies.kinds.calibration.schema import Control
 from needlefit.studies.kinds.calibration.synthetic_truth import HELD_OUT_TIP
 from needlefit.studies.run import Run
-from needlefit.studies.verdict import Status, Verdict
+from needlefit.studies.verdict import Status, Verdict, headline_fault
 
 SCOPE_NOTE = (
     "This tests the computation, not the model: needles, errors and parameters were drawn from the "
@@ -135,6 +135,12 @@ def judge_calibration(found: Run) -> list[Verdict]:
     numbers = {"replicates": found.run["replicates"], "not_calibrated": len(found.run["not_calibrated"])}
     sentence = _describe_outcome(found).rstrip(".")
     return [Verdict(sentence, status if found.run["conclusive"] else "warn", "", numbers)]
+
+
+def headline_calibration(fault: str) -> str:
+    """Return the headline of a fault; of an outcome that is the verdict itself."""
+    missing = fault.endswith(("have not converged", "could not be predicted"))
+    return headline_fault(fault) if missing else ""
 
 
 def _describe_tips(found: Run) -> list[str]:

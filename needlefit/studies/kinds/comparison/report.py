@@ -25,7 +25,7 @@ from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.kinds.comparison.schema import ComparisonRecord
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
-from needlefit.studies.verdict import Verdict
+from needlefit.studies.verdict import Verdict, headline_fault
 
 _VERDICT_COLOURS = {
     "ahead": GREEN,
@@ -259,4 +259,11 @@ def compose_sections(result: Run, figures: FigurePaths) -> list[Block]:
     ]
 
 
-REPORT = StudyReport(summarize, lay_out_tables, draw_figures, compose_sections, judge=judge)
+def headline(fault: str) -> str:
+    """Return the headline of a fault."""
+    return "CONTROL NOT DETECTED" if "is not found ahead of" in fault else headline_fault(fault)
+
+
+REPORT = StudyReport(
+    summarize, lay_out_tables, draw_figures, compose_sections, judge=judge, headline=headline
+)

@@ -15,7 +15,7 @@ from needlefit.studies.kinds.plan.schema import PlanRecord
 from needlefit.studies.new_specimens import describe_spread
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
-from needlefit.studies.verdict import Status
+from needlefit.studies.verdict import Status, headline_fault
 
 
 def summarize(result: Run) -> list[str]:
@@ -185,4 +185,9 @@ def _format_share(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.0f} %"
 
 
-REPORT = StudyReport(summarize, lay_out_tables, draw_figures, compose_sections, rate=rate)
+def headline(fault: str) -> str:
+    """Return the headline of a fault; a target out of reach is the verdict itself."""
+    return "" if fault.startswith("no plan") else headline_fault(fault)
+
+
+REPORT = StudyReport(summarize, lay_out_tables, draw_figures, compose_sections, rate=rate, headline=headline)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 from needlefit.inference.baselines import BASELINES
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.reporting import document
 from needlefit.reporting.document import Block
 from needlefit.reporting.labels import medium_name, method_name
@@ -27,6 +28,8 @@ _MEASURE_HEADINGS = {"rms_mm": "Error", "aligned_rms_mm": "Shape"}
 _PARAMETER_NOTES = (
     "Percentiles of the posterior. “SD ratio”: posterior SD / prior SD, in ln; near 1 the percentiles are "
     "those of the prior.",
+    "Determined: a small SD of the draws that stays small with ties loosened and a model error, no bound "
+    "reached, and all equally good starts agree.",
     "Moduli are for the needle stiffness that the dataset assumes: the runs determine μ / EI.",
 )
 _SCORE_NOTES = (
@@ -48,12 +51,18 @@ _COVERAGE_NOTES = (
 def lay_out_parameters(results: Run) -> TableLayout:
     """Return the estimate of each parameter from the fitted runs."""
     rows = [
-        {**_scale_row(row), "verdict": "determined" if row["determined"] else "not determined"}
+        {**_scale_row(row), "verdict": _judge_parameter(row)}
         for row in to_records(results.frames["parameters"])
     ]
     columns = ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict")
     caption = "Parameters: posterior of the fitted runs."
     return Table("parameters", caption, rows, columns, notes=_PARAMETER_NOTES).lay_out()
+
+
+def _judge_parameter(row: Row) -> str:
+    if row["determined"]:
+        return "determined"
+    return str(row["condition"] or "not determined")
 
 
 def _scale_row(row: Row) -> Row:
@@ -186,6 +195,23 @@ def _compare_methods(group: pd.DataFrame) -> str:
     return "the fit is " + ", ".join(f"{word} {' and '.join(names)}" for word, names in verdicts.items())
 
 
+def warn(results: Run) -> Iterator[ResultWarning]:
+    """Yield, by medium, the closest curve without a model, if it is significantly closer than the fit."""
+    rows = [row for row in to_records(results.frames["paired"]) if row["metric"] == "rms_mm"]
+    for medium in dict.fromkeys(row["medium"] for row in rows):
+        better = [row for row in rows if row["medium"] == medium and (row["high"] or 0) < 0]
+        if better:
+            best = min(better, key=lambda row: float(row["value"]))
+            error, fit = best["value"], best["value"] - best["difference"]
+            yield ResultWarning(
+                "worse_than_baseline",
+                f"the {_name_method(str(best['method']))} is closer to the predicted tips on "
+                f"{medium_name(medium)} than the fitted model (mean error {error:.2f} mm against "
+                f"{fit:.2f} mm)",
+                fix="do not rely on this model there; fit to runs with guide moves like those predicted",
+            )
+
+
 _READINGS_CAPTION = (
     "Tip readings (points; hollow: used for the pose in the tracker’s frame) and predictions: median of the "
     "fitted model with 50 and 95 % bands (blue), straight lines (grey; dark: with the slope of similar "
@@ -251,5 +277,6 @@ REPORT = StudyReport(
     compose=compose_sections,
     to_json=tracks_to_json,
     judge=judge,
+    warn=warn,
     comparisons={"runs": TableComparison(_RUNS, _compare_tracks)},
 )

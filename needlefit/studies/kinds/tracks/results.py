@@ -26,8 +26,12 @@ run was fitted to) when the best shift and slope are taken from readings and dra
 the rest is of what was predicted: error of the median, and at the last reading. `track_pit` is the
 probability predicted of a track nearer, at its worst reading, than the one seen."""
 
-PARAMETER_COLUMNS = ("fit", "parameter", "p2_5", "p16", "p50", "p84", "p97_5", "sd_ratio", "determined")
-"""`sd_ratio`: the draws' deviation over that of prior and bounds, in ln; 1: nothing was learned."""
+PARAMETER_COLUMNS = (
+    *("fit", "parameter", "fitted", "p2_5", "p16", "p50", "p84", "p97_5", "sd_ratio"),
+    *("determined", "condition", "note"),
+)
+"""`fitted`: at the posterior's mode. `sd_ratio`: the draws' deviation over that of prior and bounds, in ln;
+1: nothing was learned. `condition`: the assumption under which alone the data determine a parameter."""
 
 
 def list_track_methods() -> tuple[str, ...]:

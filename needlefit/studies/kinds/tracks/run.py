@@ -16,9 +16,9 @@ from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.draws import Draws, thin_posterior
-from needlefit.inference.fit import Callbacks
+from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.forward_model import simulate_deflections
-from needlefit.inference.identifiability.identify import select_within_tolerance
+from needlefit.inference.identifiability.identify import identify, select_within_tolerance
 from needlefit.inference.identifiability.precision import is_determined_by_data
 from needlefit.inference.importance.fit_posterior import escalate_effort, resample_draws, sample_about_fit
 from needlefit.inference.likelihood.observation import make_observation
@@ -35,11 +35,13 @@ from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.toml_lines import locate_key, renamed_keys
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
+from needlefit.studies.fit_warnings import analysis_bound_warnings, cut_off_warnings
 from needlefit.studies.folds import Fold, specimen_warning
 from needlefit.studies.job import Settings, farthest_guide, prepare
 from needlefit.studies.kinds.tracks import KIND
 from needlefit.studies.kinds.tracks.results import (
     FRAMES,
+    PARAMETER_COLUMNS,
     add_summaries,
     list_track_methods,
 )
@@ -59,12 +61,16 @@ from needlefit.studies.score import Row
 
 @dataclass(frozen=True)
 class TrackTask:
-    """One fit of a study: its problem, the runs it is scored on, and the recipe."""
+    """One fit of a study: its problem, the runs it is scored on, and the recipe.
+
+    `group` is the name of the fit in the study's file, which its folds share.
+    """
 
     name: str
     problem: Problem
     held: tuple[TipTrack, ...]
     recipe: RecipeRecord
+    group: str = ""
 
 
 MIN_SCORED_READINGS = 2
@@ -114,13 +120,13 @@ def make_tasks(
     _check_needle(dataset, (*tuned, *held), job.parameters)
     tracks = tuple(track for track in held if isinstance(track, TipTrack))
     if one.folds is None:
-        return [TrackTask(one.name, job.problem(job.folds[0]), tracks, job.recipe)]
+        return [TrackTask(one.name, job.problem(job.folds[0]), tracks, job.recipe, one.name)]
     tasks = []
     for k in range(one.folds):
         left = tracks[k :: one.folds]
         names = {track.id for track in left}
         fold = Fold(f"{one.name}-{k + 1}", tuple(run for run in tuned if run.id not in names), left)
-        tasks.append(TrackTask(fold.name, job.problem(fold), left, job.recipe))
+        tasks.append(TrackTask(fold.name, job.problem(fold), left, job.recipe, one.name))
     return tasks
 
 
@@ -166,23 +172,32 @@ def describe_configuration(
     }
 
 
-def summarize_parameters(fit: str, problem: Problem, draws: Draws) -> Iterator[Row]:
-    """Yield a row per free parameter: percentiles (Pa, mm), and posterior SD / prior SD."""
+def summarize_parameters(name: str, problem: Problem, fit: Fit, draws: Draws) -> Iterator[Row]:
+    """Yield a row per free parameter: percentiles (Pa, mm), posterior SD / prior SD, and what it needs.
+
+    A parameter is determined if its draws, certified, lie closely enough, and if it stays so at the optimum
+    with ties loosened and a model error, is at no bound, and is the same from all equally good starts.
+    """
+    verdict = identify(problem, fit)
     sets = [problem.values(theta) for theta in draws.thetas]
     widths = dict(zip(problem.names, problem.upper - problem.lower, strict=True))
-    for name in problem.names:
-        values = np.array([one[name] for one in sets])
-        drawn = np.log(values) if is_logarithmic(name) else values
-        sd, stated = float(np.std(drawn)), problem.parameters.prior.sd(name)
-        before = stated if math.isfinite(stated) else float(widths[name]) / math.sqrt(12)
+    for parameter in problem.names:
+        values = np.array([one[parameter] for one in sets])
+        drawn = np.log(values) if is_logarithmic(parameter) else values
+        sd, stated = float(np.std(drawn)), problem.parameters.prior.sd(parameter)
+        before = stated if math.isfinite(stated) else float(widths[parameter]) / math.sqrt(12)
         heads = (f"p{at:g}".replace(".", "_") for at in PERCENTILES)
         row: Row = {
-            "fit": fit,
-            "parameter": name,
+            "fit": name,
+            "parameter": parameter,
+            "fitted": fit.values[parameter],
             **dict(zip(heads, np.percentile(values, PERCENTILES).tolist(), strict=True)),
         }
-        determined = not draws.faults and is_determined_by_data(name, sd, before)
-        yield row | {"sd_ratio": sd / before, "determined": determined}
+        close = not draws.faults and is_determined_by_data(parameter, sd, before)
+        condition = verdict.conditions[parameter] if close else ""
+        note = verdict.notes[parameter] if close else "not determined: its posterior draws differ too much"
+        determined = close and verdict.determined[parameter]
+        yield row | {"sd_ratio": sd / before, "determined": determined, "condition": condition, "note": note}
 
 
 @dataclass
@@ -223,14 +238,16 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, doing, settings.note)
     tables = _TrackRows()
     for one in tasks:
-        draws = _draw_posterior(name, one, settings, checkpoint, tables)
-        if draws is None:
+        drawn = _draw_posterior(name, one, settings, checkpoint, tables)
+        if drawn is None:
             break
+        fit, draws = drawn
         tables.draws[one.name] = draws
-        tables.parameters += summarize_parameters(one.name, one.problem, draws)
+        tables.parameters += summarize_parameters(one.name, one.problem, fit, draws)
         _predict_runs(name, one, draws, record.registration_depth_mm, settings.jobs, tables)
     faults = tuple(f"{fit}: {why}" for fit, one in tables.draws.items() for why in one.faults)
     warnings = _find_warnings(name, record, dataset, tasks, settings.place("fits"))
+    warnings += _warn_of_bounds(tasks, tables)
     return Run(
         kind=KIND.name,
         name=name,
@@ -272,10 +289,20 @@ def _find_warnings(
     return [*dataset.warnings, *shared_warnings]
 
 
+def _warn_of_bounds(tasks: Sequence[TrackTask], tables: _TrackRows) -> Iterator[ResultWarning]:
+    """Yield the parameters of which the optimum, or else the interval of the draws, ends at a bound."""
+    parameters = {one.group: one.problem.parameters for one in tasks}
+    groups = {one.name: one.group for one in tasks}
+    fits = pd.DataFrame(tables.parameters, columns=list(PARAMETER_COLUMNS))
+    fits = fits.assign(fit=fits["fit"].map(groups)).rename(columns={"fitted": "value"})
+    yield from analysis_bound_warnings(fits, parameters)
+    yield from cut_off_warnings(fits, parameters)
+
+
 def _draw_posterior(
     name: str, task: TrackTask, settings: Settings, checkpoint: Checkpoint, tables: _TrackRows
-) -> Draws | None:
-    """Return draws of the posterior of one fit, from the ends of its searches; None if it was stopped before.
+) -> tuple[Fit, Draws] | None:
+    """Return one fit, and draws of its posterior from the ends of its searches; None after an early stop.
 
     A sampled posterior is kept in `tables`.
     """
@@ -294,7 +321,7 @@ def _draw_posterior(
             lambda effort: sample_about_fit(task.problem, fit, rng, settings.jobs, effort)
         )
         if found.certified:
-            return resample_draws(found, PREDICTION_DRAWS, rng)
+            return fit, resample_draws(found, PREDICTION_DRAWS, rng)
     ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
     rng, kept = random_stream(seed, name, task.name, "posterior"), checkpoint.snapshots(task.name)
     try:
@@ -306,7 +333,7 @@ def _draw_posterior(
     if posterior.interrupted:
         return None
     tables.posteriors[task.name] = posterior
-    return thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS)
+    return fit, thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS)
 
 
 def _predict_runs(
