@@ -52,6 +52,10 @@ MAX_ROOT_JUMP = 1.0
 MIN_IMPROVEMENT = 5 * MIN_GAIN
 """A value is lower than another one if it is so by more than this."""
 
+SAME_MINIMUM_GAP = 0.1
+"""Ends of two searches are one minimum if neither their values, nor the squares of their distance in standard
+deviations, differ by more."""
+
 MAX_RESTARTS = 3
 """Largest number of restarts of a profile after a better optimum was found."""
 
@@ -222,9 +226,8 @@ def _join_lower_branch(settings: _PathSettings, path: ProfilePath, found: list[L
     if len(found) < 2 or not settings.elsewhere:
         return False
     last = len(found) - 1
-    place = float(found[last].theta[settings.k])
     path.retries += 1
-    lower = _minimize_from_elsewhere(settings, path, place)
+    lower = _minimize_from_elsewhere(settings, path, found[last])
     n = last
     while n > 0 and lower.value < found[n].value - MIN_IMPROVEMENT * settings.scale:
         found[n] = lower
@@ -234,17 +237,26 @@ def _join_lower_branch(settings: _PathSettings, path: ProfilePath, found: list[L
     return n < last
 
 
-def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, place: float) -> LocalMinimum:
-    """Return the best minimum from elsewhere; a cheaper problem is minimised first if there is one."""
+def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, here: LocalMinimum) -> LocalMinimum:
+    """Return the best minimum from elsewhere for the held value of `here`; `here` if there is no other one.
+
+    If there is a cheaper problem it is minimised first, from `here` too: where both end in one minimum, so
+    would the search from elsewhere.
+    """
+    k, place = settings.k, float(here.theta[settings.k])
     if settings.cheaper is None:
         return select_best([_minimize_held(settings, path, start, place) for start in settings.elsewhere])
-    cheapest = select_best(
-        [
-            minimize_squares(settings.cheaper, _set_held(settings, start, place), settings.k)
-            for start in settings.elsewhere
-        ]
-    )
-    return _minimize_held(settings, path, cheapest.theta, place)
+    same, *ends = [
+        minimize_squares(settings.cheaper, _set_held(settings, start, place), k)
+        for start in (here.theta, *settings.elsewhere)
+    ]
+    others = [end for end in ends if not _is_same_minimum(same, end)]
+    return _minimize_held(settings, path, select_best(others).theta, place) if others else here
+
+
+def _is_same_minimum(one: LocalMinimum, other: LocalMinimum) -> bool:
+    apart = other.theta - one.theta
+    return max(abs(other.value - one.value), float(apart @ one.information @ apart)) < SAME_MINIMUM_GAP
 
 
 def _minimize_held(settings: _PathSettings, path: ProfilePath, start: Floats, place: float) -> LocalMinimum:

@@ -245,7 +245,7 @@ def compute_position_derivatives(
     `x_by`, `u_by` and `slope_by` (N, P) are those of the nodes x, u, slope (N,).
     """
     columns = u_by.shape[1]
-    work = np.empty((4, HERMITE_COLUMNS))
+    work = np.empty(HERMITE_COLUMNS)
     reached = np.zeros((len(x), 2, columns))  # of the points of the nodes
     for p in range(columns):
         reached[0, 1, p] = u_by[0, p]
@@ -268,30 +268,33 @@ def _copy_derivatives(into: Floats, given: Floats) -> None:
             into[j, p] = given[j, p]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_derivatives(
-    into: Floats, work: Floats, e: int, upto: float, x: Floats, u: Floats, slope: Floats, x_by: Floats,
+    into: Floats, n_by: Floats, e: int, upto: float, x: Floats, u: Floats, slope: Floats, x_by: Floats,
     u_by: Floats, slope_by: Floats,
 ) -> None:  # fmt: skip
     """Add to `into` (2, P) the derivatives of the integrals of cos u' and sin u' over the first `upto` mm of
     an element.
 
-    Where nodes move along the needle, what the ends of an element gain its neighbours lose. `work` has room
-    for four Hermite rows.
+    Where nodes move along the needle, what the ends of an element gain its neighbours lose. `n_by` has room
+    for a Hermite row.
     """
-    n, n_by, by_ends = work[0], work[1], work[2:]
-    for j in range(4):
-        by_ends[0, j] = by_ends[1, j] = 0.0
     length, columns = x[e + 1] - x[e], u_by.shape[1]
     rule, count = (0, 3) if length <= MAX_SHORT_ELEMENT_MM else (1, 5)
+    # derivatives of the two integrals by deflection and slope of the first node, and by those of the second
+    ahead_u = ahead_slope = ahead_next = aside_u = aside_slope = aside_next = 0.0
     for i in range(count):
-        fill_hermite(n, _NODES[rule, i] * upto, length)
-        rotation = n[4] * u[e] + n[5] * slope[e] + n[6] * u[e + 1] + n[7] * slope[e + 1]
-        cosine, sine = _compute_direction(rotation)
+        t = _NODES[rule, i] * upto / length
+        # a Hermite row's slopes, as `fill_hermite` has them
+        n4, n5, n7 = -6.0 * t * (1.0 - t) / length, (1.0 - t) * (1.0 - 3.0 * t), t * (3.0 * t - 2.0)
+        cosine, sine = _compute_direction(n4 * (u[e] - u[e + 1]) + n5 * slope[e] + n7 * slope[e + 1])
         ahead, aside = -_WEIGHTS[rule, i] * upto * sine, _WEIGHTS[rule, i] * upto * cosine
-        for j in range(4):
-            by_ends[0, j] += ahead * n[SLOPES + j]
-            by_ends[1, j] += aside * n[SLOPES + j]
+        ahead_u += ahead * n4
+        ahead_slope += ahead * n5
+        ahead_next += ahead * n7
+        aside_u += aside * n4
+        aside_slope += aside * n5
+        aside_next += aside * n7
         for p in range(columns):
             if x_by[e, p] != 0.0 or x_by[e + 1, p] != 0.0:
                 grows = x_by[e + 1, p] - x_by[e, p]
@@ -299,7 +302,7 @@ def _add_derivatives(
                 turn = n_by[4] * u[e] + n_by[5] * slope[e] + n_by[6] * u[e + 1] + n_by[7] * slope[e + 1]
                 into[0, p] += ahead * turn
                 into[1, p] += aside * turn
-    for j in range(2):
-        a, b, c, d = by_ends[j, 0], by_ends[j, 1], by_ends[j, 2], by_ends[j, 3]
-        for p in range(columns):
-            into[j, p] += a * u_by[e, p] + b * slope_by[e, p] + c * u_by[e + 1, p] + d * slope_by[e + 1, p]
+    for p in range(columns):
+        rise, first, second = u_by[e, p] - u_by[e + 1, p], slope_by[e, p], slope_by[e + 1, p]
+        into[0, p] += ahead_u * rise + ahead_slope * first + ahead_next * second
+        into[1, p] += aside_u * rise + aside_slope * first + aside_next * second
