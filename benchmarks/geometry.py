@@ -1,11 +1,14 @@
-"""How well the model predicts measured shapes of a hole left out, by law of advance and by geometry.
+"""How well the model predicts measured shapes of a hole left out, by law of advance and by geometry: mean
+in-plane errors, and how many tips and whole shapes the predicted 50 % and 95 % intervals cover.
 
 Two geometries turn the slope u' of the solved beam into points. "rotation": u' is the rotation of the section
 and the points are the integrals of cos u' and sin u' (`docs/model.md`). "tangent": u' is dy/dx and the points
 are the integral of cos(atan u') and u; the needle is then longer than its arc length. Every fit is repeated
-with each of them.
+with each of them. Intervals are of the posterior alone ("plain"), and with the spread between specimens
+("others"), as in `needlefit validate stereo_holes`.
 
-    NEEDLEFIT_REAL_DATA=... python benchmarks/geometry.py [--starts 2]
+    NEEDLEFIT_REAL_DATA=... python benchmarks/geometry.py [--starts 2] [--errors-only]
+        [--geometry tangent] [--fit stereo_tangent]
 """
 
 import argparse
@@ -27,10 +30,14 @@ from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.folds import leave_out
+from needlefit.studies.held_out_predictions import tabulate_held_out
 from needlefit.studies.job import Settings, prepare
-from needlefit.studies.posterior_fit import find_fit
+from needlefit.studies.new_specimens import NewSpecimens
+from needlefit.studies.posterior_fit import find_fit, fit_posterior
+from needlefit.studies.proportions import estimate_proportion
 from needlefit.studies.score import Scorer, model_predictor
 
+GEOMETRIES = ("rotation", "tangent")
 FITS = ("stereo_tangent", "stereo_path_angle")
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 STEP = 1e-5  # of the difference quotients, in units of the parameter
@@ -94,37 +101,67 @@ def geometry(name: str) -> Iterator[None]:
             setattr(simulated_points, key, one)
 
 
-def compute_errors(name: str, starts: int) -> pd.Series:
-    """Return the mean in-plane error, mm, of each hole left out."""
+def score_holes(name: str, starts: int, coverage: bool) -> tuple[pd.Series, pd.DataFrame]:
+    """Return the mean in-plane error, mm, of each hole left out, and a row for each predicted shape."""
     job = prepare(name, load(find_file("fit", name), FitRecord), Settings())
     job = replace(job, recipe=job.recipe.model_copy(update={"starts": starts}))
-    found = {}
+    found, predicted = {}, []
     for fold in leave_out(job.folds[0].tune, "specimen"):
-        fit = find_fit(job, job.problem(fold), (fold.name,), Settings())
+        if coverage:
+            learned = fit_posterior(job, job.problem(fold), (fold.name,), Settings())
+            fit, draws = learned.fit, learned.draws
+            news = {"plain": None, "others": NewSpecimens(job, fold, np.array(fit.theta))}
+            predicted += [
+                {**row, "treatment": treatment}
+                for treatment, new in news.items()
+                for row in tabulate_held_out(job, fold, draws, new)
+            ]
+        else:
+            fit = find_fit(job, job.problem(fold), (fold.name,), Settings())
         scorer = Scorer(
             job.dataset, job.record.layer_count_rule, {one.id: job.floor(one) for one in fold.validate}
         )
         predictor = model_predictor(fit.values, job.medium, job.dataset)
         rows = [row for one in fold.validate for row in scorer.score({}, one, predictor)[0]]
         found[fold.name] = float(np.mean([row["ipe_mean_mm"] for row in rows]))
-    return pd.Series(found)
+    return pd.Series(found), pd.DataFrame(predicted)
+
+
+def print_coverage(name: str, which: str, predicted: pd.DataFrame) -> None:
+    """Print a row for each treatment of specimens: counts, with 95 % intervals of the share over holes."""
+    for treatment, rows in predicted.groupby("treatment", sort=False):
+        cells = []
+        for what in ("tip", "shape"):
+            for level in (50, 95):
+                share = estimate_proportion(rows[f"{what}_in_{level}"].tolist(), rows["specimen"].tolist())
+                ends = f"{100 * share.low:.0f} to {100 * share.high:.0f} %"
+                cells.append(f"{what} {level}: {share.hits} of {share.trials} ({ends})")
+        widths = rows["tip_95_high_mm"] - rows["tip_95_low_mm"]
+        score = f"CRPS tip {rows['tip_crps_mm'].mean():.3f}, shape {rows['shape_crps_mm'].mean():.3f}"
+        print(name, which, treatment, *cells, score, f"width {widths.median():.2f}", sep=" | ", flush=True)
 
 
 def main() -> None:
     """Print a row per law of advance and geometry; differences to the first geometry are paired by hole."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--starts", type=int, default=2)
-    starts = parser.parse_args().starts
-    print("advance | geometry | mean in-plane error (mm) | minus that of rotation (um), 95 % | by hole (mm)")
-    for name in FITS:
+    parser.add_argument("--errors-only", action="store_true", help="without coverage")
+    parser.add_argument("--geometry", choices=GEOMETRIES, help="default: both")
+    parser.add_argument("--fit", choices=FITS, help="default: both")
+    given = parser.parse_args()
+    geometries = (given.geometry,) if given.geometry else GEOMETRIES
+    print("advance | geometry | mean in-plane error (mm) | minus that of the first (um), 95 % | by hole (mm)")
+    for name in (given.fit,) if given.fit else FITS:
         errors = {}
-        for which in ("rotation", "tangent"):
+        for which in geometries:
             with geometry(which):
-                errors[which] = compute_errors(name, starts)
-            gap = 1e3 * (errors[which] - errors["rotation"])
+                errors[which], predicted = score_holes(name, given.starts, not given.errors_only)
+            gap = 1e3 * (errors[which] - errors[geometries[0]])
             half = student.ppf(0.975, len(gap) - 1) * gap.sem()
             difference = f"{gap.mean():.1f} ({gap.mean() - half:.1f} to {gap.mean() + half:.1f})"
             holes = " ".join(f"{one:.4f}" for one in errors[which])
+            if len(predicted):
+                print_coverage(name, which, predicted)
             print(name, which, f"{errors[which].mean():.4f}", difference, holes, sep=" | ", flush=True)
 
 
