@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.special import ndtr, ndtri
+from scipy.stats import norm
 
 from needlefit.inference.predictive_distribution import PredictiveMixture, cdf, crps, interval, quantile
 
@@ -40,6 +41,19 @@ def test_the_score_is_the_integral_that_defines_it():
 
     integral = quad(squared, -8, y)[0] + quad(squared, y, 8)[0]
     assert crps(mixture, [y]) == pytest.approx(integral, rel=1e-6)
+
+
+@pytest.mark.parametrize("sd", [0.0, 0.05, 1.0])
+def test_crps_of_many_draws_with_heavy_tails_is_that_of_all_pairs(sd):
+    draws = np.random.default_rng(3).standard_t(2, size=1039)
+    found = crps(PredictiveMixture(draws[:, None], np.array([sd])), [0.3])[0]
+
+    def mean_absolute(means, width):
+        z = means / max(width, 1e-12)
+        return np.mean(2 * width * norm.pdf(z) + means * (2 * norm.cdf(z) - 1))
+
+    pairs = mean_absolute(draws[:, None] - draws, np.sqrt(2) * sd)
+    assert found == pytest.approx(mean_absolute(0.3 - draws, sd) - pairs / 2, rel=3e-3)
 
 
 def test_intervals_cover_their_nominal_fraction():

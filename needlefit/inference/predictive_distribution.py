@@ -27,7 +27,7 @@ CURVES = 2000
 """Curves that are drawn, at least, where the whole curve is asked about."""
 
 PAIR_DRAWS = 125
-"""Draws whose distances from each other enter a score, at most: they are as many as the square of this."""
+"""Draws, at most, whose pairs show how much the Gaussians add to the distances between draws."""
 
 BRACKET_SD = 9.0
 """Deviations beyond the outermost draws within which every quantile lies."""
@@ -92,11 +92,17 @@ def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
     """
     values = np.asarray(observed, dtype=np.float64)
     off = _mean_absolute(values - mixture.means, mixture.sd).mean(axis=0)
-    some, sd = mixture.means[:: -(-len(mixture.means) // PAIR_DRAWS)], np.sqrt(2) * mixture.sd
+    ranked, count = np.sort(mixture.means, axis=0), len(mixture.means)
+    # the mean distance of all pairs of draws: the draw of rank b is above b others and below the rest
+    between = 2 * (2 * np.arange(count) - count + 1) @ ranked / count**2
+    # what the Gaussians add to it is at most their own width, so some of the draws show it
+    step, sd = -(-count // PAIR_DRAWS), np.sqrt(2) * mixture.sd
+    some = ranked[step // 2 :: step]
     first, second = np.triu_indices(len(some), 1)
-    pairs = [_mean_absolute(m[first] - m[second], s).sum() for m, s in zip(some.T, sd, strict=True)]
-    # the mean over all pairs: each of different draws counts twice, and each draw beside itself
-    between = (2 * np.array(pairs) / len(some) + _mean_absolute(np.zeros(len(sd)), sd)) / len(some)
+    apart = [m[second] - m[first] for m in some.T]
+    added = [(_mean_absolute(m, s) - m).sum() for m, s in zip(apart, sd, strict=True)]
+    # each pair of different draws counts twice, and each draw beside itself
+    between = between + (2 * np.array(added) / len(some) + _mean_absolute(np.zeros(len(sd)), sd)) / len(some)
     score: Floats = off - between / 2
     return score
 
