@@ -52,6 +52,9 @@ MAX_ROOT_JUMP = 1.0
 MIN_IMPROVEMENT = 5 * MIN_GAIN
 """A value is lower than another one if it is so by more than this."""
 
+MAX_BRANCH_RISE = 10.0
+"""A minimum of the cheaper problem that is higher than another by more is so in the full one too."""
+
 SAME_MINIMUM_GAP = 0.1
 """Ends of two searches are one minimum if neither their values, nor the squares of their distance in standard
 deviations, differ by more."""
@@ -240,8 +243,8 @@ def _join_lower_branch(settings: _PathSettings, path: ProfilePath, found: list[L
 def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, here: LocalMinimum) -> LocalMinimum:
     """Return the best minimum from elsewhere for the held value of `here`; `here` if there is no other one.
 
-    If there is a cheaper problem it is minimised first, from `here` too: where both end in one minimum, so
-    would the search from elsewhere.
+    If there is a cheaper problem it is minimised first, from `here` too: where both end in one minimum, or
+    the search from elsewhere in a much higher one, the full problem is not searched.
     """
     k, place = settings.k, float(here.theta[settings.k])
     if settings.cheaper is None:
@@ -250,7 +253,8 @@ def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, here: L
         minimize_squares(settings.cheaper, _set_held(settings, start, place), k)
         for start in (here.theta, *settings.elsewhere)
     ]
-    others = [end for end in ends if not _is_same_minimum(same, end)]
+    near = [end for end in ends if end.value < same.value + MAX_BRANCH_RISE]
+    others = [end for end in near if not _is_same_minimum(same, end)]
     return _minimize_held(settings, path, select_best(others).theta, place) if others else here
 
 
