@@ -147,17 +147,6 @@ def test_the_shape_is_that_of_the_forward_run(depth: float) -> None:
     assert shape.iterations == plain.iterations
 
 
-def test_a_similar_insertion_saves_newton_steps_and_changes_no_derivative() -> None:
-    steps = [Step(50.0, Bevel(0.1))]
-    moved = replace(PHANTOM, boundaries=PHANTOM.boundaries + 0.4)
-    _, similar = linearize_steps(NEEDLE, PHANTOM, steps, ModelOptions(tolerance=SHARP))
-    shape, found = linearize_steps(NEEDLE, moved, steps, ModelOptions(tolerance=SHARP))
-    again, quick = linearize_steps(NEEDLE, moved, steps, ModelOptions(tolerance=SHARP), similar=similar)
-    assert again.iterations < 0.75 * shape.iterations
-    assert again.u == pytest.approx(shape.u, abs=10 * SHARP)
-    assert quick.u == pytest.approx(found.u, rel=1e-7, abs=1e-7)
-
-
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_first_constraint_point_moves_by_geometry(side: int) -> None:
     """The free needle is a rod: c_1 moves by 1 per base y, L + x_1 per base slope, s x_1 / C_int per b."""

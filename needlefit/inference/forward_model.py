@@ -290,7 +290,6 @@ def linearize_insertion(
     needle: Needle,
     insertion: Insertion,
     slopes: Mapping[str, Floats] | None = None,
-    similar: LinearizedInsertion | None = None,
 ) -> LinearizedInsertion:
     """Return the simulated insertion and its derivatives; see `predict_with_derivatives`.
 
@@ -298,14 +297,10 @@ def linearize_insertion(
     ----------
     slopes : mapping, optional
         `parameters.slopes(values)`, where it is used for many insertions.
-    similar : LinearizedInsertion, optional
-        One that differs little; the solver begins nearer to the solution.
     """
     by_parameter = _chain_rule(parameters.slopes(values) if slopes is None else slopes, parameters, insertion)
     shape, jacobian = linearize_steps(
-        *make_simulation_inputs(values, medium, needle, insertion),
-        wrt=_select_kinds(parameters),
-        similar=None if similar is None else similar.jacobian,
+        *make_simulation_inputs(values, medium, needle, insertion), wrt=_select_kinds(parameters)
     )
     rows = [by_parameter[name] for name in jacobian.names]
     by_theta = np.array(rows).reshape(len(rows), len(parameters.free))  # also where nothing is free

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -44,7 +45,8 @@ from needlefit.schemas.medium import MediumRecord
 
 Values = Mapping[str, float]
 Simulate = Callable[[Insertion], NeedleShape]
-Linearize = Callable[[Nodes], list[LinearizedInsertion]]
+T = TypeVar("T")
+Linearize = Callable[[Insertion], LinearizedInsertion]
 
 
 @dataclass(frozen=True)
@@ -268,34 +270,28 @@ class PosteriorDensity:
         sources = share_simulations(nodes, self.medium.constraint_spacing_mm)
         return {id(insertion): source for insertion, source in zip(nodes, sources, strict=True)}
 
-    def _simulation(self, values: Values) -> Simulate:
-        """Return the simulation of an insertion; what several observations share is simulated once."""
-        found: dict[int, NeedleShape] = {}
+    def _once(self, compute: Callable[[Insertion], T]) -> Callable[[Insertion], T]:
+        """Return `compute` of an insertion's source; what several observations share is computed once."""
+        kept: dict[int, T] = {}
 
-        def simulate(insertion: Insertion) -> NeedleShape:
+        def computed(insertion: Insertion) -> T:
             source = self._sources[id(insertion)]
-            if id(source) not in found:
-                found[id(source)] = predict(values, self.medium, self.needle, source)
-            return found[id(source)]
+            if id(source) not in kept:
+                kept[id(source)] = compute(source)
+            return kept[id(source)]
 
-        return simulate
+        return computed
+
+    def _simulation(self, values: Values) -> Simulate:
+        return self._once(lambda insertion: predict(values, self.medium, self.needle, insertion))
 
     def _linearization(self, values: Values) -> Linearize:
-        """Return the linearised insertions of nodes; what several observations share is computed once."""
         slopes = self.parameters.slopes(values)
-        found: dict[int, LinearizedInsertion] = {}
-
-        def linearize(nodes: Nodes) -> list[LinearizedInsertion]:
-            sources = [self._sources[id(insertion)] for insertion in nodes.insertions]
-            for source in sources:
-                if id(source) not in found:
-                    similar = found.get(id(sources[0]))
-                    found[id(source)] = linearize_insertion(
-                        values, self.parameters, self.medium, self.needle, source, slopes, similar
-                    )
-            return [found[id(source)] for source in sources]
-
-        return linearize
+        return self._once(
+            lambda insertion: linearize_insertion(
+                values, self.parameters, self.medium, self.needle, insertion, slopes
+            )
+        )
 
     def _white(self, observation: Observation, nodes: Nodes, simulate: Simulate) -> Floats:
         """Return the whitened residuals (m + c, R) of one insertion at some nodes; the pose's curves last."""
@@ -308,8 +304,8 @@ class PosteriorDensity:
     ) -> tuple[Floats, Floats]:
         """Return the same and the derivatives (m, R, P) by theta."""
         white, by = [], []
-        for linearized, s in zip(linearize(nodes), nodes.s, strict=True):
-            points, slopes = linearized.read(s)
+        for insertion, s in zip(nodes.insertions, nodes.s, strict=True):
+            points, slopes = linearize(insertion).read(s)
             white.append(whiten_residuals(observation, points))
             by.append(whiten_derivatives(observation, points, slopes))
         by += [np.zeros_like(by[0])] * len(observation.pose_curves)

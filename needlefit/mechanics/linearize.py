@@ -39,7 +39,6 @@ DERIVATIVE_KINDS = (
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
 _DEFAULT_WRT = ("mu", "alpha", "offset")
-_NO_MISSES = np.empty((0, 0, 2))
 
 MAX_TOLERANCE_MM = 1e-9
 """Newton tolerance, mm: derivatives at a state that is 1e-7 mm off are up to 1e-6 wrong."""
@@ -65,8 +64,6 @@ class Jacobian:
         Of the y of the constraint points.
     tip_track : (M + 1, P) array
         Of the tip's deflection as it stood at each constraint point.
-    misses : (S, C, 2) array
-        What the solver's guesses of deflection and slope missed at the stops of the tip.
     """
 
     names: tuple[str, ...]
@@ -75,7 +72,6 @@ class Jacobian:
     slope: Floats
     constraints: Floats
     tip_track: Floats
-    misses: Floats
 
 
 def linearize(
@@ -119,17 +115,10 @@ def linearize_steps(
     lattice: Lattice | None = None,
     *,
     wrt: Sequence[str] = _DEFAULT_WRT,
-    similar: Jacobian | None = None,
 ) -> tuple[NeedleShape, Jacobian]:
     """Insert the needle as `simulate_steps` does; return its last shape and the derivatives of that shape.
 
     Parameters and returns are those of `simulate_steps` and `linearize`.
-
-    Parameters
-    ----------
-    similar : Jacobian, optional
-        Of an insertion that differs little. The solver then begins nearer to the solution: one Newton step at
-        most stops instead of two.
     """
     lattice = lattice or make_lattice(steps, rules)
     moves = make_moves(steps, needle.length)
@@ -154,8 +143,6 @@ def linearize_steps(
         conditions = compile_controls(controls)
         # All stops of a group are solved before the first derivative: `record` keeps the state at each.
         forward.set_inputs(run, conditions, stops)
-        # with several groups, misses are of the last one: no help to the first
-        forward.set_misses(run, _NO_MISSES if similar is None or len(groups) > 1 else similar.misses)
         status, used, nodes, points = forward.advance_needle(run, len(bevel_id))
         iterations += used
         if status == CONVERGED:
@@ -174,9 +161,8 @@ def linearize_steps(
     reached = slice(len(shape.constraints))
     by_x = _differentiate_nodes(shape.x, controls, own_columns, columns.total)
     return shape, Jacobian(
-        names, by_x, whole[:, 0], whole[:, 1], history.constraints[reached], history.track[reached, 0],
-        forward.get_misses(run),
-    )  # fmt: skip
+        names, by_x, whole[:, 0], whole[:, 1], history.constraints[reached], history.track[reached, 0]
+    )
 
 
 def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
@@ -261,4 +247,4 @@ def _differentiate_nodes(x: Floats, controls: Controls, guide_columns: Ints, col
 def _make_nan_jacobian(names: tuple[str, ...], shape: NeedleShape) -> Jacobian:
     nodes = np.full((len(shape.x), len(names)), np.nan)
     points = np.full((len(shape.constraints), len(names)), np.nan)
-    return Jacobian(names, nodes, nodes, nodes, points, points, _NO_MISSES)
+    return Jacobian(names, nodes, nodes, nodes, points, points)

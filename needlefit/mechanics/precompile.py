@@ -31,11 +31,9 @@ from needlefit.mechanics.kernel.insertion import (
     begin_run,
     build_stop_grid,
     get_insertion,
-    get_misses,
     make_run_type,
     return_needle,
     set_inputs,
-    set_misses,
 )
 from needlefit.mechanics.kernel.insertion_derivatives import differentiate_stops
 from needlefit.mechanics.kernel.lanes.insertion import advance_lanes, begin_lanes
@@ -146,8 +144,6 @@ def _compile_derivatives() -> None:
     history = DerivativeHistory(_TABLE, _CUBE, _TABLE, _ROW, _CUBE, _ROW)
     law, guides = differentiate_law("ogden", _TISSUE.alpha), np.zeros((0, 3), np.int64)
     compile_for(differentiate_stops, _make_run_type(), law, guides, _ROW, columns, history, True)
-    compile_for(set_misses, _make_run_type(), _CUBE)
-    compile_for(get_misses, _make_run_type())
     compile_for(beam.compute_position_derivatives, *[_ROW] * 4, *[_TABLE] * 3)
 
 

@@ -84,8 +84,6 @@ class KernelInsertion(NamedTuple):
     # and nodes of the chain one cell ago (0: there was no such stop)
     record: Floats  # (S, C + 2, 2) for derivatives: the state at each stop under way; below it the y of the
     # constraint point there, the depth where its ray begins, and the y of point 0. (0, C + 2, 2): not wanted
-    misses: Floats  # (S, C, 2) by how much the extrapolated states at these stops were wrong; until a stop is
-    # solved, those of a similar insertion
 
 
 class InsertionRun(structref.StructRefProxy):
@@ -132,7 +130,7 @@ def begin_insertion(
         rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, main, y,
         np.full((cells + 1, 2), np.nan), np.zeros((rays, 4)),
         np.zeros(4), np.zeros(capacity), np.zeros((3, capacity, 2)), np.zeros(4, np.int64),
-        np.zeros((recorded, capacity + 2, 2)), np.zeros((recorded, capacity, 2)),
+        np.zeros((recorded, capacity + 2, 2)),
     )  # fmt: skip
 
 
@@ -151,7 +149,7 @@ def begin_run(
     before = KernelInsertion(
         rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, now.main,
         np.empty_like(now.y), np.empty_like(now.track), np.empty_like(now.rays), np.empty_like(now.tip),
-        np.empty_like(now.nodes), np.empty_like(now.states), np.empty_like(now.size), now.record, now.misses,
+        np.empty_like(now.nodes), np.empty_like(now.states), np.empty_like(now.size), now.record,
     )  # fmt: skip
     foundation = make_foundation(mu, coefficients, exponents, thickness, friction)
     no_guides, numbers, flags = np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.bool_)
@@ -166,26 +164,6 @@ def begin_run(
 def set_inputs(run: InsertionRun, conditions: BoundaryConditions, stops: TipStops) -> None:
     """Let the next `advance_needle` hold the needle by those conditions, and read those stops."""
     run.conditions, run.stops = conditions, stops
-
-
-@njit(cache=True, nogil=True)
-def set_misses(run: InsertionRun, misses: Floats) -> None:
-    """Let the next `advance_needle` correct its guesses by what those of a similar insertion missed.
-
-    `misses` (S, C, 2) of an insertion with other numbers of stops or nodes are no help.
-    """
-    own = run.insertion.misses
-    similar = misses.shape == own.shape
-    for s in range(own.shape[0]):
-        for i in range(own.shape[1]):
-            for j in range(2):
-                own[s, i, j] = misses[s, i, j] if similar else 0.0
-
-
-@njit(cache=True, nogil=True)
-def get_misses(run: InsertionRun) -> Floats:
-    """Return what the guesses of the last `advance_needle` missed, (S, C, 2), if it was recorded."""
-    return run.insertion.misses
 
 
 @njit(cache=True, nogil=True)
@@ -250,7 +228,7 @@ def advance_needle(run: InsertionRun, count: int) -> tuple[int, int, Floats, Flo
     _copy_changed(run.before, insertion, stops, count)
     iterations = 0
     rays, y, tip, states, size = insertion.rays, insertion.y, insertion.tip, insertion.states, insertion.size
-    record, misses, capacity = insertion.record, insertion.misses, insertion.states.shape[1]
+    record, capacity = insertion.record, insertion.states.shape[1]
     chain = begin_chain(conditions, insertion.rigidity, capacity)
     trial, factor = np.empty((capacity, 2)), np.empty((capacity, FACTOR_COLUMNS))
     for s in range(count):
@@ -279,13 +257,6 @@ def advance_needle(run: InsertionRun, count: int) -> tuple[int, int, Floats, Flo
             last = len(grid.nodes) - 1
         prescribe_stop(chain, conditions, grid, last, depth, insertion.length)
         extrapolated = guess_next_state(insertion, chain, grid, last, on_main)
-        if len(misses) > 0:
-            for i in range(size[CHAIN_NODES]):
-                for j in range(2):
-                    guess = states[NOW, i, j]
-                    if extrapolated:
-                        states[NOW, i, j] += misses[s, i, j]
-                    misses[s, i, j] = -guess
         status, used = equilibrate(states[NOW], chain, foundation, grid, y, last, newton, trial, factor)
         iterations += used
         # The extrapolated guess may lie outside the range from which Newton's method converges. A loop would
@@ -302,9 +273,7 @@ def advance_needle(run: InsertionRun, count: int) -> tuple[int, int, Floats, Flo
         insertion.track[cell, 0], insertion.track[cell, 1] = tip[1], tip[2]
         if len(record) > 0:
             for i in range(size[CHAIN_NODES]):
-                for j in range(2):
-                    record[s, i, j] = states[NOW, i, j]
-                    misses[s, i, j] += states[NOW, i, j]
+                record[s, i, 0], record[s, i, 1] = states[NOW, i, 0], states[NOW, i, 1]
             record[s, capacity, 0], record[s, capacity, 1] = y[cell], rays[ray, RAY_X]
             record[s, capacity + 1, 0] = y[0]
     shape, points = _copy_shape(insertion, stops.cell[count - 1], stops.tip[count - 1])
