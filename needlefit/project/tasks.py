@@ -277,8 +277,8 @@ def _result(future: "Future[tuple[Result, bool]]") -> tuple[Result, bool]:
     except BrokenProcessPool:
         raise ConfigError(
             "one of the processes was ended from outside, or could not begin",
-            expected="memory for as many at once as --jobs states",
-            fix="use fewer with --jobs",
+            expected="processes that nobody ends, and memory for as many as --jobs states",
+            fix="run it again, with fewer --jobs if memory was short",
         ) from None
 
 

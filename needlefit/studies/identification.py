@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.inference.identifiability.assessment import (
+    AGREEMENT,
     Assessment,
     add_sampled_disagreement,
     assess_parameter,
@@ -113,16 +114,19 @@ def identify_parameters(
 
 
 def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessment]) -> Identifiability:
-    """Return the verdict without the parameters whose profiles contradict it; their notes say so."""
+    """Return the verdict without the parameters whose profiles contradict it.
+
+    Notes state that, and of determined parameters where profile and standard deviation differ.
+    """
     denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.determined}
-    return replace(
-        verdict,
-        determined={n: known and n not in denied for n, known in verdict.determined.items()},
-        notes={
-            n: f"not determined: its profile is {judgements[n].profile_verdict}" if n in denied else note
-            for n, note in verdict.notes.items()
-        },
-    )
+    known = {n: found and n not in denied for n, found in verdict.determined.items()}
+    notes = dict(verdict.notes)
+    for n, one in judgements.items():
+        if n in denied:
+            notes[n] = f"not determined: its profile is {one.profile_verdict}"
+        elif known.get(n) and one.agreement != AGREEMENT:
+            notes[n] += f"; {one.agreement}"
+    return replace(verdict, determined=known, notes=notes)
 
 
 def add_sampled_ratios(posterior: Posterior, rows: list[Row]) -> None:

@@ -346,8 +346,8 @@ def describe_spread(predicted: pd.DataFrame) -> Iterator[str]:
     yield (
         f"“New specimen”: a specimen that the model was not tuned on. One standard deviation between "
         f"specimens is a factor of {mu:.2g} in the moduli and of {b:.2g} in the bevel offset. It is "
-        f"estimated from {count} other specimens and the prior in the recipe; two or three leave it "
-        "uncertain. “Training only” uses the parameters of the tuned specimens unchanged."
+        f"estimated from {count} other specimens and the prior in the recipe; with two or three it is "
+        "mostly the prior. “Training only” uses the parameters of the tuned specimens unchanged."
     )
 
 

@@ -166,8 +166,9 @@ def warn_of_width(results: Run) -> Iterator[ResultWarning]:
                 "wide_intervals",
                 f"the 95 % predictive intervals of tips on {medium} are {width:.2g} mm wide (median), and "
                 f"the tips are deflected by {deflection:.2g} mm: too wide for aiming",
-                fix="measure one insertion into the new specimen first: in a specimen of the fit they would "
-                f"be {tuned:.2g} mm wide; a study of kind adaptation{study} shows what each insertion gains"
+                fix="an insertion into the new specimen narrows them if the model is right there: in a "
+                f"specimen of the fit they are {tuned:.2g} mm wide; a study of kind adaptation{study} "
+                "measures what each insertion gains"
                 if new
                 else "add insertions, or fix what the data do not determine",
             )

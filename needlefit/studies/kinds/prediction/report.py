@@ -181,8 +181,8 @@ def describe_specimen(found: Run) -> Iterator[str]:
             yield "Specimen: tuned specimen. For a new specimen, predict with `--specimen new`."
         return
     yield (
-        f"Specimen: new specimen; {describe_spread(rows['others'])}; two or three specimens leave it "
-        "uncertain."
+        f"Specimen: new specimen; {describe_spread(rows['others'])}; from two or three specimens it is "
+        "mostly the prior."
     )
     if not found.faults:
         now, after, same = (format_mm(rows[name]["tip_95_width_mm"]) for name in _TREATMENTS)
