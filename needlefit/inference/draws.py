@@ -19,9 +19,10 @@ Source = Literal["posterior", "importance"]
 class Draws:
     """Draws of theta (B, P) from a posterior, by MCMC or by importance sampling.
 
-    `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is
-    that of the weights, NaN of a sampled posterior; `effective_sample_size` is of the weights, or the
-    smallest of the parameters of the chains, of which these draws are a part.
+    `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is that of
+    importance sampling, also where its weights were not certified and MCMC followed, NaN without it;
+    `effective_sample_size` is of the weights, or the smallest of the parameters of the chains, of which these
+    draws are a part.
     """
 
     thetas: Floats
@@ -40,8 +41,12 @@ class Draws:
         }
 
 
-def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> Draws:
+def thin_posterior(
+    posterior: Posterior, parameters: Parameters, count: int, pareto_k: float = math.nan
+) -> Draws:
     """Return `count` draws of a sampled posterior, evenly spread over all chains and steps.
+
+    `pareto_k` is that of the importance sampling that failed before.
 
     Raises
     ------
@@ -53,7 +58,7 @@ def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> 
     sets = (dict(zip(posterior.names, values.tolist(), strict=True)) for values in chosen)
     thetas = np.array([parameters.theta(values) for values in sets])
     every = posterior.convergence.ess_bulk.sum(axis=0)[: len(posterior.names)]
-    return Draws(thetas, "posterior", posterior.faults, effective_sample_size=float(every.min()))
+    return Draws(thetas, "posterior", posterior.faults, pareto_k, float(every.min()))
 
 
 def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -> float:

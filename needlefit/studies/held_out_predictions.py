@@ -10,6 +10,7 @@ stated errors are too small. A needle is one trial: its tip, and its shape as a 
 of it leaves a band that the predicted probability of such needles stays within all along.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -81,12 +82,14 @@ def draw_fold_parameters(
     if posterior is None and not len(fit.theta):
         few, many = (Draws(np.empty((count, 0)), "importance") for count in counts)
         return few, many
+    pareto_k = math.nan
     if posterior is None:
         key = (fold.name, "foretold")
         rng = random_stream(job.recipe.seed, job.name, *key)
         found, posterior = weigh_or_sample(job, job.problem(fold), fit, rng, key, settings)
+        pareto_k = found.k
     if posterior is not None:
-        few, many = (thin_posterior(posterior, job.parameters, count) for count in counts)
+        few, many = (thin_posterior(posterior, job.parameters, count, pareto_k) for count in counts)
         return few, many
     # both sets come from one generator: their order is part of the result
     few, many = (resample_draws(found, count, rng) for count in counts)

@@ -74,7 +74,7 @@ def fit_posterior(
     if found.certified:
         return PosteriorFit(fit, resample_draws(found, draws, rng), found.k)
     nothing = Draws(np.empty((0, len(fit.theta))), "posterior")
-    drawn = nothing if posterior is None else thin_posterior(posterior, problem.parameters, draws)
+    drawn = nothing if posterior is None else thin_posterior(posterior, problem.parameters, draws, found.k)
     return PosteriorFit(fit, drawn, found.k, sampled=True)
 
 

@@ -315,6 +315,7 @@ def _draw_posterior(
     fit = minimize(task.problem, task.recipe, random_stream(seed, name, task.name, "starts"), callbacks)
     if fit.interrupted or settings.stop():
         return None
+    pareto_k = math.nan
     if not settings.sample:
         rng = random_stream(seed, name, task.name, "weighed")
         found = escalate_effort(
@@ -322,6 +323,7 @@ def _draw_posterior(
         )
         if found.certified:
             return fit, resample_draws(found, PREDICTION_DRAWS, rng)
+        pareto_k = found.k
     ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
     rng, kept = random_stream(seed, name, task.name, "posterior"), checkpoint.snapshots(task.name)
     try:
@@ -333,7 +335,7 @@ def _draw_posterior(
     if posterior.interrupted:
         return None
     tables.posteriors[task.name] = posterior
-    return fit, thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS)
+    return fit, thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS, pareto_k)
 
 
 def _predict_runs(
