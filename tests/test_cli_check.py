@@ -53,6 +53,18 @@ def test_a_fault_of_a_study_is_named_with_its_line(tmp_path, changes, named, cap
     assert named in capsys.readouterr().err
 
 
+def test_an_algorithm_that_the_likelihood_has_no_derivatives_for_is_a_fault(tmp_path, monkeypatch, capsys):
+    from needlefit.project.locate import find_file
+
+    recipe = tmp_path / "configs" / "recipes" / "default.toml"
+    recipe.parent.mkdir(parents=True)
+    table = read_toml(find_file("recipe", "default"))
+    recipe.write_text(dumps({**table, "likelihood": {**table["likelihood"], "depths": "quadrature"}}))
+    monkeypatch.chdir(tmp_path)
+    assert run("check", "study3") == 3
+    assert "leastsquares" in capsys.readouterr().err
+
+
 def test_files_that_other_kinds_name_are_found(tmp_path, capsys):
     from needlefit.project.locate import find_file
 

@@ -11,6 +11,8 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.inference.material import set_material_prior
+from needlefit.inference.objective import make_objective
+from needlefit.inference.optimize.local_search import select_algorithms
 from needlefit.inference.parameters import (
     Parameters,
     with_hyperparameters,
@@ -248,6 +250,7 @@ def prepare(
     _check_layers(job)
     _check_reach(job)
     _check_size(job)
+    _check_algorithms(job)
     return job
 
 
@@ -335,6 +338,14 @@ def _check_size(job: Job) -> None:
             expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
             fix="select fewer insertions, or take a larger constraint spacing",
         )
+
+
+def _check_algorithms(job: Job) -> None:
+    """Refuse algorithms that need derivatives which the searches of a fold do not have."""
+    fold = job.folds[0]
+    for search in job.searches if fold.tune else ():
+        recipe = job.recipe_of(search)
+        select_algorithms(recipe.algorithm, make_objective(job.problem(fold, search), recipe.minimize))
 
 
 def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
