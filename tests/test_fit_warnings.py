@@ -125,7 +125,7 @@ def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):
     errors = {"fitted": FAR[: len(curve)], "straight": LIKE[: len(curve)], "constant_curvature": curve}
     found = list(baseline_warnings(scored(role, errors, floor)))
     assert [one.kind for one in found] == ["worse_than_baseline"] * count
-    assert all("arc" in one.what for one in found)
+    assert all("constant curvature" in one.what for one in found)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_the_closest_curve_is_named_and_the_report_shows_it():
     errors = {"fitted": FAR, "straight": [0.1] * 5, "constant_curvature": NEAR}
     results = scored("validate", errors)
     (one,) = baseline_warnings(results)
-    assert "arc" in one.what and "0.040 mm against 0.256 mm" in one.what
+    assert "constant curvature" in one.what and "0.040 mm against 0.256 mm" in one.what
     blocks = warning_blocks(replace(results, run={**results.run, **warnings_entry([one])}))
     assert sum(one.what in str(block) for block in blocks) == 1
     assert read_warnings(warnings_entry([one])) == (one,)
