@@ -8,7 +8,7 @@ with each of them. Intervals are of the posterior alone ("plain"), and with the 
 ("others"), as in `needlefit validate stereo_holes`.
 
     NEEDLEFIT_REAL_DATA=... python benchmarks/geometry.py [--starts 2] [--errors-only]
-        [--geometry tangent] [--fit stereo_tangent]
+        [--geometry tangent] [--fit stereo_tangent] [--correlation matern32]
 """
 
 import argparse
@@ -101,10 +101,17 @@ def geometry(name: str) -> Iterator[None]:
             setattr(simulated_points, key, one)
 
 
-def score_holes(name: str, starts: int, coverage: bool) -> tuple[pd.Series, pd.DataFrame]:
-    """Return the mean in-plane error, mm, of each hole left out, and a row for each predicted shape."""
+def score_holes(
+    name: str, starts: int, coverage: bool, correlation: str | None = None
+) -> tuple[pd.Series, pd.DataFrame]:
+    """Return the mean in-plane error, mm, of each hole left out, and a row for each predicted shape.
+
+    `correlation` is that of the measurement's errors along the needle, by default the dataset's.
+    """
     job = prepare(name, load(find_file("fit", name), FitRecord), Settings())
+    noise = replace(job.dataset.noise, **({"correlation": correlation} if correlation else {}))
     job = replace(job, recipe=job.recipe.model_copy(update={"starts": starts}))
+    job = replace(job, dataset=replace(job.dataset, noise=noise))
     found, predicted = {}, []
     for fold in leave_out(job.folds[0].tune, "specimen"):
         if coverage:
@@ -148,6 +155,7 @@ def main() -> None:
     parser.add_argument("--errors-only", action="store_true", help="without coverage")
     parser.add_argument("--geometry", choices=GEOMETRIES, help="default: both")
     parser.add_argument("--fit", choices=FITS, help="default: both")
+    parser.add_argument("--correlation", choices=("exponential", "matern32"), help="default: the dataset's")
     given = parser.parse_args()
     geometries = (given.geometry,) if given.geometry else GEOMETRIES
     print("advance | geometry | mean in-plane error (mm) | minus that of the first (um), 95 % | by hole (mm)")
@@ -155,7 +163,9 @@ def main() -> None:
         errors = {}
         for which in geometries:
             with geometry(which):
-                errors[which], predicted = score_holes(name, given.starts, not given.errors_only)
+                errors[which], predicted = score_holes(
+                    name, given.starts, not given.errors_only, given.correlation
+                )
             gap = 1e3 * (errors[which] - errors[geometries[0]])
             half = student.ppf(0.975, len(gap) - 1) * gap.sem()
             difference = f"{gap.mean():.1f} ({gap.mean() - half:.1f} to {gap.mean() + half:.1f})"

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from predictions import RESAMPLES, read_tips
+from predictions import RESAMPLES, read_truths
 
 from needlefit.project.locate import shipped_folder
 
@@ -43,24 +43,25 @@ def write_plain_files(folder: Path) -> None:
 
 
 def run_study(folder: Path, study: str, replicates: int, jobs: int) -> pd.DataFrame:
-    """Run a study's synthetic truths in `folder`; return the held-out tips."""
+    """Run a study's synthetic truths in `folder`; return a row for each, as `read_truths`."""
     line = (
         f"-m needlefit calibrate {study} --truth synthetic --replicates {replicates} --jobs {jobs} --resume"
     )
     done = subprocess.run([sys.executable, *line.split()], cwd=folder, stdout=subprocess.DEVNULL, check=False)
     if done.returncode not in (0, 5, 6):  # 5: few truths, 6: not calibrated
         raise SystemExit(f"python {line}: exit code {done.returncode}")
-    return read_tips(folder / "reports" / f"calibrate-{study}-synthetic")
+    return read_truths(folder / "reports" / f"calibrate-{study}-synthetic")
 
 
 def compare(default: pd.DataFrame, plain: pd.DataFrame, rng: np.random.Generator) -> dict[str, str]:
     """Return the scores of both, and their ratios with confidence intervals."""
-    found = {"truths": str(default["truth"].nunique()), "tips": str(len(default))}
+    counts = default["tips"].to_numpy()
+    found = {"truths": str(len(counts)), "tips": str(counts.sum())}
     for name in SCORES:
-        ours, theirs = (tips.groupby("truth")[name].sum().to_numpy() for tips in (default, plain))
+        ours, theirs = (truths[name].to_numpy() * counts for truths in (default, plain))
         drawn = rng.integers(len(ours), size=(RESAMPLES, len(ours)))
         low, high = np.percentile(ours[drawn].sum(axis=1) / theirs[drawn].sum(axis=1), [2.5, 97.5])
-        means = f"{default[name].mean():.3g} {plain[name].mean():.3g}"
+        means = f"{ours.sum() / counts.sum():.3g} {theirs.sum() / counts.sum():.3g}"
         found[name] = f"{means}  ratio {ours.sum() / theirs.sum():.2f} ({low:.2f} to {high:.2f})"
     return found
 

@@ -3,6 +3,8 @@
     for n in 1 2 3 4 5; do needlefit calibrate study$n --truth synthetic --replicates 20; done
     python benchmarks/predictions.py reports/calibrate-study?-synthetic
 
+`reports/reference/calibrate-study?-synthetic` holds such results.
+
 For each study and for all together: the share of held-out tips inside their 50 % and 95 % intervals, the
 interval score and the continuous ranked probability score (CRPS), mm. Tips of one synthetic truth share its
 errors, so that the 95 % confidence interval of each figure is from a bootstrap over truths.
@@ -18,23 +20,20 @@ RESAMPLES = 2000
 FIGURES = ("in 50 %", "in 95 %", "width of 95 %", "interval score", "CRPS")
 
 
-def read_tips(folder: Path) -> pd.DataFrame:
-    """Return a row for each truth and held-out tip, with the columns `FIGURES`."""
-    frame = pd.read_csv(folder / "predictions.csv")
-    tips = frame[frame["quantity"] == "tip"].set_index(["replicate", "insertion"])
+def read_truths(folder: Path) -> pd.DataFrame:
+    """Return a row for each truth: its number of held-out tips, and the means of `FIGURES` over these."""
+    tips = pd.read_csv(folder / "tips.csv").set_index("replicate")
     half, wide = tips[tips["level"] == 0.5], tips[tips["level"] == 0.95]
-    figures = (
-        half["covered"], wide["covered"], wide["high_mm"] - wide["low_mm"],
-        wide["interval_score_mm"], wide["crps_mm"],
-    )  # fmt: skip
-    found = pd.concat(dict(zip(FIGURES, figures, strict=True)), axis=1).astype(float)
-    return found.assign(truth=folder.name + ":" + found.index.get_level_values(0).astype(str))
+    width = wide["high_mm"] - wide["low_mm"]
+    figures = half["covered"], wide["covered"], width, wide["interval_score_mm"], wide["crps_mm"]
+    found = pd.concat(dict(zip(FIGURES, figures, strict=True)), axis=1)
+    return found.assign(tips=wide["insertions"])
 
 
-def resample(tips: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
-    """Return the means of `FIGURES` and the ends of their 95 % confidence intervals."""
-    groups = tips.groupby("truth")[list(FIGURES)]
-    sums, counts = groups.sum().to_numpy(), groups.size().to_numpy()
+def resample(truths: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
+    """Return the means of `FIGURES` over tips, and the ends of their 95 % confidence intervals."""
+    counts = truths["tips"].to_numpy()
+    sums = truths[list(FIGURES)].to_numpy() * counts[:, None]
     drawn = rng.integers(len(counts), size=(RESAMPLES, len(counts)))
     means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)[:, None]
     low, high = np.percentile(means, [2.5, 97.5], axis=0)
@@ -49,13 +48,13 @@ def main() -> None:
     )
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    each = {folder.name: read_tips(folder) for folder in options.folders}
+    each = {folder.name: read_truths(folder) for folder in options.folders}
     rng = np.random.default_rng(options.seed)
     print(f"{'':28s} truths  tips  " + "  ".join(f"{name:>22s}" for name in FIGURES))
-    for name, tips in {**each, "all": pd.concat(each.values())}.items():
-        rows = resample(tips, rng).to_numpy().tolist()
+    for name, truths in {**each, "all": pd.concat(each.values())}.items():
+        rows = resample(truths, rng).to_numpy().tolist()
         cells = "  ".join(f"{mean:7.3g} ({low:5.3g} to {high:5.3g})" for mean, low, high in rows)
-        print(f"{name:28s} {tips['truth'].nunique():6d}  {len(tips):4d}  {cells}")
+        print(f"{name:28s} {len(truths):6d}  {truths['tips'].sum():4d}  {cells}")
 
 
 if __name__ == "__main__":

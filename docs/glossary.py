@@ -55,6 +55,22 @@ TERMS = (
         "needlefit/mechanics/kernel/",
     ),
     (
+        "bevel parameter",
+        "b or θ",
+        "",
+        "The bevel offset or the cut angle, whichever the rule of advance has.",
+        "model.md#4-insertion",
+        "needlefit/schemas/medium.py",
+    ),
+    (
+        "relative bevel SD",
+        "τ",
+        "",
+        "Standard deviation of the bevel parameter between insertions, over its mean.",
+        "inference.md#6-bevels-and-layers-that-differ",
+        "needlefit/inference/likelihood/marginal.py",
+    ),
+    (
         "stretch",
         "λ",
         "",

@@ -187,7 +187,7 @@ def sample(
 def predict(
     target: Name | Run,
     scene: Name | SceneRecord | Table,
-    specimen: Literal["new", "same"] = "new",
+    specimen: Literal["new", "same"] | None = None,
     **options: Unpack[RunOptions],
 ) -> Run:
     """Predict a planned insertion, with its uncertainty.
@@ -198,9 +198,11 @@ def predict(
         What was fitted: a fit or a study, or its run. Draws come from the posterior of a run that was
         sampled, else, by importance sampling, from about a fit that is made now.
     scene : str, Path, SceneRecord or table
-        The planned insertion; its moduli and bevel offset are replaced.
-    specimen : "new" or "same"
+        The planned insertion; its moduli and bevel offset are replaced. The rules that it states must be
+        those of the fit.
+    specimen : "new" or "same", optional
         Whether it goes into a specimen that was not tuned on, whose parameters differ, or into one that was.
+        By default a new one, whose parameters differ unless `specimens` of the target leaves that out.
 
     Returns
     -------

@@ -12,9 +12,14 @@ from pathlib import Path
 
 
 @contextmanager
-def start_process(*words: str) -> "Iterator[subprocess.Popen[bytes]]":
-    """Start a module as a program; end it, with the processes that it started, after the block."""
-    one = subprocess.Popen([sys.executable, "-m", *words], start_new_session=True, stderr=subprocess.DEVNULL)
+def start_process(*words: str, folder: Path | None = None) -> "Iterator[subprocess.Popen[bytes]]":
+    """Start a module as a program, in `folder`; end it, with what it started, after the block."""
+    paths = [str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    one = subprocess.Popen(
+        [sys.executable, "-m", *words],
+        start_new_session=True, stderr=subprocess.DEVNULL, cwd=folder, env=environment,
+    )  # fmt: skip
     try:
         yield one
     finally:
@@ -44,7 +49,12 @@ def _read_address(file: Path) -> str:
         return ""
 
 
-def start_worker(address: str, *options: str) -> "AbstractContextManager[subprocess.Popen[bytes]]":
-    """Start a worker of one thread, with the process that starts it again when it is killed."""
+def start_worker(
+    address: str, *options: str, folder: Path | None = None
+) -> "AbstractContextManager[subprocess.Popen[bytes]]":
+    """Start a worker of one thread, with the process that starts it again when it is killed.
+
+    `folder` is where it works.
+    """
     words = (address, "--nthreads", "1", "--no-dashboard", "--nanny", "--memory-limit", "0", *options)
-    return start_process("distributed.cli.dask_worker", *words)
+    return start_process("distributed.cli.dask_worker", *words, folder=folder)

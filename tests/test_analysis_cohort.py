@@ -1,19 +1,27 @@
 """A cohort: one fit for each specimen of many datasets, in one table."""
 
+import os
+import pickle
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from needlefit.errors import ConfigError
+from needlefit.datasets.sources import digest_folders
+from needlefit.errors import ConfigError, DataError
+from needlefit.project.cluster import connect
 from needlefit.project.locate import find_file
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Settings, prepare
+from needlefit.studies.kinds.cohort import run as cohort_run
 from needlefit.studies.kinds.cohort.run import find_datasets, run
 from needlefit.studies.posterior_fit import find_fit
 from needlefit.studies.report import write_run
 from needlefit.studies.study_files import check_study
+from tests.cluster_processes import start_scheduler, start_worker
 
 CHOSEN = ["chicken-01", "chicken-04", "chicken-05"]
 COHORT = {"schema": 2, "kind": "cohort", "medium": "chicken", "recipe": "few", "tune": {"insertions": CHOSEN}}
@@ -41,6 +49,8 @@ def test_a_cohort_has_the_fits_of_its_specimens_and_what_could_not_be_fitted(pro
     result = run("cohort", cohort("specimens/*"), Settings())
     fits, failures = result.frames["fits"], result.frames["failures"]
     assert failures["dataset"].tolist() == ["specimens/b"] and "name" in failures["note"][0]
+    assert failures["origin"].tolist() == ["none"]  # of nothing that was read
+    assert {"specimens/b", "failures.csv"} <= set(re.findall(r"[\w./]+\w", result.verdicts[0].sentence))
     assert fits["specimen"].drop_duplicates().tolist() == ["chicken-piece1", "chicken-piece2"]
     assert result.origin == "synthetic"
     study = check_study(
@@ -53,6 +63,7 @@ def test_a_cohort_has_the_fits_of_its_specimens_and_what_could_not_be_fitted(pro
     assert found.to_dict() == {name: alone.values[name] for name in found.index}
     folder = write_run(result, project / "out")
     assert pd.read_parquet(folder / "fits.parquet").equals(fits)
+    assert pd.read_csv(folder / "failures.csv")["origin"].tolist() == ["none"]
 
 
 def test_a_pattern_that_matches_nothing_is_an_error(project):
@@ -62,3 +73,92 @@ def test_a_pattern_that_matches_nothing_is_an_error(project):
         Path("specimens/a/dataset.toml"),
         Path("specimens/b/dataset.toml"),
     ]
+
+
+@pytest.mark.slow
+def test_a_worker_in_an_empty_folder_fits_what_lies_here(project, tmp_path_factory):
+    """Neither the datasets nor the recipe lie in the worker's folder."""
+    pytest.importorskip("distributed")
+    folder, study = tmp_path_factory.mktemp("worker"), cohort("specimens/*")
+    here = run("cohort", study, Settings())
+    with (
+        start_scheduler(folder) as (address, _),
+        start_worker(address, folder=folder),
+        connect(address) as pool,
+    ):
+        found = run("cohort", study, Settings(pool=pool))
+    assert list(folder.iterdir()) == []
+    assert len(found.frames["failures"]) == 1
+    for name, frame in here.frames.items():
+        pd.testing.assert_frame_equal(found.frames[name], frame, check_exact=True)
+    assert found.run == here.run
+
+
+def test_datasets_are_read_one_by_one_as_they_are_sent(project, monkeypatch):
+    """A pool of another machine, in whose folder is nothing; memory would grow if all were read at first."""
+    for name in ("d", "e"):
+        shutil.copytree("specimens/b", f"specimens/{name}")
+    read_files, away = [], project / "away"
+    away.mkdir()
+
+    def refuse(file):
+        read_files.append(file)
+        raise DataError("of another kind", where=str(file))
+
+    class SendingPool:
+        remote = True
+
+        def run(self, work, items, stop):
+            for n, item in enumerate(items):
+                data = pickle.dumps(item)
+                assert len(read_files) == n + 1
+                os.chdir(away)
+                yield n, work(pickle.loads(data))
+                os.chdir(project)
+
+    monkeypatch.setattr(cohort_run, "read", refuse)
+    with pytest.raises(ConfigError) as caught:
+        run("cohort", cohort("specimens/[bde]"), Settings(pool=SendingPool()))
+    assert "specimens/b" in caught.value.expected and len(read_files) == 3
+
+
+def test_a_dataset_that_is_listed_twice_by_its_content_is_a_warning(project):
+    shutil.copytree("specimens/a", "specimens/again")
+    stopped = Settings(stop=lambda: True)
+    (warning,) = run("cohort", cohort("specimens/*"), stopped).run["warnings"]
+    assert warning["kind"] == "same_dataset" and "specimens/again" in warning["what"]
+    assert run("cohort", cohort("specimens/a"), stopped).run["warnings"] == []
+
+
+def test_files_elsewhere_that_a_dataset_names_count_for_its_digest(project):
+    shutil.copytree("specimens/b", "specimens/outside")
+    Path("specimens/b/dataset.toml").write_text('root = "../outside"', encoding="utf-8")
+    before = digest_folders(Path("specimens/b/dataset.toml"))
+    Path("specimens/outside/insertions.csv").write_text("id", encoding="utf-8")
+    assert digest_folders(Path("specimens/b/dataset.toml")) != before
+
+
+def _edit(name, text, other):
+    file = Path(f"configs/{name}.toml")
+    file.write_text(file.read_text(encoding="utf-8").replace(text, other), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda settings: _edit("recipes/few", "starts = 1", "starts = 2"),
+        lambda settings: _edit("media/meat", "layers = 1", 'layers = 1\nnote = "another"'),
+        lambda settings: replace(settings, seed=5),
+    ],
+    ids=["recipe", "medium", "seed"],
+)
+def test_a_resume_with_other_inputs_is_refused(project, change):
+    Path("configs/media").mkdir()
+    shutil.copy(find_file("medium", "chicken"), "configs/media/meat.toml")
+    study = cohort("specimens/a").model_copy(update={"medium": "meat"})
+    settings = Settings(checkpoint=project / "partial", stop=lambda: True)
+    assert run("cohort", study, settings).interrupted
+    settings = replace(settings, resume=True)
+    assert run("cohort", study, settings).interrupted
+    with pytest.raises(ConfigError):
+        run("cohort", study, change(settings) or settings)

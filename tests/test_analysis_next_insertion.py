@@ -11,7 +11,12 @@ from needlefit.studies.kinds.next_insertion import run
 from needlefit.studies.kinds.next_insertion.report import summarize
 from needlefit.studies.kinds.next_insertion.schema import CandidateEntryRecord, NextInsertionRecord
 from needlefit.studies.kinds.plan import candidates
-from needlefit.studies.kinds.plan.candidates import find_template, frame_of, predict_candidate
+from needlefit.studies.kinds.plan.candidates import (
+    WeightedPosterior,
+    find_template,
+    frame_of,
+    predict_candidate,
+)
 from needlefit.studies.report import write_run
 
 CHICKEN = {
@@ -68,6 +73,19 @@ def test_layers_are_those_listed_or_those_of_the_surfaces_on_the_planned_path():
 def test_an_entry_lists_all_of_its_layers(entry, fault):
     with pytest.raises(ValueError, match=fault):
         CandidateEntryRecord.model_validate(entry)
+
+
+@pytest.mark.parametrize("ids", [["chicken-01"], ["chicken-01", "chicken-02", "chicken-03", "chicken-04"]])
+def test_the_mean_bevel_of_all_needles_is_less_known_than_that_of_some(ids):
+    record = NextInsertionRecord.model_validate({**CHICKEN, "tune": {"insertions": ids}})
+    job = prepare("deeper", record.tuning(), Settings())
+    problem = job.problem(job.folds[0])
+    theta = problem.parameters.theta({"mu1_pa": 2e3, "bevel_mm": 0.3, "bevel_spread": 0.1})
+    known = WeightedPosterior(problem, None, np.tile(theta, (4000, 1)), np.full(4000, 1 / 4000), 0.1)
+    factors = np.exp(run.refer_to_all_needles(known, np.random.default_rng(1)).thetas - theta)
+    sds = dict(zip(problem.names, factors.std(axis=0), strict=True))
+    assert sds["bevel_mm"] == pytest.approx(0.1 / np.sqrt(len(ids)), rel=0.05)
+    assert sds["mu1_pa"] == sds["bevel_spread"] == 0
 
 
 def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all(tmp_path, monkeypatch):

@@ -215,7 +215,7 @@ def test_progress_is_quiet_unless_asked_for(capsys):
     assert capsys.readouterr() == ("", "")
     needlefit.fit("twin", "chicken", tune=TUNE, recipe=RECIPE, progress=True)
     out, err = capsys.readouterr()
-    assert not out and "1 of 1" in err
+    assert not out and "fitted: 1 of 2" in err
 
 
 def test_importing_the_package_loads_nothing_else():

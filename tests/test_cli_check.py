@@ -65,6 +65,17 @@ def test_an_algorithm_that_the_likelihood_has_no_derivatives_for_is_a_fault(tmp_
     assert "leastsquares" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("comparison_twin", "comparison"), ("study2", "cross-validation"), ("sensitivity", "sensitivity")],
+)
+def test_a_study_is_one_by_its_path_too(name, kind, capsys):
+    from needlefit.project.locate import find_file
+
+    assert run("check", str(find_file("study", name).resolve()), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["kind"] == kind
+
+
 def test_files_that_other_kinds_name_are_found(tmp_path, capsys):
     from needlefit.project.locate import find_file
 

@@ -6,6 +6,7 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -13,8 +14,11 @@ from light_runs import blank_figures  # noqa: F401 - a fixture
 from made_again import assert_made_again
 from test_cli import run
 
+from needlefit.inference.identifiability.assessment import AGREEMENT
 from needlefit.inference.identifiability.information import KNOWN_BY_PRIOR
 from needlefit.studies import job
+from needlefit.studies.identification_tables import lay_out_identification
+from needlefit.studies.kinds.identification.report import describe_design
 
 FILES = {
     *(
@@ -65,6 +69,23 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     assert found.iloc[0]["combination"] in sentences and tied["combination"] not in sentences
     assert table.loc["bevel_spread", "sd_ratio"] == pytest.approx(1.0)
     assert json.loads((folder / "run.json").read_text())["values"]["mu1_pa"] == pytest.approx(5e4)
+
+
+def test_a_parameter_that_needs_an_assumption_states_it_in_table_and_sentence():
+    row = {
+        "stage": "design", "fold": "all", "parameter": "mu3_pa", "status": "free", "determined": False,
+        "note": "an assumption", "value": 2.2e5, "prior_sd": 3.0, "sd": 0.19, "sd_low": 0.19, "sd_high": 0.19,
+        "fisher_sd": 0.19, "sd_ratio": 0.06, "low": 1.5e5, "high": 3.2e5, "end_low": "closed",
+        "end_high": "closed", "tip_range_mm": None, "profile_verdict": "154 to 321 kPa (95 %)",
+    }  # fmt: skip
+    about = {"insertions": 1, "place": "here", "medium": {"thickness_mm": 40.0}}
+    for agreement, contrasted in ((AGREEMENT, False), ("the profile is 2 times wider below", True)):
+        frame = pd.DataFrame([row | {"agreement": agreement}])
+        found = SimpleNamespace(frames={"identify": frame, "directions": pd.DataFrame()}, run=about)
+        sentence = describe_design(found)[1]
+        assert "19 %" in sentence and "154 to 321 kPa" in sentence and "an assumption" in sentence
+        assert (" but " in sentence) is contrasted
+        assert "an assumption" in lay_out_identification(frame, expected=True).rows[0][-1]
 
 
 @pytest.mark.slow

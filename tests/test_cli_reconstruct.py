@@ -129,6 +129,7 @@ def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
     assert str(shipped_folder()) not in text and "/tmp" not in text  # no path of a machine
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("searched_once")
 def test_proposed_layers_stand_beside_the_stated_ones(tmp_path, capsys):
     out = tmp_path / "out"
@@ -184,6 +185,7 @@ def test_layers_take_all_words_up_to_the_next_option_and_dicom_is_read_alike(tmp
     assert output["scans"][0]["depth_mm"] == pytest.approx(25.0, abs=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("searched_once")
 def test_a_scan_without_markers_defines_its_own_world_frame(tmp_path, capsys):
     assert run("reconstruct", VOLUME, "--out", tmp_path / "out", "-q") == 0
@@ -416,9 +418,9 @@ def short_needle(folder):
         (two_markers, "2 markers"),
         (mirrored_markers, "mirror"),
         (wrong_markers, "pairing"),
-        (ras_as_lps, r"fiducials\.mrk\.json: .*RAS"),
-        (two_series, "--series"),
-        (short_needle, r"sample\.nrrd: gives no insertion.*20 mm long"),
+        pytest.param(ras_as_lps, r"fiducials\.mrk\.json: .*RAS", marks=pytest.mark.slow),
+        pytest.param(two_series, "--series", marks=pytest.mark.slow),
+        pytest.param(short_needle, r"sample\.nrrd: gives no insertion.*20 mm long", marks=pytest.mark.slow),
         (holes, "hole"),
         (truncated, "cut short|shorter|ends"),
         (not_finite, "90 voxels"),
@@ -467,6 +469,7 @@ def test_every_refused_scan_that_can_be_read_has_a_page(spoil, tmp_path):
     assert (tmp_path / "out.refused" / "quality" / "sample.pdf").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("searched_once")
 def test_the_pages_of_an_earlier_refusal_go_when_the_scan_is_written(tmp_path):
     out, refused = tmp_path / "out", tmp_path / "out.refused"
@@ -615,6 +618,7 @@ def test_an_invalid_frame_is_refused(tmp_path, capsys):
     assert "'world', 'scan'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("child_process_reader")
 def test_libraries_print_nothing_beside_the_error(tmp_path, capfd):
     for path in (truncated(tmp_path)[0], no_decoder(tmp_path)[0]):

@@ -72,6 +72,16 @@ def test_layers_are_numbered_from_1(capsys):
     assert "numbered from 1" in capsys.readouterr().err
 
 
+def test_an_empty_value_removes_a_key_and_with_it_the_law_is_switched(capsys):
+    path_angle = ("--set", "rules.advance=path_angle", "--set", "bevel.cut_angle_deg=5")
+    assert run("simulate", "phantom1", *path_angle) == 3
+    assert "bevel.offset_mm" in capsys.readouterr().err
+    found = answer(capsys, "phantom1", *path_angle, "--set", "bevel.offset_mm=")
+    assert found["converged"] and abs(found["deflection_mm"]) > 1
+    needed = run("simulate", "phantom1", "--set", "bevel.offset_mm=")
+    assert needed == 3 and "bevel.offset_mm" in capsys.readouterr().err
+
+
 def test_an_unknown_key_lists_the_nearest(capsys):
     assert run("simulate", "phantom1", "--set", "bevel.ofset_mm=0.1") == 3
     assert "bevel.offset_mm" in capsys.readouterr().err

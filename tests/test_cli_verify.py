@@ -185,7 +185,7 @@ def test_files_of_the_user_are_not_replaced(table, tmp_path, capsys):
     assert "is not replaced" in capsys.readouterr().err
 
 
-def test_the_report_states_failed_rows_and_the_command(table, tmp_path, capsys):
+def test_the_report_states_failed_checks_and_the_run_its_seed(table, tmp_path, capsys):
     table(*GOOD, BAD)
     assert run("verify", "--out", str(tmp_path)) == 6
     pdf = tmp_path / "verification" / "report.pdf"
@@ -193,4 +193,5 @@ def test_the_report_states_failed_rows_and_the_command(table, tmp_path, capsys):
         text = subprocess.run(["pdftotext", str(pdf), "-"], capture_output=True, text=True, check=True).stdout
     except FileNotFoundError:
         pytest.skip("no pdftotext")
-    assert "1 of 3 rows FAIL" in text and "A mirror" in text and "needlefit verify --seed 1" in text
+    assert "1 of 3 checks FAIL" in text and "A mirror" in text
+    assert json.loads((pdf.parent / "run.json").read_text())["study"]["seed"] == 1

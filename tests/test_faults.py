@@ -28,9 +28,8 @@ def wrong(name, count, seed, server, folder):
     return {(*fault, prepared.steps[fault[1] - 1]): why for fault, why in found.items() if why}
 
 
-@pytest.mark.parametrize(
-    ("name", "count"), [pytest.param("reconstruct", 4, marks=pytest.mark.slow), ("analysis", 1)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "count"), [("reconstruct", 4), ("analysis", 1)])
 def test_a_fault_loses_nothing(name, count, server, tmp_path):
     assert wrong(name, count, 1, server, tmp_path / "f") == {}
 

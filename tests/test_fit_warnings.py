@@ -111,7 +111,8 @@ LIKE = [0.26, 0.20, 0.28, 0.22, 0.25]
         ("validate", NEAR, 0.5, 1),
         ("validate", LIKE, 0.0, 0),
         ("tune", NEAR, 0.05, 1),
-        ("tune", NEAR, 0.5, 0),
+        ("tune", NEAR, 0.5, 1),
+        ("tune", LIKE, 0.0, 0),
         ("tune", NEAR, np.nan, 1),
         ("tune", FAR, 0.01, 0),
         ("tune", NEAR[:1], 0.05, 1),
@@ -126,6 +127,8 @@ def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):
     found = list(baseline_warnings(scored(role, errors, floor)))
     assert [one.kind for one in found] == ["worse_than_baseline"] * count
     assert all("constant curvature" in one.what for one in found)
+    below = role == "tune" and floor > FAR[0]
+    assert all(("noise floor" in one.fix) is below for one in found)
 
 
 @pytest.mark.parametrize(
@@ -236,6 +239,32 @@ def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, ca
     assert err.count("needlefit: warning: ") == len(warnings) and "data/insertions.csv:2" in err
 
 
+HELD_OUT = """
+schema = 2
+dataset = "./data"
+medium = "./gel.toml"
+recipe = "./fast.toml"
+validate = [{ insertions = ["c", "d", "e"] }]
+[tune]
+insertions = ["a", "b"]
+"""
+
+
+@pytest.mark.slow
+def test_every_warning_that_a_study_prints_is_in_run_json(flipped, capsys):
+    rows = [row(name, "gel", layers=1, bevel=np.array([0, 1.0, 0])) for name in "abcde"]
+    bent = CURVE * [1, 3, 1]
+    curves = dict.fromkeys("ab", CURVE) | dict.fromkeys("cde", bent)
+    tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
+    write_dataset(flipped / "other", tables, rows, curves, {})
+    (flipped / "study.toml").write_text(HELD_OUT.replace("./data", "./other"))
+    assert run("validate", "./study.toml", "-q") == 0
+    printed = re.findall(r"needlefit explain ([\w-]+)", capsys.readouterr().err)
+    warnings = json.loads((flipped / "reports/study/run.json").read_text())["warnings"]
+    assert sorted(printed) == sorted(one["kind"].replace("_", "-") for one in warnings)
+    assert "wide_intervals" in {one["kind"] for one in warnings}
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "place"),
     [
@@ -245,6 +274,7 @@ def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, ca
         ("gel.toml", "alpha1", "alpha2", "gel.toml:6"),
         ("gel.toml", "mu1_pa", "mu2_pa", "gel.toml:5"),
         ("gel.toml", "{ fixed = 1.0 }", '{ tie = "mu1_pa" }', "gel.toml:6"),
+        ("gel.toml", "{ fixed = 1.0 }", '{ tie = "mu1" }', "gel.toml:6"),
         ("gel.toml", "[1e3, 1e9]", "[-1, 1e9]", "gel.toml:5"),
     ],
 )

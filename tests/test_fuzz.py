@@ -10,7 +10,7 @@ from fuzzing.readers import BROKEN, READERS
 from fuzzing.worker import MAX_MIB, MAX_SECONDS, write_case
 
 SEED = 1
-FURTHER = 10
+FURTHER = 20
 """How many times the mutants of a default test a slow one reads."""
 
 

@@ -92,6 +92,7 @@ def plain(reconstruction):
     return encode(reconstruction, batch._HOOKS, arrays), {name: one.tobytes() for name, one in arrays.items()}
 
 
+@pytest.mark.slow
 def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample, tmp_path):
     gone = replace(sample, id="gone", volume=tmp_path / "x.nrrd")
     here = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch())

@@ -60,7 +60,10 @@ def test_balls_are_found_where_they_are(plain):
     assert (found.sd < 0.05).all()
 
 
-@pytest.mark.parametrize(("stated", "warned"), [(3.0, False), (3.3, True), (3.7, True)])
+@pytest.mark.parametrize(
+    ("stated", "warned"),
+    [(3.0, False), *(pytest.param(stated, True, marks=pytest.mark.slow) for stated in (3.3, 3.7))],
+)
 def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, stated, warned):
     found = find_markers(plain, recipe(markers={"diameter_mm": stated}), needle_of(plain))
     assert off(found).max() < 0.03
@@ -163,6 +166,7 @@ def test_balls_of_another_size_are_none(plain):
     assert len(find_markers(with_balls(radius=0.8), RECIPE).centers) == 0
 
 
+@pytest.mark.slow
 def test_what_is_no_ball_is_listed_with_its_misfit(plain):
     larger = recipe(markers={"diameter_mm": 4.0})
     none = find_markers(plain, larger, needle_of(plain))

@@ -114,7 +114,9 @@ def test_uncertain_depths_are_approached_as_stated_and_a_metric_by_plain_squares
     )
     assert certain.approach("posterior") is None
     assert uncertain.approach("posterior") is None  # for no deviation of a depth is stated
-    assert problem(medium(), [made], LikelihoodRecord()).approach("posterior").likelihood.bevel_spread == 0
+    assert problem(medium(), [made], LikelihoodRecord()).approach("posterior") is None  # b is its own bevel
+    bevels = problem(medium(), [made, replace(made, id="other")], LikelihoodRecord())
+    assert bevels.approach("posterior").likelihood.bevel_spread == 0
     doubtful = problem(medium(), [replace(made, boundary_sd=0.1)], plain)
     assert doubtful.approach("posterior").likelihood.depths == "fixed"
     plain = doubtful.approach("metric")
@@ -125,6 +127,7 @@ def test_uncertain_depths_are_approached_as_stated_and_a_metric_by_plain_squares
     assert np.corrcoef(off[1:], residuals[1:])[0, 1] > 0.95
 
 
+@pytest.mark.slow
 def test_the_metric_ends_where_it_does_without_approach():
     task = two_layers()
     search = squares_recipe(minimize="metric", algorithm="slsqp", starts=4, evaluations=400)

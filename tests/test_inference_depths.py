@@ -69,6 +69,7 @@ def test_quadrature_gives_the_integral_over_all_depths(name):
     assert marginal(name, "quadrature") == pytest.approx(brute_force(name), abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["phantom2-05", "phantom2-06"])
 def test_a_linear_effect_is_farther_from_the_integral_than_quadrature(name):
     """Why quadrature exists: the linear likelihood is off by more than 0.2 there."""

@@ -19,6 +19,7 @@ from needlefit.inference.likelihood.marginal import (
     mixing_matrices,
 )
 from needlefit.inference.likelihood.nodes import (
+    BEVEL,
     NODE_POSITIONS_SD,
     ErrorAxis,
     Nodes,
@@ -28,6 +29,7 @@ from needlefit.inference.likelihood.nodes import (
 )
 from needlefit.inference.likelihood.observation import points_covariance
 from needlefit.inference.likelihood.quadrature import MAX_AXES, log_means, make_rule, make_table_axes
+from needlefit.inference.prior import make_gaussian_prior
 from needlefit.schemas.recipe import LikelihoodRecord
 
 LINE = np.linspace(0.0, 40.0, 41)
@@ -297,11 +299,59 @@ def test_what_insertions_share_and_what_each_has_are_the_gaussian_of_their_covar
     assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9 if depths == "linear" else 5e-3)
 
 
+def centred_case(bevels, seed=7):
+    """The three insertions with the named bevels, whose deviations sum to zero, and the exact covariance."""
+    made, whites, parts = linear_case("linear", seed)
+    made = tuple(one.share_bevel((name, 0)) for one, name in zip(made, bevels, strict=True))
+    same = np.equal.outer(bevels, bevels).astype(float)
+    apart = same - 1 / len(set(bevels)) - np.eye(3)  # what `exact_covariance` has is independent
+    more = np.einsum("ij,ir,js->irjs", SPREAD**2 * apart, parts[2], parts[2]).reshape(18, 18)
+    return made, whites, exact_covariance(parts, 1.3) + more, parts[0].ravel()
+
+
+@pytest.mark.parametrize("bevels", [("a", "b", "c"), ("a", "b", "b"), ("a", "a", "a")])
+def test_deviations_of_bevels_that_sum_to_zero_have_the_density_of_their_covariance(bevels):
+    made, whites, covariance, first = centred_case(bevels)
+    ((members, group),) = group_nodes(made, centred=True)
+    assert members == (0, 1, 2) and sum(surface[1] == BEVEL for surface in group.surfaces) == len(set(bevels))
+    got = log_marginals([white[None] for white in whites], group, np.array([1.3]), np.array([SPREAD]))[0]
+    exact = multivariate_normal(cov=covariance).logpdf(first)
+    assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9)
+    residuals, log_det = linear_residuals(whites, group, 1.3, SPREAD)
+    assert -0.5 * (residuals @ residuals + log_det) - 18 * math.log(1.3) == pytest.approx(got, abs=1e-9)
+
+
+def test_a_bevel_that_all_insertions_share_cannot_stand_in_for_b():
+    """A curve that b bends too little in every insertion is no deviation of their bevels."""
+    made, whites, _, _ = centred_case(("a", "b", "c"))
+    for white in whites:
+        white[:7] += 10 * (white[6] - white[5])  # all nodes, by the difference of the bevel's two
+    density = {}
+    for centred in (False, True):
+        groups = group_nodes(made, centred)
+        density[centred] = sum(
+            log_marginals([whites[k][None] for k in members], group, np.ones(1), np.ones(1))[0]
+            for members, group in groups
+        )
+    assert density[True] < density[False] - 3
+
+
+@pytest.mark.parametrize("centred", [False, True])
+def test_the_mixing_of_bevels_is_the_densitys_derivative(centred):
+    made, whites, _, _ = centred_case(("a", "b", "b"), seed=8)
+    (members, group), *_ = group_nodes(made, centred)
+    assert_mixing([whites[k] for k in members], group)
+
+
 @pytest.mark.parametrize("depths", ["linear", "quadrature"])
 def test_the_mixing_of_a_group_is_the_densitys_derivative_by_residuals_and_spread(depths):
     made, whites, _ = linear_case(depths, seed=8)
     (members, group), _ = group_nodes(made)
-    chosen = [whites[k] for k in members]
+    assert_mixing([whites[k] for k in members], group)
+
+
+def assert_mixing(chosen, group):
+    """The matrices M are the density's derivatives by residuals (m, R), and by the spread."""
     rng = np.random.default_rng(9)
     steps = [rng.normal(size=white.shape) for white in chosen]
 
@@ -332,6 +382,20 @@ def test_bevels_that_differ_have_exact_gradients_and_residuals(depths, noise_sca
         assert sum(p.density.residual_counts) == len(found) - 2  # the normalising one, the spread's prior
 
 
+def test_a_gaussian_prior_of_the_bevel_spread_has_exact_gradients_and_residuals():
+    """As an old posterior states it: in place of the half-normal one."""
+    made = [replace(one, specimen="one") for one in layered("linear").insertions]
+    p = problem(medium(), made, how=LikelihoodRecord(depths="linear"), noise=Noise(0.19, 0.02, 0.05, 5.0))
+    prior = make_gaussian_prior(("bevel_spread",), np.log([0.1]), np.array([[0.25]]))
+    p = p.with_parameters(replace(p.parameters, prior=prior, half_normal={}))
+    theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
+    gradient = assert_exact_gradient(p, theta, rel=1e-9)
+    found, exact = p.jacobian(theta)
+    assert p.residuals(theta) == pytest.approx(found, rel=1e-9, abs=1e-9)
+    assert -(found @ exact) == pytest.approx(gradient, rel=1e-6, abs=1e-6)
+    assert sum(p.density.residual_counts) == len(found) - 2  # the normalising one, the Gaussian prior
+
+
 def test_a_bevel_spread_that_is_held_stays_in_the_residuals():
     """Depths fixed: the log det then varies with the bevel's effect alone."""
     made = [replace(one, boundary_sd=0.0, depth_sd=0.0) for one in layered("fixed").insertions]
@@ -340,7 +404,7 @@ def test_a_bevel_spread_that_is_held_stays_in_the_residuals():
     p = p.with_parameters(p.parameters.with_only(free, {"bevel_spread": 0.3}))
     theta = p.parameters.theta(TRUTH) + 0.05
     found, exact = p.jacobian(theta)
-    assert len(p.density.observations[0].nodes.effects) == 1
+    assert [axis.of_bevel for axis in p.density.observations[0].nodes.axes] == [True]
     assert p.residuals(theta) == pytest.approx(found, rel=1e-9, abs=1e-9)
     assert -(found @ exact) == pytest.approx(p.gradient(theta)[1], rel=1e-6, abs=1e-6)
     assert sum(p.density.residual_counts) == len(found) - 1

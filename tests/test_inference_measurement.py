@@ -15,6 +15,7 @@ from needlefit.geometry.smoothing_spline import (
     SplineSections,
     design_matrix,
     draw_spline,
+    find_least_spacing,
     fit_matrices,
     free_end_basis,
     make_knots,
@@ -85,6 +86,15 @@ def test_the_fit_reproduces_splines_and_leaves_out_what_nothing_reaches():
     coefficients = np.random.default_rng(2).normal(size=fit.reached.sum())
     values = design_matrix(q, knots)[:, fit.reached] @ coefficients
     assert_allclose(fit.operator @ values, coefficients, atol=1e-9)
+
+
+@pytest.mark.parametrize("length", [37.4, 37.6, 52.0, 61.21, 5.0])
+def test_dense_points_determine_a_spline_of_the_stated_spacing(length):
+    assert find_least_spacing(np.arange(0.0, length, 0.5), 15.0) == 15.0
+
+
+def test_six_points_18_mm_apart_need_knots_30_mm_apart():
+    assert find_least_spacing(np.arange(0.0, 91.0, 18.0), 6.0) == pytest.approx(30.0)
 
 
 def test_smoothing_moves_points_but_not_residuals(scanned):
@@ -226,6 +236,16 @@ def test_knots_closer_than_points_are_refused_with_the_least_spacing(tmp_path, s
     assert all(np.isfinite(make_observation(dataset, one).whitening).all() for one in dataset.insertions)
     file.write_text(text.replace(f"knot_spacing_mm = {spacing}", f"knot_spacing_mm = {0.8 * least}"))
     assert len(check(file)) == 1
+
+
+def test_a_gaussian_wider_than_a_quarter_of_the_shortest_needle_is_refused(tmp_path):
+    file = with_measurement(tmp_path / "n", 'operator = "gaussian"\nwidth_mm = 40')
+    (fault,) = check(file)
+    assert f"{file}:" in fault.where
+    most = fault.expected.split()[-1]
+    file.write_text(file.read_text().replace("width_mm = 40", f"width_mm = {most}"))
+    lengths = [np.ptp(arc_length(one.planar)) for one in read(file).insertions]
+    assert float(most) == pytest.approx(min(lengths) / 4, rel=0.05)
 
 
 @pytest.mark.parametrize("key", ["heading_sd_deg", "slope_sd_deg"])

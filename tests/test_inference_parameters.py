@@ -52,7 +52,7 @@ def test_a_spread_of_a_tie_is_a_factor_of_at_most_100(spread):
 @pytest.mark.parametrize(
     ("changed", "fault"),
     [
-        ({"mu1_pa": {"tie": "mu9_pa"}}, "has not"),
+        ({"mu1_pa": {"tie": "mu9_pa"}}, "tied to `mu9_pa`, which is no parameter"),
         ({"mu1_pa": {"tie": "stiffness"}}, "`stiffness`"),
         ({"mu1_pa": {"tie": "mu2_pa"}, "mu2_pa": {"tie": "mu1_pa", "spread": 1}}, "circle"),
         ({"mu1_pa": {"tie": "mu1_pa", "spread": 1}}, "circle"),

@@ -138,6 +138,7 @@ def test_tips_lie_in_the_reachable_region() -> None:
     assert plan_steering(uncertain(), beyond, limits, threads=1).probability < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [0.0, 20.0])
 def test_the_reachable_region_ends_where_plans_end(depth) -> None:
     there = replace(insertion(), path=(replace(insertion().now, depth=depth),))

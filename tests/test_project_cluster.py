@@ -1,8 +1,12 @@
 """Tasks on the workers of a Dask cluster: real schedulers and workers, each a process of this machine."""
 
+import gc
+import logging
 import os
 import signal
+import threading
 import time
+import warnings
 from functools import partial
 
 import pytest
@@ -51,6 +55,18 @@ def test_a_worker_that_dies_costs_its_task_alone(address, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed"]
 
 
+def test_the_log_of_dask_is_silent_while_a_scheduler_is_connected(address):
+    """It prints a traceback where a connection is lost; what is wrong is our error."""
+    log, handler = logging.getLogger("distributed"), logging.StreamHandler()
+    log.addHandler(handler)
+    try:
+        with connect(address):
+            assert handler.level == logging.CRITICAL
+        assert handler.level == logging.NOTSET
+    finally:
+        log.removeHandler(handler)
+
+
 def test_a_stop_drops_what_runs(address):
     asked = []
 
@@ -79,6 +95,29 @@ def test_a_lost_scheduler_is_an_error(tmp_path):
         os.killpg(server.pid, signal.SIGKILL)
         with pytest.raises(ConfigError, match="scheduler"):
             list(results)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_lost_while_tasks_run_is_an_error_that_names_resume(tmp_path):
+    with start_scheduler(tmp_path) as (address, server), start_worker(address), connect(address) as pool:
+        pool.client.wait_for_workers(1)
+        killer = threading.Timer(1.0, os.killpg, (server.pid, signal.SIGKILL))
+        killer.start()
+        with pytest.raises(ConfigError) as caught:
+            list(pool.run(nap, [30.0] * 3))
+        killer.join()
+    assert "--resume" in caught.value.fix
+
+
+@pytest.mark.slow
+def test_the_workers_are_counted_at_most_once_a_second_and_all_of_them(address):
+    with connect(address) as pool:
+        counted, find = [], pool.client.nthreads
+        pool.client.nthreads = lambda: counted.append(time.monotonic()) or find()
+        assert pool.size == 2
+        begin = time.monotonic()
+        assert list(run_in_order(square, list(range(60)), pool)) == [n**2 for n in range(60)]
+        assert len(counted) <= 3 + (time.monotonic() - begin)
 
 
 def test_work_without_workers_waits_with_one_note(tmp_path):
@@ -156,3 +195,67 @@ def test_the_slurm_job_has_what_the_file_states(tmp_path):
     lines = {"#SBATCH -p short", "#SBATCH -t 01:30:00", "#SBATCH --cpus-per-task=4", "module load python"}
     assert lines <= set(script.splitlines())
     assert "--nworkers 4" in script and "tls://" in script
+
+
+SLURM = """\
+schema = 1
+jobs = 1
+cores = 1
+memory = "2GB"
+interface = "lo"
+shared_temp_directory = "{folder}"
+"""
+ACCEPTS = """\
+#!/bin/sh
+cp "$1" {folder}/job.sh
+setsid sh {folder}/job.sh >/dev/null 2>&1 &
+echo $! > {folder}/job
+echo "Submitted batch job $!"
+"""
+CANCELS = """\
+#!/bin/sh
+kill -9 -- -"$1"
+echo "$1" > {folder}/cancelled
+"""
+REJECTS = """\
+#!/bin/sh
+echo "sbatch: error: invalid account" >&2
+exit 1
+"""
+
+
+@pytest.fixture
+def slurm(tmp_path, monkeypatch):
+    """Return what writes the commands of Slurm, as scripts, and names the file that describes the jobs."""
+    (tmp_path / "bin").mkdir()
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
+    (tmp_path / "cluster.toml").write_text(SLURM.format(folder=tmp_path), encoding="utf-8")
+
+    def write(**commands):
+        for name, text in commands.items():
+            (tmp_path / "bin" / name).write_text(text.format(folder=tmp_path), encoding="utf-8")
+            (tmp_path / "bin" / name).chmod(0o755)
+        return f"slurm:{tmp_path / 'cluster.toml'}"
+
+    yield write
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # dask-jobqueue leaves its files of keys open
+        gc.collect()
+
+
+def test_slurm_without_its_command_is_an_error(slurm):
+    with pytest.raises(ConfigError, match="sbatch"), connect(slurm()):
+        pass
+
+
+@pytest.mark.slow
+def test_a_job_that_slurm_rejects_is_an_error_with_its_reason(slurm):
+    with pytest.raises(ConfigError, match="invalid account"), connect(slurm(sbatch=REJECTS, scancel=CANCELS)):
+        pass
+
+
+@pytest.mark.slow
+def test_a_job_that_slurm_starts_runs_tasks_and_is_cancelled(slurm, tmp_path):
+    with connect(slurm(sbatch=ACCEPTS, scancel=CANCELS)) as pool:
+        assert list(pool.run(square, [3.0])) == [(0, 9.0)]
+    assert (tmp_path / "cancelled").read_text() == (tmp_path / "job").read_text()

@@ -4,13 +4,15 @@ import pytest
 from pydantic import ValidationError
 
 from needlefit.project.load import schema_faults
+from needlefit.schemas.dataset import MeasurementRecord
+from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 
 
-def faults(**table):
+def faults(record=RecipeRecord, **table):
     with pytest.raises(ValidationError) as caught:
-        RecipeRecord.model_validate({"schema": 1, **table})
-    return schema_faults(caught.value, RecipeRecord)
+        record.model_validate(table if record is MeasurementRecord else {"schema": 1, **table})
+    return schema_faults(caught.value, record)
 
 
 @pytest.mark.parametrize(
@@ -32,3 +34,17 @@ def test_two_wrong_keys_are_two_faults():
         "starts",
         "likelihood.depths",
     ]
+
+
+@pytest.mark.parametrize("name", ["mu3_pa", "mu3"])
+@pytest.mark.parametrize("parameter", [{"as": "mu1", "spread": 1.2}, {"spread": 1.2}])
+def test_a_parameter_that_states_nothing_known_names_its_forms(name, parameter):
+    for fault in faults(MediumRecord, layers=3, parameters={name: parameter}):
+        assert fault.key.startswith(f"parameters.{name}") and f"parameters.{name}" in fault.fix
+        assert 'tie = "mu1_pa", spread = 1.2' in fault.expected
+
+
+@pytest.mark.parametrize("operator", ["gaussian", "spline", "unknown"])
+def test_an_operator_without_its_keys_names_them(operator):
+    (fault,) = faults(MeasurementRecord, operator=operator)
+    assert operator in fault.what and operator in fault.expected and fault.fix

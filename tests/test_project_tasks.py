@@ -9,7 +9,7 @@ import pytest
 from inference_cases import squares_recipe, two_layers
 
 from needlefit.errors import ConfigError
-from needlefit.inference.fit import Callbacks
+from needlefit.inference.fit import Callbacks, Start
 from needlefit.inference.identifiability.parameter_profiles import profile_parameters
 from needlefit.inference.optimize import minimize
 from needlefit.project import tasks
@@ -77,9 +77,10 @@ def test_a_part_that_is_stopped_returns_what_it_has(pool):
 
 
 def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(pool, long):
-    problem, search = two_layers(count=2), squares_recipe(starts=5, algorithm="praxis", evaluations=20_000)
-    begun = time.monotonic()
-    callbacks = Callbacks(stop=lambda: time.monotonic() > begun + 1.0, pool=pool)
+    problem, search = two_layers(count=2), squares_recipe(starts=50, algorithm="praxis", evaluations=20_000)
+    ended: list[Start] = []
+    # once the first start has ended, the others are in the processes
+    callbacks = Callbacks(report=ended.append, stop=lambda: bool(ended), pool=pool)
     part = minimize(problem, search, random_stream(1, "starts"), callbacks)
     assert part.interrupted and math.isfinite(part.objective)
 
@@ -91,6 +92,7 @@ def test_profiles_in_processes_have_the_same_bytes(pool, long):
     assert len(found[0].parameters) >= 3 and repr(found[0]) == repr(found[1])
 
 
+@pytest.mark.slow
 def test_a_search_on_a_cluster_has_the_same_bytes(tmp_path, long):
     pytest.importorskip("distributed")
     problem, search = two_layers(count=2), squares_recipe(starts=4, evaluations=60)

@@ -61,6 +61,32 @@ def test_the_methods_paragraph_describes_this_run():
     assert re.search(r"BOBYQA\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
 
 
+@pytest.mark.parametrize(
+    ("operator", "likelihood", "words"),
+    [
+        ("spline", {}, "coefficients"),
+        ("spline", {"measurement": "points"}, "as they are"),
+        ("spline", {"noise": "independent"}, "as they are"),
+        ("gaussian", {}, "smoothed"),
+        ("unknown", {}, "bias"),
+    ],
+)
+def test_the_methods_paragraph_names_the_operator_and_what_insertions_share(operator, likelihood, words):
+    data = {"measurement": {"operator": operator, "description": "MEASURED"}, "boundary_shared_sd_mm": [0.07]}
+    recipe = RECIPE | {"likelihood": RECIPE["likelihood"] | likelihood}
+    plain, text = (format_methods_text(run_of(recipe=recipe, **more)) for more in ({}, {"dataset": data}))
+    assert "MEASURED" in text and words in text and words not in plain
+    assert "0.07 mm" in text
+    fixed = recipe | {"likelihood": recipe["likelihood"] | {"depths": "fixed"}}
+    assert "0.07 mm" not in format_methods_text(run_of(recipe=fixed, dataset=data))
+
+
+def test_the_methods_paragraph_of_an_advance_by_the_path_angle_has_no_offset():
+    parameters = {"mu1_pa": FREE, "alpha1": FIXED, "cut_angle_deg": FREE}
+    text = format_methods_text(run_of(medium={"parameters": parameters}))
+    assert "θ" in text and "offset" not in text
+
+
 def test_methods_tex_names_synthetic_data_and_the_page_leaves_that_to_its_head():
     assert "synthetic" in format_methods_latex(run_of()) and "synthetic" not in format_methods_text(run_of())
 
@@ -105,7 +131,7 @@ def test_moduli_are_in_the_unit_of_the_tables():
         parameters = parameters.assign(**{name: parameters[name].astype(object).mask(chosen, value)})
     text = format_macros([results.with_frames(parameters=parameters)])
     found = dict(re.findall(r"^\\nf(?:num|text)\{[^}]*-(mu1[a-z-]*)\}\{(.*)\}$", text, re.M))
-    wanted = {"mu1": "250", "mu1-unit": "kPa", "mu1-low": "100", "mu1-high": "4000"}
+    wanted = {"mu1": "0.25", "mu1-unit": "MPa", "mu1-low": "0.1", "mu1-high": "4"}
     assert {key: words for key, words in found.items() if key in wanted} == wanted
 
 

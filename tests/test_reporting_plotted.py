@@ -102,6 +102,11 @@ def test_the_ridge_is_the_longest_axis_of_the_draws():
     text = posterior.describe_draws(made)
     assert "4000 importance draws" in text and "Pareto k 0.31" in text and "NOT CERTIFIED" not in text
     assert re.search(r"μ₁\^0\.5 · b [\w ]*1 %", text)
+    for source in ("importance", "posterior"):
+        draws = made.frames["draws"].assign(certified=False, draw_source=source)
+        text = posterior.describe_draws(made.with_frames(draws=draws))
+        assert ("--sample" in text) == (source == "importance") != ("sample.steps" in text)
+        assert re.search("NOT C(ERTIFI|ONVERG)ED", text) and "1 %" not in text
 
 
 def test_levels_are_counted_toward_the_bevel_and_by_needles():

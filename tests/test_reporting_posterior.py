@@ -5,10 +5,11 @@ import re
 
 import numpy as np
 import pytest
-from reporting_results import study
+from reporting_results import study, with_draws, with_predictions
 
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.reporting import labels
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.kinds.cross_validation.posterior import (
     describe_outside_fits,
@@ -81,6 +82,20 @@ def test_an_unconverged_posterior_is_flagged_in_every_output():
     assert warning in [block.get("text") for block in compose_run_report(loose, {}).blocks]
     fine = sampled(0.05, 0.15)
     assert describe_unconverged(fine) == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
+
+
+def test_captions_announce_bands_where_there_are_some(tmp_path):
+    drawn = {"overlays": tmp_path / "overlays.pdf"}
+    drawn["overlays"].write_bytes(b"/MediaBox [0 0 400 100]")
+    certified = with_draws(with_predictions(study(4)))
+    none = certified.frames["bands"].iloc[:0]
+    lost = certified.with_frames(bands=none, draws=certified.frames["draws"].assign(certified=False))
+    captions = []
+    for one in (certified, lost, certified.with_frames(bands=none)):
+        blocks = compose_run_report(one, drawn).blocks
+        (caption,) = (block["caption"] for block in blocks if block["kind"] == "figure")
+        captions.append([text in caption for text in (labels.BANDS_CAPTION, labels.NO_BANDS_CAPTION)])
+    assert captions == [[True, False], [False, True], [False, False]]
 
 
 def test_without_a_posterior_the_report_mentions_none():

@@ -10,7 +10,7 @@ import pytest
 from reporting_results import stereo, study
 
 from needlefit.errors import DataError
-from needlefit.reporting.interval_text import NO_INTERVAL
+from needlefit.reporting.interval_text import NO_INTERVAL, choose_interval_unit, typeset_interval
 from needlefit.reporting.latex import escape_latex, format_cell, format_latex
 from needlefit.reporting.number_format import (
     format_mm,
@@ -29,7 +29,9 @@ from needlefit.studies.kinds.cross_validation.detail_tables import (
     lay_out_parameters,
     lay_out_values,
 )
+from needlefit.studies.kinds.cross_validation.explanation import explain
 from needlefit.studies.kinds.cross_validation.parameter_table import (
+    CONDITIONAL,
     NOT_DETERMINED,
     arrange_parameters,
     find_undetermined,
@@ -42,6 +44,7 @@ from needlefit.studies.kinds.cross_validation.score_tables import (
 )
 from needlefit.studies.kinds.cross_validation.sentences import (
     describe_undetermined,
+    explain_errors,
     list_better_methods,
     summarize_baselines,
     summarize_errors,
@@ -144,6 +147,36 @@ def test_the_report_states_that_no_baseline_wins():
     both = one.with_frames(errors=pd.concat([one.frames["errors"], worse]))
     assert "straight line (+2.000 ± 1.000 mm" in summarize_baselines(both)
     assert list_better_methods(both) == ""
+
+
+def test_explained_errors_give_every_difference_once():
+    results = study(5)
+    table = compare_methods(results)
+    text = " ".join(explain_errors(results))
+    pairs = ((abs(row["difference_mm"]), row["difference_se_mm"]) for row in to_records(table[1:]))
+    assert max(text.count(f"{gap:.3f} ± {se:.3f}") for gap, se in pairs) == 1
+    assert "IPE" in text and "TE" in text
+
+
+def test_explained_sentences_that_differ_between_folds_name_their_fold():
+    results = stereo()
+    folds = ["without a", "without b", "without c"]
+    row = results.frames["parameters"].query("method == 'fitted'").iloc[0].to_dict()
+    row |= {"determined": False, "status": "free"}
+    shared = [row | {"fold": fold, "note": "not determined"} for fold in folds]
+    own = [one | {"parameter": "mu2_pa", "note": f"not determined {n}"} for n, one in enumerate(shared)]
+    direction = results.frames["directions"].iloc[0].to_dict() | {"sd_ratio": 0.1}
+    found = results.with_frames(
+        parameters=pd.DataFrame(shared + own),
+        directions=pd.DataFrame([direction | {"fold": fold, "note": fold} for fold in folds]),
+    )
+    sentences = explain(found)[1]
+    once = [one for one in sentences if one.endswith("not determined.")]
+    assert len(once) == 1 and not any(fold in once[0] for fold in folds)
+    for n, fold in enumerate(folds):
+        (named,) = (one for one in sentences if one.endswith(f"not determined {n}."))
+        assert fold in named
+        assert fold in sentences[sentences.index(f"  {fold}.") - 1]
 
 
 def test_a_better_parameter_set_of_the_paper_is_reported_with_its_difference():
@@ -392,6 +425,15 @@ def test_numbers_in_print():
     )
 
 
+def test_a_row_has_one_unit_which_fits_its_largest_printed_value():
+    row = {"parameter": "mu1_pa", "interval_low": 71.2e3, "interval_high": 14.4e6}
+    row |= {"bound_low": 1e3, "bound_high": 1e12}
+    label, unit = choose_interval_unit(row, 2e5)
+    assert (label, unit) == ("μ₁ (MPa)", 1e6) and typeset_interval(row, unit) == "0.0712 to 14.4"
+    loose = {**row, "bound_high": 1e7}  # the interval is not printed
+    assert choose_interval_unit(loose, 2e5) == ("μ₁ (kPa)", 1e3)
+
+
 def test_latex_is_booktabs_with_every_sign_escaped():
     page = format_latex(lay_out_validation([study(1)]), synthetic=True)
     body = page.split(r"\midrule")[1].split(r"\bottomrule")[0]
@@ -432,6 +474,10 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     wide = [{**folds[0], "interval_low": 1.1e-3, "interval_high": 0.9}, folds[1]]
     (cells,) = lay_out_values(results.with_frames(parameters=pd.DataFrame(wide))).rows
     assert cells[2] == NO_INTERVAL
+    assumed = [{**one, "determined": False, "condition": "an assumption"} for one in folds]
+    conditional = lay_out_values(results.with_frames(parameters=pd.DataFrame(assumed)))
+    assert CONDITIONAL in conditional.rows[0] and CONDITIONAL in conditional.caption
+    assert CONDITIONAL not in table.caption
 
 
 @pytest.mark.parametrize("value", [-0.0, -0.001])

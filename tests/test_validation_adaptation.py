@@ -1,14 +1,18 @@
 """What a new specimen costs: how it is counted, the prior of an old medium, and a medium that is not new."""
 
 import pickle
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from needlefit.errors import ConfigError
-from needlefit.inference.parameters import Parameters
+from needlefit.inference.parameters import (
+    BEVEL_SPREAD_BOUNDS,
+    Parameters,
+    choose_hyperparameters,
+    with_bevel_spread,
+)
 from needlefit.inference.problem import Problem
 from needlefit.inference.transferred_prior import (
     MIN_SPREAD,
@@ -112,8 +116,9 @@ def test_the_mixture_has_both_parts_of_an_old_posterior():
     thetas = centre + 0.1 * rng.standard_normal((1000, 2))
     thetas[:100, 0] += 6.0
     spread = {"mu1_pa": 0.3, "bevel_mm": 0.2}
-    prior = widen_posterior(parameters, parameters.values(centre), thetas, parameters, spread)
-    transferred = TransferredPrior.from_draws(parameters, thetas, replace(parameters, prior=prior), spread)
+    fit = parameters.values(centre)
+    transferred = TransferredPrior.from_draws(parameters, fit, thetas, parameters, spread)
+    prior = transferred.parameters.prior
     drawn = transferred.draw(4000, rng)
     assert np.mean(drawn[:, 0] > centre[0] + 3) == pytest.approx(0.1, abs=0.02)
     near = drawn[drawn[:, 0] < centre[0] + 3]
@@ -136,6 +141,23 @@ def test_the_mixture_has_both_parts_of_an_old_posterior():
 def _problem(parameters):
     one = measure(TRUTH, medium(layers=1), insertion(30.0), points=31)
     return Problem(dataset((one,)), (one,), medium(layers=1), parameters, squares_recipe().weights)
+
+
+def test_the_prior_of_a_bevel_spread_counts_once():
+    """Without data: draws of the half-normal prior of the old medium give the new one the same prior."""
+    parameters = with_bevel_spread(Parameters.from_record(medium(layers=1)), 0.2)
+    spreads = 0.2 * np.abs(np.random.default_rng(6).standard_normal(4000))
+    fit = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08, "bevel_spread": 0.2}
+    thetas = np.tile(parameters.theta(fit), (4000, 1))
+    thetas[:, -1] = np.log(np.maximum(spreads, 0.2 * BEVEL_SPREAD_BOUNDS[0]))
+    transferred = TransferredPrior.from_draws(parameters, fit, thetas, parameters, {})
+    problem = TransferProblem.of(_problem(transferred.parameters), transferred)
+    at = np.tile(parameters.theta(fit), (2, 1))
+    at[:, -1] = np.log([0.1, 0.4])
+    transferred_density, stated_density = (p.log_posteriors(at) for p in (problem, _problem(parameters)))
+    # smoothing the draws costs 0.1; the prior counted twice would add half of 2^2 - 0.5^2, less ln 4
+    assert np.diff(transferred_density) == pytest.approx(np.diff(stated_density), abs=0.2)
+    assert choose_hyperparameters(transferred.parameters)["bevel_spread"] == pytest.approx(0.2)
 
 
 def test_media_without_a_common_parameter_and_bounds_that_miss_the_old_fit_are_refused():

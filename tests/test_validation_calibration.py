@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
 from scipy.stats import norm
@@ -29,6 +30,7 @@ from needlefit.studies.kinds.calibration.rank_statistics import (
     tabulate_ecdfs,
 )
 from needlefit.studies.kinds.calibration.replicate import Experiment, replicate, simulate_experiment
+from needlefit.studies.kinds.calibration.run import average_tips
 from needlefit.studies.kinds.calibration.schema import CONTROLS
 
 ENOUGH = {"sigma": 80, "prior": 20, "pose": 10, "shuffled": 8}
@@ -62,6 +64,15 @@ def run(job: Job, count: int, **kind: object) -> dict[str, np.ndarray]:
 
 def failures(found: dict[str, np.ndarray]) -> list[str]:
     return find_failing(tabulate_coverage(found), tabulate_ecdfs(found))
+
+
+def test_tips_of_a_replicate_are_averaged():
+    ends = {"tip_50_low_mm": -1.0, "tip_50_high_mm": 1.0, "tip_95_low_mm": -3.0, "tip_95_high_mm": 3.0}
+    scores = {"tip_crps_mm": 0.5, "tip_interval_score_mm": 6.0, "tip_in_95": True}
+    rows = [{"replicate": k // 2, "tip_in_50": k == 0, **ends, **scores} for k in range(4)]
+    found = average_tips(pd.DataFrame(rows)).set_index("replicate")
+    assert found.loc[0, ["insertions", "tip_in_50", "tip_in_95"]].tolist() == [2, 0.5, 1]
+    assert found.loc[1, ["tip_in_50", *ends]].to_dict() == {"tip_in_50": 0.0, **ends}
 
 
 @pytest.mark.slow

@@ -180,17 +180,44 @@ def test_runs_of_different_kinds_are_not_compared(tmp_path):
         compare_runs(one, two)
 
 
+def tabulate_predictive(treatments, covered=1, width=2.0, crps=0.1):
+    frames = [
+        pd.DataFrame(
+            {
+                "fold": "all", "insertion": list("abcdefghij"), "specimen": "p", "medium": "m", "layers": 1,
+                "specimen_treatment": treatment, "quantity": "tip", "level": 0.95, "low_mm": -width / 2,
+                "high_mm": width / 2, "covered": [covered] * 3 + [1] * 7, "crps_mm": crps,
+            }
+        )
+        for treatment in treatments
+    ]  # fmt: skip
+    return pd.concat(frames, ignore_index=True)
+
+
 def test_predictions_of_one_insertion_in_two_ways_are_compared_each_with_its_own(first, tmp_path):
-    treatments = ["others", "training only"]
-    predictive = pd.DataFrame(
-        [("all", i, way, "tip", 0.95, 0.1) for way in treatments for i in "abcd"],
-        columns=["fold", "insertion", "specimen_treatment", "quantity", "level", "crps_mm"],
-    )
+    predictive = tabulate_predictive(["others", "training only"])
     second = write(tmp_path / "b")
     for folder in (first, second):
         predictive.to_csv(folder / "predictive.csv", index=False)
     assert compare_runs(first, second) == []
     worse = predictive["crps_mm"].where(predictive["specimen_treatment"] == "others", 0.5)
-    predictive.assign(crps_mm=worse + 0.001 * np.arange(8)).to_csv(second / "predictive.csv", index=False)
+    predictive.assign(crps_mm=worse + 0.001 * np.arange(20) * (worse > 0.1)).to_csv(
+        second / "predictive.csv", index=False
+    )
     (found,) = compare_runs(first, second)
-    assert found.matters and found.after > found.before
+    assert found.matters and found.after > found.before and "training only" in found.where
+
+
+def test_what_runs_predict_by_default_is_compared_by_coverage_and_width(first, tmp_path):
+    second = write(tmp_path / "b")
+    both = pd.concat(
+        [tabulate_predictive(["others"], width=2.0), tabulate_predictive(["training only"], 0, 1.2)]
+    )
+    both.to_csv(first / "predictive.csv", index=False)
+    tabulate_predictive(["training only"], 0, 1.2).to_csv(second / "predictive.csv", index=False)
+    covered, width = compare_runs(first, second)
+    assert (covered.before, covered.after, covered.matters) == (10, 7, True)
+    assert (width.before, width.after, width.matters) == (2.0, 1.2, True)
+    tabulate_predictive(["others"], width=2.05).to_csv(second / "predictive.csv", index=False)
+    (width,) = compare_runs(first, second)
+    assert not width.matters

@@ -1,6 +1,7 @@
 """Predictions of planned insertions: what draws and measurement make of them, and what is refused."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from made_again import assert_made_again
 from test_cli import run
 
 import needlefit
+from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.optimize import minimize
@@ -29,11 +31,12 @@ from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.prediction import run as prediction
-from needlefit.studies.kinds.prediction.forecast import forecast, tabulate_forecast
+from needlefit.studies.kinds.prediction.forecast import forecast, make_scene, tabulate_forecast
 from needlefit.studies.kinds.prediction.report import find_tip, lay_out_forecast
 from needlefit.studies.kinds.prediction.run import draw_parameters, require_same_configuration
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.provenance import describe_configuration
+from needlefit.studies.report import list_run_warnings
 
 SCENE = needlefit.open_scene("study2")
 
@@ -115,6 +118,85 @@ def test_an_impossible_prediction_is_refused(job):
         planned(job, [theta(job)], replace(SCENE, tissue=deep))
 
 
+def changed_scene(*assignments):
+    return scene_record("study2", None, list(assignments))[1]
+
+
+@pytest.mark.parametrize(
+    "assignments",
+    [
+        ("rules.constraint_spacing_mm=2",),
+        ("rules.tangent_part=0.5",),
+        ("rules.advance=path_angle", "bevel.offset_mm=", "bevel.cut_angle_deg=3"),
+        ("law=linear",),
+        ("layers.2.thickness_mm=20",),
+        ("layers.1.friction=0.1",),
+    ],
+)
+def test_a_scene_that_states_another_rule_than_the_fit_is_refused(job, assignments):
+    with pytest.raises(ConfigError) as error:
+        make_scene(changed_scene(*assignments), "scene", job.medium)
+    assert assignments[0].partition("=")[0] in error.value.what and error.value.fix
+
+
+@pytest.mark.parametrize("key", ["bevel.offset_mm", "layers.1.mu_pa", "layers.2.alpha"])
+def test_a_change_that_draws_would_replace_is_refused(job, key):
+    record = changed_scene(f"{key}=0.1")
+    make_scene(record, "scene", job.medium)
+    with pytest.raises(ConfigError, match=key):
+        make_scene(record, "scene", job.medium, [key])
+
+
+def test_a_step_with_a_bevel_of_its_own_is_refused(job):
+    steps = ({"depth_mm": 10.0}, {"depth_mm": 20.0, "offset_mm": 0.2})
+    table = changed_scene().model_dump(by_alias=True, exclude_unset=True) | {"depth_mm": None, "steps": steps}
+    with pytest.raises(ConfigError, match=r"steps\.2\.offset_mm"):
+        make_scene(SceneRecord.model_validate(table), "scene", job.medium)
+
+
+def test_a_scene_has_the_rules_of_the_fit_and_a_lattice_of_its_own(job):
+    assert make_scene(changed_scene(), "scene", job.medium).rules == SCENE.rules
+    angled = job.medium.model_copy(update={"advance": "path_angle"})
+    assert make_scene(changed_scene(), "scene", angled).rules.advance == "path_angle"
+    lattice = changed_scene("rules.element_mm=0.5", "rules.first_cell_mm=0.25")
+    scene = make_scene(lattice, "scene", job.medium)
+    assert (scene.rules.element, scene.rules.first_cell) == (0.5, 0.25)
+    tips = [planned(sure(job), [theta(job)] * 3, one).needle.means[0, -1] for one in (SCENE, scene)]
+    assert 1e-6 < abs(tips[0] - tips[1]) < 0.1
+
+
+def predict_with(job, monkeypatch, draws, **options):
+    monkeypatch.setattr(prediction, "prepare_target", lambda *_: job)
+    monkeypatch.setattr(prediction, "draw_parameters", lambda *_: Draws(np.array(draws), "importance"))
+    scene = load(find_file("scene", "study2"), SceneRecord)
+    record = find_kind("prediction").make_record(target="phantom2", scene=scene, **options)
+    return find_kind("prediction").run("gel", record, Settings())
+
+
+def test_a_prediction_follows_a_target_without_spread_between_specimens(job, monkeypatch):
+    plain = replace(job, record=job.record.model_copy(update={"specimens": "training only"}))
+    found, same, new = (
+        predict_with(plain, monkeypatch, [theta(job)] * 20, specimen=one) for one in (None, "same", "new")
+    )
+    treatments = [one.frames["specimens"]["specimen_treatment"].iloc[0] for one in (found, same, new)]
+    assert treatments == ["training only", "same", "others"]
+    widths = [one.frames["specimens"]["tip_95_width_mm"].iloc[0] for one in (found, same, new)]
+    assert widths[2] > 2 * widths[0] and widths[0] == widths[1]
+    tables, sentences = find_kind("prediction").report.explain(new)
+    notes = [note for table in tables for note in table.notes]
+    assert len({*notes, *sentences}) == len([*notes, *sentences])
+
+
+def test_an_interval_that_is_useless_for_aiming_is_a_warning(job, monkeypatch):
+    wide = [theta(job, bevel_mm=b) for b in np.geomspace(0.01, 0.25, 41)]
+    found = predict_with(job, monkeypatch, wide)
+    (one,) = (each for each in list_run_warnings(found) if each.kind == "wide_intervals")
+    once = found.frames["specimens"].set_index("specimen_treatment")["tip_95_width_mm"]["one insertion"]
+    assert f"{once:.2g} mm" in one.fix
+    narrow = predict_with(job, monkeypatch, [theta(job)] * 20, specimen="same")
+    assert not [w for w in list_run_warnings(narrow) if w.kind == "wide_intervals"]
+
+
 def test_depths_that_err_widen_the_needle_s_band(job):
     exact, open_ = (planned(one, [theta(job)] * 200).needle.means[:, -1] for one in (sure(job), job))
     assert np.ptp(exact) < 1e-7
@@ -136,7 +218,10 @@ def test_bevels_that_differ_widen_the_needle_s_band(job):
     tips = planned(sure(job), [theta(job, bevel_spread=spread)] * 400).needle.means[:, -1]
     near = [planned(sure(job), [theta(job, bevel_mm=0.08 * np.exp(e))] * 1) for e in (-0.05, 0.05)]
     slope = (near[1].needle.means[0, -1] - near[0].needle.means[0, -1]) / 0.1
-    assert np.std(tips) == pytest.approx(abs(slope) * spread, rel=0.15)
+    # the bevels fitted to deviate from their mean too
+    further = job.problem(job.folds[0]).new_bevel_sd
+    assert further == pytest.approx(math.sqrt(1 + 1 / len(job.folds[0].tune)))
+    assert np.std(tips) == pytest.approx(abs(slope) * spread * further, rel=0.15)
 
 
 def test_a_new_specimen_widens_the_band_and_one_insertion_narrows_it(job):
@@ -187,6 +272,9 @@ def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
     assert tip["needle_median_mm"] is not None
     assert {tip[f"needle_{level}_{end}_mm"] for level in (50, 95) for end in ("low", "high")} == {None}
     assert found.frames["specimens"]["tip_95_width_mm"].isna().all()
+    (verdict,) = found.verdicts
+    assert verdict.status == "fail" and set(verdict.numbers) == {"s_mm"}
+    assert not any(one["kind"] == "wide_intervals" for one in found.run["warnings"])
 
 
 def test_a_posterior_of_other_data_is_refused(job, tmp_path):

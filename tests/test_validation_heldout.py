@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from needlefit.inference.likelihood.observation import make_observation, pose_sds
@@ -20,8 +21,11 @@ from needlefit.studies.held_out_predictions import (
     predict_held_out,
     tabulate_held_out,
 )
+from needlefit.studies.interval_width import estimate_width_after_one
 from needlefit.studies.job import Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.cross_validation.score_tables import lay_out_coverage
+from needlefit.studies.kinds.cross_validation.verdict import describe_after_one
+from needlefit.studies.new_specimens import NewSpecimens
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 
@@ -141,7 +145,6 @@ def test_the_same_study_predicts_the_same(job, few_draws):
 
 
 def test_the_table_counts_covered_insertions(job, few_draws):
-    import pandas as pd
     from reporting_results import study
 
     rows = list(tabulate_held_out(job, of(job, *job.folds[0].validate[:2]), few_draws))
@@ -161,3 +164,30 @@ def test_the_noise_scale_is_that_of_the_prediction(job, known):
     points = make_observation(job.dataset, insertion, likelihood=POINTS).point_covariance[-1, -1]
     added = np.diff(np.square(widths))[0]  # the scale is of the points' noise alone, not of the pose's
     assert added == pytest.approx((2 * 1.959964) ** 2 * 3 * points, rel=1e-4)
+
+
+def test_a_known_tip_takes_what_it_shares_with_another_from_its_width():
+    rng = np.random.default_rng(2)
+    shared, own, error = rng.standard_normal((3, 20_000))
+    width = estimate_width_after_one(3.0 * shared + 0.4 * own, 3.0 * shared + 0.3 * error)
+    # of what is shared, normal of SD 3, SD 0.3 * 3 / hypot(3, 0.3) stays unknown
+    assert width == pytest.approx(2 * 1.959964 * np.hypot(0.4, 0.9 / np.hypot(3, 0.3)), rel=0.03)
+
+
+def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
+    held_out = job.folds[0].validate[:3]
+    fold = of(job, *(replace(one, specimen="another") for one in held_out))
+    new = NewSpecimens(job, fold, known.thetas[0])
+    few = replace(known, thetas=known.thetas[:300])
+    rows = [one.row for one in predict_held_out(job, fold, few, new, bands=True)]
+    table = pd.DataFrame(rows)
+    (after,) = table["tip_95_width_after_one_mm"].dropna()
+    middle = sorted(held_out, key=lambda one: one.depth)[1]
+    row = table.set_index("insertion").loc[middle.id]
+    assert row["tip_95_width_after_one_mm"] == after and f"{after:.2g} mm" in describe_after_one(table)
+    (same,) = tabulate_held_out(job, of(job, middle), few)
+    assert same["tip_95_high_mm"] - same["tip_95_low_mm"] < after
+    assert after < 0.7 * (row["tip_95_high_mm"] - row["tip_95_low_mm"])
+    # no other number depends on it
+    plain = pd.DataFrame(tabulate_held_out(job, fold, few, new))
+    pd.testing.assert_frame_equal(plain, table.assign(tip_95_width_after_one_mm=np.nan))

@@ -9,6 +9,7 @@ import pytest
 
 from needlefit.datasets.read import read
 from needlefit.metrics import METRICS, list_metrics
+from needlefit.project.cluster import connect
 from needlefit.project.locate import find_file
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
@@ -26,6 +27,7 @@ from needlefit.studies.paper.cells import (
 from needlefit.studies.study_files import load_study
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import select_planned_insertions
+from tests.cluster_processes import start_scheduler, start_worker
 
 RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")
 
@@ -131,7 +133,9 @@ def test_every_cell_is_next_to_the_papers_value():
     assert found.loc[("tuning_by_media", 0, "te_mm"), "paper"] == 0.37
 
 
-def test_the_studies_on_two_twins_are_reported(tmp_path, monkeypatch):
+@pytest.fixture
+def two_twins(tmp_path, monkeypatch):
+    """A study of two twins, in a project of its own."""
     for folder in ("studies", "configs/recipes"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "configs/recipes/few.toml").write_text(RECIPE.replace("starts = 4", "starts = 2"))
@@ -142,9 +146,27 @@ def test_the_studies_on_two_twins_are_reported(tmp_path, monkeypatch):
     keys += 'generalization_studies = ["small"]\n'
     (tmp_path / "studies/two.toml").write_text(f"schema = 1\n{keys}")
     monkeypatch.chdir(tmp_path)
-    record = load_study(find_file("study", "two"))
-    assert record is not None
-    answer = find_kind("seeds").run("two", record, Settings())
+    return load_study(find_file("study", "two"))
+
+
+@pytest.mark.slow
+def test_a_worker_in_an_empty_folder_has_the_studies_of_this_one(two_twins, tmp_path_factory):
+    pytest.importorskip("distributed")
+    folder, record = tmp_path_factory.mktemp("worker"), two_twins.model_copy(update={"seeds": 1})
+    here = find_kind("seeds").run("one", record, Settings())
+    with (
+        start_scheduler(folder) as (address, _),
+        start_worker(address, folder=folder),
+        connect(address) as pool,
+    ):
+        found = find_kind("seeds").run("one", record, Settings(pool=pool))
+    for name, frame in here.frames.items():
+        pd.testing.assert_frame_equal(found.frames[name], frame, check_exact=True)
+
+
+@pytest.mark.slow
+def test_the_studies_on_two_twins_are_reported(two_twins, tmp_path):
+    answer = find_kind("seeds").run("two", two_twins, Settings())
     table = answer.frames["errors"]
     truth = table[(table["method"] == "truth") & (table["role"] == "validate")]
     assert truth["te_mm"].max() < 0.5 and truth["seed"].nunique() == 2  # registration alone

@@ -95,6 +95,21 @@ def test_a_variation_that_changes_nothing_is_refused(tmp_path):
         load_study(file)
 
 
+def test_parts_of_the_advance_along_the_tangent_are_refused_beside_the_path_angle():
+    with pytest.raises(ValueError, match="leave out `tangent_part`"):
+        VariationRecord(factor="advance", name="both", advance="path_angle", tangent_part=0.5)
+
+
+def test_a_study_whose_variations_never_keep_the_parameters_has_a_report(tmp_path, monkeypatch):
+    file = tmp_path / "varied.toml"
+    spacing_alone = SENSITIVITY.split("[[variations]]")
+    file.write_text("[[variations]]".join((spacing_alone[0].replace("small", "study2"), spacing_alone[2])))
+    answer = find_kind("sensitivity").run("varied", load_study(file), Settings())
+    assert set(answer.frames["studies"]["tuned"]) == {"again"} and len(answer.frames["studies"])
+    sentences = find_kind("sensitivity").report.summarize(answer)
+    assert "1 variation of" in sentences[0] and "No variation keeps the parameters." in sentences
+
+
 def test_a_small_study_under_two_variations(tmp_path, monkeypatch):
     for folder in ("studies", "configs/recipes"):
         (tmp_path / folder).mkdir(parents=True)

@@ -86,6 +86,17 @@ def test_one_or_two_insertions_do_not_pass(insertions, baseline, status):
     verdict = judge_errors("gel", 0.5, 1.5, best, insertions)
     assert verdict.status == status and f"n = {insertions}" in verdict.sentence
     assert judge_errors("gel", 0.5, 0.5, None, insertions).status == ("pass" if insertions > 2 else "warn")
+    marked = judge_errors("gel", 0.5, 1.5, best, insertions, reliable=False)
+    assert marked.status == ("fail" if baseline == "better" else "warn")
+
+
+def test_a_run_with_faults_claims_nothing():
+    results = with_predictions(with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)}))
+    (good,) = judge_run(results)
+    (marked,) = judge_run(replace(results, faults=("the posterior has not converged",)))
+    opening = good.sentence.partition(":")[0]
+    assert good.status == "pass" and marked.status == "warn"
+    assert marked.sentence.startswith("NOT CONVERGED. ") and f" {opening}:" not in marked.sentence
 
 
 def test_a_preliminary_recipe_is_named():
@@ -96,6 +107,14 @@ def test_a_preliminary_recipe_is_named():
         for one, old in zip(judge_run(quick), judge_run(results), strict=True)
     ]
     assert all("preliminary" in one for one in added)
+
+
+@pytest.mark.parametrize(("fitted", "status"), [((0.1, 0.0), "warn"), ((0.3, 0.0), "fail")])
+def test_a_fit_fails_where_a_curve_is_closer_and_the_errors_are_above_the_floor(fitted, status):
+    results = with_tip_errors(study(4), fitted=fitted)
+    closer = {**results.run, **warnings_entry([ResultWarning("worse_than_baseline", "")])}
+    (verdict, *_) = judge_run(replace(results, kind="fit", run=closer))
+    assert verdict.status == status
 
 
 def test_noise_that_is_too_large_is_no_pass():

@@ -75,10 +75,8 @@ def few(monkeypatch):
     monkeypatch.setattr(refinement, "RANDOM_CASES", 10)
 
 
-@pytest.mark.parametrize("cases", ["few", pytest.param("all", marks=pytest.mark.slow)])
-def test_every_row_passes_or_is_stated_and_every_group_has_one(cases, monkeypatch):
-    if cases == "few":
-        few(monkeypatch)
+@pytest.mark.slow
+def test_every_row_passes_or_is_stated_and_every_group_has_one():
     seen = []
     found = verify(progress=lambda label, done, total: seen.append((label, done, total)))
     assert [(row.title, row.quantity, row.measured, row.remark) for row in found.failed] == []
@@ -221,6 +219,7 @@ def stiffer(tissue):
     return replace(tissue, mu=1.01 * tissue.mu)
 
 
+@pytest.mark.slow
 def test_a_percent_of_stiffness_is_noticed_by_every_solution(monkeypatch):
     fault(monkeypatch, stiffer)
     assert failing(cantilever) == titles(cantilever)
@@ -236,6 +235,7 @@ def test_a_law_taken_for_another_is_noticed(monkeypatch):
     assert failing(collocation) == {title for title in titles(collocation) if "Neo-Hookean" in title}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [lambda t: replace(t, alpha=-t.alpha), lambda t: replace(t, law="linear")])
 def test_a_wrong_nonlinearity_is_noticed_where_tissue_is_thin(change, monkeypatch):
     fault(monkeypatch, change)

@@ -59,6 +59,7 @@ def calibrate(
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
     out: options.Out = Path("reports"),
+    reference: options.Reference = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
     explain: options.Explain = False,
@@ -90,6 +91,8 @@ def calibrate(
         ending = _suffix(sample, ct, truth)
         runs = {f"calibrate-{name}{ending}{f'-{one}' if one else ''}": one for one in _controls(control)}
         execution.prepare(runs)
+        if reference:
+            execution.prepare_reference(runs)
         found = {}
         with open_pool(jobs, scheduler, insecure) as pool:
             execution = replace(execution, pool=pool)
@@ -98,6 +101,8 @@ def calibrate(
                 record = find_kind("calibration").make_record(**options_)
                 found[str(execution.folder(folder))] = execution.run_and_write(folder, record)
                 execution.remove_checkpoint(folder)
+        if reference:
+            execution.write_reference(found.values())
     _end(execution.invocation, found, json)
 
 

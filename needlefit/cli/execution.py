@@ -109,6 +109,17 @@ class Execution:
 
         return write_run(result, self.folder(result.name))
 
+    def prepare_reference(self, names: Iterable[str]) -> None:
+        """Make sure that the reference results of runs can be written; ConfigError as of `prepare`."""
+        self.prepare([f"reference/{name}" for name in names], replaces_posterior=True)
+
+    def write_reference(self, runs: "Iterable[Run]") -> None:
+        """Write the reference results of runs: their tables, rounded."""
+        from needlefit.studies.reference import write_reference
+
+        for one in runs:
+            screen.print_line(f"written: {write_reference(one, self.folder(f'reference/{one.name}'))}/")
+
     def remove_checkpoint(self, name: str) -> None:
         """Remove the checkpoint of a run that is complete."""
         from needlefit.project.checkpoint_folder import remove_checkpoint

@@ -74,6 +74,14 @@ Insecure = Annotated[
 Out = Annotated[Path, typer.Option(help="Folder of all results; each run has a folder in it.")]
 Sample = Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")]
+Reference = Annotated[
+    bool,
+    typer.Option(
+        "--reference",
+        help="Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version control.",
+    ),
+]
+
 Strict = Annotated[
     bool,
     typer.Option("--strict", callback=_set_strict, help="Exit code 5 after a warning; results are written."),
@@ -156,7 +164,7 @@ Set = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a key of the scene, e.g. bevel.offset_mm=0.1; layers, guides and steps are numbered "
-        "from 1: layers.1.mu_pa=3e5 is the first layer's. May be repeated.",
+        "from 1: layers.1.mu_pa=3e5 is the first layer's. KEY= removes the key. May be repeated.",
     ),
 ]
 Markers = Annotated[
@@ -229,8 +237,13 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
     return where, check(override(read_toml(path), pairs, SceneRecord, file_label(path)), SceneRecord, where)
 
 
+def list_set_keys(assignments: list[str]) -> list[str]:
+    """Return the keys that --set gives a value; others it removes."""
+    return [key for key, value in map(_pair, assignments) if value]
+
+
 def _pair(text: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
-    if not (key.strip() and equals and value.strip()):
+    if not (key.strip() and equals):
         raise typer.BadParameter(f"`{text}` is not KEY=VALUE, e.g. bevel.offset_mm=0.1", param_hint="--set")
     return key.strip(), value.strip()

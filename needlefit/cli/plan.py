@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from needlefit.cli import options, screen
+from needlefit.cli.execution import require_no_faults
 from needlefit.cli.options import complete_view_targets
 from needlefit.cli.screen import print_warnings
 from needlefit.project.outputs import require_output_files
@@ -64,9 +65,13 @@ def plan(
         int, typer.Option(metavar="N", min=0, max=2, help="The bevel may turn over so often on the way.")
     ] = 2,
     specimen: Annotated[
-        Literal["new", "same"],
-        typer.Option(help="Draws of a run: for a new specimen, or for the specimens fitted."),
-    ] = "new",
+        Literal["new", "same"] | None,
+        typer.Option(
+            help="Draws of a run: for a new specimen, or for the specimens fitted (default: new, or as the "
+            "run's study states).",
+            show_default=False,
+        ),
+    ] = None,
     recording: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write the plan as a recording for `view` and `simulate`: .csv."),
@@ -87,21 +92,25 @@ def plan(
 
     if recording is not None:
         require_output_files({"--recording": recording}, [] if markups is None else [markups])
-    shown = open_target(name, specimen=specimen)
-    print_warnings(context.find_root().obj, shown.warnings)
+    shown = open_target(name, specimen=specimen or "planned")
     aim = _make_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
     screen.compile_ahead("lanes", quiet=quiet)
     limits = PlanLimits(entry, base, base_angle, turns)
-    found = plan_steering(begin_insertion(shown), aim.goal, limits, jobs)
-    summary = _summarize(shown, aim, found)
+    insertion = begin_insertion(shown)
+    found = plan_steering(insertion, aim.goal, limits, jobs)
+    summary = _summarize(shown, aim, found, len(insertion.samples[0]))
     if json:
         screen.show_json(summary)
     else:
-        _show(shown, aim, found, summary)
+        screen.print_text(_describe(shown, found, summary))
+    print_warnings(context.find_root().obj, shown.warnings)
+    if not json:
+        _show_steps(shown, aim, summary)
     if recording is not None:
         write_plan(shown, found, recording)
         screen.print_note(f"written: {recording}")
         screen.print_note(f"play it: {shlex.join(('needlefit', 'view', '--recording', str(recording)))}")
+    require_no_faults(f"{shown.name}: {fault}" for fault in shown.faults)
 
 
 def _make_goal(
@@ -147,9 +156,13 @@ def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str
     return found
 
 
-def _summarize(shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan") -> dict[str, Any]:
+def _summarize(
+    shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan", search_draws: int
+) -> dict[str, Any]:
     """Return the plan and its outcome, ready for JSON."""
     import numpy as np
+
+    from needlefit.project.result_warnings import to_rows
 
     goal, misses, exact = found.goal, found.misses, shown.spread is None
     quantiles = np.quantile(misses, [0.5, 0.95]).tolist() if len(misses) else [None, None]
@@ -174,7 +187,9 @@ def _summarize(shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan") ->
             for step in found.steps
         ],
         "nominal_miss_mm": found.nominal_miss,
+        "specimen": shown.specimen or None,
         "draws": 0 if exact else len(found.needles),
+        "search_draws": 0 if exact else search_draws,
         "failed_solves": int(np.sum(~found.solved)),
         "probability": None if exact else found.probability,
         "low": None if exact else found.low,
@@ -183,20 +198,21 @@ def _summarize(shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan") ->
         "median_mm": quantiles[0],
         "miss_95_mm": quantiles[1],
         "touched": found.touched,
+        "faults": list(shown.faults),
+        "warnings": to_rows(shown.warnings),
     }
 
 
-def _show(shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan", summary: dict[str, Any]) -> None:
+def _show_steps(shown: "ViewedScene", aim: "PlaneGoal", summary: dict[str, Any]) -> None:
     import pandas as pd
 
-    screen.print_text(_describe(shown, found, summary))
     screen.print_line()
     screen.print_text(shown.title)
     start = []
     if aim.roll_deg:
         start.append(f"Roll the needle by {aim.roll_deg:.1f} degrees about x, from y toward z.")
-    if abs(found.entry_mm) > 0.005:
-        start.append(f"Shift the entry by {found.entry_mm:+.2f} mm along y.")
+    if abs(summary["entry_mm"]) > 0.005:
+        start.append(f"Shift the entry by {summary['entry_mm']:+.2f} mm along y.")
     for line in start:
         screen.print_line(line)
     rows = [
@@ -214,7 +230,13 @@ def _show(shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan", summary
 
 
 def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, Any]) -> str:
-    """Return the outcome in one or two sentences."""
+    """Return the outcome in one or two sentences, after the marks of a run that is not to be trusted."""
+    from needlefit.studies.verdict import mark_faults
+
+    return mark_faults(shown.faults) + _describe_outcome(shown, found, summary)
+
+
+def _describe_outcome(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, Any]) -> str:
     past = " and touches no obstacle" if found.goal.obstacles else ""
     within = f"within {found.goal.radius:g} mm of the target"
     if shown.spread is None:
@@ -223,16 +245,25 @@ def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, An
         why = "for a probability, plan with a run" if scene else "the run has no certified draws"
         known = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
         if found.hits:
-            return f"The plan reaches the target{past}. {known} ends {nominal}."
+            reaches = "would reach" if shown.faults else "reaches"
+            return f"The plan {reaches} the target{past}. {known} ends {nominal}."
         touched = [name for name, share in found.touched.items() if share]
         beside = f" and the needle touches {', '.join(touched)}" if touched else ""
         return f"No plan was found that reaches the target{past}. {known} of the best ends {nominal}{beside}."
     return (
         f"The tip ends {within}{past} with probability {100 * found.probability:.0f} % (95 % CI "
-        f"{100 * found.low:.0f} to {100 * found.high:.0f} %, {len(found.needles)} posterior draws). "
+        f"{100 * found.low:.0f} to {100 * found.high:.0f} %), by {len(found.needles)} posterior draws for "
+        f"{_SPECIMENS[shown.specimen]}. "
         f"Median miss {_format(summary['median_mm'])} mm, 95 % below {_format(summary['miss_95_mm'])} mm. "
         "Model error is not included."
     )
+
+
+_SPECIMENS = {
+    "new": "a new specimen, with the spread between specimens",
+    "same": "a specimen that was fitted",
+    "": "this insertion",
+}
 
 
 def _format(value: float | None) -> str:

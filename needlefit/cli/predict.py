@@ -8,7 +8,7 @@ import typer
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import Execution
 from needlefit.cli.exit_codes import catch_interrupts
-from needlefit.cli.options import Depth, Set, complete_scenes, complete_targets, scene_record
+from needlefit.cli.options import Depth, Set, complete_scenes, complete_targets, list_set_keys, scene_record
 from needlefit.cli.show_results import show_run, show_warnings
 from needlefit.project.input_files import is_file
 
@@ -40,9 +40,13 @@ def predict(
         typer.Option(metavar="DIR", help="Result of `tune TARGET --sample` (default: OUT/TARGET-tune)."),
     ] = None,
     specimen: Annotated[
-        Literal["new", "same"],
-        typer.Option(help="new: into a specimen that was not fitted to; same: into one that was."),
-    ] = "new",
+        Literal["new", "same"] | None,
+        typer.Option(
+            help="new: into a specimen that was not fitted to; same: into one that was (default: new, with "
+            "the spread between specimens unless the TARGET's `specimens` leaves it out).",
+            show_default=False,
+        ),
+    ] = None,
     depth: Depth = None,
     set_: Set = None,
     seed: options.Seed = None,
@@ -59,19 +63,26 @@ def predict(
 
     The scene defines needle, depth, layer depths, bevel side and controls. Moduli and bevel offset are draws
     of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
-    new fit. For a new specimen the spread between specimens is added. Prints the tip with its intervals, and
-    writes shape and figure to OUT/predict-TARGET-SCENE/.
+    new fit. For a new specimen the spread between specimens is added. What the scene states of the rules must
+    agree with the fit. Prints the tip with its intervals, and writes shape and figure to
+    OUT/predict-TARGET-SCENE/.
     """
     with catch_interrupts(
         context.find_root().obj
     ) as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        from needlefit.project.toml_lines import add_file_context
         from needlefit.schemas.names import require_file_name
+        from needlefit.studies.job import load_medium
         from needlefit.studies.kind import find_kind
+        from needlefit.studies.kinds.prediction.forecast import make_scene
         from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE
         from needlefit.studies.targets import load_target
 
         scene_name, planned = scene_record(scene, depth, set_ or [])
-        target_name, _, _ = load_target(target)
+        target_name, fitted, file = load_target(target)
+        with add_file_context(file):
+            medium, _ = load_medium(fitted)
+        make_scene(planned, scene_name, medium, list_set_keys(set_ or []))
         require_file_name(Path(scene).stem, scene)
         name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop)
@@ -89,9 +100,9 @@ def predict(
         execution.remove_checkpoint(name)
     _show(execution, found, scene, json)
     if found.faults:
-        from needlefit.studies.kinds.prediction.report import describe_convergence
+        from needlefit.studies.kinds.prediction.report import describe_faults
 
-        screen.print_note(f"needlefit: {target_name}: the posterior has {describe_convergence(found)}")
+        screen.print_note(f"needlefit: {target_name}: {describe_faults(found)}")
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 

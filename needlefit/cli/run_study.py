@@ -50,13 +50,6 @@ class StudyOutcomes:
         every: dict[str, object] = {one.name: run_to_json(one) for one in self.runs}
         return next(iter(every.values())) if len(every) == 1 else every
 
-    def write_reference(self, folder: Path) -> None:
-        """Write the evidence of all of them to `folder`."""
-        from needlefit.studies.reference import write_reference
-
-        for one in self.runs:
-            screen.print_line(f"written: {write_reference(one, folder / one.name)}/")
-
 
 def plan_studies(study: str) -> list[StudyTask]:
     """Return what a name means; of `everything`, studies without their data are left out, with a note.

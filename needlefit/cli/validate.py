@@ -31,13 +31,7 @@ def validate(
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
     out: options.Out = Path("reports"),
-    reference: Annotated[
-        bool,
-        typer.Option(
-            "--reference",
-            help="Also write the tables to OUT/reference/STUDY/, to keep under version control.",
-        ),
-    ] = False,
+    reference: options.Reference = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
     explain: options.Explain = False,
@@ -64,13 +58,13 @@ def validate(
         todo = plan_studies(study)
         execution.prepare([*(work.name for work in todo), *_combined_report_names(study)])
         if reference:
-            execution.prepare([f"reference/{work.name}" for work in todo], replaces_posterior=True)
+            execution.prepare_reference(work.name for work in todo)
         with open_pool(jobs, scheduler, insecure) as pool:
             done = run_studies(replace(execution, pool=pool), todo, json)
         if _combined_report_names(study):
             _write_combined_report(execution, study, done, json)
         if reference:
-            done.write_reference(out / "reference")
+            execution.write_reference(done.runs)
         if json:
             screen.show_json(done.as_json())
         for work in todo:  # not before all are done: a group is resumed as a whole

@@ -17,6 +17,7 @@ from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.project.outputs import require_writable
 
 if TYPE_CHECKING:
+    from needlefit.project.view_targets import SpecimenChoice
     from needlefit.schemas.tracker import TrackerRecord
     from needlefit.viewer.serving.connections import AccessControl
     from needlefit.viewer.serving.openigtlink import OpenIGTLinkServer
@@ -45,9 +46,13 @@ def view(
         ),
     ] = None,
     specimen: Annotated[
-        Literal["new", "same"],
-        typer.Option(help="Predictive band of a run: for a new specimen, or for the specimens fitted."),
-    ] = "new",
+        Literal["new", "same"] | None,
+        typer.Option(
+            help="Predictive band of a run: for a new specimen, or for the specimens fitted (default: as the "
+            "run predicted the insertion).",
+            show_default=False,
+        ),
+    ] = None,
     markers: options.Markers = None,
     fiducials: options.Fiducials = None,
     layers: options.Layers = None,
@@ -109,7 +114,7 @@ def view(
     require_writable(out / "view")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
-    trials = _trials(context.find_root().obj, target, recording, out / "view", specimen)
+    trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
     from needlefit.viewer.serving.steering_page import SteeringPage
 
     server = None if record is None else _openigtlink(record, trials, openigtlink_host, openigtlink or 0)
@@ -221,7 +226,7 @@ def _trials(
     target: str | None,
     recording: Path | None,
     folder: Path,
-    specimen: Literal["new", "same"],
+    specimen: "SpecimenChoice",
 ) -> "TrialRegistry":
     from needlefit.viewer.opening import open_recording, open_target
     from needlefit.viewer.recording import read_recording

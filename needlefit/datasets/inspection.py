@@ -34,7 +34,7 @@ from needlefit.datasets.insertion_table import parse_rows
 from needlefit.datasets.layers import SharedSurfaces, make_medium, read_shared_surfaces, reduce_insertion
 from needlefit.datasets.sections import (
     find_centerline_faults,
-    find_knot_faults,
+    find_operator_faults,
     find_sections,
     locate_sections,
 )
@@ -82,8 +82,8 @@ def inspect_dataset(path: Path) -> Inspection:
     found += find_repeated_ids("insertion", (one.insertion.id for one in listed), file)
     found += [*find_layer_faults(listed, record, file), *find_reach_faults(record, listed, file)]
     found += [*find_sd_faults(record, listed, file), *find_track_noise_faults(record, file)]
-    if not found:  # knots are for points that have no fault
-        found += find_knot_faults(record, listed, file)
+    if not found:  # of points that have no other fault
+        found += find_operator_faults(record, listed, file)
     warnings = [*find_record_warnings(record, file), *unused]
     if found:
         return make_refusal(found, warnings)

@@ -97,11 +97,37 @@ def find_centerline_faults(sections: SplineSections, centerline: Floats, place: 
         )
 
 
-def find_knot_faults(record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path) -> Iterator[Fault]:
-    """Yield a fault if the points of insertions are too sparse for the stated spacing of knots."""
-    stated = None if record.measurement is None else record.measurement.knot_spacing_mm
-    if stated is None:
-        return
+def find_operator_faults(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path
+) -> Iterator[Fault]:
+    """Yield a fault if the points of insertions do not suit the stated knots, or the width of a Gaussian."""
+    stated = record.measurement
+    if stated is not None and stated.knot_spacing_mm is not None:
+        yield from _find_knot_faults(record, listed, file, stated.knot_spacing_mm)
+    if stated is not None and stated.width_mm is not None:
+        yield from _find_width_faults(record, listed, file, stated.width_mm)
+
+
+MAX_WIDTH_FRACTION = 0.25
+"""Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle."""
+
+
+def _find_width_faults(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path, stated: float
+) -> Iterator[Fault]:
+    compared = {one.insertion.id: np.ptp(_select_arc_lengths(record, one)) for one in listed}
+    shortest = min(compared, key=lambda name: compared[name])
+    most = math.floor(100 * MAX_WIDTH_FRACTION * compared[shortest]) / 100
+    if stated > most:
+        key = "measurement.width_mm"
+        what = f"{key} is {stated:g}: too wide for the {compared[shortest]:.3g} mm compared of {shortest}"
+        fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
+        yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:g}", fix)
+
+
+def _find_knot_faults(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path, stated: float
+) -> Iterator[Fault]:
     where, key = locate_key(file, "measurement.knot_spacing_mm"), "measurement.knot_spacing_mm"
     least, sparsest = stated, ""
     while (found := _find_sparse(record, listed, least)) is not None:
@@ -121,12 +147,17 @@ def _find_sparse(
     record: DatasetRecord, listed: Sequence[ListedInsertion], spacing: float
 ) -> tuple[str, float | None] | None:
     """Return the first insertion whose points are too sparse, and its least spacing; None if all will do."""
-    for insertion in (one.insertion for one in listed):
-        _, at = select_compared_places(record.frame.pose, record.frame.drop_proximal_mm, insertion)
-        least = find_least_spacing(at, spacing)
+    for one in listed:
+        least = find_least_spacing(_select_arc_lengths(record, one), spacing)
         if least is None or least > spacing:
-            return insertion.id, least
+            return one.insertion.id, least
     return None
+
+
+def _select_arc_lengths(record: DatasetRecord, listed: ListedInsertion) -> Floats:
+    """Return the arc lengths from the entry (K,), mm, of the points compared."""
+    frame = record.frame
+    return select_compared_places(frame.pose, frame.drop_proximal_mm, listed.insertion)[1]
 
 
 def from_record(record: SectionsRecord) -> SplineSections:

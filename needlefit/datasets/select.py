@@ -157,6 +157,15 @@ def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
     return found
 
 
+def list_bevels(dataset: Dataset, insertions: Sequence[Insertion]) -> tuple[tuple[str, int], ...]:
+    """Return of each insertion which bevel it was made with: depths of one insertion have the same.
+
+    A specimen and a number in it, as of `find_repeats`; the insertion's id and 0 where it has one depth.
+    """
+    repeats = find_repeats(dataset)
+    return tuple(repeats.get(one.id, (one.id, 0)) for one in insertions)
+
+
 def _is_one_hole(dataset: Dataset, hole: Sequence[Insertion], other: Insertion) -> bool:
     one = hole[0]
     return (

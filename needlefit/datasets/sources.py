@@ -10,7 +10,7 @@ from pathlib import Path
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import note_missing_columns, read_table
 from needlefit.datasets.insertion import Dataset
-from needlefit.errors import DataError
+from needlefit.errors import DataError, NeedlefitError
 from needlefit.project.files import sha256
 from needlefit.project.input_files import is_dir, is_file
 from needlefit.project.load import read_toml
@@ -99,6 +99,23 @@ def compute_digest(path: Path, roots: tuple[Path, ...], files: Iterable[Path]) -
     total = hashlib.sha256()
     for name, file in sorted(named.items()):
         total.update(f"{name}\0{sha256(file)}\n".encode())
+    return total.hexdigest()
+
+
+def digest_folders(path: Path) -> str:
+    """Return a SHA-256 over a dataset's file and all files in the folders of its data.
+
+    It needs no dataset that can be read.
+    """
+    try:
+        root = read_toml(path).get("root")
+    except NeedlefitError:
+        root = None
+    roots = _match_folders(root, path)[1] if isinstance(root, str) else ()
+    total = hashlib.sha256()
+    for folder in (path.parent, *roots):
+        files = (file for file in folder.rglob("*") if is_file(file) and file != path)
+        total.update(compute_digest(path, (folder,), files).encode())
     return total.hexdigest()
 
 

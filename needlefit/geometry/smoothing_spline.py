@@ -123,9 +123,9 @@ def find_least_spacing(q: Floats, spacing: float) -> float | None:
     Knots as `make_knots` has them, weights equal.
     """
     length, ones = float(q[-1] - q[0]), np.ones(len(q))
-    largest = min(max(1, round(length / spacing)), len(q) - DEGREE)
-    for pieces in range(largest, 0, -1):
-        least = max(spacing, length / pieces)
+    stated = max(1, round(length / spacing))
+    for pieces in range(min(stated, len(q) - DEGREE), 0, -1):
+        least = spacing if pieces == stated else length / pieces
         knots = make_knots(float(q[0]), float(q[-1]), least)
         if len(q) >= len(knots) - DEGREE - 1 and not len(find_empty_pieces(q, ones, knots)):
             return least

@@ -31,6 +31,11 @@ class Draws:
     pareto_k: float = math.nan
     effective_sample_size: float = math.nan
 
+    @property
+    def certified(self) -> Floats | None:
+        """The draws of theta (B, P) if they represent the posterior, else None."""
+        return None if self.faults or not self.thetas.size else self.thetas
+
     def describe(self) -> dict[str, str | float | bool]:
         """Return by column how the draws were made, and whether they represent the posterior."""
         return {

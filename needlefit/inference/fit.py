@@ -13,6 +13,9 @@ from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
 
+MET_BY_PROFILE = "profile"
+"""Of a start that stands for a better point, which the profiles about the fit met."""
+
 CONVERGED_REASONS = ("tolerance", "bound", "flat", "roundoff")
 """Reasons to end after which no further gain is expected."""
 
@@ -44,7 +47,7 @@ class Start:
     stopped : str
         Why it ended: "tolerance" at a minimum, and nothing else is a success: "stalled" (a further step would
         gain), "flat" (a parameter has no effect), "bound" (a minimum of the box alone), "budget", "roundoff",
-        "interrupted", "no finite value", ...
+        "interrupted", "no finite value", "profile" (no search: a better point that a profile met), ...
     failed : tuple of theta
         The first evaluations that failed, to be simulated again; not all where there are many.
     gradients : int
@@ -106,7 +109,7 @@ class Fit:
         """Why the best point may not be a minimum; empty if a search ended at one."""
         if not self.starts or any(start.stopped in CONVERGED_REASONS for start in self.starts):
             return ""
-        reasons = ", ".join(sorted({start.stopped for start in self.starts}))
+        reasons = ", ".join(sorted({start.stopped for start in self.starts} - {MET_BY_PROFILE}))
         fix = "check bevel sides, units, layers and poses of the data (needlefit explain not-converged)"
         if any(start.stopped == "budget" for start in self.starts):
             fix = "raise `evaluations` in the recipe"

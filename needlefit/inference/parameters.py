@@ -48,7 +48,7 @@ NOISE_SCALE_BOUNDS = (0.1, 10.0)
 """Bounds of a noise scale that is estimated; its prior is flat in the logarithm."""
 
 BEVEL_SPREAD_BOUNDS = (0.01, 5.0)
-"""Bounds of the spread of ln b, in standard deviations of its half-normal prior."""
+"""Bounds of the relative bevel SD, in standard deviations of its half-normal prior."""
 
 HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)
 """Parameters of the likelihood, on which no simulated needle depends."""
@@ -221,7 +221,7 @@ def with_noise_scale(parameters: Parameters, largest: float = NOISE_SCALE_BOUNDS
 
 
 def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
-    """Return the parameters with a free spread of ln b between insertions, half-normal with `sd`, as last."""
+    """Return the parameters with a free relative bevel SD between insertions, half-normal with `sd`, last."""
     low, high = BEVEL_SPREAD_BOUNDS
     return replace(
         parameters,
@@ -256,10 +256,14 @@ def without_bevel_spread(parameters: Parameters) -> Parameters:
 
 
 def choose_hyperparameters(parameters: Parameters) -> dict[str, float]:
-    """Return the hyperparameters where nothing is known of them: no scale, the deviation of the prior."""
-    return {
-        name: parameters.half_normal.get(name, 1.0) for name in parameters.names if name in HYPERPARAMETERS
-    }
+    """Return the hyperparameters where nothing is known of them.
+
+    Median of their prior, deviation of a half-normal one, or 1.
+    """
+    names = [name for name in parameters.names if name in HYPERPARAMETERS]
+    stated = {name: parameters.prior.marginals[name] for name in names if name in parameters.prior.marginals}
+    medians = {name: math.exp(mean) for name, (mean, _) in stated.items()}
+    return dict.fromkeys(names, 1.0) | {**parameters.half_normal, **medians}
 
 
 def without_prior(parameters: Parameters) -> Parameters:
@@ -305,9 +309,10 @@ def find_tie_spread(name: str, parameter: ParameterRecord) -> float:
         return MATERIAL_SPREAD if one_material else 1.0
     if dimension(name) == "exponent" and parameter.spread > 1:
         raise ConfigError(
-            "has a tie with a spread, which is a factor",
+            f"the tie of {name} has a spread: a spread is a factor, which an exponent cannot have",
             key=f"parameters.{name}.spread",
             expected="1: alpha is tied exactly, or free with a prior",
+            fix="leave out `spread`, or give the parameter bounds and a prior in place of the tie",
         )
     return parameter.spread
 

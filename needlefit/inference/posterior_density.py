@@ -61,6 +61,8 @@ class PosteriorDensity:
         One of each insertion.
     scale : float
         What the deviations of the points' noise are multiplied by, where it is no parameter.
+    centred_bevels : bool
+        Whether b is the mean of the insertions' own, from which their deviations sum to zero.
     """
 
     parameters: Parameters
@@ -68,6 +70,7 @@ class PosteriorDensity:
     needle: Needle
     observations: tuple[Observation, ...]
     scale: float = 1.0
+    centred_bevels: bool = False
 
     def log_density(self, values: Values) -> float:
         """Return the logarithm of likelihood and stated prior; NaN where a solve fails."""
@@ -102,7 +105,8 @@ class PosteriorDensity:
     ) -> tuple[Floats, Floats]:
         """Return means (B,) and deviations (B,) of the bevel of one insertion, given what was measured of it.
 
-        In units of the spread of ln b, for many sets of values; 0 and 1 where nothing was measured.
+        In standard deviations of b between insertions, for many sets of values; 0 and 1 where nothing was
+        measured.
 
         Parameters
         ----------
@@ -127,7 +131,7 @@ class PosteriorDensity:
         scale, spread = self._scale(values), self._spread(values)
         stated, names = self.parameters.prior.residuals(values), self.parameters.free
         slope = -(stated @ self.parameters.prior.slopes(names))
-        slope = slope + self._by_spread * (1 - self._spread_in_sd(values) ** 2)
+        slope = slope + self._by_half_normal * (1 - self._spread_in_sd(values) ** 2)
         linearize = self._linearization(values)
         pairs = [self._white_and_slopes(one, one.nodes, linearize) for one in self.observations]
         total = float(self._add_up([white[None] for white, _ in pairs], [values])[0])
@@ -171,10 +175,10 @@ class PosteriorDensity:
             slopes.append(part_slopes)
         normal = self._normal(values, log_det)
         # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
-        by_normal = 0.5 * by_det + self._rows * self._by_scale - self._by_spread
+        by_normal = 0.5 * by_det + self._rows * self._by_scale - self._by_half_normal
         stated = [self.parameters.prior.slopes(self.parameters.free)]
-        if self._by_spread.any():
-            stated.append(self._spread_in_sd(values) * self._by_spread[None])
+        if self._by_half_normal.any():
+            stated.append(self._spread_in_sd(values) * self._by_half_normal[None])
         tail = [normal, self._prior_residuals(values)]
         return (
             np.concatenate([*self._in_order(parts), *tail]),
@@ -201,7 +205,7 @@ class PosteriorDensity:
 
     @cached_property
     def _groups(self) -> tuple[tuple[tuple[int, ...], NodeGroup], ...]:
-        return group_nodes(tuple(one.nodes for one in self.observations))
+        return group_nodes(tuple(one.nodes for one in self.observations), self.centred_bevels)
 
     @cached_property
     def _linear(self) -> tuple[tuple[Observation, Nodes], ...]:
@@ -210,7 +214,7 @@ class PosteriorDensity:
 
     @cached_property
     def _linear_groups(self) -> tuple[tuple[tuple[int, ...], NodeGroup], ...]:
-        return group_nodes(tuple(nodes for _, nodes in self._linear))
+        return group_nodes(tuple(nodes for _, nodes in self._linear), self.centred_bevels)
 
     @property
     def _rows(self) -> int:
@@ -225,6 +229,11 @@ class PosteriorDensity:
     def _by_spread(self) -> Floats:
         """Derivatives (P,) of the logarithm of the bevel's spread."""
         return np.array([float(name == BEVEL_SPREAD) for name in self.parameters.free])
+
+    @property
+    def _by_half_normal(self) -> Floats:
+        """The same, where the spread has its half-normal prior; else zeros."""
+        return self._by_spread * (BEVEL_SPREAD in self.parameters.half_normal)
 
     def _scale(self, values: Values) -> float:
         return values.get(NOISE_SCALE, self.scale)

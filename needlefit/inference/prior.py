@@ -9,6 +9,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
+from needlefit.inference.quantity_text import format_quantity
 from needlefit.inference.ties import dimension
 from needlefit.schemas.medium import ParameterRecord, PriorRecord
 
@@ -104,7 +105,7 @@ class Prior:
         if dimension(name) == "exponent":
             known = f"{mean:.3g} +- {sd:.2g}"
         else:
-            known = f"{math.exp(mean):.3g}, within a factor of {math.exp(sd):.2g}"
+            known = f"{format_quantity(name, math.exp(mean))}, within a factor of {math.exp(sd):.2g}"
         return f"; stated before: {known} (counts in the posterior, not in the errors minimised)"
 
 

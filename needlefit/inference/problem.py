@@ -9,6 +9,7 @@ A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + 
 `SMOOTHING_MM`, which is smooth and at most e shorter.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -17,7 +18,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.select import find_repeats
+from needlefit.datasets.select import list_bevels
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError
 from needlefit.geometry.compare import ComparedCurves, compare_curves
@@ -93,6 +94,8 @@ class Problem:
         What is made of noise and uncertain depths.
     model_error : Discrepancy or None
         A misfit of the model that is allowed for beside the noise.
+    centred_bevels : bool
+        Whether b is the mean of these insertions' own; else of others, from which all may differ.
     """
 
     dataset: Dataset
@@ -103,6 +106,7 @@ class Problem:
     noise: Noise | None = None
     likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD
     model_error: Discrepancy | None = None
+    centred_bevels: bool = True
 
     def __post_init__(self) -> None:
         if not self.insertions:
@@ -248,8 +252,10 @@ class Problem:
     @cached_property
     def density(self) -> PosteriorDensity:
         """The posterior density of all values; computed once."""
-        likelihood = self.likelihood
-        if BEVEL_SPREAD not in self.parameters.names:
+        likelihood, bevels = self.likelihood, list_bevels(self.dataset, self.insertions)
+        # of one centred bevel no deviation is left
+        one_bevel = self.linear_bevels and self.centred_bevels and len(set(bevels)) == 1
+        if one_bevel or BEVEL_SPREAD not in self.parameters.names:
             likelihood = likelihood.model_copy(update={"bevel_spread": 0.0})
         known = [
             make_observation(
@@ -257,13 +263,32 @@ class Problem:
             )
             for insertion in self.insertions
         ]
-        repeats = find_repeats(self.dataset)
-        for k, one in enumerate(known):
-            if one.nodes.bevel and one.insertion.id in repeats:
-                nodes = one.nodes.share_bevel(repeats[one.insertion.id])
-                known[k] = replace(one, nodes=nodes)
+        if self.linear_bevels and not one_bevel:
+            pairs = zip(known, bevels, strict=True)
+            known = [replace(one, nodes=one.nodes.share_bevel(bevel)) for one, bevel in pairs]
         scale = 1.0 if likelihood.noise_scale == "estimated" else likelihood.noise_scale
-        return PosteriorDensity(self.parameters, self.medium, self.dataset.needle, tuple(known), scale)
+        needle, centred = self.dataset.needle, self.centred_bevels
+        return PosteriorDensity(self.parameters, self.medium, needle, tuple(known), scale, centred)
+
+    @property
+    def linear_bevels(self) -> bool:
+        """Whether bevels differ between insertions, with a linear effect."""
+        varies = BEVEL_SPREAD in self.parameters.names and self.likelihood.bevel_spread > 0
+        return varies and self.likelihood.depths != "quadrature"
+
+    @property
+    def new_bevel_sd(self) -> float:
+        """By how many SDs between insertions the bevel of a further one deviates, as an SD."""
+        centred = self.linear_bevels and self.centred_bevels
+        return find_new_bevel_sd(self.dataset, self.insertions) if centred else 1.0
+
+
+def find_new_bevel_sd(dataset: Dataset, insertions: Sequence[Insertion]) -> float:
+    """Return by how many SDs between insertions a further bevel deviates from the mean of these n, as an SD.
+
+    That is sqrt(1 + 1 / n): their mean is random too.
+    """
+    return math.sqrt(1 + 1 / len(set(list_bevels(dataset, insertions))))
 
 
 def make_problem(

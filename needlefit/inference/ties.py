@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from functools import cache
 
 from needlefit.errors import ConfigError
+from needlefit.project.toml_lines import add_key_context
 
 NOISE_SCALE = "noise_scale"
 """Name of the estimated factor on the standard deviations of the noise of the points; no medium has it."""
 
 BEVEL_SPREAD = "bevel_spread"
-"""Name of the standard deviation of ln b between insertions, which is estimated; no medium has it."""
+"""Name of the relative SD of b or θ between insertions, which is estimated; no medium has it."""
 
 BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")
 """Names of what says how strongly a needle steers; a medium has one of them."""
@@ -36,7 +37,7 @@ def dimension(name: str) -> str:
         raise ConfigError(
             f"there is no parameter called `{name}`",
             expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm or cut_angle_deg, guide_distance_mm",
-            fix="correct the name",
+            fix=f"write `{name}_pa`" if _NAME.fullmatch(f"{name}_pa") else "correct the name",
         )
     if name in (NOISE_SCALE, BEVEL_SPREAD, "cut_angle_deg"):
         return "angle" if name == "cut_angle_deg" else "factor"
@@ -58,10 +59,10 @@ def parse_tie(name: str, tie: str) -> tuple[float, str]:
         factor = float(match["factor"] or 1.0)
     except ValueError:
         raise _tie_error(name, tie, f"has the factor `{match['factor']}`, which is no number") from None
-    if dimension(match["name"]) != dimension(name):
-        raise _tie_error(
-            name, tie, f"joins different quantities, {dimension(name)} and {dimension(match['name'])}"
-        )
+    with add_key_context(f"parameters.{name}.tie"):
+        source = dimension(match["name"])
+    if source != dimension(name):
+        raise _tie_error(name, tie, f"joins different quantities, {dimension(name)} and {source}")
     positive = dimension(name) != "exponent"
     if not math.isfinite(factor) or (positive and factor <= 0):
         raise _tie_error(name, tie, f"has the factor {factor:g}; moduli and lengths stay positive")
@@ -96,7 +97,7 @@ def _resolve_tie(
             )
         if at not in known:
             raise ConfigError(
-                f"`{visited[-1]}` is tied to `{at}`, which this medium has not",
+                f"`{visited[-1]}` is tied to `{at}`, which is no parameter of this tissue model",
                 key=f"parameters.{name}.tie",
                 expected=f"one of {', '.join(sorted(known - set(visited)))}",
                 fix="tie it to one of these, or give it bounds",

@@ -16,7 +16,7 @@ Layers that the old medium ties together may differ in the new.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
@@ -97,12 +97,20 @@ class TransferredPrior:
 
     @classmethod
     def from_draws(
-        cls, old: Parameters, thetas: Floats, new: Parameters, spread: Mapping[str, float]
+        cls,
+        old: Parameters,
+        fit: Mapping[str, float],
+        thetas: Floats,
+        new: Parameters,
+        spread: Mapping[str, float],
     ) -> Self:
         """Return the mixture about draws (B, P) of the old posterior; arguments as of `widen_posterior`."""
-        names = _find_common(old, new)
-        sds = np.sqrt(2.0) * np.array([spread.get(name, 0.0) for name in names])
-        return cls(new, names, _find_coordinates(old, thetas, names), sds)
+        prior = widen_posterior(old, fit, thetas, new, spread)
+        # the old posterior contains a half-normal prior that both share: it must not count twice
+        half_normal = {name: sd for name, sd in new.half_normal.items() if name not in prior.names}
+        parameters = replace(new, prior=prior, half_normal=half_normal)
+        sds = np.sqrt(2.0) * np.array([spread.get(name, 0.0) for name in prior.names])
+        return cls(parameters, prior.names, _find_coordinates(old, thetas, prior.names), sds)
 
     def correct(self, thetas: Floats) -> Floats:
         """Return the log density (W,) of the mixture at thetas (W, P), less that of the Gaussian prior.

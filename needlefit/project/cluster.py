@@ -6,17 +6,23 @@ machine both sides show TLS certificates, which Dask reads from its own configur
 """
 
 import hashlib
+import logging
+import math
 import pickle
 import platform
+import shlex
+import shutil
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib.metadata import version
 from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlsplit
 
@@ -27,6 +33,7 @@ from needlefit.project.tasks import STOP_POLL_S
 from needlefit.schemas.cluster import SlurmRecord
 
 if TYPE_CHECKING:
+    from dask_jobqueue.slurm import SLURMJob
     from distributed import Client, Future, SpecCluster
 
 Item = TypeVar("Item")
@@ -37,6 +44,9 @@ CONNECT_S = 10.0
 
 CLOSE_S = 2.0
 """Seconds that a scheduler, which may be lost, has to take leave."""
+
+COUNT_WORKERS_S = 1.0
+"""Least seconds between two counts of the workers: each sends the addresses of all of them here."""
 
 TASKS_PER_WORKER = 2
 """Tasks at the scheduler for each worker: one that runs, and one that follows it at once."""
@@ -74,28 +84,31 @@ class ClusterPool:
         ConfigError
             If the scheduler is lost, a worker has other versions, or a task ended several workers.
         """
-        from distributed import wait
-
         # versions travel outside of the work: a worker with other code could not read that
         shared = self._submit("work", _keep, pickle.dumps((describe_code(), pickle.dumps(work))))
         waiting = list(range(len(items)))[::-1]
         running: dict[Future[tuple[Result, str]], int] = {}
+        finished: SimpleQueue[Future[tuple[Result, str]]] = SimpleQueue()
+        wanted, count_at = 0, -math.inf
         try:
             while (waiting or running) and not stop():
-                wanted = TASKS_PER_WORKER * self.size  # asks the scheduler: once a round
+                if time.monotonic() >= count_at:
+                    wanted, count_at = TASKS_PER_WORKER * self.size, time.monotonic() + COUNT_WORKERS_S
                 while waiting and len(running) < wanted:
                     n = waiting.pop()
-                    running[self._submit("task", _run_task, pickle.dumps(items[n]), shared)] = n
+                    future = self._submit("task", _run_task, pickle.dumps(items[n]), shared)
+                    running[future] = n
+                    # each future reports itself: a round costs the same however many run
+                    future.add_done_callback(finished.put)
                 try:
-                    done = wait(list(running), timeout=STOP_POLL_S, return_when="FIRST_COMPLETED").done
-                except TimeoutError:
+                    future = finished.get(timeout=STOP_POLL_S)
+                except Empty:
                     continue
-                for future in done:
-                    n = running.pop(future)
-                    yield n, self._result(future)
+                yield running.pop(future), self._result(future)
         finally:
             if self.client.status == "running":
-                self.client.cancel([*running, shared], force=True)
+                with suppress(OSError):  # lost just now: nothing is left to cancel
+                    self.client.cancel([*running, shared], force=True)
 
     def _submit(
         self, kind: str, function: Callable[..., object], data: bytes, *work: "Future[Any]"
@@ -108,7 +121,11 @@ class ClusterPool:
         """Return how many workers are connected; ConfigError if the scheduler is lost."""
         if self.client.status != "running":
             raise _lost_scheduler()
-        count = len(self.client.scheduler_info()["workers"])
+        try:
+            # `scheduler_info` of some releases lists five workers only
+            count = len(self.client.nthreads())
+        except OSError:
+            raise _lost_scheduler() from None
         if not count:
             self._note_once("no worker is connected to the scheduler; waiting for one")
         return count
@@ -169,13 +186,26 @@ def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Ite
         raise ConfigError(
             "a cluster needs Dask, which is not installed", fix="pip install 'needlefit[cluster]'"
         )
+    from distributed.utils import silence_logging_cmgr
+
+    with silence_logging_cmgr(logging.CRITICAL):  # it logs a traceback where a connection is lost
+        if scheduler.startswith(SLURM_PREFIX):
+            yield from _connect_to_slurm(Path(scheduler.removeprefix(SLURM_PREFIX)), note)
+        else:
+            require_secured(scheduler, insecure)
+            yield from _connect_to_scheduler(scheduler, note)
+
+
+def _connect_to_slurm(file: Path, note: Note) -> Iterator[ClusterPool]:
     from distributed import Client
 
-    if scheduler.startswith(SLURM_PREFIX):
-        with start_slurm(Path(scheduler.removeprefix(SLURM_PREFIX))) as cluster, Client(cluster) as client:
-            yield ClusterPool(client, note)
-        return
-    require_secured(scheduler, insecure)
+    with start_slurm(file) as cluster, Client(cluster) as client:
+        yield ClusterPool(client, note)
+
+
+def _connect_to_scheduler(scheduler: str, note: Note) -> Iterator[ClusterPool]:
+    from distributed import Client
+
     try:
         client = Client(scheduler, timeout=CONNECT_S)
     except (OSError, TimeoutError, ValueError, TypeError) as error:
@@ -234,9 +264,34 @@ def start_slurm(file: Path) -> "Iterator[SpecCluster]":
         cluster = make_slurm(record)
     except (OSError, RuntimeError, ValueError) as error:
         raise ConfigError(f"no cluster could be started: {error}", where=str(file)) from None
-    with cluster:
-        cluster.scale(record.jobs * record.processes)
+    try:
+        command = shlex.split(_find_job_class().submit_command)[0]
+        if shutil.which(command) is None:
+            raise ConfigError(
+                f"there is no command {command} on this machine",
+                where=str(file),
+                expected="a machine that submits jobs to Slurm",
+                fix="run it on the login node of the cluster",
+            )
+        try:
+            cluster.sync(_submit_jobs, cluster, record.jobs)
+        except (OSError, RuntimeError, ValueError) as error:
+            raise ConfigError(
+                f"a job was rejected: {' '.join(str(error).split())}",
+                where=str(file),
+                expected="keys that this cluster accepts",
+                fix=f"correct the keys of the file, or ask {command} why",
+            ) from None
         yield cluster
+    finally:
+        cluster.close()
+
+
+async def _submit_jobs(cluster: "SpecCluster", jobs: int) -> None:
+    """Submit jobs, as `cluster.scale` does, which only logs a job that is rejected."""
+    while len(cluster.worker_spec) < jobs:
+        cluster.worker_spec.update(cluster.new_worker_spec())
+    await cluster
 
 
 def make_slurm(record: SlurmRecord) -> "SpecCluster":
@@ -252,7 +307,27 @@ def make_slurm(record: SlurmRecord) -> "SpecCluster":
     # the status page has no encryption: nobody else sees it
     hidden = {"dashboard_address": "127.0.0.1:0"}
     security = Security.temporary()
-    return SLURMCluster(protocol="tls://", security=security, scheduler_options=hidden, **options)
+    return SLURMCluster(
+        protocol="tls://",
+        security=security,
+        scheduler_options=hidden,
+        job_cls=_find_job_class(),  # type: ignore[arg-type]  # of a class, it is declared as an instance
+        **options,
+    )
+
+
+@cache
+def _find_job_class() -> "type[SLURMJob]":
+    """Return the class of a Slurm job, which is closed once it is cancelled: `SpecCluster` requires it."""
+    from dask_jobqueue.slurm import SLURMJob
+    from distributed.deploy.spec import ProcessInterface
+
+    class ClosedJob(SLURMJob):
+        async def close(self) -> None:
+            await super().close()  # type: ignore[no-untyped-call]
+            await ProcessInterface.close(self)
+
+    return ClosedJob
 
 
 def _keep(data: bytes) -> bytes:

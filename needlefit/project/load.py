@@ -134,7 +134,7 @@ def _to_fault(fault: str, location: Location, error: ErrorDetails, kind: type[Ba
     message = error["msg"].removeprefix("Value error, ")
     if fault not in _EXPECTED:  # the record's own words, which say what to do
         what, fix = (f"key `{key}`: {message}", f"`{key}`") if key else (message, "the keys named")
-        return SchemaFault(key, what, "", f"change {fix} accordingly")
+        return SchemaFault(key, what, _forms(kind, location), f"change {fix} accordingly")
     value = error.get("input")
     got = (
         f" is {_as_written(value)}" if isinstance(value, str | int | float | bool) else " is of another kind"
@@ -162,12 +162,22 @@ def _unknown(key: str, location: Location, kind: type[BaseModel]) -> SchemaFault
         return SchemaFault(key, what, "", _MIGRATE.format(new_name), new_name)
     known = list(_fields(kind, location[:-1]))
     near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+    forms, table = _forms(kind, location[:-1]), key.rpartition(".")[0]
     return SchemaFault(
         key,
         f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else ""),
-        f"one of {', '.join(known)}" if known else "",
-        f"write `{near[0]}`, or leave it out" if near else f"leave `{key}` out",
+        forms or (f"one of {', '.join(known)}" if known else ""),
+        f"write `{near[0]}`, or leave it out"
+        if near
+        else f"write `{table}` in one of these forms"
+        if forms
+        else f"leave `{key}` out",
     )
+
+
+def _forms(kind: type[BaseModel], location: Location) -> str:
+    """Return the ways to write the table at `location` of a record; empty where it states none."""
+    return str(getattr(_record_at(kind, location), "FORMS", ""))
 
 
 def _missing(location: Location, kind: type[BaseModel]) -> str:

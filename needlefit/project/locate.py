@@ -136,10 +136,12 @@ def find_dataset_or_study(name: str) -> tuple[Literal["dataset", "study", "fit"]
     if is_path(name):
         path = find_file("dataset", name)
         keys = read_toml(path, where=file_label(path)).keys()
+        if path.name != "dataset.toml" and _is_study(path):
+            return "study", path
         if path.name == "dataset.toml" or keys & _DATASET_KEYS:
             return "dataset", path
-        if _is_study(path) or {"dataset", "medium"} <= keys:
-            return ("study" if _is_study(path) else "fit"), path
+        if {"dataset", "medium"} <= keys:
+            return "fit", path
         raise ConfigError(
             "is neither a dataset nor a study",
             where=name,

@@ -1,4 +1,4 @@
-"""Changing single keys of a TOML file from the command line: `bevel.offset_mm=0.1`, `layers.1.mu_pa=3e5`."""
+"""Change single keys of a TOML file from the command line: `bevel.offset_mm=0.1`, `layers.1.mu_pa=3e5`."""
 
 import copy
 import difflib
@@ -15,7 +15,7 @@ from needlefit.project.input_files import parse_toml
 def override(
     tables: Mapping[str, Any], assignments: Sequence[tuple[str, str]], kind: type[BaseModel], where: str
 ) -> dict[str, Any]:
-    """Return a copy of `tables` in which each dotted key has its new value.
+    """Return a copy of `tables` in which each dotted key has its new value, or is gone if that is empty.
 
     Members of a list are numbered from 1: `layers.1` is the first layer, `steps.1` the first step.
 
@@ -35,7 +35,12 @@ def override(
                 expected=f"one of {', '.join(near)}",
                 fix="use one of these keys; layers, guides and steps are numbered from 1",
             )
-        _assign(changed, key.split("."), _parsed(text, f"{where}, --set {key}"))
+        *path, name = key.split(".")
+        table = _find_table(changed, path)
+        if text:
+            table[name] = _parsed(text, f"{where}, --set {key}")
+        else:
+            table.pop(name, None)
     return changed
 
 
@@ -68,12 +73,13 @@ def _is_record(annotation: object) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
-def _assign(tables: dict[str, Any], path: list[str], value: object) -> None:
-    """Set the value at the end of `path`, making the tables on the way that the file leaves to defaults."""
+def _find_table(tables: dict[str, Any], path: Sequence[str]) -> dict[str, Any]:
+    """Return the table at `path`, making those on the way that the file leaves to defaults."""
     table: Any = tables
-    for part in path[:-1]:
+    for part in path:
         table = table[int(part) - 1] if part.isdigit() else table.setdefault(part, {})
-    table[path[-1]] = value
+    found: dict[str, Any] = table
+    return found
 
 
 def _parsed(text: str, where: str) -> object:

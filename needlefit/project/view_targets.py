@@ -9,6 +9,9 @@ from needlefit.project.input_files import is_dir, is_file, path_exists
 from needlefit.project.locate import find_file, find_run, is_path, list_names, list_runs, unknown_name_error
 
 TargetKind = Literal["scene", "run", "dataset"]
+SpecimenChoice = Literal["shown", "planned", "new", "same"]
+"""Specimen that a run's draws are for: the shown insertion's, as the run predicted it; a planned one's, which
+is new unless the run's study leaves out the spread between specimens; a new one; one that was fitted."""
 
 
 @dataclass(frozen=True)
@@ -24,15 +27,15 @@ class ViewTarget:
         The scene's file, the run's folder, or the `dataset.toml`.
     insertion : str or None
         The insertion that was named with a run or a dataset.
-    specimen : "new" or "same"
-        Whether the parameters of a specimen that a run did not tune on differ in its band.
+    specimen : SpecimenChoice
+        Of the draws of a run.
     """
 
     kind: TargetKind
     name: str
     path: Path
     insertion: str | None = None
-    specimen: Literal["new", "same"] = "new"
+    specimen: SpecimenChoice = "shown"
 
 
 def find_view_target(name: str) -> ViewTarget:

@@ -3,7 +3,7 @@
 import math
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.number_format import format_number, typeset
+from needlefit.reporting.number_format import choose_printed_unit, format_number, typeset
 from needlefit.reporting.table_files import Row
 
 MAX_BOUNDS_SHARE = 0.5
@@ -27,6 +27,13 @@ def format_interval(row: Row, unit: float = 1.0) -> str:
     if interval_width(name, low, high) > MAX_BOUNDS_SHARE * interval_width(name, *bounds):  # NaN: no bounds
         return NO_INTERVAL
     return f"{format_number(low / unit)} to {format_number(high / unit)}"
+
+
+def choose_interval_unit(row: Row, *values: float | None) -> tuple[str, float]:
+    """Return symbol and unit as `choose_printed_unit`, for values and, where it is printed, the interval."""
+    printed = format_interval(row) not in ("", NO_INTERVAL)
+    ends = [row[end] for end in ("interval_low", "interval_high")] if printed else []
+    return choose_printed_unit(str(row["parameter"]), [*values, *ends])
 
 
 def typeset_interval(row: Row, unit: float = 1.0) -> str:

@@ -125,28 +125,32 @@ BOXPLOT_CAPTION = (
 )
 PAPER_MEANS_CAPTION = "The paper’s means (open) are of its own needles."
 SCHEMATIC_CAPTION = (
-    "Insertions with the smallest and the largest tip error (TE): measured needle (dots), model (line) and, "
-    "where it was held out, its 50 % and 95 % predictive bands. The orange line joins the two tips: its "
-    "length is the TE. Shaded: layers, with their numbers."
+    "Insertions with the smallest and the largest tip error (TE): measured needle (dots) and model (line). "
+    "The orange line joins the two tips: its length is the TE. Shaded: layers, with their numbers."
 )
 OVERLAYS_CAPTION = (
     "Measured needles (dots) and model (lines), one panel per insertion, all with the same axes. Number: tip "
-    "error. Bands: 50 % and 95 % predictive bands of held-out insertions; those that leave a panel are wider."
+    "error."
 )
 RESIDUALS_CAPTION = (
     "Deflection minus that of the fitted needle at the same depth, positive toward the bevel: insertions "
-    "with the smallest, the median and the largest tip error. The bands include the uncertainty of the "
-    "parameters and the measurement errors, so they need not be centred on the fit. The straight line is not "
-    "drawn; curves and bands that leave a panel lie farther away."
+    "with the smallest, the median and the largest tip error. The straight line is not drawn; curves that "
+    "leave a panel lie farther away."
 )
+BANDS_CAPTION = (
+    "Bands: 50 % and 95 % predictive bands of held-out insertions. They include the uncertainty of the "
+    "parameters and the measurement errors, so they need not be centred on the fit. Bands that leave a panel "
+    "are wider."
+)
+NO_BANDS_CAPTION = "Predictive bands are not drawn: the draws are not certified or not converged."
 WATERFALL_CAPTION = (
     "Waterfall plot. Left: objective of each start minus the best one of its search, sorted, in units of the "
     "tolerance (dashed): 0.1 of the log posterior, or 1 % of the metric objective and at least 0.002 mm. "
     "Starts closer than 0.001 are drawn there. Right: final value of each free parameter between its bounds "
-    "(written at the ends; μ and b in logarithms)."
+    "(written at the ends; μ, b and θ in logarithms)."
 )
 CORNER_CAPTION = (
-    "Posterior: marginals and pairs; moduli and b in logarithms. Dots and histograms: draws. Lines and "
+    "Posterior: marginals and pairs; moduli, b and θ in logarithms. Dots and histograms: draws. Lines and "
     "marks as in the legend. Dotted: bounds, and the flat prior between them."
 )
 PREDICTIVE_CHECK_CAPTION = (

@@ -4,6 +4,12 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
+from needlefit.inference.quantity_text import choose_unit, is_known
+from needlefit.inference.quantity_text import format_number as format_number
+from needlefit.inference.quantity_text import format_plain as format_plain
+from needlefit.inference.quantity_text import format_quantity as format_quantity
+from needlefit.inference.quantity_text import format_quantity_range as format_quantity_range
+from needlefit.inference.quantity_text import typeset as typeset
 from needlefit.metrics import METRICS, Metric
 
 MISSING = "–"
@@ -12,18 +18,17 @@ _PARAMETER_PATTERN = re.compile(
 )
 _POWER_PATTERN = re.compile(r"\b\d(?:\.\d+)?e-?\d+\b")
 _MINUS_PATTERN = re.compile(r"(?<![\w^.-])-(?=\d)")  # of a number of its own, not of an exponent or a range
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def format_mm(value: float | None, digits: int = 2) -> str:
     """Return a length in mm as text, with the paper's precision."""
-    return f"{value:z.{digits}f}" if _is_known(value) else MISSING
+    return f"{value:z.{digits}f}" if is_known(value) else MISSING
 
 
 def format_signed_mm(value: float | None, digits: int = 2) -> str:
     """Return a difference in mm as text with its sign (a true minus); a rounded 0 has no sign."""
-    if not _is_known(value):
+    if not is_known(value):
         return MISSING
     text = f"{value:+.{digits}f}"
     return text[1:] if float(text) == 0 else text.replace("-", "−")
@@ -31,7 +36,7 @@ def format_signed_mm(value: float | None, digits: int = 2) -> str:
 
 def format_percent(value: float | None) -> str:
     """Return a percentage with three significant digits, as in the paper: 4.77, 10.3, 254."""
-    if not _is_known(value):
+    if not is_known(value):
         return MISSING
     assert value is not None
     digits = 2 if abs(value) < 9.995 else 1 if abs(value) < 99.95 else 0
@@ -59,29 +64,6 @@ def join_words(words: Sequence[str]) -> str:
     return " and ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)
 
 
-def format_number(value: float | None) -> str:
-    """Return three significant digits in a form that Python reads back: 0.0847, 2.13e5."""
-    if not _is_known(value):
-        return ""
-    assert value is not None
-    mantissa, _, exponent = f"{value:.2e}".partition("e")
-    power = int(exponent)
-    if -3 <= power < 4:
-        digits = max(0, 2 - power)
-        plain = f"{float(f'{value:.2e}'):z.{digits}f}"
-        return plain.rstrip("0").rstrip(".") if digits else plain
-    return f"{mantissa.rstrip('0').rstrip('.')}e{power}"
-
-
-def typeset(text: str) -> str:
-    """Return a result of `format_number` as it is printed in books: 2.13 × 10⁵, with a true minus."""
-    mantissa, e, exponent = text.partition("e")
-    if e and exponent.lstrip("-").isdigit():
-        power = f"10{exponent.translate(_RAISED)}"
-        return power if mantissa == "1" else f"{mantissa.replace('-', '−')} × {power}"
-    return text.replace("-", "−") if text[1:2].isdigit() else text
-
-
 def format_symbol(parameter: str) -> str:
     """Return the symbol and unit of a parameter: `mu1_pa` is μ₁ (Pa)."""
     for name, sign, unit in (("mu", "μ", " (Pa)"), ("alpha", "α", "")):
@@ -93,7 +75,7 @@ def format_symbol(parameter: str) -> str:
         "cut_angle_deg": "θ (°)",
         "guide_distance_mm": "guide to entry (mm)",
         "noise_scale": "noise scale",
-        "bevel_spread": "SD of ln b",
+        "bevel_spread": "relative bevel SD",
     }.get(parameter, parameter)
 
 
@@ -102,51 +84,16 @@ def format_bare_symbol(parameter: str) -> str:
     return format_symbol(parameter).split(" (")[0]
 
 
-_STRESS_UNITS = ((1e6, "MPa"), (1e3, "kPa"))
-
-
-def format_quantity(parameter: str, value: float | None) -> str:
-    """Return a parameter's value with its unit: 196 kPa, 48.3 MPa, 0.0999 mm; empty if it is missing."""
-    return format_quantity_range(parameter, value, value)
-
-
-def format_quantity_range(parameter: str, low: float | None, high: float | None) -> str:
-    """Return "124 to 289 kPa", or one value with its unit where both ends are printed alike."""
-    if not (_is_known(low) and _is_known(high)):
-        return ""
-    assert low is not None and high is not None
-    scale, unit = _choose_unit(parameter, high)
-    texts = [format_plain(value / scale) for value in (low, high)]
-    return f"{' to '.join(dict.fromkeys(texts))} {unit}".strip()
-
-
 def choose_printed_unit(parameter: str, values: Iterable[float | None]) -> tuple[str, float]:
-    """Return the symbol of a parameter with the unit that fits the first known value, and that unit in Pa.
+    """Return the symbol of a parameter with the unit that fits the largest known value, and that unit in Pa.
 
     Of a parameter that is no stress the second is 1.
     """
-    known = next((float(one) for one in values if one is not None and math.isfinite(one)), None)
-    if known is None or not parameter.endswith("_pa"):
+    known = [float(one) for one in values if one is not None and math.isfinite(one)]
+    if not known or not parameter.endswith("_pa"):
         return format_symbol(parameter), 1.0
-    scale, unit = _choose_unit(parameter, known)
+    scale, unit = choose_unit(parameter, max(known))
     return format_symbol(parameter).replace("(Pa)", f"({unit})"), scale
-
-
-def _choose_unit(parameter: str, value: float) -> tuple[float, str]:
-    """Return the unit in which people read a parameter of this size, and that unit in the unit of files."""
-    if not parameter.endswith("_pa"):
-        return 1.0, {"mm": "mm", "deg": "°"}.get(parameter.rpartition("_")[2], "")
-    return next(((scale, unit) for scale, unit in _STRESS_UNITS if value >= scale), _STRESS_UNITS[-1])
-
-
-def format_plain(value: float) -> str:
-    """Return three significant digits without an exponent where that is readable."""
-    text = format_number(value)
-    return (
-        (f"{float(text):.0f}" if abs(value) < 1e6 else typeset(text))
-        if "e" in text and abs(value) > 1
-        else typeset(text)
-    )
 
 
 def insert_symbols(words: str) -> str:
@@ -157,7 +104,3 @@ def insert_symbols(words: str) -> str:
     named = _PARAMETER_PATTERN.sub(lambda found: format_bare_symbol(found[0]), words)
     true = _MINUS_PATTERN.sub("−", named)
     return _POWER_PATTERN.sub(lambda found: typeset(found[0]), true).replace(" * ", " · ")
-
-
-def _is_known(value: float | None) -> bool:
-    return value is not None and math.isfinite(value)

@@ -16,6 +16,9 @@ class Record(BaseModel):
         extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, protected_namespaces=()
     )
 
+    FORMS: ClassVar[str] = ""
+    """The ways to write the table where its keys exclude or need each other; messages show them."""
+
 
 class FileRecord(Record):
     """A whole TOML file; `schema` is the version of its layout.

@@ -1,7 +1,7 @@
 """Datasets: the files and columns of measured needle shapes or of tip tracks."""
 
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -69,6 +69,11 @@ class MeasurementRecord(Record):
     own keys.
     """
 
+    FORMS: ClassVar[str] = (
+        'operator = "none"; "spline" with sections = "sections/{id}.toml" or knot_spacing_mm; "gaussian" '
+        'with width_mm; or "unknown" with bias_sd_mm and bias_length_mm'
+    )
+
     operator: Operator = "none"
     """What was done to the shape before its points were stored: nothing, a smoothing spline, a Gaussian
     mean, or an unknown smooth bias."""
@@ -77,7 +82,8 @@ class MeasurementRecord(Record):
     knot_spacing_mm: float | None = Field(default=None, ge=1, le=200)
     """spline, without `sections`: distance between its knots."""
     width_mm: float | None = Field(default=None, gt=0, le=100)
-    """gaussian: standard deviation of the weights along the needle."""
+    """gaussian: standard deviation of its weights along the needle; at most a quarter of the length
+    compared."""
     bias_sd_mm: float | None = Field(default=None, gt=0, le=10)
     """unknown: standard deviation of the bias, which all insertions share."""
     bias_length_mm: float | None = Field(default=None, ge=1, le=200)

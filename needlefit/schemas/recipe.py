@@ -52,8 +52,8 @@ class LikelihoodRecord(Record):
     noise_scale: Annotated[float, Field(gt=0)] | Literal["estimated"] = 1.0
     """Factor on the standard deviations of the points, or "estimated" with the parameters."""
     bevel_spread: float = Field(default=0.1, ge=0, le=1)
-    """Standard deviation of the half-normal prior of the spread of ln b between insertions; 0 gives all
-    insertions the same b."""
+    """Standard deviation of the half-normal prior of the relative standard deviation of the bevel
+    parameter (b or theta) between insertions; 0 gives all insertions the same."""
 
 
 class SampleRecord(Record):
@@ -88,7 +88,7 @@ class BetweenSpecimensRecord(Record):
     modulus_factor: float = Field(default=2.0, ge=1)
     """Factor by which moduli of two specimens differ, at one standard deviation."""
     bevel_factor: float = Field(default=1.8, ge=1)
-    """The same of the bevel offset b."""
+    """The same of the bevel parameter (b or theta)."""
 
 
 class RecipeRecord(FileRecord):

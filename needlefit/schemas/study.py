@@ -51,6 +51,9 @@ class FitRecord(FileRecord):
     """Measured priors by number of layer: files that `needlefit material` wrote."""
     tune: SelectionRecord = Field(default=SelectionRecord())
     """Insertions that are fitted."""
+    specimens: Literal["others", "training only"] = "others"
+    """Parameters of a specimen that is not fitted: with the spread between the dataset's specimens
+    ("others"), or as fitted ("training only", as in the paper)."""
 
 
 class StudyRecord(FitRecord):
@@ -68,9 +71,6 @@ class StudyRecord(FitRecord):
     same_specimen: bool = False
     """Whether held-out insertions go on purpose into specimens that are fitted. Without it, that is a
     warning."""
-    specimens: Literal["others", "training only"] = "others"
-    """Parameters of a specimen that is not fitted: with the spread between the dataset's specimens
-    ("others"), or as fitted ("training only", as in the paper)."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:

@@ -58,7 +58,8 @@ def lay_out_differences(found: Sequence[Difference], everything: bool = False) -
     note = (
         "A change matters if an identifiable parameter moved by more than half its standard deviation, if a "
         "mean error changed by more than 0.005 mm (a CRPS by more than 10 %) and by more than two standard "
-        "errors on the same insertions, or if a verdict or state changed."
+        "errors on the same insertions, if the width of an interval changed by more than 10 %, or if a "
+        "verdict (such as that an interval covers too few insertions) or a state changed."
     )
     hidden = (f"Not shown: {left} not relevant (`--all` prints them).",)
     notes = (*((note,) if everything or any(one.matters for one in rows) else ()), *(hidden if left else ()))

@@ -1,7 +1,7 @@
 """Warn about a finished fit: parameters at bounds, a closer baseline, errors far from the noise floor."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,8 +11,8 @@ from scipy.special import chdtr, chdtrc
 
 from needlefit.arrays import Floats
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.identifiability.identify import BOUND_FRACTION
 from needlefit.inference.identifiability.information import short_name
+from needlefit.inference.identifiability.precision import BOUND_FRACTION, CUT_OFF_FRACTION
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.reporting.labels import medium_name
@@ -26,17 +26,18 @@ VERDICT_KINDS = ("parameter_at_bound", "worse_than_baseline")
 """Of warnings that say that a fit's values, or its predictions, are not to be relied on."""
 
 
-def add_warnings(results: Run, job: Job) -> Run:
-    """Return results whose `run` also has the warnings about data, study and fit."""
+def add_warnings(results: Run, job: Job, predicted: Iterable[ResultWarning] = ()) -> Run:
+    """Return results whose `run` also has the warnings about data, study, fit and predictions."""
     found = [*read_warnings(results.run), *job.warnings]
     found += validity_warnings(results.run)
     if not results.interrupted:
         found += [
             *bound_warnings(results),
+            *cut_off_warnings(_list_intervals(results), {"": job.parameters}),
             *baseline_warnings(results),
             *noise_floor_warnings(results),
         ]
-    return replace(results, run={**results.run, **warnings_entry(found)})
+    return replace(results, run={**results.run, **warnings_entry([*found, *predicted])})
 
 
 def verdict_warnings(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
@@ -55,6 +56,26 @@ def bound_warnings(results: Run) -> Iterator[ResultWarning]:
         yield from _bound_warning(
             f"the fitted {short_name(str(name))}", ends, f" of {folds} folds" if folds > 1 else ""
         )
+
+
+def _list_intervals(results: Run) -> pd.DataFrame:
+    """Return the 95 % intervals of a fit's parameters; one whose profile is open reaches the bound."""
+    table = results.frames["parameters"]
+    free = table[(table["method"] == "fitted") & (table["status"] == "free")]
+    ends = results.frames["identification"].reindex(columns=["fold", "parameter", "end_low", "end_high"])
+    both = free.merge(ends, on=["fold", "parameter"], how="left")
+    low, high = (
+        both[f"interval_{end}"].where(both[f"end_{end}"] != "bound", both[f"bound_{end}"])
+        for end in ("low", "high")
+    )
+    return pd.DataFrame(
+        {
+            "fit": "",
+            **{name: both[name] for name in ("parameter", "value")},
+            "p2_5": low.astype(float),
+            "p97_5": high.astype(float),
+        }
+    )
 
 
 def analysis_bound_warnings(
@@ -81,10 +102,6 @@ def analysis_bound_warnings(
                 )
 
 
-CUT_OFF_FRACTION = 0.01
-"""A 95 % interval that ends closer to a bound than this part of the bounds is cut off there."""
-
-
 def cut_off_warnings(
     intervals: pd.DataFrame, parameters: Mapping[str, Parameters]
 ) -> Iterator[ResultWarning]:
@@ -104,11 +121,12 @@ def cut_off_warnings(
             ]
             reached = [end for end in ends if end]
             if reached:
+                of = f" of {name!s}" if name else ""
+                count = f", in {len(reached)} of {len(rows)} fits" if len(rows) > 1 else ""
                 yield ResultWarning(
                     "parameter_at_bound",
-                    f"the 95 % interval of {short_name(str(parameter))} of {name} ends at its "
-                    f"{' and '.join(dict.fromkeys(reached))}, in {len(reached)} of {len(rows)} fits: "
-                    "the bound, not the data, limits it",
+                    f"the 95 % interval of {short_name(str(parameter))}{of} ends at its "
+                    f"{' and '.join(dict.fromkeys(reached))}{count}: the bound, not the data, limits it",
                     fix="check the data and what the model leaves out, or widen the bounds",
                 )
 
@@ -136,28 +154,27 @@ def _describe_bound(name: str, value: float, low: float, high: float, near: floa
 
 
 def baseline_warnings(results: Run) -> Iterator[ResultWarning]:
-    """Yield the closest baseline curve, if it is closer to the scored insertions than the fit.
+    """Yield the closest baseline curve, if it is significantly closer to the scored insertions than the fit.
 
-    Held-out insertions: by more than chance gives (`beats_fit`: two standard errors, or half of the error on
-    a single insertion). Insertions fitted to: by the noise floor as well, for a fit allows for errors of the
-    entry pose that the score counts.
+    That is by two standard errors, or by half of the error on a single insertion (`beats_fit`).
     """
     held_out = bool((results.frames["errors"]["role"] == "validate").any())
     role = "validate" if held_out else "tune"
     table = compare_methods(results, role=role)
     better = [row for _, row in table.iterrows() if row["method"] in BASELINES and beats_fit(row)]
-    better = (
-        better if held_out else [row for row in better if -row["difference_mm"] > _mean_noise_floor(results)]
-    )
     if better:
         best = min(better, key=lambda row: float(row["difference_mm"]))
         error, fit = best["ipe_mean_mm"], best["ipe_mean_mm"] - best["difference_mm"]
         which = "held-out insertions" if held_out else "insertions fitted to"
+        # a curve follows errors of the entry pose, for which the fit allows
+        within_noise = not held_out and fit - error < _mean_noise_floor(results)
         yield ResultWarning(
             "worse_than_baseline",
             f"{BASELINES[str(best['method'])].description} is closer to the {which} than the fitted model "
             f"(mean in-plane error {error:.3f} mm against {fit:.3f} mm)",
-            fix="do not rely on this model there; check bevel sides, layers and needle of the data",
+            fix="the difference is below the noise floor: compare both on held-out insertions"
+            if within_noise
+            else "do not rely on this model there; check bevel sides, layers and needle of the data",
         )
 
 

@@ -11,7 +11,7 @@ of it leaves a band that the predicted probability of such needles stays within 
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers, find_repeats
+from needlefit.datasets.select import count_layers, find_repeats, list_bevels
 from needlefit.inference.compared_points import align
 from needlefit.inference.draws import Draws, rms_noise_scale, thin_posterior
 from needlefit.inference.fit import Fit
@@ -38,9 +38,16 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.folds import Fold
+from needlefit.studies.interval_width import estimate_width_after_one
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
-from needlefit.studies.planned_draws import draw_conditions, scale_bevels, simulate_planned
+from needlefit.studies.planned_draws import (
+    PlannedNeedles,
+    draw_conditions,
+    scale_bevels,
+    simulate_planned,
+    vary_bevels,
+)
 from needlefit.studies.posterior_fit import PREDICTION_DRAWS, weigh_or_sample
 from needlefit.studies.score import Row
 
@@ -50,9 +57,13 @@ FIGURE_DRAWS = 400
 MIN_SOLVED_DRAWS = 10
 """Fewer solved draws make no distribution."""
 
+AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
+"""Expected width of the 95 % interval of the tip after one measured insertion into the new specimen."""
+
 PREDICTIVE_COLUMNS = (
     *("fold", "insertion", "specimen", "medium", "layers", "depth_mm"),
     *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
+    AFTER_ONE_COLUMN,
     *("draw_source", "certified", "draws", "failed_solves"),
     *(
         "tip_measured_mm",
@@ -84,8 +95,9 @@ def draw_fold_parameters(
         return few, many
     pareto_k = math.nan
     if posterior is None:
-        key = (fold.name, "foretold")
-        rng = random_stream(job.recipe.seed, job.name, *key)
+        key = (fold.name, "draws")
+        # not keyed by the job's name: the same fit has the same draws, whichever command runs it
+        rng = random_stream(job.recipe.seed, *key)
         found, posterior = weigh_or_sample(job, job.problem(fold), fit, rng, key, settings)
         pareto_k = found.k
     if posterior is not None:
@@ -130,7 +142,8 @@ def predict_held_out(
     """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
 
     Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
-    With `new`, parameters differ in specimens that were not tuned on. Without `bands`, those are left out.
+    With `new`, parameters differ in specimens that were not tuned on. Without `bands`, those are left out,
+    and what one measured insertion into a new specimen would leave of the width.
     """
     given = [one for one in fold.validate if job.dataset.noise.stated or one.sd is not None]
     if new is not None:
@@ -150,6 +163,9 @@ def predict_held_out(
         job.problem(fold) if fold.tune else None,
         jobs // side_by_side,
         bands,
+        _choose_representatives(job, filter(new.differs, given))
+        if new is not None and bands
+        else frozenset(),
     )
     if side_by_side == 1:
         yield from filter(None, map(predict.predict, given))
@@ -172,6 +188,7 @@ class _Predictor:
     tuned_on: Problem | None
     jobs: int
     bands: bool
+    representatives: frozenset[str]
 
     def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
         """Return the prediction of an insertion; None where too few draws have a solution."""
@@ -187,12 +204,9 @@ class _Predictor:
         thetas = draws.thetas if differing is None else differing.move(draws.thetas, insertion, once)
         sets = [job.parameters.values(theta) for theta in thetas]
         deviations = once.standard_normal(len(sets))
-        if own is not None and self.tuned_on is not None and len(sets):
+        if self.tuned_on is not None and len(sets):
             deviations = _condition_bevels(self.tuned_on, sets, own, deviations, self.jobs)
-        sets = scale_bevels(sets, deviations)
-        conditions = draw_conditions(insertion, len(sets), rng)
-        s, needle = observation.nodes.s[0], job.dataset.needle
-        found = simulate_planned(sets, job.medium, needle, insertion, s, conditions, self.jobs)
+        found = self._simulate(insertion, observation, scale_bevels(sets, deviations), rng)
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
@@ -200,6 +214,10 @@ class _Predictor:
         covariance, measured = _measurement_covariance(observation, self.factor), observation.measured[:, 1]
         mixture = PredictiveMixture(heights, np.sqrt(np.diag(covariance)))
         row = {"fold": fold.name, **_describe_insertion(job, insertion, draws, int(np.sum(~solved))), **about}
+        row[AFTER_ONE_COLUMN] = math.nan
+        if insertion.id in self.representatives:
+            some = [values for values, kept in zip(sets, solved, strict=True) if kept]
+            row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
         row |= _score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
         where = {"fold": fold.name, "insertion": insertion.id}
         points = _band_rows(mixture, observation.measured) if self.bands else ()
@@ -211,11 +229,67 @@ class _Predictor:
             int(np.sum(~found.valid[solved])),
         )
 
+    def _simulate(
+        self,
+        insertion: Insertion,
+        observation: Observation,
+        sets: Sequence[Mapping[str, float]],
+        rng: np.random.Generator,
+    ) -> PlannedNeedles:
+        """Return the needles of sets of values at the observed points, each with depths of its own."""
+        conditions, s = draw_conditions(insertion, len(sets), rng), observation.nodes.s[0]
+        medium, needle = self.job.medium, self.job.dataset.needle
+        return simulate_planned(sets, medium, needle, insertion, s, conditions, self.jobs)
+
+    def _estimate_after_one(
+        self,
+        insertion: Insertion,
+        observation: Observation,
+        sets: Sequence[Mapping[str, float]],
+        first: PredictiveMixture,
+    ) -> float:
+        """Return the width of the 95 % interval of the tip after one such insertion was measured, mm.
+
+        The second one has the parameters of the `first` (`sets`, before its bevel was drawn), and a bevel,
+        depths and errors of measurement of its own.
+        """
+        job, fold = self.job, self.fold
+        # a stream of its own: no other number depends on it
+        rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
+        new_bevel_sd = 1.0 if self.tuned_on is None else self.tuned_on.new_bevel_sd
+        found = self._simulate(insertion, observation, vary_bevels(sets, new_bevel_sd, rng), rng)
+        again = np.full(len(sets), np.nan)
+        aligned = align(observation.pose, found.points[found.solved], observation.measured)
+        again[found.solved] = aligned[:, -1, 1]
+        errors = first.sd[-1] * rng.standard_normal((2, len(sets)))
+        return estimate_width_after_one(again + errors[0], first.means[:, -1] + errors[1])
+
+
+def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:
+    """Return the insertion of median depth of each medium and number of layers, by its id."""
+    groups: dict[tuple[str, int], list[Insertion]] = {}
+    for one in insertions:
+        groups.setdefault((one.medium, count_layers(one, job.record.layer_count_rule)), []).append(one)
+    ordered = (sorted(some, key=lambda one: (one.depth, one.id)) for some in groups.values())
+    return frozenset(some[(len(some) - 1) // 2].id for some in ordered)
+
 
 def _condition_bevels(
-    problem: Problem, sets: Sequence[Mapping[str, float]], own: tuple[str, int], deviations: Floats, jobs: int
+    problem: Problem,
+    sets: Sequence[Mapping[str, float]],
+    own: tuple[str, int] | None,
+    deviations: Floats,
+    jobs: int,
 ) -> Floats:
-    """Return standard deviations (B,) of a bevel drawn given what was measured of the insertion `own`."""
+    """Return by how many SDs (B,) the bevel of an insertion deviates, from standard normal `deviations`.
+
+    `own` names it where it was measured at several depths. What was fitted to may be one of them.
+    """
+    fitted = list_bevels(problem.dataset, problem.insertions)
+    if own not in fitted:
+        return problem.new_bevel_sd * deviations
+    if len(set(fitted)) == 1:
+        return 0.0 * deviations
     mean, sd = problem.density.estimate_bevel(sets, own, jobs)
     # with a set that has no solution nothing is predicted
     return np.nan_to_num(mean + sd * deviations)

@@ -10,7 +10,6 @@ import numpy as np
 from needlefit.inference.identifiability.assessment import (
     AGREEMENT,
     Assessment,
-    add_sampled_disagreement,
     assess_parameter,
 )
 from needlefit.inference.identifiability.conditions import (
@@ -23,7 +22,6 @@ from needlefit.inference.identifiability.precision import is_determined_by_data,
 from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.inference.parameters import Parameters, is_logarithmic, to_value
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.posterior import Posterior
 
 Row = dict[str, Any]
 
@@ -41,7 +39,7 @@ IDENTIFICATION_COLUMNS = (
         "sd_high",
         "fisher_sd",
     ),
-    *("sd_ratio", "sd_ratio_sampled", "low", "high", "end_low", "end_high"),
+    *("sd_ratio", "low", "high", "end_low", "end_high"),
     *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
     *("rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
 )
@@ -90,10 +88,8 @@ def identify_parameters(
     judgements, rows, points = {}, [], []
     for one in examination.parameters:
         prior_sd = before.get(one.name, (one.bounds[1] - one.bounds[0]) / math.sqrt(12))
-        alone = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd)
-        sd = sds.get(one.name, alone)
-        scatter = 1.0 if verdict is None else sd / alone
-        judged = assess_parameter(one, (sd, prior_sd), _equal_starts_range(one, verdict), scatter)
+        sd = sds.get(one.name, 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd))
+        judged = assess_parameter(one, (sd, prior_sd), _equal_starts_range(one, verdict))
         judgements[one.name] = judged
         condition = ""
         if verdict is None:
@@ -123,23 +119,11 @@ def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessm
     notes = dict(verdict.notes)
     for n, one in judgements.items():
         if n in denied:
-            notes[n] = f"not determined: its profile is {one.profile_verdict}"
+            shape = one.profile_verdict.removeprefix("not identifiable: ")
+            notes[n] = f"not determined: by its profile {shape}"
         elif known.get(n) and one.agreement != AGREEMENT:
             notes[n] += f"; {one.agreement}"
     return replace(verdict, determined=known, notes=notes)
-
-
-def add_sampled_ratios(posterior: Posterior, rows: list[Row]) -> None:
-    """Add to `rows`, of one fold, the ratio of posterior SD to prior SD from the draws."""
-    flat = posterior.draws.reshape(-1, len(posterior.names))
-    for row in rows:
-        if row["parameter"] in posterior.names:
-            draws = flat[:, posterior.names.index(row["parameter"])]
-            draws = np.log(draws) if is_logarithmic(row["parameter"]) else draws
-            row["sd_ratio_sampled"] = float(np.std(draws)) / row["prior_sd"]
-            row["agreement"] = add_sampled_disagreement(
-                row["agreement"], row["sd_ratio"], row["sd_ratio_sampled"]
-            )
 
 
 def _equal_starts_range(one: ParameterProfile, verdict: Identifiability | None) -> tuple[float, float] | None:
@@ -162,7 +146,6 @@ def _parameter_row(one: ParameterProfile, judged: Assessment, prior_sd: float, s
         "sd_high": nothing,
         "fisher_sd": profile.sd,
         "sd_ratio": sd / prior_sd,
-        "sd_ratio_sampled": nothing,
         "low": judged.interval[0],
         "high": judged.interval[1],
         "end_low": profile.ends[0],

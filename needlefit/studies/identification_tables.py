@@ -2,10 +2,14 @@
 
 import pandas as pd
 
-from needlefit.inference.identifiability.information import (
-    short_name,
+from needlefit.inference.identifiability.information import format_sd, short_name
+from needlefit.inference.parameters import is_logarithmic
+from needlefit.reporting.interval_text import (
+    NO_INTERVAL,
+    choose_interval_unit,
+    format_interval,
+    typeset_interval,
 )
-from needlefit.reporting.interval_text import NO_INTERVAL, format_interval, typeset_interval
 from needlefit.reporting.number_format import choose_printed_unit, format_number, format_quantity_range
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
@@ -49,7 +53,7 @@ _INTERVAL_NOTE = (
     "identify.csv."
 )
 _SD_NOTE = (
-    "“SD”: by Fisher information and bounds, of ln for μ and b, of the value for α. “SD ratio”: posterior "
+    "“SD”: by Fisher information and bounds, relative (in % or as a factor) but for α. “SD ratio”: posterior "
     "SD / prior SD (bounds or a stated prior); 1 where the data add nothing. The interval is that of the "
     "profile likelihood, open at a bound. A fixed α is freed for this table only."
 )
@@ -59,7 +63,7 @@ def lay_out_identification(identification: pd.DataFrame, expected: bool = False)
     """Return one row per parameter; for a design also where information and profile disagree."""
     several = identification["fold"].nunique() > 1
     rows = [
-        {**row, **_identification_cells(row), "fold": row["fold"] if several else ""}
+        {**row, **_identification_cells(row, expected), "fold": row["fold"] if several else ""}
         for row in to_records(identification)
     ]
     known = (
@@ -74,12 +78,19 @@ def lay_out_identification(identification: pd.DataFrame, expected: bool = False)
     return table.lay_out(drop_empty=True)
 
 
-def _identification_cells(row: Row) -> Row:
-    label, unit = choose_printed_unit(str(row["parameter"]), [row["value"], row["low"]])
-    ends = {side: row[side] / unit if row[f"end_{side}"] == "closed" else "open" for side in ("low", "high")}
+def _identification_cells(row: Row, expected: bool) -> Row:
+    name = str(row["parameter"])
+    closed = {side: row[side] for side in ("low", "high") if row[f"end_{side}"] == "closed"}
+    label, unit = (
+        choose_printed_unit(name, [row["value"], *closed.values()])
+        if expected
+        else choose_interval_unit(row, row["value"])
+    )
     return {
-        **ends,
+        **{side: closed[side] / unit if side in closed else "open" for side in ("low", "high")},
+        "sd": None if row["sd"] is None else format_sd(row["sd"], is_logarithmic(name)),
         "parameter": label + (", fixed" if row["status"] == "fixed" else ""),
+        "agreement": "; ".join(filter(None, (row["agreement"], row.get("note") if expected else None))),
         "tip_range_mm": _format_tip_range(row),
         "interval_95": typeset_interval(row, unit),
     }

@@ -226,7 +226,7 @@ def prepare(
     """
     given = settings.inputs
     dataset = dataset or given.dataset or read(find_named("dataset", record.dataset))
-    medium, medium_file = (given.medium, None) if given.medium else _load_medium(record)
+    medium, medium_file = (given.medium, None) if given.medium else load_medium(record)
     recipe = given.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
@@ -267,7 +267,7 @@ def find_named(key: FileKind, name: str) -> Path:
         return find_file(key, name)
 
 
-def _load_medium(record: FitRecord | StudyRecord) -> tuple[MediumRecord, Path]:
+def load_medium(record: FitRecord | StudyRecord) -> tuple[MediumRecord, Path]:
     """Return the medium that a fit names, with its priors, and its file."""
     file = find_named("medium", record.medium)
     return set_priors(load(file, MediumRecord), record.priors), file

@@ -19,7 +19,6 @@ from needlefit.inference.between_specimens import (
     list_groups,
     move_to_new_specimen,
 )
-from needlefit.schemas.study import StudyRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
 from needlefit.studies.score import Row
@@ -46,8 +45,7 @@ class NewSpecimens:
 
     def differs(self, insertion: Insertion) -> bool:
         """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
-        wanted = not isinstance(self.job.record, StudyRecord) or self.job.record.specimens == "others"
-        return wanted and insertion.specimen not in self._tuned
+        return self.job.record.specimens == "others" and insertion.specimen not in self._tuned
 
     def find_spread(self, insertion: Insertion | None) -> SpecimenSpread:
         """Return the spread between specimens, learned without that of this insertion.
@@ -115,7 +113,7 @@ def describe_spread(row: Row) -> str:
     """Return in words by how much a specimen differs, from a row of `describe_specimen`."""
     mu, b = (math.exp(row[f"between_sd_ln_{name}"]) for name in ("mu", "b"))
     return (
-        f"its moduli differ by a factor of {mu:.2g} and its bevel offset by {b:.2g} (one standard "
+        f"its moduli differ by a factor of {mu:.2g} and its bevel parameter by {b:.2g} (one standard "
         f"deviation), learned from {_count_specimens(row)} and the prior that the recipe states"
     )
 

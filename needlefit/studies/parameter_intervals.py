@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.inference.draws import Draws
-from needlefit.inference.identifiability.assessment import AGREEMENT_FACTOR, NORMAL_95_HALF_WIDTH_SD
+from needlefit.inference.identifiability.assessment import NORMAL_95_HALF_WIDTH_SD
 from needlefit.inference.identifiability.precision import MAX_ALPHA_SD, MAX_LOG_SD
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.inference.sampling.posterior import Posterior
@@ -36,9 +36,9 @@ class ParameterInterval:
         return interval_width(name, self.low, self.high)
 
     def is_narrow(self, name: str) -> bool:
-        """Return whether it is no wider than that of a parameter called determined."""
+        """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
         sd = MAX_LOG_SD if is_logarithmic(name) else MAX_ALPHA_SD
-        return self.width(name) < 2 * NORMAL_95_HALF_WIDTH_SD * AGREEMENT_FACTOR * sd
+        return self.width(name) < 2 * NORMAL_95_HALF_WIDTH_SD * sd
 
     def columns(self) -> Row:
         """Return the columns of a table of parameters."""
@@ -52,7 +52,7 @@ def intervals_of_draws(
     if posterior is not None:
         found = posterior.percentiles(_PERCENTILES) if posterior.converged else {}
         return {name: ParameterInterval(low, high, "posterior") for name, (low, high) in found.items()}
-    if draws is None or draws.faults or not draws.thetas.size:
+    if draws is None or draws.certified is None:
         return {}
     sets = [parameters.values(theta) for theta in draws.thetas]
     estimated = [name for name in sets[0] if parameters.status[name] != "fixed"]

@@ -17,7 +17,7 @@ from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.layers import find_layers
 from needlefit.inference.forward_model import predict, simulate_each
-from needlefit.inference.likelihood.nodes import shift_depths
+from needlefit.inference.likelihood.nodes import find_bevel_factors, shift_depths
 from needlefit.inference.likelihood.quadrature import make_spline_weights
 from needlefit.inference.simulated_points import read_batch_points, read_points
 from needlefit.inference.ties import BEVEL_PARAMETERS, BEVEL_SPREAD
@@ -90,14 +90,17 @@ def draw_conditions(insertion: Insertion, count: int, rng: np.random.Generator) 
     )
 
 
-def vary_bevels(sets: Sequence[Mapping[str, float]], rng: np.random.Generator) -> list[dict[str, float]]:
-    """Return sets of values with a bevel of one insertion, drawn with the spread that each has."""
-    return scale_bevels(sets, rng.standard_normal(len(sets)))
+def vary_bevels(
+    sets: Sequence[Mapping[str, float]], sd: float, rng: np.random.Generator
+) -> list[dict[str, float]]:
+    """Return sets of values with bevels that deviate with an SD of `sd` SDs between insertions."""
+    return scale_bevels(sets, sd * rng.standard_normal(len(sets)))
 
 
 def scale_bevels(sets: Sequence[Mapping[str, float]], deviations: Floats) -> list[dict[str, float]]:
-    """Return sets of values with bevels that deviate by so many spreads of ln b, (B,)."""
-    factors = np.exp([values.get(BEVEL_SPREAD, 0.0) for values in sets] * deviations)
+    """Return sets of values with bevels that deviate by so many SDs between insertions, (B,)."""
+    spreads = np.array([values.get(BEVEL_SPREAD, 0.0) for values in sets])
+    factors = find_bevel_factors(spreads, deviations)
     return [
         {name: value * factor if name in BEVEL_PARAMETERS else value for name, value in values.items()}
         for values, factor in zip(sets, factors.tolist(), strict=True)

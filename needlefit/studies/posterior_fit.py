@@ -103,7 +103,7 @@ def sample_posterior(
     """Return the posterior by MCMC from all equally good starts; None after a stop before there is any."""
     known = add_estimated_noise(problem, np.array(fit.theta))
     ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
-    rng = random_stream(job.recipe.seed, job.name, *key, "posterior")
+    rng = random_stream(job.recipe.seed, *key, "posterior")
     callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
     try:
         return sample(known, np.array(ends), job.recipe.sample, rng, callbacks)

@@ -9,7 +9,8 @@ from typing import Any
 import pandas as pd
 
 from needlefit.datasets.formats import FORMATS
-from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.insertion import Dataset, split_boundary_sd
+from needlefit.datasets.sections import describe_measurement
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.mechanics.laws import LAWS
@@ -30,13 +31,7 @@ def describe_configuration(job: Job) -> dict[str, Any]:
     return {
         "name": job.name,
         "versions": package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
-        "dataset": {
-            "name": job.dataset.name,
-            "origin": job.dataset.origin,
-            "sha256": job.dataset.digest,
-            "needle": asdict(job.dataset.needle),
-            "notes": list(job.dataset.notes),
-        },
+        "dataset": describe_dataset(job.dataset) | {"needle": asdict(job.dataset.needle)},
         "study": job.record.model_dump(mode="json", by_alias=True),
         "medium": job.medium.model_dump(mode="json", by_alias=True),
         "recipe": job.recipe.model_dump(mode="json", by_alias=True),
@@ -46,6 +41,20 @@ def describe_configuration(job: Job) -> dict[str, Any]:
             for f in job.folds
         ],
         "rules": describe_model_options(job.medium),
+    }
+
+
+def describe_dataset(dataset: Dataset) -> dict[str, Any]:
+    """Return which data these are, what their measurement does to shapes, and which errors they share."""
+    stated = dataset.measurement.model_dump(mode="json", exclude_none=True, exclude={"note"})
+    shared = {split_boundary_sd(one)[0] for one in dataset.insertions if len(one.boundaries)}
+    return {
+        "name": dataset.name,
+        "origin": dataset.origin,
+        "sha256": dataset.digest,
+        "notes": list(dataset.notes),
+        "measurement": stated | {"description": describe_measurement(dataset)},
+        "boundary_shared_sd_mm": sorted(shared - {0.0}),
     }
 
 

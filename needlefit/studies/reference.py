@@ -63,17 +63,16 @@ def round_frame(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(**{str(name): _round_column(frame[name], str(name)) for name in frame})
 
 
-REVIEWED_FIT_TABLES = ("validation", "tuning", "parameters", "errors", "predictive")
-"""Of studies and fits; of other kinds all tables are kept."""
+REVIEWED_TABLES = {
+    **dict.fromkeys(FIT_KINDS, ("validation", "tuning", "parameters", "errors", "predictive")),
+    "calibration": ("parameters", "tips"),
+}
+"""Tables that are kept, by kind; of other kinds all are."""
 
 
 def _collect_frames(one: Run) -> Mapping[str, pd.DataFrame]:
     tables = find_kind(one.kind).report.tabulate(one)
-    return {
-        name: table
-        for name, table in tables.items()
-        if one.kind not in FIT_KINDS or name in REVIEWED_FIT_TABLES
-    }
+    return {name: tables[name] for name in REVIEWED_TABLES.get(one.kind, tables) if name in tables}
 
 
 def _round_column(column: pd.Series, name: str) -> pd.Series:

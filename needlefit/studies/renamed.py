@@ -78,7 +78,6 @@ RENAMED_COLUMNS: Mapping[str, Names] = MappingProxyType(
         "identification": {
             "says": "profile_verdict",
             "contraction": "sd_ratio",
-            "contraction_sampled": "sd_ratio_sampled",
             "tip_moves_mm": "tip_range_mm",
             "interval_low": "low",
             "interval_high": "high",

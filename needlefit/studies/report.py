@@ -93,11 +93,6 @@ def explain_by_report(result: Run) -> tuple[list[TableLayout], list[str]]:
     return report.lay_out(result), report.summarize(result)
 
 
-def warn_of_nothing(result: Run) -> tuple[ResultWarning, ...]:
-    """Return no warnings: of kinds whose tables need none."""
-    return ()
-
-
 QUALIFYING_WARNINGS = (
     *("worse_than_baseline", "parameter_at_bound", "coverage", "wide_intervals"),
     *("noise_too_large", "noise_too_small"),
@@ -106,9 +101,9 @@ QUALIFYING_WARNINGS = (
 
 
 def list_run_warnings(result: Run) -> tuple[ResultWarning, ...]:
-    """Return the warnings of a run, stored and from its tables, those that qualify the verdict first."""
-    found = [*read_warnings(result.run), *find_kind(result.kind).report.warn(result)]
-    return tuple(sorted(dict.fromkeys(found), key=lambda one: one.kind not in QUALIFYING_WARNINGS))
+    """Return the warnings of a run, those that qualify the verdict first."""
+    found = read_warnings(result.run)
+    return tuple(sorted(found, key=lambda one: one.kind not in QUALIFYING_WARNINGS))
 
 
 @dataclass(frozen=True)
@@ -149,8 +144,6 @@ class StudyReport:
         Result -> the tables and sentences that `--explain` prints: all of them unless a kind has more.
     headline : callable
         A fault of a run -> what stands before its verdicts; empty where a verdict itself names the fault.
-    warn : callable
-        Result -> warnings that follow from its stored tables; `list_run_warnings` adds the stored ones.
     """
 
     summarize: Callable[[Run], list[str]]
@@ -169,7 +162,6 @@ class StudyReport:
     lay_out_first: Callable[[Run], list[TableLayout]] = lay_out_first_table
     explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = explain_by_report
     headline: Callable[[str], str] = headline_fault
-    warn: Callable[[Run], Iterable[ResultWarning]] = warn_of_nothing
 
 
 MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."

@@ -93,6 +93,11 @@ class Run:
         return self.origin == "synthetic"
 
     @property
+    def reliable(self) -> bool:
+        """Whether it is complete and without faults."""
+        return not (self.interrupted or self.faults)
+
+    @property
     def posterior(self) -> Posterior:
         """The sampled posterior; ConfigError where none, or one of each of several folds, was sampled."""
         if len(self.posteriors) == 1:
@@ -180,12 +185,14 @@ _LATER_COLUMNS: Mapping[str, Sequence[str]] = {
     "identification": (*_INTERVAL_COLUMNS, "bound_low", "bound_high", "note"),
     "directions": ("sd_ratio",),
     "identify": (*_INTERVAL_COLUMNS, "bound_low", "bound_high", "note"),
+    **dict.fromkeys(("predictive", "predictive_training"), ("tip_95_width_after_one_mm",)),
 }
 """Columns that earlier results of this format lack; they are empty then."""
 
 
 def _add_missing_columns(frame: pd.DataFrame, name: str) -> pd.DataFrame:
-    wanted = _LATER_COLUMNS.get(name, ()) if "status" in frame or name == "directions" else ()
+    of_shapes = "status" in frame or "tip_pit" in frame or name == "directions"
+    wanted = _LATER_COLUMNS.get(name, ()) if of_shapes else ()
     wanted = ("condition",) if name == "parameters" and "sd_ratio" in frame else wanted  # of tip tracks
     return frame.assign(**{column: math.nan for column in wanted if column not in frame})
 

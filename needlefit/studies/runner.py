@@ -119,6 +119,8 @@ class AnalysisPlan:
         Those of the fits in the frame `fits`, by its first column, if values at bounds are to be named.
     shared : sequence of callable
         Compute what several tasks need and keep, before the tasks are sent to other processes.
+    warnings : sequence of ResultWarning
+        About the data, besides those of the jobs.
     """
 
     jobs: Sequence[Job]
@@ -129,6 +131,7 @@ class AnalysisPlan:
     folds: Sequence[Fold] = ()
     parameters: Mapping[str, Parameters] = field(default_factory=dict)
     shared: Sequence[Callable[[], object]] = ()
+    warnings: Sequence[ResultWarning] = ()
 
 
 def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> Run:
@@ -167,7 +170,7 @@ def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: An
 
 def _find_warnings(name: str, record: AnalysisRecord, plan: AnalysisPlan, where: str) -> list[ResultWarning]:
     """Return the warnings about the data, and about what is held out; a job that is a study has its own."""
-    found = [one for job in plan.jobs for one in job.warnings]
+    found = [*(one for job in plan.jobs for one in job.warnings), *plan.warnings]
     divided = [fold for job in plan.jobs if not isinstance(job.record, StudyRecord) for fold in job.folds]
     if record.same_specimen:
         return found

@@ -1,6 +1,6 @@
 """The answer of a run, one sentence for each group: what terminal, report and `Run.verdicts` show first."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -50,6 +50,11 @@ def headline_fault(fault: str) -> str:
     return "INCOMPLETE" if fault.endswith(("could not be predicted", "have no density")) else NOT_CONVERGED
 
 
+def mark_faults(faults: Sequence[str], headline: Callable[[str], str] = headline_fault) -> str:
+    """Return the headlines of faults, each once, as sentences that stand before a result; "" without any."""
+    return "".join(dict.fromkeys(f"{head}. " for head in map(headline, faults) if head))
+
+
 def judge_run(result: "Run") -> tuple[Verdict, ...]:
     """Return the verdicts of a run, one for each group, from its stored tables alone.
 
@@ -67,7 +72,7 @@ def judge_run(result: "Run") -> tuple[Verdict, ...]:
     if result.interrupted:
         return tuple(qualify(one, f"INTERRUPTED: the best found so far. {one.sentence}") for one in verdicts)
     if result.faults:
-        heads = "".join(dict.fromkeys(f"{head}. " for head in map(report.headline, result.faults) if head))
+        heads = mark_faults(result.faults, report.headline)
         return tuple(qualify(one, f"{heads}{one.sentence}") for one in verdicts)
     return tuple(verdicts)
 
@@ -93,15 +98,22 @@ class BestBaseline:
 
 
 def judge_errors(
-    where: str, error_mm: float, floor_ratio: float | None, best: BestBaseline | None, insertions: int
+    where: str,
+    error_mm: float,
+    floor_ratio: float | None,
+    best: BestBaseline | None,
+    insertions: int,
+    *,
+    reliable: bool = True,
 ) -> Verdict:
     """Judge the mean tip error of predictions on `where` beside the noise floor and the best baseline.
 
-    Only `MIN_INSERTIONS` held out, with no baseline closer, can pass.
+    Only `MIN_INSERTIONS` held out, with no baseline closer, can pass; and only `reliable` results, those of a
+    run that is complete and without faults.
     """
     few = insertions < MIN_INSERTIONS
     opening, compared = _open_prediction(error_mm, floor_ratio, best)
-    if few and opening != _FAILS:
+    if (few or not reliable) and opening != _FAILS:
         opening = _NOT_SHOWN
     errors = f"TE {format_tip_error(error_mm)} on {where} (n = {insertions}{', too few' if few else ''})"
     return Verdict(f"{opening}: {errors}{format_floor_ratio(floor_ratio)}{compared}", _STATUS[opening])

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.project.result_warnings import ResultWarning
@@ -47,15 +48,19 @@ class ViewedScene:
     synthetic : bool
         Whether it is about synthetic data.
     spread : ParameterDraws or None
-        Draws of the parameters, for the band of a fit.
+        Draws of the parameters, for the band of a fit and for plans.
+    specimen : "new", "same" or ""
+        What they are for: a specimen that was not fitted, with the spread between specimens, or one that was.
     scanned : InsertionScan or None
         The scan in which the needle was measured.
     choices : tuple of str
         Insertions that can be shown instead.
     warnings : tuple of ResultWarning
-        What is suspicious in the dataset that it is from.
+        What is suspicious in the dataset or the run that it is from.
     shown : ShownInsertion or None
         The measured insertion with its dataset, to be fitted to.
+    faults : tuple of str
+        Why the run that it shows is not to be trusted.
     """
 
     name: str
@@ -67,10 +72,12 @@ class ViewedScene:
     synthetic: bool = False
     measured: MeasuredOverlay | None = None
     spread: ParameterDraws | None = None
+    specimen: Literal["new", "same", ""] = ""
     scanned: InsertionScan | None = None
     choices: tuple[str, ...] = ()
     warnings: tuple[ResultWarning, ...] = ()
     shown: ShownInsertion | None = None
+    faults: tuple[str, ...] = ()
 
     @property
     def diameter(self) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 from fuzzing import seeds
 from fuzzing.seeds import Seed, project_files
 
-QUICK, NATIVE, SLOWEST = 75, 15, 6
+QUICK, NATIVE, SLOWEST = 40, 8, 4
 """Mutants of a default test: of a reader in Python, of one with a child process, of one with several."""
 
 

@@ -28,7 +28,7 @@ MIN_MODEL_ERROR = 0.01
 """Standard deviation of the model's error, as part of the rms deflection of the tips, at least: a fit takes
 up much of what its model misses, so that its residuals are too small to say."""
 
-STATED_TIES = "determined only because it is tied to other parameters"
+STATED_TIES = "determined only under the stated ties"
 NO_MODEL_ERROR = "determined only if the model has no error"
 """Assumptions without which a parameter is not determined."""
 
@@ -43,12 +43,22 @@ class Loosened:
     sds: Mapping[str, float]
 
 
-def loosen(problem: Problem, theta: Floats) -> tuple[Loosened, ...]:
-    """Return the standard deviations at `theta` (P,) with ties loosened, and then with a model error."""
-    return tuple(
-        Loosened(condition, posterior_sds(one, one.parameters.theta(problem.values(theta))))
-        for condition, one in _list_loosened(problem, theta)
-    )
+def loosen(problem: Problem, theta: Floats, sds: Mapping[str, float] | None = None) -> tuple[Loosened, ...]:
+    """Return the standard deviations at `theta` (P,) with ties loosened, and then with a model error.
+
+    By `sds`, the standard deviations before, or by default those of the information: loosening adds to their
+    squares what it adds by the information.
+    """
+    stated = posterior_sds(problem, theta)
+    known = stated if sds is None else sds
+    found = []
+    for condition, one in _list_loosened(problem, theta):
+        loose = posterior_sds(one, one.parameters.theta(problem.values(theta)))
+        added = {name: math.sqrt(max(0.0, sd**2 - stated.get(name, 0.0) ** 2)) for name, sd in loose.items()}
+        found.append(
+            Loosened(condition, {n: math.hypot(known.get(n, 0.0), more) for n, more in added.items()})
+        )
+    return tuple(found)
 
 
 def find_condition(name: str, prior_sd: float, loosened: Sequence[Loosened]) -> str:
@@ -59,10 +69,24 @@ def find_condition(name: str, prior_sd: float, loosened: Sequence[Loosened]) -> 
     return ""
 
 
-def find_tie_conditions(parameters: Parameters, loosened: Sequence[Loosened]) -> dict[str, str]:
-    """Return the conditions of exactly tied parameters, which the tie alone gives its spread."""
-    names = [name for name in parameters.ties if is_logarithmic(name)] if loosened else []
-    return {name: find_condition(name, math.log(MATERIAL_SPREAD), loosened) for name in names}
+def find_tie_conditions(
+    parameters: Parameters,
+    determined: Mapping[str, bool],
+    conditions: Mapping[str, str],
+    loosened: Sequence[Loosened],
+) -> dict[str, str]:
+    """Return the conditions of exactly tied parameters: their source's, else that of the tie.
+
+    Where the source is not determined, what is tied to it is neither. `determined` and `conditions` are of
+    free parameters.
+    """
+    found = {}
+    for name, (_, source) in parameters.ties.items():
+        if determined.get(source, False) and is_logarithmic(name):  # the tie alone gives it its spread
+            found[name] = find_condition(name, math.log(MATERIAL_SPREAD), loosened)
+        else:
+            found[name] = conditions.get(source, "")
+    return found
 
 
 def estimate_model_error(problem: Problem, theta: Floats) -> Discrepancy:

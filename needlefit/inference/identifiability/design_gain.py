@@ -80,7 +80,7 @@ class PredictedData:
     log_weights : (B,) array
         The weights sum to 1.
     scales, spreads : (B,) arrays
-        What each draw multiplies the deviations of the noise by, and its spread of ln b.
+        What each draw multiplies the deviations of the noise by, and its relative bevel SD.
     white : (B, m, R) array
         Whitened deflections at the m nodes of the insertion, from any origin.
     group : NodeGroup

@@ -1,17 +1,18 @@
 """Decide which parameters the data determine, and which only in combination.
 
-A parameter is called determined if the shapes could determine it (its Cramer-Rao standard deviation is
-below `MAX_LOG_SD` in the logarithm, `MAX_ALPHA_SD` for alpha; where a prior is stated, below the part
-`MAX_SD_RATIO` of the prior's too), if it stays so with ties loosened and an error of the model
-(`conditions`), if the starts that ended within tolerance of the best agree on it (their range is below
-`MAX_RANGE_SD` such deviations), and if it does not lie at a bound.
+A parameter is called determined if the shapes could determine it (its standard deviation is below
+`MAX_LOG_SD` in the logarithm, `MAX_ALPHA_SD` for alpha, and below the part `MAX_SD_RATIO` of the prior's), if
+it stays so with ties loosened and an error of the model (`conditions`), if the starts that ended within
+tolerance of the best agree on it (their range is below `MAX_RANGE_SD` such deviations), and if it does not
+lie at a bound.
 
-The information is J^T J of the whitened residuals plus that of the stated prior or, without one, of the
-bounds, 12 / width^2 (the precision of a uniform distribution): without it, an alpha free to be 300 would
-take mu with it. Where the residuals are larger than the noise explains (reduced chi-square above 1),
-J^T J is divided by that ratio. With five independent groups of insertions or more (repeats in one specimen
-are one group), and two more than parameters, no deviation is smaller than the scatter between groups implies
-(`precision.between_needle_sds`).
+Standard deviations and directions are those of the posterior's draws where there are any and no bound cuts
+them off, else by the information. That is J^T J of the whitened residuals plus that of the stated prior or,
+without one, of the bounds, 12 / width^2 (the precision of a uniform distribution): without it, an alpha free
+to be 300 would take mu with it. Where the residuals are larger than the noise explains (reduced chi-square
+above 1), J^T J is divided by that ratio. With five independent groups of insertions or more (repeats in one
+specimen are one group), and two more than parameters, no deviation is smaller than the scatter between groups
+implies (`precision.between_needle_sds`).
 """
 
 import math
@@ -39,6 +40,7 @@ from needlefit.inference.identifiability.precision import (
     MAX_SD_RATIO,
     add_estimated_noise,
     compute_sds,
+    find_bounds,
     prior_information,
 )
 from needlefit.inference.parameters import is_logarithmic
@@ -53,9 +55,6 @@ LOG_POSTERIOR_TOLERANCE = 0.1
 METRIC_RELATIVE_TOLERANCE, METRIC_TOLERANCE_MM = 0.01, 0.002
 """The same for the metric objective: within 1 % or 0.002 mm of the best one's."""
 
-BOUND_FRACTION = 1e-3
-"""A parameter closer to a bound than this part of its range lies at it."""
-
 MIN_NAMED_WEIGHT = 0.1
 """Weight from which on a direction is named in the note of a parameter."""
 
@@ -67,7 +66,7 @@ class Identifiability:
     Attributes
     ----------
     sds : mapping
-        Cramer-Rao standard deviation, of the logarithm (of alpha itself for alpha).
+        Posterior standard deviation, of the logarithm (of alpha itself for alpha).
     determined : mapping
         Whether the data determine it.
     at_bound : mapping
@@ -104,11 +103,11 @@ class Identifiability:
     loosened: tuple[Loosened, ...] = ()
 
 
-def identify(problem: Problem, fit: Fit) -> Identifiability:
-    """Return what the data determine at the best point of a fit."""
+def identify(problem: Problem, fit: Fit, draws: Floats | None = None) -> Identifiability:
+    """Return what the data determine at the best point of a fit, given `draws` (B, P) of its posterior."""
     theta, names = np.array(fit.theta), problem.names
     noisy = add_estimated_noise(problem, theta)
-    known, information, chi_square = compute_sds(noisy, theta)
+    known, information, chi_square = compute_sds(noisy, theta, draws)
     sds = dict(zip(names, known.tolist(), strict=True))
     found = principal_directions(information, names, prior_information(noisy))
     ends = [s.theta for s in select_within_tolerance(fit)] or [fit.theta]
@@ -118,10 +117,10 @@ def identify(problem: Problem, fit: Fit) -> Identifiability:
     prior = problem.parameters.prior
     informed = {n: not bounds[n] and sds[n] < MAX_SD_RATIO * prior.sd(n) for n in names}
     nominally = {n: informed[n] and _is_determined(n, sds[n], ranges[n]) for n in names}
-    loosened = loosen(noisy, theta) if any(nominally.values()) else ()
+    loosened = loosen(noisy, theta, sds) if any(nominally.values()) else ()
     conditions = {n: find_condition(n, prior.sd(n), loosened) if nominally[n] else "" for n in names}
-    conditions |= find_tie_conditions(problem.parameters, loosened)
     determined = {n: nominally[n] and not conditions[n] for n in names}
+    conditions |= find_tie_conditions(problem.parameters, determined, conditions, loosened)
     low, high = (problem.values(end(equal, axis=0)) for end in (np.min, np.max))
     notes = {n: _explain_undetermined(problem, theta, n, sds[n]) for n in names}
     for k, n in enumerate(names):
@@ -191,12 +190,6 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
 def _is_determined(name: str, sd: float, spread: float) -> bool:
     limit = MAX_LOG_SD if is_logarithmic(name) else MAX_ALPHA_SD
     return sd < limit and spread < MAX_RANGE_SD * limit
-
-
-def find_bounds(problem: Problem, theta: Floats) -> list[str]:
-    """Return at which bound of its search each parameter lies: `lower`, `upper`, or empty."""
-    place = (theta - problem.lower) / (problem.upper - problem.lower)
-    return ["lower" if p < BOUND_FRACTION else "upper" if p > 1 - BOUND_FRACTION else "" for p in place]
 
 
 def _explain_undetermined(problem: Problem, theta: Floats, name: str, sd: float) -> str:

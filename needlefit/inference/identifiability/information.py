@@ -8,6 +8,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.ties import BEVEL_SPREAD
 
 LOG_STEP, ALPHA_STEP = 1e-3, 5e-2
 """Steps of the differences: in a logarithm, and in alpha, on which shapes hardly depend."""
@@ -124,31 +125,51 @@ def describe_combination(weights: Floats, names: Sequence[str]) -> str:
 
 
 def short_name(name: str) -> str:
-    """Return a parameter's name without its unit; the bevel offset is b, the angle of its cut theta."""
-    named = {"bevel_mm": "b", "cut_angle_deg": "theta", "guide_distance_mm": "guide_distance"}
+    """Return a parameter's name in a sentence: no unit; b and θ as tables have them."""
+    named = {
+        "bevel_mm": "b",
+        "cut_angle_deg": "θ",  # "theta" is the vector of all parameters
+        "guide_distance_mm": "guide_distance",
+        BEVEL_SPREAD: "relative bevel SD",
+    }
     return named.get(name, name.removesuffix("_pa"))
+
+
+def format_sd(sd: float, logarithm: bool) -> str:
+    """Return a standard deviation: "0.3", and of a logarithm "12 %" or "factor 2.9"."""
+    if not logarithm:
+        return f"{sd:.2g}"
+    return f"{100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"factor {_print_factor(sd)}"
 
 
 def describe_precision(sd: float, logarithm: bool) -> str:
     """Return in words how well a quantity is known, given the deviation of its value or logarithm."""
-    if not logarithm:
-        return f"to {sd:.2g}"
-    return f"to {100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"within a factor of {_print_factor(sd)} only"
+    if logarithm and sd >= NEARLY_FREE_SD:
+        return f"within a factor of {_print_factor(sd)} only"
+    return f"to {format_sd(sd, logarithm)}"
+
+
+def format_combination_sd(sd: float, weights: Floats, names: Sequence[str]) -> str:
+    """Return the standard deviation of a combination as `describe_combination` writes it."""
+    return format_sd(*_scale_sd(sd, weights, names))
+
+
+def _scale_sd(sd: float, weights: Floats, names: Sequence[str]) -> tuple[float, bool]:
+    """Return the deviation of a combination whose largest weight is 1, and whether it is of a logarithm."""
+    scaled = np.abs(weights) / np.max(np.abs(weights))
+    kept = (name for name, weight in zip(names, scaled, strict=True) if weight >= MIN_RELATIVE_WEIGHT)
+    return sd / float(np.max(np.abs(weights))), all(map(is_logarithmic, kept))
 
 
 def _describe_direction(sd: float, weights: Floats, names: Sequence[str]) -> str:
-    scaled_sd = sd / float(np.max(np.abs(weights)))
-    logarithm = all(
-        is_logarithmic(n)
-        for n, w in zip(names, weights / np.max(np.abs(weights)), strict=True)
-        if abs(w) >= MIN_RELATIVE_WEIGHT
-    )
+    scaled_sd, logarithm = _scale_sd(sd, weights, names)
     known = "is known" if scaled_sd < NEARLY_FREE_SD else "is nearly free: known"
     return f"{describe_combination(weights, names)} {known} {describe_precision(scaled_sd, logarithm)}"
 
 
 def _print_factor(sd: float) -> str:
-    return f"{math.exp(sd):.2g}" if sd < math.log(1e6) else "more than 1e6"
+    factor = math.exp(min(sd, math.log(1e6)))
+    return "more than 1e6" if factor >= 1e6 else f"{factor:.2g}" if factor < 10 else f"{factor:.0f}"
 
 
 def _print_power(name: str, weight: float) -> str:

@@ -113,12 +113,15 @@ class FitProfiles:
         Jacobians computed, those that led to the optimum included.
     gain : float
         How much higher than at the fit the log posterior is at the best point met on the way.
+    best : tuple of float
+        Theta of that point.
     """
 
     parameters: tuple[ParameterProfile, ...]
     scale: float
     evaluations: int
-    gain: float = 0.0
+    gain: float
+    best: tuple[float, ...]
 
 
 def profile_parameters(
@@ -145,7 +148,7 @@ def profile_parameters(
     at_fit = noisy.residuals(np.array(fit.theta))
     # residuals are those of the posterior: of a metric fit their gain means nothing
     gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
-    return FitProfiles(found, scale, spent, gain)
+    return FitProfiles(found, scale, spent, gain, tuple(optimum.theta.tolist()))
 
 
 def _profile_one(

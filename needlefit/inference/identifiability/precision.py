@@ -18,6 +18,12 @@ MAX_LOG_SD, MAX_ALPHA_SD = 0.3, 0.5
 MAX_SD_RATIO = 0.5
 """Largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine."""
 
+BOUND_FRACTION = 1e-3
+"""A parameter closer to a bound than this part of its range lies at it."""
+
+CUT_OFF_FRACTION = 0.01
+"""A 95 % interval that ends closer to a bound than this part of the bounds is cut off there."""
+
 
 def is_determined_by_data(name: str, sd: float, prior_sd: float) -> bool:
     """Return whether a posterior standard deviation is small enough by the data, not only by the prior."""
@@ -29,14 +35,39 @@ def posterior_sds(problem: Problem, theta: Floats) -> dict[str, float]:
     return dict(zip(problem.names, compute_sds(problem, theta)[0].tolist(), strict=True))
 
 
-def compute_sds(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
-    """Return the standard deviations (P,), the information (P, P) and the reduced chi-square."""
+def compute_sds(problem: Problem, theta: Floats, draws: Floats | None = None) -> tuple[Floats, Floats, float]:
+    """Return the standard deviations (P,), the information (P, P) and the reduced chi-square.
+
+    With `draws` (B, P) of the posterior, deviations and information are theirs: where the posterior is not
+    Gaussian, the information at one point is smaller or larger. Where bounds cut the draws off, deviations
+    are not smaller than by the information, which the bounds hardly limit.
+    """
     residuals, slope, chi_square = linearize(problem, theta)
     prior_part = prior_and_noise_information(problem)
     # a chi-square above 1 means that the noise is understated; one below 1 is not taken as extra precision
     information = slope.T @ slope / max(1.0, chi_square) + prior_part
     between = between_needle_sds(problem, slope, residuals, slope.T @ slope + prior_part)
-    return np.maximum(cramer_rao(information), between), information, chi_square
+    least = between
+    if draws is not None and is_cut_off(problem, theta, draws):
+        least = np.maximum(between, np.std(draws, axis=0))
+    elif draws is not None:
+        # pinv: draws that do not differ along a direction are no reason for an error
+        information = np.linalg.pinv(np.atleast_2d(np.cov(draws, rowvar=False)), hermitian=True)
+    return np.maximum(cramer_rao(information), least), information, chi_square
+
+
+def is_cut_off(problem: Problem, theta: Floats, draws: Floats) -> bool:
+    """Return whether a bound limits the posterior: it holds `theta` (P,), or an end of a 95 % interval."""
+    ends = np.percentile(draws, (2.5, 97.5), axis=0)
+    near = CUT_OFF_FRACTION * (problem.upper - problem.lower)
+    at_bound = any(find_bounds(problem, theta))
+    return bool(at_bound or np.any(ends[0] < problem.lower + near) or np.any(ends[1] > problem.upper - near))
+
+
+def find_bounds(problem: Problem, theta: Floats) -> list[str]:
+    """Return at which bound of its search each parameter lies: `lower`, `upper`, or empty."""
+    place = (theta - problem.lower) / (problem.upper - problem.lower)
+    return ["lower" if p < BOUND_FRACTION else "upper" if p > 1 - BOUND_FRACTION else "" for p in place]
 
 
 def between_needle_sds(problem: Problem, slope: Floats, residuals: Floats, information: Floats) -> Floats:

@@ -39,7 +39,10 @@ FRAME, BEVEL = -1, -2
 was measured at several depths."""
 
 BEVEL_STEP = 0.1
-"""Change of the logarithm of the bevel's offset at which its effect is simulated, to both sides."""
+"""Part of the bevel's offset by which it is changed to simulate its effect, to both sides."""
+
+MIN_BEVEL_FACTOR = 0.05
+"""Least bevel of an insertion, as part of the mean: a normal distribution does not end at zero."""
 
 MIN_GAP_MM = 1e-3
 """Smallest distance, mm, of moved boundaries from each other and from the entry."""
@@ -55,8 +58,8 @@ class ErrorAxis:
         Deviations of the insertion's own part and of the one that others have too; their squares sum to 1.
     surface : tuple
         What z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or `BEVEL`
-        and the number of an insertion, whose t is the logarithm of the bevel's factor in units of its
-        spread; empty where nothing is shared.
+        and the number of an insertion, whose t is the deviation of its bevel in SDs between
+        insertions; empty where nothing is shared.
     """
 
     own: float = 1.0
@@ -85,7 +88,7 @@ class Nodes:
         Takes the curves r_k to r(0) and the slopes by t along the d axes. Behind the curves of the nodes
         stand c constant ones, what a unit deviation of the pose does.
     effects : (l, m + c) array
-        Takes them to what acts linearly whatever `rule` says: the logarithm of the bevel's offset, the pose.
+        Takes them to what acts linearly whatever `rule` says: the bevel, the pose.
     bevel : bool
         Whether the first effect is the bevel's.
     rule : QuadratureRule or None
@@ -101,7 +104,7 @@ class Nodes:
     rule: QuadratureRule | None
 
     def share_bevel(self, insertion: tuple[str, int]) -> "Nodes":
-        """Return the nodes with the bevel as an axis, which what is measured of one insertion shares.
+        """Return the nodes with the bevel as an axis: that of an insertion, by specimen and number in it.
 
         Raises
         ------
@@ -163,7 +166,7 @@ def make_nodes(
     for _, boundaries, depth in moves:
         found += [shift_depths(insertion, s, t * boundaries, t * depth) for t in places]
     if bevel:
-        factors = (insertion.bevel_factor * float(np.exp(step)) for step in (-BEVEL_STEP, BEVEL_STEP))
+        factors = (insertion.bevel_factor * (1 + step) for step in (-BEVEL_STEP, BEVEL_STEP))
         found += [(replace(insertion, bevel_factor=factor), s) for factor in factors]
     insertions, at = zip(*found, strict=True)
     linear = np.zeros((1 + len(moves) + len(shared), len(found) + constants))
@@ -183,6 +186,11 @@ def make_nodes(
     integration = make_rule(len(moves)) if depths == "quadrature" and moves else None
     axes = (*(axis for axis, *_ in moves), *shared)
     return Nodes(insertions, np.array(at), axes, linear, effects, bevel, integration)
+
+
+def find_bevel_factors(spread: Floats | float, deviations: Floats | float) -> Floats:
+    """Return bevels, as parts of their mean, that deviate by so many SDs of relative size `spread`."""
+    return np.maximum(1.0 + np.asarray(spread) * deviations, MIN_BEVEL_FACTOR)
 
 
 Surface = tuple[object, ...]
@@ -252,10 +260,13 @@ class NodeGroup:
     nodes : tuple of Nodes
     surfaces : tuple
         The k that at least two of them cross.
+    centred : bool
+        Whether all bevels, which are then among `surfaces`, are deviations from their mean.
     """
 
     nodes: tuple[Nodes, ...]
     surfaces: tuple[tuple[str, int, int], ...]
+    centred: bool = False
 
     @cached_property
     def own(self) -> tuple[Floats, ...]:
@@ -266,14 +277,18 @@ class NodeGroup:
     def shared(self) -> tuple[Floats, ...]:
         """What a standard deviation of each surface adds to each insertion's depths: (d, k)."""
         return tuple(
-            np.array(
-                [
-                    [self._split(axis)[1] * (axis.surface == surface) for surface in self.surfaces]
-                    for axis in one.axes
-                ]
-            ).reshape(len(one.axes), len(self.surfaces))
+            np.array([self._list_shares(axis) for axis in one.axes]).reshape(
+                len(one.axes), len(self.surfaces)
+            )
             for one in self.nodes
         )
+
+    def _list_shares(self, axis: ErrorAxis) -> Floats:
+        found = self._split(axis)[1] * np.array([axis.surface == surface for surface in self.surfaces])
+        if self.centred and axis.of_bevel:
+            bevels = np.array([surface[1] == BEVEL for surface in self.surfaces])
+            found -= bevels / bevels.sum()
+        return found
 
     def _split(self, axis: ErrorAxis) -> tuple[float, float]:
         """Return both deviations; what nobody else has is the insertion's own."""
@@ -282,8 +297,12 @@ class NodeGroup:
         return float(np.hypot(axis.own, axis.shared)), 0.0
 
 
-def group_nodes(nodes: tuple[Nodes, ...]) -> tuple[tuple[tuple[int, ...], NodeGroup], ...]:
+def group_nodes(
+    nodes: tuple[Nodes, ...], centred: bool = False
+) -> tuple[tuple[tuple[int, ...], NodeGroup], ...]:
     """Return the groups of insertions that share surfaces, each with the places of its members in `nodes`.
+
+    With `centred`, the deviations of all bevels sum to zero, so that all that have one are in one group.
 
     Raises
     ------
@@ -291,16 +310,18 @@ def group_nodes(nodes: tuple[Nodes, ...]) -> tuple[tuple[tuple[int, ...], NodeGr
         If they share more errors than quadrature, where that is asked for, is right for.
     """
     crossed = [{axis.surface for axis in one.axes if axis.surface} for one in nodes]
+    bevels = {axis.surface for one in nodes for axis in one.axes if axis.of_bevel and centred}
     groups: dict[object, list[int]] = {}
     for place, surfaces in enumerate(crossed):
         others = set().union(*(more for k, more in enumerate(crossed) if k != place))
         common = surfaces & others
-        groups.setdefault(next(iter(common))[0] if common else place, []).append(place)
+        key = BEVEL if surfaces & bevels else next(iter(common))[0] if common else place
+        groups.setdefault(key, []).append(place)
     found = []
     for members in groups.values():
         counted = [surface for place in members for surface in sorted(crossed[place])]
-        common = {surface for surface in counted if counted.count(surface) > 1}
-        group = NodeGroup(tuple(nodes[place] for place in members), tuple(sorted(common)))
+        common = {surface for surface in counted if counted.count(surface) > 1 or surface in bevels}
+        group = NodeGroup(tuple(nodes[place] for place in members), tuple(sorted(common)), centred)
         if any(one.rule is not None for one in group.nodes):
             ids = ", ".join(one.insertions[0].id for one in group.nodes)
             _check_axes(f"{ids} share {len(common)} errors of boundaries", len(common))

@@ -14,9 +14,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, choose_width, plot
-from needlefit.reporting.interval_text import NO_INTERVAL, typeset_interval
+from needlefit.reporting.interval_text import NO_INTERVAL, choose_interval_unit, typeset_interval
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR
-from needlefit.reporting.number_format import choose_printed_unit, format_number, typeset
+from needlefit.reporting.number_format import format_number, typeset
 from needlefit.reporting.table_files import Row, to_records
 
 Floats = NDArray[np.float64]
@@ -152,7 +152,7 @@ def _format_axes(axes: Axes, row: Row, ends: Floats) -> None:
 
 
 def _choose_unit(row: Row) -> tuple[str, float]:
-    return choose_printed_unit(str(row["parameter"]), [row["low"], row["high"]])
+    return choose_interval_unit(row, row["low"], row["high"])
 
 
 def _panel_title(row: Row) -> str:
@@ -167,7 +167,8 @@ def _describe_state(row: Row) -> str:
         return "could not be followed to its end"
     if not low and not high:
         return f"{'flat' if _is_flat(row) else 'open'}: not identifiable"
-    end = f"above {_format_tick(row['low'])}" if low else f"below {_format_tick(row['high'])}"
+    unit = _choose_unit(row)[1]
+    end = f"above {_format_tick(row['low'] / unit)}" if low else f"below {_format_tick(row['high'] / unit)}"
     return f"{end}, open"
 
 

@@ -5,13 +5,14 @@ cross them, as the paper does it.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.optimize import minimize
@@ -20,10 +21,11 @@ from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml_lines import add_file_context, add_key_context
+from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies import paper
 from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.job import Inputs, Job, Settings, find_named, load_medium, prepare
 from needlefit.studies.score import Predictor, Row, Scorer, list_score_columns
 
 ERROR_COLUMNS = (
@@ -40,21 +42,44 @@ ALL_LAYERS = 0
 """Layers of a row that counts insertions through any number of them."""
 
 
-def prepare_jobs(
-    studies: Sequence[str], fits: Sequence[str], settings: Settings, dataset: str | None = None
-) -> dict[str, Job]:
-    """Return studies and fits by name, on their own dataset or another, scored as in the paper."""
+@dataclass(frozen=True)
+class LoadedFit:
+    """A study or fit with the tissue model and recipe that it names, for a machine without these files."""
+
+    record: FitRecord | StudyRecord
+    inputs: Inputs
+    file: Path
+
+
+def load_fits(studies: Sequence[str], fits: Sequence[str]) -> dict[str, LoadedFit]:
+    """Return studies and fits by name, with what they name but their datasets."""
     found = {}
     named = [("studies", name) for name in studies] + [("fits", name) for name in fits]
     for key, name in named:
         with add_key_context(key):
             file = find_file("study" if key == "studies" else "fit", name)
         record = load(file, StudyRecord) if key == "studies" else load(file, FitRecord)
-        if dataset is not None:
-            record = record.model_copy(update={"dataset": dataset})
         with add_file_context(file):
-            found[name] = without_surfaces(prepare(name, record, replace(settings, file=file)))
+            recipe = load(find_named("recipe", record.recipe), RecipeRecord)
+            found[name] = LoadedFit(record, Inputs(medium=load_medium(record)[0], recipe=recipe), file)
     return found
+
+
+def prepare_jobs(studies: Sequence[str], fits: Sequence[str], settings: Settings) -> dict[str, Job]:
+    """Return studies and fits by name, on their own dataset, scored as in the paper."""
+    found = {}
+    for name, fit in load_fits(studies, fits).items():
+        with add_file_context(fit.file):
+            found[name] = without_surfaces(prepare(name, fit.record, replace(settings, file=fit.file)))
+    return found
+
+
+def prepare_on_dataset(fits: Mapping[str, LoadedFit], settings: Settings, dataset: Dataset) -> dict[str, Job]:
+    """Return the jobs of loaded fits by name, on another dataset than their own."""
+    return {
+        name: without_surfaces(prepare(name, fit.record, replace(settings, inputs=fit.inputs), dataset))
+        for name, fit in fits.items()
+    }
 
 
 def without_surfaces(job: Job) -> Job:
@@ -87,7 +112,7 @@ def compute_floors(jobs: Iterable[Job]) -> dict[str, NoiseFloor]:
 def run_search(job: Job, search: str, settings: Settings) -> Fit:
     """Return the fit of one search of a job with a single fold, as `validate` and `tune` compute it."""
     fold = job.folds[0]
-    rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
+    rng = random_stream(job.recipe.seed, fold.name, search, "starts")
     callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs, pool=settings.part_pool)
     return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
 

@@ -1,13 +1,12 @@
 """Find the scene to show for a name on the command line, or for a recording."""
 
 from dataclasses import replace
-from typing import Literal
 
 from needlefit.errors import NeedlefitError
 from needlefit.mechanics.scene import Scene
 from needlefit.project.load import load
 from needlefit.project.locate import file_label
-from needlefit.project.view_targets import ViewTarget, find_view_target
+from needlefit.project.view_targets import SpecimenChoice, ViewTarget, find_view_target
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.opening.insertion import open_insertion
 from needlefit.viewer.opening.run import open_run
@@ -35,7 +34,7 @@ DEFAULT_SCENE = "phantom2"
 
 
 def open_target(
-    name: str | None, insertion: str | None = None, specimen: Literal["new", "same"] = "new"
+    name: str | None, insertion: str | None = None, specimen: SpecimenChoice = "shown"
 ) -> ViewedScene:
     """Return the scene to show for SCENE, RUN or DATASET/ID.
 
@@ -45,8 +44,8 @@ def open_target(
         None: the scene `DEFAULT_SCENE`.
     insertion : str, optional
         Of the run or dataset; by default the one in `name`, else the first.
-    specimen : "new" or "same"
-        Whether the parameters of a specimen that a run did not tune on differ in its band.
+    specimen : SpecimenChoice
+        Of the draws of a run: of its band, and of plans.
 
     Raises
     ------

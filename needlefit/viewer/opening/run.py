@@ -14,22 +14,24 @@ from needlefit.errors import DataError
 from needlefit.inference.between_specimens import SpecimenSpread, move_to_new_specimen
 from needlefit.inference.forward_model import find_layers
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.problem import find_new_bevel_sd
 from needlefit.inference.ties import BEVEL_SPREAD
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
-from needlefit.project.view_targets import ViewTarget
+from needlefit.project.view_targets import SpecimenChoice, ViewTarget
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.studies.job import Inputs, Settings, prepare
 from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
+from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.packing import unpack
 from needlefit.studies.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.studies.planned_draws import vary_bevels
+from needlefit.studies.report import list_run_warnings
 from needlefit.studies.run import Run, restore_run
 from needlefit.viewer.opening.insertion import choose_insertion, make_viewed_scene
 from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
-
-MAX_BAND_DRAWS = 100
-"""Needles of a band."""
 
 SHOWN_METHOD = "fitted"
 """The method whose parameters are shown."""
@@ -62,7 +64,6 @@ def _open(view_target: ViewTarget) -> ViewedScene:
     )
     role = roles[insertion.id]
     draws = results.frames["draws"][results.frames["draws"]["fold"] == role.fold]
-    spread = None if view_target.specimen == "same" else _find_spread(results, role.fold, insertion, dataset)
     shown = ShownInsertion(
         dataset=dataset,
         insertion=insertion,
@@ -70,14 +71,25 @@ def _open(view_target: ViewTarget) -> ViewedScene:
         values=_fitted_values(results, role.fold, view_target.path),
         seed=results.run["recipe"]["seed"],
     )
+    spread = _choose_spread(results, role.fold, shown, view_target.specimen)
     crossed = _LAYERS_NOTE if len(insertion.boundaries) else ""
     description = (
         f"Parameters: fitted by {results.name}, {role.description}. {crossed}{_describe_band(draws, spread)}"
     )
     viewed_scene = make_viewed_scene(shown, view_target.name, description, tuple(roles))
+    known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
+    warnings = [one for one in list_run_warnings(results) if (one.kind, one.what) not in known]
+    viewed_scene = replace(viewed_scene, faults=results.faults, warnings=(*warnings, *viewed_scene.warnings))
     if draws.empty or not draws["certified"].all():
         return viewed_scene
-    return replace(viewed_scene, spread=_make_band_draws(results, draws, spread, insertion))
+    independent = results.run["recipe"]["likelihood"]["depths"] == "quadrature"  # of each insertion's bevel
+    fitted = _list_fitted(results, role.fold, dataset)
+    new_bevel_sd = 1.0 if independent else find_new_bevel_sd(dataset, fitted)
+    return replace(
+        viewed_scene,
+        spread=_vary_draws(results, draws, spread, insertion, new_bevel_sd),
+        specimen="same" if spread is None else "new",
+    )
 
 
 @dataclass(frozen=True)
@@ -88,38 +100,68 @@ class _StoredSpread:
     fitted: int
 
 
-def _find_spread(results: Run, fold: str, insertion: Insertion, dataset: Dataset) -> _StoredSpread | None:
+def _list_fitted(results: Run, fold: str, dataset: Dataset) -> list[Insertion]:
+    (tuned,) = (set(one["tune"]) for one in results.run["folds"] if one["name"] == fold)
+    return [one for one in dataset.insertions if one.id in tuned]
+
+
+def _choose_spread(
+    results: Run, fold: str, shown: ShownInsertion, specimen: SpecimenChoice
+) -> _StoredSpread | None:
+    """Return by how much the specimen of the draws differs from those tuned on; None if it is one of them."""
+    if specimen == "planned":
+        specimen = "new" if results.record.specimens == "others" else "same"
+    if specimen == "same":
+        return None
+    stored = _find_stored_spread(results, fold, shown)
+    return _learn_spread(results, fold, shown) if stored is None and specimen == "new" else stored
+
+
+def _find_stored_spread(results: Run, fold: str, shown: ShownInsertion) -> _StoredSpread | None:
     """Return by how much a run took a specimen to differ; None if it took it for one tuned on."""
     rows = results.frames.get("predictive", pd.DataFrame(columns=["fold", "insertion"]))
-    rows = rows[(rows["fold"] == fold) & (rows["insertion"] == insertion.id)]
+    rows = rows[(rows["fold"] == fold) & (rows["insertion"] == shown.insertion.id)]
     if rows.empty or rows.iloc[0].get("specimen_treatment") != "others":
         return None
     row = rows.iloc[0]
     taus = np.array([[row["between_sd_ln_mu"], row["between_sd_ln_b"]]], dtype=np.float64)
-    (tuned,) = (set(one["tune"]) for one in results.run["folds"] if one["name"] == fold)
-    fitted = {one.specimen for one in dataset.insertions if one.id in tuned}
+    fitted = {one.specimen for one in _list_fitted(results, fold, shown.dataset)}
     return _StoredSpread(SpecimenSpread(taus, np.ones(1), int(row["other_specimens"])), len(fitted))
 
 
-def _make_band_draws(
-    results: Run, draws: pd.DataFrame, spread: _StoredSpread | None, insertion: Insertion
+def _learn_spread(results: Run, fold: str, shown: ShownInsertion) -> _StoredSpread:
+    """Return by how much a specimen differs that the run did not predict, as it would have done."""
+    recipe = RecipeRecord.model_validate(results.run["recipe"])
+    inputs = Inputs(dataset=shown.dataset, medium=shown.medium, recipe=recipe)
+    job = prepare(results.name, results.record, Settings(inputs=inputs))
+    (tuned,) = (one for one in job.folds if one.name == fold)
+    new = NewSpecimens(job, tuned, job.parameters.theta(shown.values))
+    fitted = {one.specimen for one in tuned.tune}
+    target = None if shown.insertion.specimen in fitted else shown.insertion
+    return _StoredSpread(new.find_spread(target), len(fitted))
+
+
+def _vary_draws(
+    results: Run,
+    draws: pd.DataFrame,
+    spread: _StoredSpread | None,
+    insertion: Insertion,
+    new_bevel_sd: float,
 ) -> ParameterDraws:
-    """Return some of the draws, evenly spread over all, for the layers that an insertion meets.
+    """Return the draws for the layers that an insertion meets.
 
     Each has a bevel of its own. In a new specimen they differ as much as others do (root mean square).
     """
-    chosen = draws.iloc[np.linspace(0, len(draws) - 1, min(MAX_BAND_DRAWS, len(draws))).astype(np.int64)]
     rng = random_stream(results.run["recipe"]["seed"], "band", insertion.id)
     medium = Parameters.from_record(MediumRecord.model_validate(results.run["medium"]))
-    names = [name for name in (*medium.names, BEVEL_SPREAD) if name in chosen]
-    sets = [dict(zip(names, row, strict=True)) for row in chosen[names].to_numpy(dtype=np.float64).tolist()]
+    names = [name for name in (*medium.names, BEVEL_SPREAD) if name in draws]
+    sets = [dict(zip(names, row, strict=True)) for row in draws[names].to_numpy(dtype=np.float64).tolist()]
     if spread is not None:
         thetas = np.array([medium.theta(values) for values in sets])
         moved = move_to_new_specimen(medium, thetas, spread.between, spread.fitted, rng)
         sets = [values | medium.values(theta) for values, theta in zip(sets, moved, strict=True)]
-    return select_layer_draws(
-        pd.DataFrame(vary_bevels(sets, rng)), [layer for _, layer in find_layers(insertion)]
-    )
+    varied = vary_bevels(sets, new_bevel_sd, rng)
+    return select_layer_draws(pd.DataFrame(varied), [layer for _, layer in find_layers(insertion)])
 
 
 @dataclass(frozen=True)
@@ -171,7 +213,7 @@ def _describe_band(draws: pd.DataFrame, spread: _StoredSpread | None) -> str:
         mu, b = np.exp(spread.between.rms)
         specimen = (
             ", in a specimen that was not tuned on, whose moduli differ by a factor of "
-            f"{mu:.2g} and whose bevel offset by {b:.2g}"
+            f"{mu:.2g} and whose bevel parameter by {b:.2g}"
         )
     return f"Band: 95 % of the needles of draws {how}{specimen}."
 

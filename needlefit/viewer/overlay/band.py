@@ -18,6 +18,9 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
 from needlefit.studies.parameter_draws import ParameterDraws
 
+MAX_BAND_DRAWS = 100
+"""Needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves."""
+
 
 @dataclass(frozen=True)
 class NeedleBand:
@@ -68,7 +71,8 @@ def compute_band(
     depth = steps[-1].depth
     if not depth > 0:
         return None
-    batch = spread.make_batch(needle, tissue, steps, replace(rules, first_cell=first_cell))
+    chosen = np.linspace(0, len(spread) - 1, min(MAX_BAND_DRAWS, len(spread))).astype(np.intp)
+    batch = spread.only(chosen).make_batch(needle, tissue, steps, replace(rules, first_cell=first_cell))
     # One thread: the other cores are left to the needles that users control at the same time.
     (shapes,) = simulate_batches([batch], threads=1)
     found = compute_batch_positions(shapes, np.linspace(0.0, depth, NEEDLE_POINTS))[

@@ -236,9 +236,9 @@ def compose_sections(result: Run, figures: FigurePaths) -> list[Block]:
         document.heading("Assumptions"),
         document.text(
             f"Standard deviations between media: {between.ln_mu_sd:g} in ln μ and {between.ln_bevel_sd:g} "
-            f"in ln b. Source: {between.source}. Old and new medium are two draws of one population, so "
-            "the covariance of the old posterior is widened by twice their squares; its mode stays. New "
-            "layers that the old medium ties together may differ."
+            f"in ln b (or ln θ). Source: {between.source}. Old and new medium are two draws of one "
+            "population, so the covariance of the old posterior is widened by twice their squares; its mode "
+            "stays. New layers that the old medium ties together may differ."
         ),
     ]
 

@@ -34,7 +34,7 @@ class BetweenMediaRecord(Record):
     ln_mu_sd: float = Field(ge=0)
     """Standard deviation of ln mu between media."""
     ln_bevel_sd: float = Field(ge=0)
-    """Standard deviation of ln b between media."""
+    """Standard deviation of the logarithm of the bevel parameter (b or θ) between media."""
     alpha_sd: float = Field(default=0.0, ge=0)
     """Standard deviation of alpha between media."""
     source: str

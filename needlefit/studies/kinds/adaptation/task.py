@@ -1,7 +1,7 @@
 """Define an adaptation: which insertions are old, new and held out, and the orders of the new ones."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
-from needlefit.inference.transferred_prior import TransferredPrior, widen_posterior
+from needlefit.inference.transferred_prior import TransferredPrior
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml_lines import renamed_keys
 from needlefit.schemas.study import FitRecord
@@ -65,9 +65,7 @@ class AdaptationTask:
         """The widened old posterior, as the prior of the new medium's parameters."""
         spread = {name: _between_sd(name, self.record.between_media) for name in self.new.parameters.free}
         fit, thetas = self.old_posterior.fit.values, self.old_posterior.draws.thetas
-        prior = widen_posterior(self.old.parameters, fit, thetas, self.new.parameters, spread)
-        new = replace(self.new.parameters, prior=prior)
-        return TransferredPrior.from_draws(self.old.parameters, thetas, new, spread)
+        return TransferredPrior.from_draws(self.old.parameters, fit, thetas, self.new.parameters, spread)
 
 
 def first_sorted(order: tuple[str, ...], n: int) -> tuple[str, ...]:

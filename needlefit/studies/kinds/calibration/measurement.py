@@ -1,19 +1,24 @@
 """Simulate a needle and its measurement, with the errors that its dataset states."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.select import find_repeats
+from needlefit.datasets.select import list_bevels
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import design_matrix
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.nodes import BEVEL, Surface, draw_boundary_errors, shift_depths
+from needlefit.inference.likelihood.nodes import (
+    BEVEL,
+    Surface,
+    draw_boundary_errors,
+    find_bevel_factors,
+    shift_depths,
+)
 from needlefit.inference.likelihood.observation import (
     SESSION_SD_RAD,
     add_headings,
@@ -64,7 +69,8 @@ def simulate_measurement(
     s = _list_beam_coordinates(insertion) if known is None else known.s
     deep = insertion.depth_sd * rng.standard_normal()
     wrong = draw_boundary_errors(insertion, errors, rng)
-    factor = math.exp(values.get(BEVEL_SPREAD, 0.0) * _draw_bevel(dataset, insertion, errors, rng))
+    deviation = _draw_bevel(dataset, insertion, errors, rng)
+    factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
     true, at = shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
     shape = predict(values, medium, dataset.needle, true)
     if not shape.converged:
@@ -94,11 +100,22 @@ def simulate_measurement(
 def _draw_bevel(
     dataset: Dataset, insertion: Insertion, shared: dict[Surface, float], rng: np.random.Generator
 ) -> float:
-    """Return how many spreads the logarithm of b deviates by; the same for all depths of one insertion."""
-    own = find_repeats(dataset).get(insertion.id)
-    if own is None:
-        return float(rng.standard_normal())
-    return shared.setdefault((own[0], BEVEL, own[1]), float(rng.standard_normal()))
+    """Return by how many SDs a bevel deviates; the same for all depths of one insertion."""
+    ((specimen, number),) = list_bevels(dataset, (insertion,))
+    return shared.setdefault((specimen, BEVEL, number), float(rng.standard_normal()))
+
+
+def draw_bevels(
+    dataset: Dataset, insertions: Sequence[Insertion], rng: np.random.Generator
+) -> dict[Surface, float]:
+    """Draw by how many SDs between insertions each bevel deviates; the deviations sum to zero.
+
+    They are those of a problem with `centred_bevels`, and go to `simulate_measurement` as `shared`.
+    """
+    bevels = tuple(dict.fromkeys(list_bevels(dataset, insertions)))
+    drawn = rng.standard_normal(len(bevels))
+    pairs = zip(bevels, (drawn - drawn.mean()).tolist(), strict=True)
+    return {(specimen, BEVEL, number): deviation for (specimen, number), deviation in pairs}
 
 
 def _measure_sections(

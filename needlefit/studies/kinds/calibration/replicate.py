@@ -11,8 +11,8 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import FitError
 from needlefit.inference.draws import draw_from_prior, thin_posterior
-from needlefit.inference.importance.fit_posterior import EFFORT, find_modes, sample_about_modes
-from needlefit.inference.importance.sampler import Effort, WeightedDraws, resample
+from needlefit.inference.importance.fit_posterior import escalate_effort, find_modes, sample_about_modes
+from needlefit.inference.importance.sampler import WeightedDraws, resample
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import sample
@@ -20,7 +20,7 @@ from needlefit.inference.ties import NOISE_SCALE
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.job import Job
-from needlefit.studies.kinds.calibration.measurement import simulate_measurement
+from needlefit.studies.kinds.calibration.measurement import draw_bevels, simulate_measurement
 from needlefit.studies.kinds.calibration.quantities import RankedQuantities, best_determined_direction
 from needlefit.studies.kinds.calibration.rank_statistics import RANK_DRAWS, rank_truth
 from needlefit.studies.kinds.calibration.schema import Control
@@ -134,14 +134,11 @@ class InferenceOptions:
         L.
     sampler : "always", "otherwise" or "never"
         Whether the sampler draws: instead of importance, or where its weights are not certified.
-    efforts : tuple of Effort
-        Of importance sampling, each where the one before it is not certified.
     """
 
     recipe: RecipeRecord
     draws: int
     sampler: Literal["always", "otherwise", "never"] = "otherwise"
-    efforts: tuple[Effort, ...] = (EFFORT,)
 
 
 def infer_posterior(
@@ -152,10 +149,7 @@ def infer_posterior(
     ends = find_modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
     if options.sampler == "always":
         return _sample_posterior(problem, options, ends, rng)
-    for effort in options.efforts:
-        found = sample_about_modes(problem, ends, rng, effort=effort)
-        if found.certified:
-            break
+    found = escalate_effort(lambda effort: sample_about_modes(problem, ends, rng, effort=effort))
     if options.sampler == "otherwise" and not found.certified:
         return _sample_posterior(problem, options, ends, rng, found)
     chosen = resample(found, options.draws, rng)
@@ -278,7 +272,7 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperime
         if design is None:
             continue
         true = {NOISE_SCALE: everything.density.scale, **values}
-        shared: dict[tuple[object, ...], float] = {}
+        shared = draw_bevels(job.dataset, design.insertions, rng) if everything.linear_bevels else {}
         measurements = [
             simulate_measurement(job.dataset, one, true, job.medium, rng, shared) for one in design.insertions
         ]

@@ -83,6 +83,8 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     frames = {"design": design, **_split_rows(rows)}
     if record.truth == "synthetic" and rows:
         frames["coverage"] = add_intervals(frames["coverage"])
+        if len(frames["predictions"]):
+            frames["tips"] = average_tips(frames["predictions"])
     outcome = judge_ranks(frames, record.control) if rows else {}
     return replace(
         about,
@@ -123,6 +125,17 @@ def _split_rows(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
         if rows and frame in rows[0]
     }
     return {**tabulate_ranks(pd.DataFrame(plain)), **nested}
+
+
+def average_tips(predictions: pd.DataFrame) -> pd.DataFrame:
+    """Return a row per replicate: its number of held-out tips, and means of their intervals and scores."""
+    ends = [f"tip_{level}_{end}_mm" for level in ("50", "95") for end in ("low", "high")]
+    scores = ["tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm"]
+    columns = predictions[["replicate", *ends, *scores]]
+    groups = columns.astype(float).groupby("replicate")
+    means = groups.mean()
+    means.insert(0, "insertions", groups.size())
+    return means.reset_index().astype({"replicate": int})
 
 
 def add_intervals(coverage: pd.DataFrame) -> pd.DataFrame:

@@ -18,7 +18,6 @@ from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.draws import Draws
-from needlefit.inference.importance.fit_posterior import EFFORT, LARGER_EFFORT
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.held_out_predictions import predict_held_out
@@ -101,7 +100,7 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> dict[st
     job, seed, redrawn = _draw_study(number, experiment)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, job.name, "inference")
-    options = InferenceOptions(job.recipe, PREDICTION_DRAWS, efforts=(EFFORT, LARGER_EFFORT))
+    options = InferenceOptions(job.recipe, PREDICTION_DRAWS)
     found = infer_posterior(job.problem(fold), options, rng)
     parameters = _compare_parameters(job, found, seed)
     new = NewSpecimens(job, fold, found.mode)

@@ -7,8 +7,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from needlefit.inference.identifiability.information import format_sd
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import headline_metrics
+from needlefit.project.locate import join_names
 from needlefit.reporting import document
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid, plot
@@ -29,6 +31,9 @@ from needlefit.studies.verdict import Verdict
 MAX_LISTED = 20
 """Failures that the report lists; `failures.csv` has all."""
 
+MAX_NAMED = 3
+"""Failures that the first sentence names."""
+
 MAX_BINS = 40
 """Bins of a histogram."""
 
@@ -39,15 +44,24 @@ PARQUET = "fits.parquet"
 def summarize(result: Run) -> list[str]:
     """Return sentences: how many were fitted, the median of each parameter, and the errors."""
     errors, failures = result.frames["errors"], result.frames["failures"]
-    count, failed = len(errors), len(failures)
+    count = len(errors)
     parts = [_format_median(name, rows) for name, rows in _by_parameter(result)]
     typical = {metric.name: float(errors[metric.name].median()) for metric in headline_metrics()}
     return [
         f"Fitted {count} specimens of {errors['dataset'].nunique()} datasets "
-        f"({int(errors['insertions'].sum())} insertions); {failed} could not be fitted.",
+        f"({int(errors['insertions'].sum())} insertions); {_name_failures(failures)}.",
         f"Median over specimens: {'; '.join(parts)}.",
         f"Median in-sample error: {join_metrics(typical)}.",
     ]
+
+
+def _name_failures(failures: pd.DataFrame) -> str:
+    """Return how many could not be fitted, the first of them, and the file that has them all."""
+    if failures.empty:
+        return "0 could not be fitted"
+    pairs = failures[["dataset", "specimen"]].itertuples(index=False)
+    names = [f"{dataset} ({specimen})" if specimen else str(dataset) for dataset, specimen in pairs]
+    return f"{len(names)} could not be fitted: {join_names(names, MAX_NAMED)} (see failures.csv)"
 
 
 def _format_median(name: str, rows: pd.DataFrame) -> str:
@@ -88,12 +102,12 @@ def _lay_out_parameters(result: Run) -> TableLayout:
                 "specimens": len(found),
                 "specimen_median": format_quantity(name, float(found["value"].median())),
                 "specimen_range": format_quantity_range(name, low, high),
-                "sd": float(found["sd"].median()),
+                "sd": format_sd(float(found["sd"].median()), is_logarithmic(name)),
                 "specimens_at_bound": int(found["at_bound"].astype(bool).sum()),
             }
         )
     notes = (
-        "SD: standard deviation of one fit, of the logarithm for moduli and lengths; median over specimens.",
+        "SD: standard deviation of one fit, relative (in % or as a factor) but for α; median over specimens.",
     )
     columns = ("parameter", "specimens", "specimen_median", "specimen_range", "sd", "specimens_at_bound")
     return Table("parameters", "Parameters over specimens.", rows, columns, notes=notes).lay_out()

@@ -1,31 +1,39 @@
 """Fit a tissue model to each specimen of many datasets; a dataset that cannot be fitted is a row of its own.
 
 Each dataset is one task, which reads it, fits its specimens and forgets it: memory does not grow with the
-cohort, but for the tables of results.
+cohort, but for the tables of results. To another machine a dataset is sent as it was read here, with the
+tissue model and the recipe: no file is looked up there.
 """
 
 import glob
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.sources import compute_digest
+from needlefit.datasets.formats import FORMATS
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.read import read
+from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.inference.identifiability.identify import find_bounds
-from needlefit.inference.identifiability.precision import posterior_sds
-from needlefit.metrics import compute_metrics, list_metrics
+from needlefit.inference.identifiability.precision import find_bounds, posterior_sds
+from needlefit.mechanics.laws import LAWS
+from needlefit.metrics import METRICS, compute_metrics, list_metrics
 from needlefit.project.load import load
-from needlefit.project.locate import find_file
+from needlefit.project.locate import find_file, join_names
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import add_study_context
+from needlefit.project.unit_warnings import medium_warnings
+from needlefit.registry import plugin_versions
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
+from needlefit.studies import provenance
 from needlefit.studies.folds import Fold, group_insertions
 from needlefit.studies.job import Job, Settings, find_named, prepare
 from needlefit.studies.kinds.cohort.schema import CohortRecord
@@ -33,6 +41,9 @@ from needlefit.studies.posterior_fit import find_fit
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
 from needlefit.studies.score import Row
+
+MAX_NAMED_COPIES = 8
+"""Datasets that a warning names."""
 
 _WHERE = ("dataset", "specimen", "insertions")
 FRAMES: Mapping[str, tuple[str, ...]] = {
@@ -59,17 +70,64 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
         )
     with add_study_context(name, "datasets"):
         files = find_datasets(record)
-    load(find_named("medium", record.medium), MediumRecord)  # wrong ones would fail in every dataset
-    load(find_named("recipe", record.recipe), RecipeRecord)
+    medium_file = find_named("medium", record.medium)
+    medium = load(medium_file, MediumRecord)
+    recipe = load(find_named("recipe", record.recipe), RecipeRecord)
+    if settings.seed is not None:
+        recipe = recipe.model_copy(update={"seed": settings.seed})
+    inputs = replace(settings.inputs, medium=medium, recipe=recipe)
+    source = _SentDataset if settings.task_pool().remote else _LocalDataset
     tasks: dict[str, AnalysisTask] = {
-        str(file.parent): partial(_fit_dataset, name, file, record, settings) for file in files
+        str(file.parent): partial(
+            _fit_dataset, name, file, source(file), record, replace(settings, inputs=inputs)
+        )
+        for file in files
     }
-    columns = {**FRAMES, "errors": (*FRAMES["errors"], *(metric.name for metric in list_metrics()))}
-    also = {"datasets_sha256": {str(file.parent): _digest(file) for file in files}}
-    found = run_analysis(name, record, settings, AnalysisPlan((), tasks, columns, _conclude, also))
+    columns = {
+        "fits": FRAMES["fits"],
+        "errors": (*FRAMES["errors"], *(metric.name for metric in list_metrics())),
+        "failures": (*FRAMES["failures"], "origin"),
+    }
+    digests = {str(file.parent): digest_folders(file) for file in files}
+    warnings = (*_warn_of_copies(digests), *medium_warnings(medium, medium_file))
+    also = {"datasets_sha256": digests, **_describe_inputs(medium, recipe)}
+    plan = AnalysisPlan((), tasks, columns, _conclude, also, warnings=warnings)
+    found = run_analysis(name, record, settings, plan)
     made = (found.frames["fits"]["origin"] == "synthetic").any()
     title = f"{len(files)} dataset{'s' * (len(files) > 1)}"
     return replace(found, origin="synthetic" if made else "measured", dataset_title=title)
+
+
+def _describe_inputs(medium: MediumRecord, recipe: RecipeRecord) -> dict[str, Any]:
+    """Return what decides the fits besides the datasets, as JSON values; of plugins all that may read one."""
+    used = [
+        (LAWS, medium.law),
+        *((registry, one) for registry in (METRICS, FORMATS) for one in registry.names()),
+    ]
+    return {
+        "versions": provenance.package_versions(provenance.PACKAGES) | plugin_versions(*used),
+        "parts": [
+            {
+                "medium": medium.model_dump(mode="json", by_alias=True),
+                "recipe": recipe.model_dump(mode="json", by_alias=True),
+                "rules": provenance.describe_model_options(medium),
+            }
+        ],
+    }
+
+
+def _warn_of_copies(digests: Mapping[str, str]) -> Iterator[ResultWarning]:
+    """Yield a warning if a dataset is listed twice, by its content."""
+    first: dict[str, str] = {}
+    pairs = [(one, first.setdefault(digest, one)) for one, digest in digests.items()]
+    copies = [f"{one} (as {other})" for one, other in pairs if one != other]
+    if copies:
+        yield ResultWarning(
+            "same_dataset",
+            f"datasets with the same files are fitted more than once: {join_names(copies, MAX_NAMED_COPIES)}",
+            "",
+            "list each dataset once",
+        )
 
 
 def find_datasets(record: CohortRecord) -> list[Path]:
@@ -97,30 +155,60 @@ def find_datasets(record: CohortRecord) -> list[Path]:
     return list(found)
 
 
-def _digest(dataset: Path) -> str:
-    """Return a digest of a dataset and of all files beside it."""
-    files = [path for path in dataset.parent.rglob("*") if path.is_file() and path != dataset]
-    return compute_digest(dataset, (dataset.parent,), files)
+@dataclass(frozen=True)
+class _LocalDataset:
+    """A dataset that the process which fits it reads."""
+
+    file: Path
+
+    def __call__(self) -> Dataset:
+        return read(self.file)
 
 
-def _fit_dataset(name: str, file: Path, record: CohortRecord, settings: Settings) -> FrameRows:
-    """Fit every specimen of one dataset; what cannot be read or fitted is a row of `failures`."""
+class _SentDataset(_LocalDataset):
+    """A dataset for another machine: read here when its task is sent, not before, so that memory is flat."""
+
+    def __reduce__(self) -> tuple[Callable[..., Callable[[], Dataset]], tuple[object, ...]]:
+        try:
+            return partial, (_return_dataset, self())
+        except NeedlefitError as error:
+            return partial, (_raise_error, error)
+
+
+def _return_dataset(dataset: Dataset) -> Dataset:
+    return dataset
+
+
+def _raise_error(error: NeedlefitError) -> Dataset:
+    raise error
+
+
+def _fit_dataset(
+    name: str, file: Path, source: Callable[[], Dataset], record: CohortRecord, settings: Settings
+) -> FrameRows:
+    """Fit every specimen of one dataset; what cannot be read or fitted is a row of `failures`.
+
+    `settings.inputs` has the tissue model and the recipe.
+    """
     rows: FrameRows = {"fits": [], "errors": [], "failures": []}
+    failed = {"dataset": str(file.parent), "specimen": "", "origin": "none"}
     shared = ("medium", "recipe", "layer_count_rule", "tune")
     keys = record.model_dump(mode="json", by_alias=True, include=set(shared), exclude_defaults=True)
     fit = FitRecord.model_validate({"schema": FitRecord.SCHEMA, "dataset": str(file), **keys})
     try:
-        job = prepare(f"{name} {file.parent}", fit, settings)
+        dataset = source()
+        failed["origin"] = dataset.origin
+        job = prepare(f"{name} {file.parent}", fit, settings, dataset)
     except NeedlefitError as error:
-        return {**rows, "failures": [{"dataset": str(file.parent), "specimen": "", "note": str(error)}]}
+        return {**rows, "failures": [{**failed, "note": str(error)}]}
     for specimen, insertions in group_insertions(job.folds[0].tune, record.groups).items():
-        where = {"dataset": str(file.parent), "specimen": specimen}
+        where = {"dataset": str(file.parent), "specimen": specimen, "origin": dataset.origin}
         try:
             fits, errors = _fit_specimen(job, specimen, insertions, settings)
         except NeedlefitError as error:
             rows["failures"].append({**where, "note": str(error)})
             continue
-        about = {**where, "insertions": len(insertions), "origin": job.dataset.origin}
+        about = {**where, "insertions": len(insertions)}
         rows["fits"] += [{**about, **row} for row in fits]
         rows["errors"].append({**about, **errors})
         if settings.stop():

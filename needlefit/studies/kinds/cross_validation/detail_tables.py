@@ -5,10 +5,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
-from needlefit.reporting.interval_text import NO_INTERVAL, format_interval, typeset_interval
+from needlefit.reporting.interval_text import (
+    NO_INTERVAL,
+    choose_interval_unit,
+    format_interval,
+    typeset_interval,
+)
 from needlefit.reporting.labels import method_name
 from needlefit.reporting.number_format import (
-    choose_printed_unit,
     format_bare_symbol,
     format_metric,
     format_number,
@@ -112,7 +116,10 @@ def lay_out_values(results: Run) -> TableLayout:
         if folds > 1
         else ""
     )
-    return Table("values", f"Parameters{of}.", cells, columns).lay_out(drop_empty=True)
+    caption = f"Parameters{of}."
+    if any(cell["fitted"] == CONDITIONAL for cell in cells):
+        caption += " “conditional”: determined only under the assumption in the note."
+    return Table("values", caption, cells, columns).lay_out(drop_empty=True)
 
 
 def _describe_parameter(name: str, rows: list[Row], published: Mapping[str, float]) -> Row:
@@ -224,7 +231,7 @@ def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
 
 def _parameter_cells(row: Row) -> Row:
     note = _NOT_DETERMINED_PREFIX.sub(lambda found: found[1] or "", str(row["note"] or ""))
-    label, unit = choose_printed_unit(str(row["parameter"]), [row["value_used"]])
+    label, unit = choose_interval_unit(row, row["value_used"])
     return {
         "parameter": label,
         "interval_95": typeset_interval(row, unit),

@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from needlefit.datasets.select import group_independent
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import list_metrics
+from needlefit.reporting.labels import group_name
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.kinds.cross_validation.parameter_table import CONDITIONAL, NOT_DETERMINED
 from needlefit.studies.kinds.identification.differences import IDENTIFICATION_COMPARISON
+from needlefit.studies.proportions import Proportion, estimate_proportion
 from needlefit.studies.run_differences import (
     CRPS_NOISE_FRACTION,
+    MIN_SD_CHANGE,
     MIN_SHIFT_SD,
     ROUNDING_FRACTION,
     Difference,
@@ -24,6 +28,7 @@ from needlefit.studies.run_differences import (
 )
 
 _PREDICTED_QUANTITIES = {"tip": "CRPS of the tip predicted", "shape": "CRPS of the shape predicted"}
+_BESIDE = "training only"
 
 
 _PARAMETERS = TableSchema(
@@ -40,7 +45,9 @@ _SCORES = TableSchema(
     finite_where="converged",
 )
 _PREDICTIVE = TableSchema(
-    ("fold", "insertion", "specimen_treatment", "quantity", "level"), numbers=("crps_mm",)
+    ("fold", "insertion", "specimen_treatment", "quantity", "level"),
+    ("specimen", "medium", "layers"),
+    ("crps_mm", "low_mm", "high_mm", "covered"),
 )
 
 
@@ -106,15 +113,80 @@ def _compare_errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Diffe
 
 
 def _compare_predictions(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    """Yield how predictions changed: those that the run makes by default, and those beside them."""
     if before.empty or after.empty:
         return
-    both = before.merge(after, on=list(_PREDICTIVE.keys), suffixes=("_a", "_b"), sort=False)
+    keys = ["fold", "insertion", "beside", "quantity", "level"]
+    one, two = map(_mark_predictions_beside, (before, after))
+    both = one.merge(two, on=keys, suffixes=("_a", "_b"), sort=False)
+    yield from _compare_scores(both[~both["beside"]], "")
+    yield from _compare_scores(both[both["beside"]], f", {_BESIDE}")
+    default = both[~both["beside"]]
+    several = len(default[["medium_a", "layers_a"]].drop_duplicates()) > 1
+    for (medium, layers), rows in default.groupby(["medium_a", "layers_a"], sort=False):
+        where = f", {group_name(str(medium), int(str(layers)))}" if several else ""
+        yield from _compare_coverage(rows, where)
+        tips = rows[(rows["quantity"] == "tip") & (rows["level"] == "0.95")]
+        yield from _compare_width(tips, where)
+
+
+def _mark_predictions_beside(predicted: pd.DataFrame) -> pd.DataFrame:
+    """Mark the rows "training only" of insertions that the run predicts with the spread of specimens too.
+
+    By default a run predicts the others: those rows alone stand for what it concludes.
+    """
+    spread = predicted["specimen_treatment"] != _BESIDE
+    insertions = [predicted["fold"], predicted["insertion"]]
+    return predicted.assign(beside=~spread & spread.groupby(insertions).transform("any"))
+
+
+def _compare_scores(both: pd.DataFrame, which: str) -> Iterator[Difference]:
     for quantity, words in _PREDICTED_QUANTITIES.items():
-        keys = ["fold", "insertion", "specimen_treatment"]
-        rows = both[both["quantity"] == quantity].drop_duplicates(keys)
+        rows = both[both["quantity"] == quantity].drop_duplicates(["fold", "insertion"])
         yield from compare_means(
-            words, rows, "crps_mm", CRPS_NOISE_FRACTION * float(rows["crps_mm_a"].mean())
+            words + which, rows, "crps_mm", CRPS_NOISE_FRACTION * float(rows["crps_mm_a"].mean())
         )
+
+
+def _compare_coverage(rows: pd.DataFrame, where: str) -> Iterator[Difference]:
+    """Yield which intervals cover another number of insertions; it matters where the verdict changes."""
+    for (quantity, level), some in rows.groupby(["quantity", "level"], sort=False):
+        known = some.dropna(subset=["covered_a", "covered_b"])
+        if quantity not in _PREDICTED_QUANTITIES or (known["covered_a"] == known["covered_b"]).all():
+            continue
+        groups = group_independent(list(known["insertion"]), list(known["specimen_a"]))
+        before, after = (estimate_proportion(list(known[f"covered_{run}"]), groups) for run in "ab")
+        nominal = float(str(level))
+        one, two = (_judge_coverage(share, nominal) for share in (before, after))
+        verdict = f"{two} in both runs" if one == two else f"{two}, before {one}"
+        yield Difference(
+            "error",
+            f"{quantity}s in their {100 * nominal:.0f} % interval{where}",
+            before.hits,
+            after.hits,
+            one != two,
+            f"of {len(known)} insertions; {verdict}",
+        )
+
+
+def _judge_coverage(share: Proportion, level: float) -> str:
+    return "too few" if share.high < level else "too many" if share.low > level else "as expected"
+
+
+def _compare_width(tips: pd.DataFrame, where: str) -> Iterator[Difference]:
+    one, two = (float((tips[f"high_mm_{run}"] - tips[f"low_mm_{run}"]).median()) for run in "ab")
+    if one == two or not (one > 0 and two > 0):
+        return
+    change = abs(math.log(two / one))
+    yield Difference(
+        "error",
+        f"tip, median width of 95 % (mm){where}",
+        one,
+        two,
+        change > MIN_SD_CHANGE,
+        f"{two / one:.3g} times as wide",
+        change < ROUNDING_FRACTION * MIN_SD_CHANGE,
+    )
 
 
 COMPARISONS: Mapping[str, TableComparison] = MappingProxyType(

@@ -1,12 +1,11 @@
 """What `--explain` prints of a fit or cross-validation: how the search ended, what the data determine."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import pandas as pd
 
 from needlefit.inference.identifiability.information import UNINFORMED_SD_RATIO
 from needlefit.reporting.number_format import insert_symbols
-from needlefit.reporting.table_files import to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.identification_tables import describe_verdicts
 from needlefit.studies.kinds.cross_validation.detail_tables import lay_out_baselines
@@ -28,9 +27,8 @@ from needlefit.studies.kinds.cross_validation.sentences import (
     describe_noise_floor,
     describe_prediction_set,
     describe_validity,
+    explain_errors,
     find_scored_role,
-    summarize_baselines,
-    summarize_errors,
 )
 from needlefit.studies.kinds.cross_validation.verdict import describe_wide_intervals
 from needlefit.studies.run import Run
@@ -47,14 +45,14 @@ def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
 
 def _list_sentences(results: Run) -> list[str]:
     sentences = [
-        *summarize_errors(results),
-        summarize_baselines(results),
+        *explain_errors(results),
         describe_noise_floor(results),
         describe_prediction_set(results),
         *describe_wide_intervals(results),
         *_describe_searches(results.frames["starts"]),
-        *map(insert_symbols, _describe_undetermined(results)),
-        *map(insert_symbols, describe_verdicts(results.frames["identification"])),
+        *map(insert_symbols, _name_folds(_describe_undetermined(results))),
+        *map(insert_symbols, _describe_combinations(results)),
+        *map(insert_symbols, _name_folds(_list_verdicts(results))),
         describe_failures(results),
         describe_validity(results),
         describe_unconverged(results),
@@ -85,20 +83,43 @@ def _describe_starts(starts: pd.DataFrame) -> str:
     return f"{share}; all starts are in starts.csv{spent}."
 
 
-def _describe_undetermined(results: Run) -> Iterator[str]:
-    """Yield what the data do not determine, and how well they determine combinations."""
-    table = pd.DataFrame(arrange_parameters(tabulate_parameters(results)))
-    if table.empty:
-        return
-    free = table[table["status"] == "free"]
-    loose = free[~free["determined"].astype(bool)].drop_duplicates(["parameter", "note"])
-    judged = set(results.frames["identification"]["parameter"])  # `describe_verdicts` names their conditions
-    for row in to_records(loose):
-        if not (row["parameter"] in judged and is_conditional(row)):
+def _name_folds(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield the sentences of folds, each once, with the folds that it holds for unless these are all."""
+    holders: dict[str, list[str]] = {}
+    for fold, sentences in found.items():
+        for sentence in sentences:
+            holders.setdefault(sentence, []).append(fold)
+    for sentence, folds in holders.items():
+        several = "Folds" if len(folds) > 1 else "Fold"
+        yield sentence if len(folds) == len(found) else f"{several} {', '.join(folds)}: {sentence}"
+
+
+def _describe_undetermined(results: Run) -> dict[str, list[str]]:
+    """Return by fold what the data do not determine."""
+    rows = arrange_parameters(tabulate_parameters(results))
+    # `describe_verdicts` names the conditions of these
+    judged = set(results.frames["identification"]["parameter"])
+    found: dict[str, list[str]] = {str(row["fold"]): [] for row in rows}
+    for row in rows:
+        conditional = row["parameter"] in judged and is_conditional(row)
+        if row["status"] == "free" and not row["determined"] and not conditional:
             note = str(row["note"] or NOT_DETERMINED)
-            yield f"{row['parameter']}: {note if 'determined' in note else f'{NOT_DETERMINED}: {note}'}."
+            words = note if "determined" in note else f"{NOT_DETERMINED}: {note}"
+            found[str(row["fold"])].append(f"{row['parameter']}: {words}.")
+    return found
+
+
+def _describe_combinations(results: Run) -> Iterator[str]:
+    """Yield how well the data of each fold determine combinations of parameters."""
     directions = results.frames["directions"]
+    several = directions["fold"].nunique() > 1
     informed = directions[~(directions["sd_ratio"].astype(float) >= UNINFORMED_SD_RATIO)]
-    if len(informed):
-        yield "Combinations of parameters, linear about the fit:"
-    yield from (f"  {row.note}." for row in informed.itertuples())
+    for fold, rows in informed.groupby("fold", sort=False):
+        yield f"Combinations of parameters{f', fold {fold}' if several else ''}, linear about the fit:"
+        yield from (f"  {row.note}." for row in rows.itertuples())
+
+
+def _list_verdicts(results: Run) -> dict[str, list[str]]:
+    """Return by fold the interval of each parameter, and under which assumption it is determined."""
+    groups = results.frames["identification"].groupby("fold", sort=False)
+    return {str(fold): describe_verdicts(rows) for fold, rows in groups}

@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 from needlefit.metrics import list_metrics
 from needlefit.reporting import latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
-from needlefit.reporting.interval_text import typeset_interval
-from needlefit.reporting.number_format import choose_printed_unit
+from needlefit.reporting.interval_text import choose_interval_unit, typeset_interval
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.cross_validation import detail_tables, score_tables
@@ -75,7 +74,7 @@ def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
         name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
         where = f"-{row['fold']}" if several else ""
         key = f"{results.name}{where}-{name}"
-        label, scale = choose_printed_unit(str(row["parameter"]), [row["value_used"]])
+        label, scale = choose_interval_unit(row, row["value_used"])
         yield key, detail_tables.format_in_unit(row["fitted"], scale)
         if unit := label.partition(" (")[2].rstrip(")"):
             yield f"{key}-unit", unit

@@ -72,10 +72,15 @@ def _read_references() -> dict[str, str]:
 def _iterate_sentences(results: Run, run: Mapping[str, Any]) -> Iterator[CitedSentence]:
     recipe, rules, versions = run["recipe"], run["rules"], run["versions"]
     law = str(rules["law"]).capitalize()
+    path = (
+        "the needle cuts at the angle θ to its tangent"
+        if _name_bevel(run)[1] == "θ"
+        else "the bevel offsets its path"
+    )
     yield from _describe_data(results, run)
     yield CitedSentence(
         f"The needle was modelled as a beam on a layered foundation with the {law} law; at constraint points "
-        f"{format_number(rules['constraint_spacing_mm'])} mm apart the bevel offsets its path "
+        f"{format_number(rules['constraint_spacing_mm'])} mm apart {path} "
         f"(tissue thickness {format_number(rules['thickness_mm'])} mm, elements of "
         f"{format_number(rules['element_mm'])} mm).",
         ("wang-bevel-tip", "needlefit"),
@@ -84,6 +89,9 @@ def _iterate_sentences(results: Run, run: Mapping[str, Any]) -> Iterator[CitedSe
     yield CitedSentence(_describe_fit(results, run))
     yield from map(CitedSentence, _describe_ties(run["medium"]["parameters"], by_metric))
     yield from map(CitedSentence, _describe_objective(results, recipe, by_metric))
+    if not by_metric:
+        yield from map(CitedSentence, _describe_observation(run.get("dataset", {}), recipe["likelihood"]))
+        yield from map(CitedSentence, _describe_bevels(results, recipe["likelihood"]))
     yield CitedSentence(_describe_search(recipe))
     yield from _describe_posterior(results, recipe)
     if isinstance(results.record, StudyRecord):
@@ -179,14 +187,56 @@ def _describe_objective(results: Run, recipe: Mapping[str, Any], by_metric: bool
     }[how["depths"]]
     yield (
         f"The fit is the mode of the posterior density. The likelihood includes {noise}{depths}; the "
-        "prior is uniform in the logarithms of moduli and lengths within their bounds."
+        "prior is uniform in the logarithms of moduli, lengths and angles within their bounds."
     )
-    if (results.frames["parameters"]["parameter"] == BEVEL_SPREAD).any():
+
+
+_COMPARISONS = {
+    "none": "",
+    "spline": ". The same spline is drawn through the simulated needle, and the coefficients are compared; "
+    "errors and predictions are of points",
+    "gaussian": ". The simulated needle is smoothed alike",
+    "unknown": ". All insertions share the bias, which is marginalised",
+}
+"""What the likelihood does with each operator of a measurement."""
+
+
+def _describe_observation(dataset: Mapping[str, Any], likelihood: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what is compared with what, and which errors insertions share."""
+    stated = dataset.get("measurement")
+    if stated is None:  # a run of an earlier version
+        return
+    operator = stated["operator"]
+    smoothed = likelihood.get("measurement", "stored") == "stored" and likelihood["noise"] == "correlated"
+    if smoothed or operator == "none":
+        yield f"The measured shapes are {stated['description']}{_COMPARISONS[operator]}."
+    else:
+        yield f"The measured shapes are {stated['description']}. Their points are compared as they are."
+    shared = dataset["boundary_shared_sd_mm"]
+    if shared and likelihood["depths"] != "fixed":
+        size = " to ".join(dict.fromkeys(format_number(one) for one in (shared[0], shared[-1])))
         yield (
-            "The bevel offset differs between insertions: its logarithm is normal about ln b with a standard "
-            "deviation that is estimated too, with a half-normal prior of scale "
-            f"{format_number(how['bevel_spread'])}; the offsets of single insertions are marginalised."
+            "Insertions into one specimen share a shift of each layer boundary (standard deviation "
+            f"{size} mm), which is marginalised too."
         )
+
+
+def _describe_bevels(results: Run, likelihood: Mapping[str, Any]) -> Iterator[str]:
+    """Yield that the bevel differs between insertions, where the fit says so."""
+    if (results.frames["parameters"]["parameter"] == BEVEL_SPREAD).any():
+        name, symbol = _name_bevel(results.run)
+        yield (
+            f"The {name} differs between insertions: it is normally distributed, and {symbol} is the mean "
+            "of the insertions fitted to. Its relative standard deviation is estimated too, with a "
+            f"half-normal prior of scale {format_number(likelihood['bevel_spread'])}; single values are "
+            "marginalised."
+        )
+
+
+def _name_bevel(run: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the name and symbol of the parameter that says how strongly the needle steers."""
+    by_angle = "cut_angle_deg" in run["medium"]["parameters"]
+    return ("cut angle", "θ") if by_angle else ("bevel offset", "b")
 
 
 def _describe_search(recipe: Mapping[str, Any]) -> str:
@@ -241,8 +291,8 @@ def _describe_predictions(results: Run, recipe: Mapping[str, Any]) -> Iterator[C
         return
     count = predictions["draws"].iloc[0]
     rest = (
-        "with a bevel offset of its own and errors of layer depths, tip depth, pose and points drawn from "
-        "their stated distributions"
+        f"with a {_name_bevel(results.run)[0]} of its own and errors of layer depths, tip depth, pose and "
+        "points drawn from their stated distributions"
     )
     if (predictions["draw_source"] == "posterior").all():
         yield CitedSentence(f"Predictive intervals are of {count} draws of that posterior, each {rest}.")
@@ -264,9 +314,10 @@ def _describe_new_specimens(results: Run, recipe: Mapping[str, Any]) -> Iterator
     if how and (results.frames["predictive"]["specimen_treatment"] == "others").any():
         mu, b = (format_number(how[f"{name}_factor"]) for name in ("modulus", "bevel"))
         yield CitedSentence(
-            "In specimens that were not fitted, moduli and bevel offset of each draw also vary between "
-            "specimens: their logarithms are normal, with standard deviations that have half-normal "
-            f"priors of scale ln {mu} and ln {b} and are updated with the other specimens of the dataset."
+            f"In specimens that were not fitted, moduli and {_name_bevel(results.run)[0]} of each draw also "
+            "vary between specimens: their logarithms are normal, with standard deviations that have "
+            f"half-normal priors of scale ln {mu} and ln {b} and are updated with the other specimens of the "
+            "dataset."
         )
 
 

@@ -114,8 +114,7 @@ def lay_out_posterior(results: Run) -> TableLayout:
 def _scale_percentiles(row: Row) -> Row:
     """Return a row with its label and values in the unit in which they are printed."""
     columns = [*map(_percentile_column, PERCENTILES), "fit_value_used"]
-    median = row[_percentile_column(50.0)]
-    label, unit = choose_printed_unit(str(row["parameter"]), [median])
+    label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in columns[:-1]])
     scaled = {name: None if row[name] is None else row[name] / unit for name in columns}
     return {**row, **scaled, "parameter": label}
 
@@ -181,21 +180,29 @@ def describe_draws(results: Run) -> str:
         summary = f"{len(draws)} importance draws about the modes of the fit, Pareto k {k:.2f}".replace(
             "-", "−"
         )
-    doubt = "" if certified else ", which is NOT CERTIFIED: sample it (--sample)"
+    doubt = "" if certified else _UNCERTIFIED[source]
     where = (
         f" Shown is the first of {results.frames['draws']['fold'].nunique()} folds, {fold}."
         if _has_several_folds(results)
         else ""
     )
-    ridge = _describe_ridge(draws[list_free_parameters(results)])
+    ridge = _describe_ridge(draws[list_free_parameters(results)], certified)
     return f"{summary[:1].upper()}{summary[1:]}{doubt}.{where} {ridge}"
 
 
-def _describe_ridge(draws: pd.DataFrame) -> str:
-    """Return what is known across the ridge and what is not along it."""
+_UNCERTIFIED = {
+    "posterior": ", which has NOT CONVERGED: raise the recipe’s sample.steps",
+    "importance": ", which is NOT CERTIFIED: sample it (--sample)",
+}
+
+
+def _describe_ridge(draws: pd.DataFrame, certified: bool) -> str:
+    """Return what is known across the ridge and what is not along it, if the draws are certified."""
     axes = principal_axes(draws)
     if not is_ridge(axes):
         return "No pair lies on a ridge."
+    if not certified:
+        return "Dashed: the longest axis of these draws."
     known, loose = insert_symbols(axes[0].words), insert_symbols(axes[-1].words)
     return f"Dashed, the ridge: along it {loose}; across it {known}."
 

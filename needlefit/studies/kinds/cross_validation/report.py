@@ -37,8 +37,6 @@ from needlefit.studies.kinds.cross_validation.tables import (
 from needlefit.studies.kinds.cross_validation.verdict import (
     describe_evidence,
     judge,
-    warn_of_coverage,
-    warn_of_width,
 )
 from needlefit.studies.report import (
     FigurePaths,
@@ -49,6 +47,7 @@ from needlefit.studies.report import (
     verdict_blocks,
 )
 from needlefit.studies.run import Run
+from needlefit.studies.verdict import headline_fault
 
 
 def compose_sections(results: Run, figures: FigurePaths) -> list[Block]:
@@ -57,7 +56,7 @@ def compose_sections(results: Run, figures: FigurePaths) -> list[Block]:
     """
     return [
         document.text(describe_evidence(results)),
-        *figure_blocks(figures, "schematic", labels.SCHEMATIC_CAPTION),
+        *figure_blocks(figures, "schematic", _add_bands(results, labels.SCHEMATIC_CAPTION)),
         document.table(score_tables.lay_out_summary([results])),
         *_error_blocks(results, figures),
         *_parameter_blocks(results, figures),
@@ -67,6 +66,15 @@ def compose_sections(results: Run, figures: FigurePaths) -> list[Block]:
         *_data_blocks(results),
         *_diagnostic_blocks(results, figures),
     ]
+
+
+def _add_bands(results: Run, caption: str) -> str:
+    """Return the caption of a figure of needles with what there is to say of the bands of those held out."""
+    if len(results.frames["bands"]):
+        return f"{caption} {labels.BANDS_CAPTION}"
+    uncertified = not results.frames["draws"]["certified"].astype(bool).all()
+    held_out = sentences.find_scored_role(results) == "validate"
+    return f"{caption} {labels.NO_BANDS_CAPTION}" if uncertified and held_out else caption
 
 
 def figure_blocks(figures: FigurePaths, name: str, caption: str) -> list[Block]:
@@ -116,7 +124,7 @@ def _insertion_blocks(results: Run, figures: FigurePaths) -> list[Block]:
         return []
     return [
         document.heading("Single insertions"),
-        *figure_blocks(figures, "overlays", labels.OVERLAYS_CAPTION),
+        *figure_blocks(figures, "overlays", _add_bands(results, labels.OVERLAYS_CAPTION)),
         document.table(detail_tables.lay_out_insertions(results, sentences.find_scored_role(results))),
     ]
 
@@ -162,7 +170,7 @@ def _diagnostic_blocks(results: Run, figures: FigurePaths) -> list[Block]:
     )
     return [
         document.table(score_tables.lay_out_all_errors(results)),
-        *figure_blocks(figures, "residuals", labels.RESIDUALS_CAPTION),
+        *figure_blocks(figures, "residuals", _add_bands(results, labels.RESIDUALS_CAPTION)),
         document.table(detail_tables.lay_out_directions(results)),
         *([document.table(lay_out_posterior(results))] if results.posteriors else []),
         *_identifiability_blocks(results, figures),
@@ -232,7 +240,7 @@ def _overview_warnings(results: Sequence[Run]) -> list[Block]:
     blocks = []
     for one in results:
         name = one.title.partition(":")[0]
-        blocks += [document.warning(f"{name}: NOT CONVERGED: {fault}.") for fault in one.faults]
+        blocks += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
         blocks += compose_warnings(list_run_warnings(one), head=f"{name}: ")
     return [document.subheading("Warnings"), *blocks] if blocks else []
 
@@ -273,5 +281,4 @@ REPORT = StudyReport(
         detail_tables.lay_out_values(results),
     ],
     explain=explain,
-    warn=lambda results: [*warn_of_coverage(results), *warn_of_width(results)],
 )

@@ -28,7 +28,7 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import predict_held_out
-from needlefit.studies.identification import add_sampled_ratios, identify_parameters, reconcile_verdict
+from needlefit.studies.identification import identify_parameters, reconcile_verdict
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.results import COLUMNS
 from needlefit.studies.new_specimens import NewSpecimens
@@ -75,8 +75,12 @@ def tabulate_fold(
     scorer: Scorer,
     tables: ResultRows,
     examination: FitProfiles | None = None,
+    draws: Draws | None = None,
 ) -> None:
-    """Score every method of one fold, and add rows on searches and profiles."""
+    """Score every method of one fold, and add rows on searches, parameters and profiles.
+
+    Parameters are judged by the posterior's `draws`; without certified ones, by the information.
+    """
     usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
     for name, fit in fits.items():
         problem = job.problem(fold, name)
@@ -90,7 +94,7 @@ def tabulate_fold(
     if faults := _search_faults(fits.get("fitted"), examination):
         tables.search_faults[fold.name] = faults
     if "fitted" in usable:
-        verdict = identify(job.problem(fold), usable["fitted"])
+        verdict = identify(job.problem(fold), usable["fitted"], draws.certified if draws else None)
         judgements: Mapping[str, Assessment] = {}
         if examination is not None:
             found = identify_parameters(
@@ -104,7 +108,11 @@ def tabulate_fold(
             {"fold": fold.name, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
             for one in verdict.directions
         ]
-        tables.parameters += _fitted_rows(job, fold, usable["fitted"], verdict, judgements)
+        fitted = _fitted_rows(job, fold, usable["fitted"], verdict, judgements)
+        judged = [row for row in tables.identification if row["fold"] == fold.name]
+        sampled = intervals_of_draws(job.parameters, draws, tables.posteriors.get(fold.name))
+        add_intervals(fitted, judged, sampled, job.parameters.ties)
+        tables.parameters += fitted
     if "fitted_metric" in usable:
         tables.parameters += _metric_rows(job, fold, usable["fitted_metric"])
     tables.parameters += _published_rows(job, fold, usable.get("hand_tuned_b"))
@@ -117,10 +125,13 @@ def tabulate_fold(
                 tables.shapes += shapes
 
 
-def tabulate_posterior(job: Job, fold: Fold, posterior: Posterior, tables: ResultRows) -> None:
-    """Add the posterior of one fold, and the failures while it was sampled."""
-    tables.posteriors[fold.name] = posterior
-    add_sampled_ratios(posterior, [row for row in tables.identification if row["fold"] == fold.name])
+def has_fit(fits: Mapping[str, Fit]) -> bool:
+    """Return whether the search of everything free found a point that can be solved."""
+    return "fitted" in fits and math.isfinite(fits["fitted"].objective)
+
+
+def record_failures(job: Job, fold: Fold, posterior: Posterior, tables: ResultRows) -> None:
+    """Add what had no solution while the posterior of a fold was sampled."""
     for ensemble, thetas in enumerate(posterior.failed):
         place = {"fold": fold.name, "fit": "posterior", "start": ensemble}
         tables.failures += _failure_rows(place, job.problem(fold), thetas)
@@ -135,14 +146,6 @@ def tabulate_draws(job: Job, fold: Fold, draws: Draws, tables: ResultRows) -> No
     tables.counts.draws.add(
         len(draws.thetas), int(find_outside_validity(job.problem(fold), draws.thetas).sum())
     )
-
-
-def tabulate_intervals(job: Job, fold: Fold, draws: Draws | None, tables: ResultRows) -> None:
-    """Add the 95 % interval of every fitted parameter of a fold; without draws, that of its profile."""
-    here = [row for row in tables.parameters if row["fold"] == fold.name and row["method"] == "fitted"]
-    judged = [row for row in tables.identification if row["fold"] == fold.name]
-    sampled = intervals_of_draws(job.parameters, draws, tables.posteriors.get(fold.name))
-    add_intervals(here, judged, sampled, job.parameters.ties)
 
 
 def tabulate_predictions(
@@ -263,7 +266,7 @@ def _fitted_rows(
 
 
 def _metric_rows(job: Job, fold: Fold, fit: Fit) -> list[Row]:
-    """Return the values that the metric objective prefers; what they are worth is said of the posterior's."""
+    """Return the values that the metric objective prefers; the posterior fit has their uncertainty."""
     unknown = {**dict.fromkeys(("bound_low", "bound_high", "sd"), math.nan), **NO_SOURCE}
     ends = np.array([s.theta for s in select_within_tolerance(fit)] or [fit.theta]).reshape(
         -1, len(fit.theta)

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import FitError
-from needlefit.inference.draws import Draws
-from needlefit.inference.fit import Callbacks, Fit, Start
-from needlefit.inference.identifiability.identify import select_within_tolerance
+from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
+from needlefit.inference.identifiability.identify import LOG_POSTERIOR_TOLERANCE, select_within_tolerance
 from needlefit.inference.identifiability.parameter_profiles import FitProfiles, profile_parameters
 from needlefit.inference.optimize import minimize
+from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import sample
 from needlefit.project.random_streams import random_stream
 from needlefit.project.threads import one_thread
@@ -26,13 +26,14 @@ from needlefit.studies.held_out_predictions import draw_fold_parameters
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kinds.cross_validation.result_rows import (
     ResultRows,
+    has_fit,
+    record_failures,
     tabulate_draws,
     tabulate_fold,
-    tabulate_intervals,
-    tabulate_posterior,
     tabulate_predictions,
 )
 from needlefit.studies.kinds.cross_validation.results import COLUMNS as FRAMES
+from needlefit.studies.kinds.cross_validation.verdict import warn_of_coverage, warn_of_width
 from needlefit.studies.needles_in_scan import FoldFit, NeedleInScan, place_needles, tabulate_needles
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer
@@ -69,20 +70,22 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
         steps.report_searched()
         examination = None if interrupted else _examine(job, fold, fits, settings)
+        if better := _move_to_better(job.problem(fold), fits, examination):
+            fits["fitted"] = better
+            examination = _examine(job, fold, fits, settings)
         interrupted = interrupted or settings.stop()
-        tabulate_fold(job, fold, fits, scorer, tables, examination)
         if settings.sample and not interrupted:
             interrupted = _sample(job, fold, fits["fitted"], settings, checkpoint, tables)
-        few: Draws | None = None
-        if fold.name in tables.verdicts:
-            known = FoldFit(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
-            if fold.validate or not interrupted:
-                few, many = draw_fold_parameters(job, fold, known.fit, known.posterior, settings)
-                tabulate_draws(job, fold, many, tables)
-                if not few.faults:  # of what is not certified nothing is predicted
-                    tabulate_predictions(job, fold, few, np.array(fits["fitted"].theta), settings, tables)
+        posterior, few = tables.posteriors.get(fold.name), None
+        if has_fit(fits) and (fold.validate or not interrupted):
+            few, many = draw_fold_parameters(job, fold, fits["fitted"], posterior, settings)
+            tabulate_draws(job, fold, many, tables)
+            if not few.faults:  # of what is not certified nothing is predicted
+                tabulate_predictions(job, fold, few, np.array(fits["fitted"].theta), settings, tables)
+        tabulate_fold(job, fold, fits, scorer, tables, examination, few)
+        if has_fit(fits):
+            known = FoldFit(fits["fitted"], tables.verdicts[fold.name], posterior)
             needles |= place_needles(job, fold, known, tables.bands, settings.jobs)
-        tabulate_intervals(job, fold, few, tables)
         if interrupted:
             break
     found = Run(
@@ -104,7 +107,8 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     unconverged = {fold: posterior.faults for fold, posterior in tables.posteriors.items()}
     unconverged |= {fold: faults for fold, faults in tables.uncertified.items() if fold not in unconverged}
     faults = find_faults(found.frames["errors"], tables.search_faults, unconverged)
-    return add_warnings(replace(found, faults=faults), job)
+    found = replace(found, faults=faults)
+    return add_warnings(found, job, [*warn_of_coverage(found), *warn_of_width(found)])
 
 
 def _list_layers(job: Job) -> dict[str, list[list[float]]]:
@@ -184,7 +188,7 @@ def _run_searches(job: Job, fold: Fold, steps: _FoldSteps, checkpoint: Checkpoin
         callbacks = Callbacks(
             kept, counter.report, settings.stop, counter.approach, settings.jobs, settings.part_pool
         )
-        rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
+        rng = random_stream(job.recipe.seed, fold.name, search, "starts")
         fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
     return fits
 
@@ -217,6 +221,19 @@ def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> 
     )
 
 
+def _move_to_better(problem: Problem, fits: Mapping[str, Fit], profiles: FitProfiles | None) -> Fit | None:
+    """Return the fit at the best point that its profiles met, if that is better than all its starts."""
+    if profiles is None or profiles.gain <= LOG_POSTERIOR_TOLERANCE:
+        return None
+    fit, theta, best = fits["fitted"], np.array(profiles.best), profiles.best
+    objective = -problem.log_posterior(theta)
+    if not objective < fit.objective:
+        return None
+    met = Start(len(fit.starts), best, best, objective, evaluations=0, failures=0, stopped=MET_BY_PROFILE)
+    values = problem.values(theta)
+    return replace(fit, theta=best, values=values, objective=objective, starts=(*fit.starts, met))
+
+
 def _sample(
     job: Job, fold: Fold, fit: Fit, settings: Settings, checkpoint: Checkpoint, tables: ResultRows
 ) -> bool:
@@ -225,7 +242,7 @@ def _sample(
     def step(done: int, total: int) -> None:
         settings.progress(f"{job.name}: posterior", done, total)
 
-    rng = random_stream(job.recipe.seed, job.name, fold.name, "posterior")
+    rng = random_stream(job.recipe.seed, fold.name, "posterior")
     callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
     others = [start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta]
     ends = np.array([fit.theta, *others])
@@ -236,5 +253,6 @@ def _sample(
         if settings.stop():  # before there is anything to keep: there is no posterior to write
             return True
         raise
-    tabulate_posterior(job, fold, posterior, tables)
+    tables.posteriors[fold.name] = posterior
+    record_failures(job, fold, posterior, tables)
     return posterior.interrupted

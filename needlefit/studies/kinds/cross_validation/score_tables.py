@@ -9,7 +9,7 @@ import pandas as pd
 from needlefit.datasets.select import group_independent
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
-from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name
+from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name, study_name
 from needlefit.reporting.number_format import MISSING, format_percent
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import Row, to_records
@@ -24,7 +24,13 @@ from needlefit.studies.kinds.cross_validation.tables import (
     study_label,
     tabulate_tuning,
 )
-from needlefit.studies.kinds.cross_validation.verdict import find_best_baseline, judge, median_width
+from needlefit.studies.kinds.cross_validation.verdict import (
+    describe_after_one,
+    find_best_baseline,
+    judge,
+    median_error,
+    median_width,
+)
 from needlefit.studies.proportions import Proportion, estimate_proportion
 from needlefit.studies.run import Run
 
@@ -293,7 +299,9 @@ def _name_group(head: Row) -> str:
 
 _COVERAGE_NOTES = (
     "Number of insertions whose tip (whole shape) lies inside its predicted interval (band), with the 95 % "
-    "confidence interval of the share. Width: median width of the 95 % intervals of tips. Well-calibrated "
+    "confidence interval of the share. Width: median width of the 95 % intervals of tips. Median off: mean "
+    "distance of the predicted medians from the measured tips; TE elsewhere is of the posterior mode, which "
+    "differs from the median where the posterior is skewed. Well-calibrated "
     "predictions give 50 % and 95 %. With five specimens or more, all insertions into one specimen count as "
     "one trial; with fewer, the confidence interval does not include differences between specimens. CRPS: "
     "mean score of the whole predictive distribution of the tip; lower is better.",
@@ -305,7 +313,7 @@ _DRAW_SOURCE_NAMES = {
     "importance": "importance-weighted draws of the posterior",
 }
 COVERAGE_COLUMNS = (
-    *("insertions", "tip_in_50", "tip_in_95", "tip_95_width_mm"),
+    *("insertions", "tip_in_50", "tip_in_95", "tip_95_width_mm", "tip_median_error_mm"),
     *("shape_in_50", "shape_in_95", "tip_crps_mm"),
 )
 """Columns of how well needles were predicted."""
@@ -345,10 +353,16 @@ def describe_spread(predicted: pd.DataFrame) -> Iterator[str]:
     count = int(other["other_specimens"].min())
     yield (
         f"“New specimen”: a specimen that the model was not tuned on. One standard deviation between "
-        f"specimens is a factor of {mu:.2g} in the moduli and of {b:.2g} in the bevel offset. It is "
+        f"specimens is a factor of {mu:.2g} in the moduli and of {b:.2g} in the bevel parameter. It is "
         f"estimated from {count} other specimens and the prior in the recipe; with two or three it is "
         "mostly the prior. “Training only” uses the parameters of the tuned specimens unchanged."
     )
+    if other["tip_95_width_after_one_mm"].notna().any():
+        groups = list(other.groupby(["study", "medium"], sort=False))
+        for _, rows in groups:
+            study, medium = rows["study"].iloc[0], str(rows["medium"].iloc[0])
+            where = f" ({study_name(study)}, {medium_name(medium)})" if len(groups) > 1 else ""
+            yield f"New specimen{where}, 95 % intervals of tips: {describe_after_one(rows)}."
 
 
 _COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
@@ -365,6 +379,7 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
         },
         "insertions": len(predictions),
         "tip_95_width_mm": median_width(predictions),
+        "tip_median_error_mm": median_error(predictions),
         "tip_crps_mm": predictions["tip_crps_mm"].mean(),
     }
 

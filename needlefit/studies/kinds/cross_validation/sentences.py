@@ -40,16 +40,16 @@ def summarize_baselines(results: Run) -> str:
 def list_better_methods(results: Run) -> str:
     """Return every method with smaller errors than the fitted model on the scored points."""
     table = _rows_by_method(results)
+    return " ".join(part for part in (_list_better(results, table), _list_ties(results, table)) if part)
+
+
+def _list_better(results: Run, table: dict[str, Row]) -> str:
     losses = [
         f"{method_name(name, results.origin)} ({_format_difference(row)})"
         for name, row in _select_better(table).items()
     ]
-    summary = (
-        f"{_name_study(results)}, smaller errors than the fit on the same points: {'; '.join(losses)}."
-        if losses
-        else ""
-    )
-    return " ".join(part for part in (summary, _list_ties(results, table)) if part)
+    where = f"{_name_study(results)}, smaller errors than the fit on the same points"
+    return f"{where}: {'; '.join(losses)}." if losses else ""
 
 
 def list_curve_differences(results: Run) -> str:
@@ -62,28 +62,37 @@ def list_curve_differences(results: Run) -> str:
 
 
 def _summarize_curves(results: Run, table: dict[str, Row]) -> str:
-    curves = {name: row for name, row in table.items() if name in BASELINES}
+    curves = _select_curves(table)
+    ties = _list_ties(results, curves) if curves else ""
+    return _conclude_curves(results, curves) + _prepend_space(ties)
+
+
+def _select_curves(table: dict[str, Row]) -> dict[str, Row]:
+    return {name: row for name, row in table.items() if name in BASELINES}
+
+
+def _conclude_curves(results: Run, curves: dict[str, Row]) -> str:
+    """Return whether a baseline errs less than the fit, by which metric and on which insertions."""
     if not curves:
         return "No baseline was scored."
-    winners = [
-        f"{method_name(name)} ({_format_difference(row)})" for name, row in _select_better(curves).items()
-    ]
-    if winners:
-        points = "held-out points" if find_scored_role(results) == "validate" else "points"
-        return (
-            f"A baseline has a smaller error than the fitted model on the same {points}: "
-            f"{'; '.join(winners)}." + _prepend_space(_list_ties(results, curves))
-        )
-    if ties := _list_ties(results, curves):
-        return f"No baseline has a significantly smaller error than the fitted model. {ties}"
     known = [name for name in curves if curves[name]["difference_mm"] is not None]
     if not known:
         return "No baseline could be compared with the fitted model."
-    best = min(known, key=lambda name: curves[name]["difference_mm"])
-    return (
-        "No baseline has a smaller error than the fitted model; the closest is "
-        f"{method_name(best)} ({_format_difference(curves[best])})."
-    )
+    held_out = find_scored_role(results) == "validate"
+    scope = f"By mean IPE over all {'held-out' if held_out else 'tuning'} insertions"
+    by_group = " Verdicts compare the tip error (TE), in each group." if held_out else ""
+    if winners := _select_better(curves):
+        names = "; ".join(f"{method_name(name)} ({_format_difference(row)})" for name, row in winners.items())
+        found = f"{scope}, a baseline has a significantly smaller error than the fitted model: {names}."
+    elif any(map(_errs_less, curves.values())):
+        found = f"{scope}, no baseline has a significantly smaller error than the fitted model."
+    else:
+        best = min(known, key=lambda name: curves[name]["difference_mm"])
+        found = (
+            f"{scope}, no baseline has a smaller error than the fitted model; the closest is "
+            f"{method_name(best)} ({_format_difference(curves[best])})."
+        )
+    return found + by_group
 
 
 def _summarize_paper_sets(results: Run, table: dict[str, Row]) -> str:
@@ -155,6 +164,22 @@ def summarize_errors(results: Run) -> list[str]:
     printed = any(group.printed for group in groups)
     comparisons = list_better_methods(results) if printed else list_curve_differences(results)
     return [*map(_summarize_group, groups), *([comparisons] if comparisons else [])]
+
+
+def explain_errors(results: Run) -> list[str]:
+    """Return `summarize_errors` with every comparison, each method's numbers once."""
+    groups = list_held_out_groups(results)
+    if not groups:
+        return [_summarize_fit(results), summarize_baselines(results)]
+    table = _rows_by_method(results)
+    curves = _select_curves(table)
+    others = {name: row for name, row in table.items() if name not in curves}
+    return [
+        *map(_summarize_group, groups),
+        _conclude_curves(results, curves),
+        _list_better(results, others),
+        _list_ties(results, table),
+    ]
 
 
 def describe_undetermined(results: Run) -> str:

@@ -1,5 +1,6 @@
 """Judge a cross-validation or a fit: errors beside noise floor, baselines and predictive intervals."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Literal
@@ -8,13 +9,12 @@ import pandas as pd
 
 from needlefit.datasets.select import group_independent
 from needlefit.inference.baselines import BASELINES
-from needlefit.project.input_files import read_toml
-from needlefit.project.locate import find_file, list_names
 from needlefit.project.result_warnings import ResultWarning, read_warnings
 from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_symbol, join_words
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.fit_warnings import verdict_warnings
+from needlefit.studies.interval_width import find_adaptation, warn_if_too_wide
 from needlefit.studies.kinds.cross_validation.parameter_table import find_conditional, find_undetermined
 from needlefit.studies.kinds.cross_validation.tables import (
     BY_MEDIA,
@@ -60,9 +60,16 @@ def _judge_held_out(results: Run, group: ScoredGroup, named_layers: bool) -> Ver
     if error is None:
         return Verdict(f"Not scored: no simulation on {name} converged", "fail", name, numbers)
     best = _compare_best(results, group)
-    found = judge_errors(name, error, group.over_floor(_TE), best, int(group.head["insertions"]))
+    floor_ratio, count = group.over_floor(_TE), int(group.head["insertions"])
+    found = judge_errors(name, error, floor_ratio, best, count, reliable=results.reliable)
+    predictive = _select_group(results.frames["predictive"], group)
+    if len(predictive):
+        numbers["predictive_median_te_mm"] = median = median_error(predictive)
+        sentence = f"{found.sentence}; predictive median: {format_tip_error(median)}"
+        closer = best is not None and best.error_mm is not None and best.error_mm < median
+        found = qualify(found, sentence) if closer else replace(found, sentence=sentence)
     found = replace(found, group=name, numbers=numbers)
-    missed = _describe_missed(_select_group(results.frames["predictive"], group))
+    missed = _describe_missed(predictive)
     found = qualify(found, f"{found.sentence}; {missed}") if missed else found
     if any(one.kind == "noise_too_large" for one in read_warnings(results.run)):
         found = qualify(found, f"{found.sentence}; the stated noise is too large")
@@ -124,9 +131,7 @@ def list_missed_levels(predictive: pd.DataFrame) -> list[tuple[str, int, Proport
 
 
 _TOO_NARROW = "the intervals are too narrow: they do not include model error"
-_CENTRE_OFF = (
-    "the predictions are biased, or too narrow at their centre; the 95 % interval does not miss too often"
-)
+_CENTRE_OFF = "this interval is too narrow or its centre is wrong; the 95 % interval covers enough of them"
 
 
 def warn_of_coverage(results: Run) -> Iterator[ResultWarning]:
@@ -144,46 +149,48 @@ def warn_of_coverage(results: Run) -> Iterator[ResultWarning]:
             )
 
 
-MAX_AIMING_WIDTH_MM = 2.0
-"""Width of the 95 % interval of a tip up to which it serves for aiming, whatever the deflection."""
-
-
 def median_width(predictive: pd.DataFrame) -> float:
     """Return the median width of the 95 % intervals of tips, mm."""
     return float((predictive["tip_95_high_mm"] - predictive["tip_95_low_mm"]).median())
+
+
+def median_error(predictive: pd.DataFrame) -> float:
+    """Return the mean distance of the medians of predicted tips from the measured ones, mm.
+
+    That is the tip error of the predictions; `te_mm` is of the posterior mode.
+    """
+    return float((predictive["tip_median_mm"] - predictive["tip_measured_mm"]).abs().mean())
 
 
 def warn_of_width(results: Run) -> Iterator[ResultWarning]:
     """Yield the held-out groups whose tips have wide intervals: wider than the tips are deflected."""
     for group in list_held_out_groups(results):
         rows = _select_group(results.frames["predictive"], group)
-        width, deflection = median_width(rows), float(rows["tip_measured_mm"].abs().median())
-        if width > max(MAX_AIMING_WIDTH_MM, deflection):
-            medium, new = medium_name(group.head["medium"]), (rows["specimen_treatment"] == "others").any()
-            study = f" (`needlefit validate {name}`)" if (name := _find_adaptation(results, group)) else ""
-            tuned = median_width(_select_group(results.frames["predictive_training"], group))
-            yield ResultWarning(
-                "wide_intervals",
-                f"the 95 % predictive intervals of tips on {medium} are {width:.2g} mm wide (median), and "
-                f"the tips are deflected by {deflection:.2g} mm: too wide for aiming",
-                fix="an insertion into the new specimen narrows them if the model is right there: in a "
-                f"specimen of the fit they are {tuned:.2g} mm wide; a study of kind adaptation{study} "
-                "measures what each insertion gains"
-                if new
-                else "add insertions, or fix what the data do not determine",
-            )
+        deflection = float(rows["tip_measured_mm"].abs().median())
+        where, fix = medium_name(group.head["medium"]), _describe_gain(results, group)
+        yield from warn_if_too_wide(median_width(rows), deflection, where, fix)
 
 
-def _find_adaptation(results: Run, group: ScoredGroup) -> str:
-    """Return the name of a study that adds insertions of the held-out medium to a fit as this one, if any."""
-    fitted = getattr(results.record, "medium", "")
-    for name in list_names("study"):
-        found = read_toml(find_file("study", name))
-        if found.get("kind") == "adaptation" and found.get("dataset") == results.record.dataset:
-            media = (found.get("old", {}).get("medium"), found.get("new", {}).get("medium"))
-            if media == (fitted, group.head["medium"]):
-                return name
-    return ""
+def _describe_gain(results: Run, group: ScoredGroup) -> str:
+    """Return what one insertion into a new specimen gains; empty where the specimen is not new."""
+    rows = _select_group(results.frames["predictive"], group)
+    if not (rows["specimen_treatment"] == "others").any():
+        return ""
+    name = find_adaptation(
+        results.record.dataset, getattr(results.record, "medium", ""), group.head["medium"]
+    )
+    study = f" (`needlefit validate {name}`)" if name else ""
+    return f"{describe_after_one(rows)}; a study of kind adaptation{study} measures the gain"
+
+
+def describe_after_one(predictive: pd.DataFrame) -> str:
+    """Return how wide the intervals of tips would be after one insertion into the new specimen."""
+    width = float(predictive["tip_95_width_after_one_mm"].median())
+    about = "narrower" if math.isnan(width) else f"about {width:.2g} mm wide"
+    return (
+        f"after one measured insertion into the new specimen (its tip alone) they would be {about}, if the "
+        "model is right there"
+    )
 
 
 def describe_evidence(results: Run) -> str:
@@ -204,7 +211,8 @@ def describe_evidence(results: Run) -> str:
         if level == 95 and found.trials
     ]
     width = median_width(results.frames["predictive"]) if covered else 0.0
-    wide = f"those of tips are {width:.2g} mm wide (median)"
+    error = median_error(results.frames["predictive"]) if covered else 0.0
+    wide = f"those of tips are {width:.2g} mm wide (median), their medians {error:.2g} mm off (mean)"
     parts += [f"The 95 % predictive intervals cover {join_words(covered)}; {wide}"] if covered else []
     return "".join(f"{one}. " for one in parts).strip()
 
@@ -256,18 +264,23 @@ def _judge_fit(results: Run, group: ScoredGroup) -> Verdict:
     error = group.get(_TE)
     if error is None:
         return Verdict(f"No fit: no simulation on {name} converged", "fail", name, numbers)
-    opening, status = _open_fit(kinds, bool(numbers["not_determined"]))
-    errors = (
-        f"TE {format_tip_error(error)} on the {what} fitted to{format_floor_ratio(group.over_floor(_TE))}"
-    )
+    ratio = group.over_floor(_TE)
+    opening, status = _open_fit(kinds, bool(numbers["not_determined"]), ratio, results.reliable)
+    errors = f"TE {format_tip_error(error)} on the {what} fitted to{format_floor_ratio(ratio)}"
     return Verdict(f"{opening}: {errors}; {_describe_determined(results)}", status, name, numbers)
 
 
-def _open_fit(kinds: set[str], undetermined: bool) -> tuple[str, Status]:
-    if "worse_than_baseline" in kinds:
+def _open_fit(
+    kinds: set[str], undetermined: bool, floor_ratio: float | None, reliable: bool
+) -> tuple[str, Status]:
+    if "worse_than_baseline" in kinds and (floor_ratio is None or floor_ratio > 1):
         return "Does not fit", "fail"
     if "parameter_at_bound" in kinds:
         return "Fitted, but at a bound", "warn"
+    if not reliable:
+        return "Fitted, but not reliable", "warn"
+    if "worse_than_baseline" in kinds:
+        return "Fitted, but a baseline is closer", "warn"
     return ("Fitted in part", "warn") if undetermined else ("Fitted", "pass")
 
 

@@ -1,16 +1,21 @@
 """Report of an identifiability analysis: what the design determines, and a fit."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from needlefit.inference.identifiability.assessment import describe_posterior_sd
+from needlefit.inference.identifiability.assessment import AGREEMENT, describe_posterior_sd
 from needlefit.inference.identifiability.identify import MIN_NAMED_WEIGHT
-from needlefit.inference.identifiability.information import NEARLY_FREE_SD, UNINFORMED_SD_RATIO, short_name
+from needlefit.inference.identifiability.information import (
+    UNINFORMED_SD_RATIO,
+    format_combination_sd,
+    format_sd,
+    short_name,
+)
 from needlefit.inference.identifiability.precision import MAX_LOG_SD, is_determined_by_data
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting import document
@@ -103,6 +108,10 @@ def _describe_expected(row: Row, directions: list[Row]) -> str:
     known = describe_posterior_sd(name, sd)
     if row["determined"]:
         return f"{short_name(name)} is identifiable: {known}{near}."
+    if row.get("note"):  # the assumption that it needs; information and profile alone would determine it
+        joined = "and" if row["agreement"] == AGREEMENT else "but"
+        profile = f"{joined} its profile is {row['profile_verdict']}"
+        return f"{short_name(name)}: {known} by the Fisher information{near}, {profile}; {row['note']}."
     if row["sd_ratio"] > UNINFORMED_SD_RATIO:
         return f"{short_name(name)} is not identifiable: prior or bounds decide ({known}{near})."
     only = _describe_combination(directions, name)
@@ -128,13 +137,9 @@ def _describe_combination(directions: list[Row], name: str) -> str:
 
 def _format_sd_range(name: str, low: float, high: float) -> str:
     """Return the range of a deviation over places in words."""
-    if not is_logarithmic(name):
-        return f"{low:.2g} to {high:.2g}"
-    first, last = (
-        f"{100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"a factor of {math.exp(sd):.2g}"
-        for sd in (low, high)
-    )
-    return f"{first} to {last.removeprefix('a factor of ') if first.startswith('a') else last}"
+    first, last = (format_sd(sd, is_logarithmic(name)) for sd in (low, high))
+    last = last.removeprefix("factor ") if first.startswith("factor") else last
+    return f"{first} to {last}".replace("factor", "a factor of")
 
 
 def _describe_undeterminable(row: Row, thickness: float) -> str:
@@ -150,24 +155,32 @@ def lay_out_expected_directions(found: Run) -> TableLayout:
     rows = [
         {
             **row,
+            **_format_near(row),
             "combination": insert_symbols(str(row["combination"])),
             "known_to": insert_symbols(str(row["note"]).split(" is ", 1)[1]),
         }
         for row in to_records(found.frames["directions"])
     ]
-    columns = ("combination", "sd", "sd_low", "sd_high", "combination_sd_ratio", "known_to")
+    columns = ("combination", "sd_low", "sd_high", "combination_sd_ratio", "known_to")
     caption = "Combinations of parameters, best determined first."
     return Table("directions", caption, rows, columns).lay_out()
 
 
+def _format_near(row: Row) -> Row:
+    """Return the least and greatest deviation of a combination over places, as they are printed."""
+    weights = {key.removeprefix("weight_"): one for key, one in row.items() if key.startswith("weight_")}
+    vector = np.array(list(weights.values()))
+    return {key: format_combination_sd(row[key], vector, list(weights)) for key in ("sd_low", "sd_high")}
+
+
 def lay_out_tables(found: Run) -> list[TableLayout]:
-    """Return the parameters and directions of the design, and the parameters of the fit."""
-    tables = [lay_out_identification(select_stage(found, "design"), expected=True)]
-    tables.append(lay_out_expected_directions(found))
+    """Return the parameters of the fit, if there is one, then parameters and directions of the design."""
+    tables = []
     if "fit" in list_stages(found):
         fitted = lay_out_identification(select_stage(found, "fit"))
         tables.append(replace(fitted, name="identification_fit"))
-    return tables
+    tables.append(lay_out_identification(select_stage(found, "design"), expected=True))
+    return [*tables, lay_out_expected_directions(found)]
 
 
 def draw_figures(found: Run, folder: Path) -> dict[str, Path]:

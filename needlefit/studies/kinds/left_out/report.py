@@ -105,7 +105,8 @@ def _judge_fit(result: Run, rows: list[Row]) -> Verdict:
     numbers |= {"in_sample_te_mm": row["in_sample"], "insertions": row["insertions"]}
     best = _compare_best(result, row)
     numbers |= {"baseline_te_mm": best.error_mm if best else None}
-    found = judge_errors(group, row["value"], ratio, best, int(row["insertions"]))
+    count = int(row["insertions"])
+    found = judge_errors(group, row["value"], ratio, best, count, reliable=result.reliable)
     return replace(found, group=group, numbers=numbers)
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.inference.identifiability.information import describe_precision, short_name
+from needlefit.inference.identifiability.information import describe_precision, format_sd, short_name
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting import document
 from needlefit.reporting.document import Block
@@ -225,7 +225,7 @@ def _lay_out_ranking(result: Run) -> TableLayout:
     ]
     known = result.frames["parameters"]
     worst = (
-        f"{format_mm(_first_value(known[known['parameter'] == LEAST_KNOWN], 'sd_now'))} of the "
+        f"{format_sd(_first_value(known[known['parameter'] == LEAST_KNOWN], 'sd_now'), True)} of the "
         "worst-determined combination"
     )
     note = (
@@ -246,7 +246,7 @@ def _describe_tips(result: Run, row: Row, number: int) -> list[Row]:
         "entry": "repeat of the deepest" if row["role"] == "repeat" else _name_entry(row),
         "layers_passed": row["layers"],
         "candidate_depth_mm": row["depth_mm"],
-        "sd_after": _first_value(known[known["parameter"] == LEAST_KNOWN], "sd_after"),
+        "sd_after": format_sd(_first_value(known[known["parameter"] == LEAST_KNOWN], "sd_after"), True),
         "number": number,
     }
     tips = to_records(select_candidate(result.frames["tips"], row))

@@ -6,6 +6,7 @@ it. Errors of pose, depths and points are those of the insertion that the study 
 All candidates predict data for the same draws: their differences are better known than their values.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -46,6 +47,7 @@ from needlefit.studies.kinds.plan.candidates import (
     weigh_posterior,
     with_predicted_shape,
 )
+from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.planned_insertions import simulate_design
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, run_analysis
@@ -163,9 +165,10 @@ def _largest_depths(record: NextInsertionRecord) -> dict[str, float]:
 def _find_knowledge(
     job: Job, record: NextInsertionRecord, like: Insertion, settings: Settings
 ) -> _CurrentKnowledge | None:
-    known = weigh_posterior(job, settings)
-    if known is None:
+    fitted = weigh_posterior(job, settings)
+    if fitted is None:
         return None
+    known = refer_to_all_needles(fitted, random_stream(job.recipe.seed, job.name, "bevels"))
     wanted = [_target_insertion(known, job, like, record, one) for one in record.quantities]
     found = np.array([predict_tips(known, insertion) for insertion in wanted]).reshape(
         len(wanted), len(known.thetas)
@@ -177,6 +180,17 @@ def _find_knowledge(
     ridge = np.linalg.eigh(kept.covariance)[1][:, -1]
     upright = ridge * np.sign(ridge[np.argmax(np.abs(ridge))])
     return _CurrentKnowledge(job, kept, upright, found[:, solved].T, outer_draws)
+
+
+def refer_to_all_needles(known: WeightedPosterior, rng: np.random.Generator) -> WeightedPosterior:
+    """Return a posterior in which b is the mean of all needles, not of those fitted to.
+
+    From that mean a further insertion deviates as any other: the deviations of two of them are independent.
+    """
+    problem = known.problem
+    sd = math.sqrt(problem.new_bevel_sd**2 - 1)  # of the mean of the n fitted to: sqrt(1 / n)
+    sets = vary_bevels(known.sets, sd, rng)
+    return replace(known, thetas=np.array([problem.parameters.theta(values) for values in sets]))
 
 
 def _target_insertion(
@@ -217,7 +231,7 @@ def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: Pr
     insertion = predict(before)
     if insertion is None:
         return {"candidates": [{**where, "note": "no solution, or outside the medium"}]}
-    problem = replace(before.known.problem, insertions=(insertion,))
+    problem = replace(before.known.problem, insertions=(insertion,), centred_bevels=False)
     after, gain, failed = _estimate_gain(before, problem, where)
     shape = {
         "layers": "-".join(map(str, insertion.sequence)),

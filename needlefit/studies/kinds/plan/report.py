@@ -22,6 +22,9 @@ def summarize(result: Run) -> list[str]:
     """Return sentences: the plan with its expected miss, how often it misses by more, the alternatives."""
     rows = {str(row["method"]): row for row in to_records(result.frames["plans"])}
     ours = rows[EXPECTED]
+    if not _is_certified(result):
+        why = "the draws of the parameters are not reliable"
+        return [f"No plan is a result: {why}. The search ended at: {_describe_entry(result, ours)}."]
     others = "; ".join(
         f"{PLAN_NAMES[name]}, {_describe_misses(row)}{_describe_bounds(result, row)}"
         for name, row in rows.items()
@@ -45,14 +48,22 @@ def rate(result: Run) -> Status:
 def _describe_aim(result: Run, ours: Row) -> str:
     """Return the plan, after whether it reaches the target."""
     (x, y), limit = _record(result).target_mm, max(_record(result).tolerances_mm)
-    side = "+" if ours["bevel_side"] > 0 else "−"
-    plan = (
-        f"enter at y = {_format_signed(ours['offset_mm'])} mm, angle {_format_signed(ours['angle_deg'])}°, "
-        f"depth {ours['depth_mm']:.1f} mm, bevel toward {side}y{_describe_bounds(result, ours)}"
-    )
+    plan = _describe_entry(result, ours)
     if reaches(ours["median_mm"], limit):
         return f"Plan: {plan}"
     return f"No plan comes within {limit:g} mm of the target ({x:g}, {y:g} mm); the best is: {plan}"
+
+
+def _is_certified(result: Run) -> bool:
+    return not any(result.frames["posterior"]["note"].fillna(""))
+
+
+def _describe_entry(result: Run, ours: Row) -> str:
+    side = "+" if ours["bevel_side"] > 0 else "−"
+    return (
+        f"enter at y = {_format_signed(ours['offset_mm'])} mm, angle {_format_signed(ours['angle_deg'])}°, "
+        f"depth {ours['depth_mm']:.1f} mm, bevel toward {side}y{_describe_bounds(result, ours)}"
+    )
 
 
 def _describe_misses(row: Row) -> str:
@@ -101,7 +112,7 @@ def lay_out_tables(result: Run) -> list[TableLayout]:
     explained = " (*: at a bound of the study file)" if marked else ""
     caption = f"Plans and the distance by which their needles miss the target{explained}."
     table = Table("plans", caption, rows, columns, strong="first", notes=notes)
-    return [table.lay_out(), _lay_out_exceedances(result)]
+    return [table.lay_out(), *([_lay_out_exceedances(result)] if _is_certified(result) else [])]
 
 
 _AIMS = ("offset", "angle", "depth")
@@ -126,10 +137,10 @@ def _name_event(row: Row) -> str:
 
 def draw_figures(result: Run, folder: Path) -> dict[str, Path]:
     """Draw the plan in its plane, and the misses of all plans."""
-    return {
-        "plane": draw_plane(result, folder / "plane.pdf"),
-        "within": draw_misses(result, folder / "within.pdf"),
-    }
+    plane = {"plane": draw_plane(result, folder / "plane.pdf")}
+    if not len(result.frames["misses"]):
+        return plane
+    return {**plane, "within": draw_misses(result, folder / "within.pdf")}
 
 
 def compose_sections(result: Run, figures: FigurePaths) -> list[Block]:
@@ -139,6 +150,11 @@ def compose_sections(result: Run, figures: FigurePaths) -> list[Block]:
         "draws (thin), other plans (dashed). Right: all tips of the plan. Numbers are layers.",
         "within": "Share of needles whose miss is below a distance. Dashed: tolerances of the study.",
     }
+    if not _is_certified(result):
+        captions["plane"] = (
+            "The search’s end in its plane: needle of the mean parameters (thick), other plans (dashed). "
+            "Numbers are layers. Draws and misses are not drawn: the draws are not reliable."
+        )
     tables = [document.table(table) for table in lay_out_tables(result)]
     drawn = [document.figure(path, captions[name]) for name, path in figures.items()]
     behind = [document.text(_describe_search(result, row)) for row in to_records(result.frames["posterior"])]

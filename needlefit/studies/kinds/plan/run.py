@@ -152,7 +152,8 @@ def _draw_trials(
     thetas = known.thetas[known.drawn(count, rng)]
     if new is not None:
         thetas = new.move(thetas, site.like, rng)
-    sets = vary_bevels([known.problem.values(theta) for theta in thetas], rng)
+    sets = [known.problem.values(theta) for theta in thetas]
+    sets = vary_bevels(sets, known.problem.new_bevel_sd, rng)
     return tuple(draw_execution(values, site.like, rng) for values in sets)
 
 
@@ -165,7 +166,7 @@ def _posterior_row(known: GetDraws) -> FrameRows:
 
 
 def _run_task(known: GetDraws, name: str, settings: Settings) -> FrameRows:
-    """Return one plan, and what became of its needles."""
+    """Return one plan, and what became of its needles; nothing of these where the draws are not certified."""
     now = known()
     if now is None:
         return {}
@@ -197,11 +198,15 @@ def _result_rows(
     tips = np.array([path[-1] for path in solved.values()]).reshape(-1, 2)
     misses = np.linalg.norm(tips - target, axis=1)
     (nominal,) = site.paths(aimed.aim, [execute_exactly(now.knowledge.middle)], now.knowledge.middle)
+    row = _plan_row(name, aimed, tips - target, len(paths) - len(solved))
+    if now.knowledge.learned.draws.faults:
+        row |= dict.fromkeys(_MISS_COLUMNS)
+        solved, tips, misses = {}, tips[:0], misses[:0]
     fan = dict(list(solved.items())[:FIGURE_NEEDLES]) if name == EXPECTED else {}
     drawn = {**({} if nominal is None else {-1: nominal}), **fan}
     ends = pd.DataFrame({"trial": list(solved), "x_mm": tips[:, 0], "y_mm": tips[:, 1], "miss_mm": misses})
     return {
-        "plans": [_plan_row(name, aimed, tips - target, len(paths) - len(solved))],
+        "plans": [row],
         "exceedances": _exceedance_rows(site.record, name, misses, list(solved.values())),
         "misses": [{"method": name, **dict(row)} for _, row in ends.iterrows()],
         "needles": [
@@ -280,12 +285,10 @@ def _conclude(limit: float, frames: Frames) -> tuple[str, ...]:
         for row in lost.itertuples()
     ]
     ours = plans.set_index("method")["median_mm"].astype(float)
-    beside = (
-        ()
-        if reaches(float(ours[EXPECTED]), limit)
-        else (_describe_unreachable(float(ours[EXPECTED]), limit),)
-    )
-    return (*beside, *(fault for fault in frames["posterior"]["note"] if fault), *failed)
+    notes = tuple(fault for fault in frames["posterior"]["note"] if fault)
+    found = bool(notes) or reaches(float(ours[EXPECTED]), limit)  # no misses: no sentence on them
+    beside = () if found else (_describe_unreachable(float(ours[EXPECTED]), limit),)
+    return (*beside, *notes, *failed)
 
 
 def reaches(median: float | None, limit: float) -> bool:

@@ -8,7 +8,9 @@ In a specimen that was not tuned on the parameters differ (`new_specimens`). Wha
 width that would be left in the specimen tuned on, and after one insertion into the new one.
 """
 
-from collections.abc import Mapping
+import json
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +36,8 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.studies.interval_width import estimate_width_after_one, measure_width
 from needlefit.studies.job import Job
 from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
 from needlefit.studies.planned_draws import PlannedNeedles, vary_bevels
@@ -106,13 +110,88 @@ def _find_quantile(mixture: PredictiveMixture, p: float) -> Floats:
     return found
 
 
-def forecast(scene: Scene, draws: Draws, job: Job, new: NewSpecimens | None = None) -> Forecast:
+_REPLACED = re.compile(r"(layers\.\d+\.(mu_pa|alpha)|(bevel|steps\.\d+)\.(offset_mm|cut_angle_deg))$")
+"""Keys of a scene whose values the draws replace."""
+
+_FITTED_RULES = ("advance", "constraint_spacing_mm", "constraint_switch", "tangent_part")
+"""Rules under which parameters mean what they do: those of a fit are of no use under others."""
+
+
+def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: Sequence[str] = ()) -> Scene:
+    """Return a planned insertion under the rules of the fit, with the lattice that the scene states.
+
+    Parameters
+    ----------
+    where : str
+        Named in errors.
+    changed : sequence of str
+        Dotted keys that the user changed in the scene.
+
+    Raises
+    ------
+    ConfigError
+        If the scene states what the fit does not have, or the user changed what the draws replace.
+    """
+    _require_fitted_rules(record, where, medium)
+    dropped = [key for key in changed if _REPLACED.match(key)]
+    for n, step in enumerate(record.steps, start=1):
+        given = (key for key in ("offset_mm", "cut_angle_deg") if getattr(step, key) is not None)
+        dropped += [f"steps.{n}.{key}" for key in given]
+    if dropped:
+        raise ConfigError(
+            f"{', '.join(f'`{key}`' for key in dict.fromkeys(dropped))} would have no effect: draws take "
+            "its place",
+            where=where,
+            expected="needle, depth, depths of layers, bevel side, controls",
+            fix="leave it out; `needlefit simulate` takes all values from the scene",
+        )
+    scene, options, stated = Scene.from_record(record, where), make_options(medium), record.rules
+    if "element_mm" in stated.model_fields_set:
+        options = replace(options, element=stated.element)
+    if "first_cell_mm" in stated.model_fields_set:
+        options = replace(options, first_cell=stated.first_cell_mm)
+    return replace(scene, rules=options)
+
+
+def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord) -> None:
+    """Raise ConfigError where a scene states another rule, law or thickness than the fit used."""
+    rules, layers = record.rules, list(enumerate(record.layers, start=1))
+    stated = [(f"rules.{key}", key, getattr(rules, key)) for key in rules.model_fields_set & {*_FITTED_RULES}]
+    stated += [("law", "law", record.law)] if "law" in record.model_fields_set else []
+    stated += [
+        (f"layers.{n}.thickness_mm", "thickness_mm", layer.thickness_mm)
+        for n, layer in layers
+        if "thickness_mm" in layer.model_fields_set
+    ]
+    for key, name, value in sorted(stated):
+        fitted = getattr(medium, name)
+        if value != fitted:
+            raise ConfigError(
+                f"`{key}` is {json.dumps(value)}, but the parameters were fitted with {json.dumps(fitted)}",
+                where=where,
+                expected=f"{json.dumps(fitted)}: fitted parameters hold for this value alone",
+                fix=f"leave `{key}` out, or fit a tissue model with `{name} = {json.dumps(value)}`",
+            )
+    for n, layer in layers:
+        if layer.friction:
+            raise ConfigError(
+                f"`layers.{n}.friction` is {layer.friction:g}, but the fit was made without friction",
+                where=where,
+                expected="0",
+                fix=f"leave `layers.{n}.friction` out",
+            )
+
+
+def forecast(
+    scene: Scene, draws: Draws, job: Job, new: NewSpecimens | None = None, otherwise: str = "same"
+) -> Forecast:
     """Predict the needle of a planned insertion.
 
-    The scene says needle, depth, layers' places, bevel side and controls; its moduli and bevel offset are
-    replaced by the draws': layer n of the scene is layer n of the medium. With each draw a bevel of this
-    insertion and the depths of layers and tip are drawn too, as they err in a typical insertion of the
-    dataset. With `new` the insertion goes into a specimen that is not in the dataset.
+    The scene says needle, depth, layers' places, bevel side and controls, under the rules of the fit
+    (`make_scene`); its moduli and bevel offset are replaced by the draws': layer n of the scene is layer n of
+    the medium. With each draw a bevel of this insertion and the depths of layers and tip are drawn too, as
+    they err in a typical insertion of the dataset. With `new` the insertion goes into a specimen that is not
+    in the dataset; without, `otherwise` is what its specimen is called.
 
     Raises
     ------
@@ -137,16 +216,15 @@ def forecast(scene: Scene, draws: Draws, job: Job, new: NewSpecimens | None = No
         s, job.dataset, rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
     )
     tips = found.points[:, -1, 1]
-    rows = [describe_specimen(new, None) | {"tip_95_width_mm": _measure_width(tips)}]
+    rows = [describe_specimen(new, None, otherwise) | {"tip_95_width_mm": measure_width(tips)}]
     if new is not None:
         again, same = (
             _simulate_draws(scene, some, job, s, rng).points[:, -1, 1] for some in (thetas, draws.thetas)
         )
         known = tips + sd[-1] * rng.standard_normal(len(tips))
-        left = {"one insertion": _subtract_known(again, known), "same": same}
+        left = {"one insertion": estimate_width_after_one(again, known), "same": measure_width(same)}
         rows += [
-            describe_specimen(None, None, name) | {"tip_95_width_mm": _measure_width(some)}
-            for name, some in left.items()
+            describe_specimen(None, None, name) | {"tip_95_width_mm": width} for name, width in left.items()
         ]
     return Forecast(
         s=s,
@@ -159,25 +237,12 @@ def forecast(scene: Scene, draws: Draws, job: Job, new: NewSpecimens | None = No
     )
 
 
-def _measure_width(tips: Floats) -> float:
-    """Return how wide the central 95 % of tips (B,) are, mm; NaN are left out."""
-    low, high = np.nanquantile(tips, [0.025, 0.975])
-    return float(high - low)
-
-
-def _subtract_known(tips: Floats, known: Floats) -> Floats:
-    """Return what tips (B,) keep when a tip of the same parameters (B,) is known; linear in it."""
-    solved = np.isfinite(tips) & np.isfinite(known)
-    (variance, shared), _ = np.cov(known[solved], tips[solved])
-    rest: Floats = tips - shared / variance * known
-    return rest
-
-
 def _simulate_draws(
     scene: Scene, thetas: Floats, job: Job, s: Floats, rng: np.random.Generator
 ) -> PlannedNeedles:
     """Return the needles of parameters (B, P) at arc lengths `s` (K,), each of its own bevel and depths."""
-    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], rng)
+    new_bevel_sd = job.problem(job.folds[0]).new_bevel_sd
+    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], new_bevel_sd, rng)
     typical = [(one.depth_sd, np.hypot(*split_boundary_sd(one))) for one in job.dataset.insertions]
     entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
     deep = entry_sd * rng.standard_normal(len(sets))
@@ -206,7 +271,7 @@ def _make_inputs(
         replace(step, depth=step.depth + deep, bevel=make_bevel(values, job.medium, step.bevel.side))
         for step in scene.steps
     )
-    return scene.needle, tissue, steps, make_options(job.medium)
+    return scene.needle, tissue, steps, scene.rules
 
 
 def _measurement_sd(s: Floats, dataset: Dataset, scale: float) -> Floats:

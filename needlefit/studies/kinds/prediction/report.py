@@ -17,7 +17,7 @@ from needlefit.reporting.figures.style import (
     fit_height,
     plot,
 )
-from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, SPECIMEN_NAMES
+from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, NO_BANDS_CAPTION, SPECIMEN_NAMES
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
@@ -33,7 +33,7 @@ from needlefit.studies.run_differences import (
     Difference,
     TableComparison,
 )
-from needlefit.studies.verdict import Status, Verdict
+from needlefit.studies.verdict import Status, Verdict, headline_fault
 
 _MARGIN_FRACTION = 0.2  # share of the bands' height left free above and below
 _FIGURE_HEIGHT_IN = 2.6  # inches
@@ -46,7 +46,6 @@ def draw_forecast(table: pd.DataFrame, path: Path) -> Path:
 
 def _paint_forecast(table: pd.DataFrame) -> Figure:
     title, depth = table["scene"].iloc[0], float(table["s_mm"].max())
-    title = title if table["converged"].all() else f"{title} (NOT CONVERGED)"
     x, colour = table["x_mm"], METHOD_COLOURS["fitted"]
     drawn = table.filter(regex="^(needle|measured)_")  # bands that are left out are NaN
     low, high = drawn.min().min(), drawn.max().max()
@@ -74,7 +73,8 @@ def _paint_forecast(table: pd.DataFrame) -> Figure:
             summary.replace("-", "−"), (last["x_mm"], last[name]), xytext=(4, 0), textcoords="offset points",
             va="center", color=ink, fontsize=6.5,
         )  # fmt: skip
-    axes.set_title(f"{title}: median, 50 and 95 % of needles", loc="left")
+    drawn_bands = "" if math.isnan(last["needle_95_high_mm"]) else ", 50 and 95 % of needles"
+    axes.set_title(f"{title}: median{drawn_bands}", loc="left")
     axes.set_xlabel("x along the entry (mm)")
     axes.set_ylabel("y (mm)" + ("" if factor == 1 else f",\ndrawn {factor}× as large as x"))
     fit_height(figure)
@@ -89,9 +89,13 @@ def find_tip(found: Run) -> Row:
     return to_records(found.frames["forecast"].drop(columns=["scene", "converged"]))[-1]
 
 
-def describe_convergence(found: Run) -> str:
-    """Return why the posterior of a prediction has not converged; empty if it has."""
-    return f"NOT CONVERGED: {'; '.join(found.faults)}" if found.faults else ""
+def describe_faults(found: Run) -> str:
+    """Return why a prediction has no intervals; empty if it has them."""
+    return f"{_name_faults(found)}: {'; '.join(found.faults)}" if found.faults else ""
+
+
+def _name_faults(found: Run) -> str:
+    return ", ".join(dict.fromkeys(map(headline_fault, found.faults)))
 
 
 def lay_out_forecast(found: Run) -> TableLayout:
@@ -111,7 +115,7 @@ def lay_out_forecast(found: Run) -> TableLayout:
     notes = (
         f"From {found.run['draws']} {source}{failures}. Model error is not included.",
         *(("The fitted data are synthetic.",) if found.synthetic else ()),
-        *((f"The posterior has {describe_convergence(found)}: it has no bands.",) if found.faults else ()),
+        *((f"{describe_faults(found)}. It has no bands.",) if found.faults else ()),
     )
     caption = f"{_mark_title(found)}, {row['s_mm']:g} mm deep, across the entry axis"
     return Table("forecast", caption, rows, columns, notes=notes).lay_out()
@@ -120,19 +124,20 @@ def lay_out_forecast(found: Run) -> TableLayout:
 def _mark_title(found: Run) -> str:
     study = found.run["study"]
     title = study["scene"]["title"] or study["scene_name"]
-    return f"{title} (NOT CONVERGED)" if found.faults else title
+    return f"{title} ({_name_faults(found)})" if found.faults else title
 
 
 def summarize(found: Run) -> list[str]:
     """Return where the tip will be."""
     row = find_tip(found)
     low, high = (format_mm(row[f"needle_95_{end}_mm"]) for end in ("low", "high"))
-    sure = "no interval: its draws are not certified" if found.faults else f"95 % {low} to {high} mm"
-    return [
-        f"The tip is predicted at y = {format_mm(row['needle_median_mm'])} mm ({sure}), "
-        f"{row['s_mm']:g} mm deep{_name_specimen(found)}.",
-        *describe_specimen(found),
-    ]
+    where = f"{row['s_mm']:g} mm deep{_name_specimen(found)}"
+    median = f"y = {format_mm(row['needle_median_mm'])} mm"
+    if found.faults:
+        tip = f"No prediction of the tip, {where}: the draws of the parameters are not reliable"
+        return [f"{tip} (their median, {median}, is no result).", *describe_specimen(found)]
+    tip = f"The tip is predicted at {median} (95 % CI {low} to {high} mm), {where}"
+    return [f"{tip}.", *describe_specimen(found)]
 
 
 def _name_specimen(found: Run) -> str:
@@ -141,15 +146,19 @@ def _name_specimen(found: Run) -> str:
     known = set(rows["specimen_treatment"])
     if not known:
         return ""
+    if "training only" in known:
+        return ", in a new specimen, without the spread between specimens"
     return ", in a new specimen" if "others" in known else ", in a specimen that was fitted"
 
 
 def judge(found: Run) -> list[Verdict]:
     """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
     row = find_tip(found)
-    keys = ("s_mm", "needle_median_mm", "needle_95_low_mm", "needle_95_high_mm")
+    keys: tuple[str, ...] = ("s_mm", "needle_median_mm", "needle_95_low_mm", "needle_95_high_mm")
     status: Status = "fail" if found.faults else "none"
-    sentence = f"{summarize(found)[0].rstrip('.')}; not validated by this run"
+    sentence = summarize(found)[0].rstrip(".") + ("" if found.faults else "; not validated by this run")
+    if found.faults:
+        keys = ("s_mm",)
     return [Verdict(sentence, status, "", {key: row[key] for key in keys})]
 
 
@@ -157,6 +166,7 @@ _TREATMENTS = {
     "others": SPECIMEN_NAMES["others"],
     "one insertion": SPECIMEN_NAMES["one insertion"],
     "same": "tuned specimen",
+    "training only": "new specimen, without the spread between specimens, as the target states",
 }
 
 
@@ -178,29 +188,44 @@ def describe_specimen(found: Run) -> Iterator[str]:
     }
     if "others" not in rows:
         if rows:
-            yield "Specimen: tuned specimen. For a new specimen, predict with `--specimen new`."
+            known = next(iter(rows))
+            other = "a new specimen" if known == "same" else "the spread between specimens"
+            yield f"Specimen: {_TREATMENTS[known]}. For {other}, predict with `--specimen new`."
         return
     yield (
         f"Specimen: new specimen; {describe_spread(rows['others'])}; from two or three specimens it is "
         "mostly the prior."
     )
     if not found.faults:
-        now, after, same = (format_mm(rows[name]["tip_95_width_mm"]) for name in _TREATMENTS)
+        widths = (rows[name]["tip_95_width_mm"] for name in ("others", "one insertion", "same"))
+        now, after, same = map(format_mm, widths)
         yield (
             f"The tip's 95 % interval is {now} mm wide. After one measured insertion into the same "
             f"specimen it would be {after} mm (using its tip alone); in a tuned specimen it is {same} mm."
         )
 
 
+def explain(found: Run) -> tuple[list[TableLayout], list[str]]:
+    """Return the tables with their notes; the verdict and these notes hold the summary."""
+    return lay_out_tables(found), []
+
+
+def lay_out_tables(found: Run) -> list[TableLayout]:
+    """Return the tip's table, and that of the specimen."""
+    return [lay_out_forecast(found), *lay_out_specimens(found)]
+
+
 def draw_figures(found: Run, folder: Path) -> dict[str, Path]:
     """Draw median and bands of needle and measurement."""
-    table = found.frames["forecast"].assign(origin=found.origin)
+    table = found.frames["forecast"].assign(origin=found.origin, scene=_mark_title(found))
     return {"forecast": draw_forecast(table, folder / "forecast.pdf")}
 
 
 def compose_sections(found: Run, figures: FigurePaths) -> list[Block]:
     """Return the report's sections: the table of the tip, and the figure."""
     caption = "The predicted needle, and (dotted) the 95 % band of its measurement."
+    if found.faults:
+        caption = f"Median of draws that are not reliable. {NO_BANDS_CAPTION}"
     return [
         document.heading("Prediction"),
         document.table(lay_out_forecast(found)),
@@ -275,10 +300,11 @@ _FORECAST = TableSchema(texts=("quantity",), numbers=("level", "median_mm", "low
 
 REPORT = StudyReport(
     summarize,
-    lambda found: [lay_out_forecast(found), *lay_out_specimens(found)],
+    lay_out_tables,
     draw_figures,
     compose_sections,
     to_json=forecast_to_json,
     judge=judge,
+    explain=explain,
     comparisons={"forecast": TableComparison(_FORECAST, _compare_forecasts)},
 )

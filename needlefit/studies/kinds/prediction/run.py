@@ -17,7 +17,6 @@ from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.posterior import load
-from needlefit.mechanics.scene import Scene
 from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
@@ -26,11 +25,13 @@ from needlefit.project.run_file import read_run
 from needlefit.project.unit_warnings import scene_warnings
 from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
 from needlefit.studies.held_out_predictions import draw_fold_parameters
+from needlefit.studies.interval_width import find_adaptation, warn_if_too_wide
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.prediction.forecast import (
     SPECIMEN_COLUMNS,
     Forecast,
     forecast,
+    make_scene,
     tabulate_forecast,
 )
 from needlefit.studies.kinds.prediction.schema import PredictionRecord
@@ -52,6 +53,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         If no draw can be solved.
     """
     job = prepare_target(record, target_name(record, settings), settings)
+    scene = make_scene(record.scene, record.scene_name, job.medium)
     scene_name = record.scene_name.rpartition("/")[2]
     title = record.scene.title or scene_name
     about = begin_run(name, record, job, f"Prediction: {title}")
@@ -61,15 +63,18 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     if draws is None:
         return replace(about, interrupted=True)
     (fold,) = job.folds
-    new = None if record.specimen == "same" else NewSpecimens(job, fold, draws.thetas.mean(axis=0))
-    found = forecast(Scene.from_record(record.scene, record.scene_name), draws, job, new)
+    known = record.specimen or ("new" if job.record.specimens == "others" else "training only")
+    new = NewSpecimens(job, fold, draws.thetas.mean(axis=0)) if known == "new" else None
+    found = forecast(scene, draws, job, new, known)
+    frames = _make_frames(found, title, certified=not draws.faults)
     warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name), *outside_warnings(found)]
+    warned += warn_of_width(frames, find_adaptation(about.run["fit"]["dataset"], about.run["fit"]["medium"]))
     stored: Any = about.record
     named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
     return replace(
         about,
         record=stored.model_copy(update=named),
-        frames=_make_frames(found, title, certified=not draws.faults),
+        frames=frames,
         run={
             **about.run,
             "study": about.run["study"] | named,
@@ -107,6 +112,24 @@ def outside_warnings(forecast: Forecast) -> Iterator[ResultWarning]:
         )
 
 
+def warn_of_width(frames: Mapping[str, pd.DataFrame], adaptation: str) -> Iterator[ResultWarning]:
+    """Yield that the tip's interval is too wide for aiming, with what one insertion would gain.
+
+    `adaptation` is the name of a study that measures it, or empty.
+    """
+    widths = frames["specimens"].set_index("specimen_treatment")["tip_95_width_mm"].dropna()
+    fix = ""
+    if "one insertion" in widths:
+        study = f" (`needlefit validate {adaptation}`)" if adaptation else ""
+        fix = (
+            f"one measured insertion into this specimen would narrow it to {widths['one insertion']:.2g} mm "
+            f"if the model is right there; a study of kind adaptation{study} measures the gain"
+        )
+    if len(widths):
+        deflection = abs(float(frames["forecast"]["needle_median_mm"].iloc[-1]))
+        yield from warn_if_too_wide(float(widths.iloc[0]), deflection, fix=fix)
+
+
 (POSTERIOR_FILE,) = posterior_file_names(1)
 
 
@@ -133,7 +156,7 @@ def draw_parameters(
     if run is not None:
         return _draw_from_run(job, run)
     (fold,) = job.folds
-    rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted", "starts")
+    rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
     kept = checkpoint or Checkpoint(None)
     callbacks = Callbacks(
         kept.finished(_SEARCH),

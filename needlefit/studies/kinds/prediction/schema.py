@@ -16,5 +16,7 @@ class PredictionRecord(TargetRecord):
     """Its name in tables and figures."""
     posterior: str | None = None
     """Folder of a sampled run of `target`; without it, a fit is made."""
-    specimen: Literal["new", "same"] = "new"
-    """Whether the insertion goes into a specimen that was not fitted ("new") or one that was ("same")."""
+    specimen: Literal["new", "same"] | None = None
+    """Whether the insertion goes into a specimen that was not fitted ("new") or one that was ("same");
+    without it, a new one, with the spread between specimens unless `specimens` of the target leaves that
+    out."""

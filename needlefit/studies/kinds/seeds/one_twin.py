@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.read import read
 from needlefit.inference.compared_points import Curve, make_curve
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.simulate import simulate
@@ -17,8 +18,9 @@ from needlefit.studies.kinds.cross_validation.result_rows import make_predictors
 from needlefit.studies.kinds.seeds.schema import SeedsRecord
 from needlefit.studies.paper.cells import (
     ERROR_COLUMNS,
+    LoadedFit,
     compute_floors,
-    prepare_jobs,
+    prepare_on_dataset,
     run_search,
     score_methods,
     with_starts,
@@ -46,23 +48,30 @@ def list_frames() -> dict[str, tuple[str, ...]]:
 
 
 def run_on_twin(
-    seed: int, record: SeedsRecord, plan: Sequence[PlannedInsertion], settings: Settings
+    seed: int,
+    record: SeedsRecord,
+    fits: Mapping[str, LoadedFit],
+    plan: Sequence[PlannedInsertion],
+    settings: Settings,
 ) -> FrameRows:
-    """Return the errors of all methods on one twin of the insertions `plan`, and the fitted parameters."""
+    """Return the errors of all methods on one twin of the insertions `plan`, and the fitted parameters.
+
+    It may run on a machine without the files of `fits`.
+    """
     with TemporaryDirectory() as folder:
-        dataset = build_unscanned(Path(folder), seed, plan)
-        jobs = prepare_jobs(record.studies, record.fits, settings, str(dataset))
+        dataset = read(build_unscanned(Path(folder), seed, plan))
+    jobs = prepare_on_dataset(fits, settings, dataset)
     floors = compute_floors(jobs.values())
     truth = true_predictor(seed)
     errors: list[Row] = []
     parameters: list[Row] = []
     for job in (with_starts(job, record.starts) for job in jobs.values()):
         searches = [search for search in job.searches if search != "fitted_metric"]
-        fits = {search: run_search(job, search, settings) for search in searches}
-        errors += score_methods(job, {**make_predictors(job, job.folds[0], fits), TRUTH: truth}, floors)
-        parameters += _parameter_rows(job, fits["fitted"].values, seed)
-    found = {"errors": errors, "parameters": parameters}
-    return {frame: [{"seed": seed, **row} for row in rows] for frame, rows in found.items()}
+        found = {search: run_search(job, search, settings) for search in searches}
+        errors += score_methods(job, {**make_predictors(job, job.folds[0], found), TRUTH: truth}, floors)
+        parameters += _parameter_rows(job, found["fitted"].values, seed)
+    frames = {"errors": errors, "parameters": parameters}
+    return {frame: [{"seed": seed, **row} for row in rows] for frame, rows in frames.items()}
 
 
 def true_predictor(seed: int) -> Predictor:

@@ -169,7 +169,7 @@ def _lay_out_parameters(result: Run) -> TableLayout:
 
 def _scale_row(row: Row) -> Row:
     """Return a row of a parameter in the unit in which it is printed."""
-    label, unit = choose_printed_unit(str(row["parameter"]), [row["q50"]])
+    label, unit = choose_printed_unit(str(row["parameter"]), [row["q95"]])
     columns = ("q50", "q05", "q95", "paper")
     scaled = {name: None if row[name] is None else row[name] / unit for name in columns}
     return {**row, **scaled, "parameter": label}

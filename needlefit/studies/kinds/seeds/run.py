@@ -29,6 +29,7 @@ from needlefit.studies.kinds.seeds.schema import SeedsRecord
 from needlefit.studies.paper.cells import (
     CELL_KEYS,
     find_paper_numbers,
+    load_fits,
     prepare_jobs,
     tabulate_cells,
     tabulate_generalisation,
@@ -200,11 +201,12 @@ def run(name: str, record: SeedsRecord, settings: Settings) -> Run:
     """
     with add_study_context(name, "studies, fits"):
         shipped = prepare_jobs(record.studies, record.fits, settings)
+        fits = load_fits(record.studies, record.fits)
     jobs = {study: with_starts(job, record.starts) for study, job in shipped.items()}
     asked = {one.id for job in jobs.values() for one in job.insertions}
     plan = [planned for planned in list_planned_insertions() if planned.id in asked]
     seeds = range(record.first_seed, record.first_seed + record.seeds)
-    tasks = {f"seed {seed}": partial(run_on_twin, seed, record, plan, settings) for seed in seeds}
+    tasks = {f"seed {seed}": partial(run_on_twin, seed, record, fits, plan, settings) for seed in seeds}
     conclude = partial(_conclude, name, record, find_paper_numbers(jobs))
     also = {"seeds": list(seeds), "twins": "not scanned"}
     return run_analysis(

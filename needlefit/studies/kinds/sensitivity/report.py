@@ -71,13 +71,14 @@ def _describe_conclusions(result: Run) -> str:
     count = len(again[["aspect", "variation"]].drop_duplicates())
     limit = again["limit_mm"].iloc[0]
     criterion = f"mean IPE below {limit:.2f} mm, all parameters re-fitted"
+    varied = f"{count} variation{'s' * (count > 1)} of the model ({criterion})"
     if changed.empty:
-        return f"No conclusion changes under {count} variations of the model ({criterion})."
+        return f"No conclusion changes under {varied}."
     which = "; ".join(
         f"{medium_name(row['study'])} with {row['aspect']}: {row['variation']}" for row in to_records(changed)
     )
     total = len(changed.drop_duplicates(["aspect", "variation"]))
-    return f"Conclusions change under {total} of {count} variations of the model ({criterion}): {which}."
+    return f"Conclusions change under {total} of {varied}: {which}."
 
 
 def rate(result: Run) -> Status:
@@ -115,6 +116,8 @@ def _name_cell(row: Row) -> str:
 
 def _describe_fixed_parameters(result: Run) -> str:
     kept = _select_varied(result, "kept").query("metric == 'te_mm'")
+    if kept.empty:
+        return "No variation keeps the parameters."
     kept = kept.assign(size=kept["change"].abs())
     worst = to_records(kept.sort_values("size", ascending=False))[0]
     change = format_signed_mm(worst["change"])

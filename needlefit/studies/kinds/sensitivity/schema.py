@@ -45,6 +45,9 @@ class VariationRecord(Record):
             getattr(self, key) is None for key in type(self).model_fields if key not in ("factor", "name")
         ):
             raise ValueError(f"variation `{self.name}` changes nothing: give one of its keys")
+        given = [key for key in ("constraint_switch", "tangent_part") if getattr(self, key) is not None]
+        if self.advance and given:
+            raise ValueError(f'variation `{self.name}`: leave out `{given[0]}` with advance = "path_angle"')
         return self
 
 

@@ -228,10 +228,10 @@ def compose_sections(result: Run, figures: FigurePaths) -> list[Block]:
 METHOD_NOTE = (
     "Stage one samples the posterior of each specimen alone, with a flat prior. Stage two reweights these "
     "draws by a population in which the logarithms of the parameters are independent Gaussians. Each draw "
-    "is a kernel that keeps mean and covariance of its posterior, so that the ridge of μ and b stays and a "
-    "spread of 0 is possible. The combination is the best-determined one. Differences within a specimen "
-    "(from place to place, with the bevel direction) are not in the model: they appear as differences "
-    "between specimens, or make intervals too narrow."
+    "is a kernel that keeps mean and covariance of its posterior, so that the ridge of μ and b (or θ) stays "
+    "and a spread of 0 is possible. The combination is the best-determined one. Differences within a "
+    "specimen (from place to place, with the bevel direction) are not in the model: they appear as "
+    "differences between specimens, or make intervals too narrow."
 )
 
 

@@ -5,18 +5,17 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.inference.baselines import BASELINES
-from needlefit.project.result_warnings import ResultWarning
+from needlefit.datasets.tip_tracks import GUIDE_STILL_MM
 from needlefit.reporting import document
 from needlefit.reporting.document import Block
-from needlefit.reporting.labels import medium_name, method_name
+from needlefit.reporting.labels import medium_name
 from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.kinds.tracks.figures import draw_tracks
-from needlefit.studies.kinds.tracks.results import list_track_methods
+from needlefit.studies.kinds.tracks.results import list_track_methods, name_track_method
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import Difference, TableComparison, compare_means
@@ -31,6 +30,10 @@ _PARAMETER_NOTES = (
     "Determined: a small SD of the draws that stays small with ties loosened and a model error, no bound "
     "reached, and all equally good starts agree.",
     "Moduli are for the needle stiffness that the dataset assumes: the runs determine μ / EI.",
+)
+_POSITION_NOTES = (
+    "Relative to the first reading. The interval includes parameters, bevel, pose in the tracker’s frame and "
+    "readings, not model error; a fit whose draws are not certified or not converged has none.",
 )
 _SCORE_NOTES = (
     "“Error”: root mean square error of the predictive median over the scored readings, mean over runs. The "
@@ -67,7 +70,7 @@ def _judge_parameter(row: Row) -> str:
 
 def _scale_row(row: Row) -> Row:
     """Return a row of a parameter in the unit in which it is printed."""
-    label, unit = choose_printed_unit(str(row["parameter"]), [row["p50"]])
+    label, unit = choose_printed_unit(str(row["parameter"]), [row["p97_5"]])
     scaled = {name: None if row[name] is None else row[name] / unit for name in ("p2_5", "p50", "p97_5")}
     return {**row, **scaled, "parameter": label}
 
@@ -77,7 +80,7 @@ def lay_out_scores(results: Run) -> TableLayout:
     rows = [
         {
             **row,
-            "method": _name_method(row["method"]),
+            "method": name_track_method(row["method"]),
             "metric": _MEASURE_HEADINGS[row["metric"]],
             **({"difference": "", "better": ""} if row["method"] == "fitted" else {}),
         }
@@ -103,6 +106,21 @@ def lay_out_scores(results: Run) -> TableLayout:
     ).lay_out()
 
 
+def lay_out_positions(results: Run) -> TableLayout:
+    """Return where the tip was predicted at the last reading of each run, with its 95 % interval."""
+    readings = results.frames["readings"]
+    fitted = readings[readings["method"] == "fitted"]
+    rows = []
+    for _, run in fitted.groupby(["fit", "run"], sort=False):
+        moved = run["guide_mm"].max() - run["guide_mm"].min() > GUIDE_STILL_MM
+        last = to_records(run.tail(1))[0]
+        ends = {f"95_{end}_mm": last[f"{end}_95_mm"] for end in ("low", "high")}
+        rows.append({**last, **ends, "guide_state": "moved" if moved else "at rest"})
+    columns = ("medium", "run", "guide_state", "depth_mm", "measured_mm", "median_mm", "range_95_mm")
+    caption = "Predicted position of the tip at the last reading: median and 95 % interval."
+    return Table("positions", caption, rows, columns, groups=("medium",), notes=_POSITION_NOTES).lay_out()
+
+
 def lay_out_depths(results: Run) -> TableLayout:
     """Return how prediction errors grow with depth."""
     table = results.frames["depths"]
@@ -111,7 +129,7 @@ def lay_out_depths(results: Run) -> TableLayout:
     rows = [
         {
             "medium": medium,
-            "method": _name_method(method),
+            "method": name_track_method(method),
             "depth_interval": f"{low:g}–{high:g}",
             "error_mm": known.get((medium, method, low)),
         }
@@ -131,7 +149,7 @@ def lay_out_coverage(results: Run) -> TableLayout:
     trial).
     """
     rows = [
-        {"medium": medium, "method": _name_method(str(method))}
+        {"medium": medium, "method": name_track_method(str(method))}
         | {f"{row['quantity']}_in_{row['level']:g}": _format_share(row) for row in to_records(group)}
         for (medium, method), group in results.frames["coverage"].groupby(["medium", "method"], sort=False)
     ]
@@ -146,11 +164,6 @@ def lay_out_coverage(results: Run) -> TableLayout:
 
 def _format_share(row: Row) -> str:
     return f"{row['covered']} of {row['runs']} ({100 * row['low']:.0f}–{100 * row['high']:.0f} %)"
-
-
-def _name_method(method: str) -> str:
-    known = BASELINES.get(method)
-    return known.track_label if known and known.track_label else method_name(method)
 
 
 _MEASURE_NAMES = {"rms_mm": "predicted", "aligned_rms_mm": "in shape"}
@@ -191,25 +204,8 @@ def _compare_methods(group: pd.DataFrame) -> str:
     for row in to_records(group[group["method"] != "fitted"]):
         low, high = row["low"], row["high"]
         word = "better than" if low > 0 else "worse than" if high < 0 else "not significantly different from"
-        verdicts.setdefault(word, []).append(f"the {_name_method(str(row['method']))}")
+        verdicts.setdefault(word, []).append(f"the {name_track_method(str(row['method']))}")
     return "the fit is " + ", ".join(f"{word} {' and '.join(names)}" for word, names in verdicts.items())
-
-
-def warn(results: Run) -> Iterator[ResultWarning]:
-    """Yield, by medium, the closest curve without a model, if it is significantly closer than the fit."""
-    rows = [row for row in to_records(results.frames["paired"]) if row["metric"] == "rms_mm"]
-    for medium in dict.fromkeys(row["medium"] for row in rows):
-        better = [row for row in rows if row["medium"] == medium and (row["high"] or 0) < 0]
-        if better:
-            best = min(better, key=lambda row: float(row["value"]))
-            error, fit = best["value"], best["value"] - best["difference"]
-            yield ResultWarning(
-                "worse_than_baseline",
-                f"the {_name_method(str(best['method']))} is closer to the predicted tips on "
-                f"{medium_name(medium)} than the fitted model (mean error {error:.2f} mm against "
-                f"{fit:.2f} mm)",
-                fix="do not rely on this model there; fit to runs with guide moves like those predicted",
-            )
 
 
 _READINGS_CAPTION = (
@@ -218,12 +214,18 @@ _READINGS_CAPTION = (
     "runs), a parabola (green) and a response to the guide (purple). Below each: position of the guide, mm. "
     "Bands may extend beyond the panels."
 )
+_NO_BANDS = "A fit whose draws are not certified or not converged has no bands."
+
+
+def _caption_readings(results: Run) -> str:
+    return f"{_READINGS_CAPTION} {_NO_BANDS}" if results.faults else _READINGS_CAPTION
 
 
 def lay_out_tables(results: Run) -> list[TableLayout]:
-    """Return the tables of scores, depths, coverage and parameters."""
+    """Return the tables of scores, positions, depths, coverage and parameters."""
     return [
         lay_out_scores(results),
+        lay_out_positions(results),
         lay_out_depths(results),
         lay_out_coverage(results),
         lay_out_parameters(results),
@@ -242,8 +244,8 @@ def compose_sections(results: Run, figures: FigurePaths) -> list[Block]:
     notes = results.run["dataset"]["notes"]
     return [
         document.heading("Predictions"),
-        *(tables[name] for name in ("scores", "depths", "coverage")),
-        document.figure(figures["readings"], _READINGS_CAPTION),
+        *(tables[name] for name in ("scores", "positions", "depths", "coverage")),
+        document.figure(figures["readings"], _caption_readings(results)),
         document.heading("Parameters"),
         tables["parameters"],
         *([document.heading("Assumptions"), document.bullets(notes)] if notes else []),
@@ -277,6 +279,6 @@ REPORT = StudyReport(
     compose=compose_sections,
     to_json=tracks_to_json,
     judge=judge,
-    warn=warn,
+    lay_out_first=lambda results: [lay_out_scores(results), lay_out_positions(results)],
     comparisons={"runs": TableComparison(_RUNS, _compare_tracks)},
 )

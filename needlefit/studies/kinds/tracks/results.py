@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from needlefit.inference.baselines import list_baselines
+from needlefit.inference.baselines import BASELINES, list_baselines
+from needlefit.reporting.labels import method_name
 from needlefit.studies.proportions import estimate_proportion
 
 READING_COLUMNS = (
@@ -37,6 +38,14 @@ PARAMETER_COLUMNS = (
 def list_track_methods() -> tuple[str, ...]:
     """Return the names of all methods that predict tracks: the fit, then baselines."""
     return ("fitted", *(one.name for one in list_baselines("tracks")))
+
+
+def name_track_method(method: str) -> str:
+    """Return the printed name of a method that predicts tracks; the model does with all draws."""
+    if method == "fitted":
+        return "fitted model"
+    known = BASELINES.get(method)
+    return known.track_label if known and known.track_label else method_name(method)
 
 
 PAIRED_COLUMNS = (

@@ -19,7 +19,6 @@ from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.identifiability.identify import identify, select_within_tolerance
-from needlefit.inference.identifiability.precision import is_determined_by_data
 from needlefit.inference.importance.fit_posterior import escalate_effort, resample_draws, sample_about_fit
 from needlefit.inference.likelihood.observation import make_observation
 from needlefit.inference.optimize import minimize
@@ -33,10 +32,13 @@ from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.toml_lines import locate_key, renamed_keys
+from needlefit.reporting.labels import medium_name
+from needlefit.reporting.table_files import to_records
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
 from needlefit.studies.fit_warnings import analysis_bound_warnings, cut_off_warnings
 from needlefit.studies.folds import Fold, specimen_warning
+from needlefit.studies.interval_width import warn_if_too_wide
 from needlefit.studies.job import Settings, farthest_guide, prepare
 from needlefit.studies.kinds.tracks import KIND
 from needlefit.studies.kinds.tracks.results import (
@@ -44,6 +46,7 @@ from needlefit.studies.kinds.tracks.results import (
     PARAMETER_COLUMNS,
     add_summaries,
     list_track_methods,
+    name_track_method,
 )
 from needlefit.studies.kinds.tracks.schema import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.kinds.tracks.score import predict_runs, remove_intervals, tabulate_tuned
@@ -51,6 +54,7 @@ from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.posterior_fit import PREDICTION_DRAWS
 from needlefit.studies.provenance import (
     PACKAGES,
+    describe_dataset,
     describe_model_options,
     package_versions,
     plugin_versions_of,
@@ -151,13 +155,7 @@ def describe_configuration(
         "name": name,
         "versions": package_versions(PACKAGES)
         | {k: v for one in tasks for k, v in plugin_versions_of(one.problem.medium, dataset).items()},
-        "dataset": {
-            "name": dataset.name,
-            "origin": dataset.origin,
-            "sha256": dataset.digest,
-            "notes": list(dataset.notes),
-            "remarks": list(dataset.remarks),
-        },
+        "dataset": describe_dataset(dataset) | {"remarks": list(dataset.remarks)},
         "study": record.model_dump(mode="json", by_alias=True),
         "recipe": tasks[0].recipe.model_dump(mode="json", by_alias=True),
         "fits": {
@@ -175,10 +173,9 @@ def describe_configuration(
 def summarize_parameters(name: str, problem: Problem, fit: Fit, draws: Draws) -> Iterator[Row]:
     """Yield a row per free parameter: percentiles (Pa, mm), posterior SD / prior SD, and what it needs.
 
-    A parameter is determined if its draws, certified, lie closely enough, and if it stays so at the optimum
-    with ties loosened and a model error, is at no bound, and is the same from all equally good starts.
+    Of draws that are not certified, no parameter is called determined.
     """
-    verdict = identify(problem, fit)
+    verdict = identify(problem, fit, draws.certified)
     sets = [problem.values(theta) for theta in draws.thetas]
     widths = dict(zip(problem.names, problem.upper - problem.lower, strict=True))
     for parameter in problem.names:
@@ -193,11 +190,13 @@ def summarize_parameters(name: str, problem: Problem, fit: Fit, draws: Draws) ->
             "fitted": fit.values[parameter],
             **dict(zip(heads, np.percentile(values, PERCENTILES).tolist(), strict=True)),
         }
-        close = not draws.faults and is_determined_by_data(parameter, sd, before)
-        condition = verdict.conditions[parameter] if close else ""
-        note = verdict.notes[parameter] if close else "not determined: its posterior draws differ too much"
-        determined = close and verdict.determined[parameter]
-        yield row | {"sd_ratio": sd / before, "determined": determined, "condition": condition, "note": note}
+        found = {
+            "sd_ratio": sd / before,
+            "determined": not draws.faults and verdict.determined[parameter],
+            "condition": "" if draws.faults else verdict.conditions[parameter],
+            "note": "not determined: no certified draws" if draws.faults else verdict.notes[parameter],
+        }
+        yield row | found
 
 
 @dataclass
@@ -248,13 +247,15 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
     faults = tuple(f"{fit}: {why}" for fit, one in tables.draws.items() for why in one.faults)
     warnings = _find_warnings(name, record, dataset, tasks, settings.place("fits"))
     warnings += _warn_of_bounds(tasks, tables)
+    frames = tables.frames
+    warnings += [*_warn_of_baselines(frames["paired"]), *_warn_of_width(frames["readings"])]
     return Run(
         kind=KIND.name,
         name=name,
         record=record,
         origin=dataset.origin,
         dataset_title=dataset.title,
-        frames=tables.frames,
+        frames=frames,
         run={
             **doing,
             "not_converged": list(faults),
@@ -297,6 +298,33 @@ def _warn_of_bounds(tasks: Sequence[TrackTask], tables: _TrackRows) -> Iterator[
     fits = fits.assign(fit=fits["fit"].map(groups)).rename(columns={"fitted": "value"})
     yield from analysis_bound_warnings(fits, parameters)
     yield from cut_off_warnings(fits, parameters)
+
+
+def _warn_of_baselines(paired: pd.DataFrame) -> Iterator[ResultWarning]:
+    """Yield, by medium, the closest curve without a model, if it is significantly closer than the fit."""
+    rows = [row for row in to_records(paired) if row["metric"] == "rms_mm"]
+    for medium in dict.fromkeys(row["medium"] for row in rows):
+        better = [row for row in rows if row["medium"] == medium and (row["high"] or 0) < 0]
+        if better:
+            best = min(better, key=lambda row: float(row["value"]))
+            error, fit = best["value"], best["value"] - best["difference"]
+            yield ResultWarning(
+                "worse_than_baseline",
+                f"the {name_track_method(str(best['method']))} is closer to the predicted tips on "
+                f"{medium_name(medium)} than the fitted model (mean error {error:.2f} mm against "
+                f"{fit:.2f} mm)",
+                fix="do not rely on this model there; fit to runs with guide moves like those predicted",
+            )
+
+
+def _warn_of_width(readings: pd.DataFrame) -> Iterator[ResultWarning]:
+    """Yield the media whose last readings are predicted with wide intervals."""
+    last = readings.query("method == 'fitted'").groupby(["fit", "run"], sort=False).tail(1)
+    for medium, some in last.dropna(subset=["low_95_mm"]).groupby("medium", sort=False):
+        width = float((some["high_95_mm"] - some["low_95_mm"]).median())
+        yield from warn_if_too_wide(
+            width, float(some["measured_mm"].abs().median()), medium_name(str(medium))
+        )
 
 
 def _draw_posterior(
@@ -373,7 +401,9 @@ def _draw_model_tips(task: TrackTask, draws: Draws, jobs: int, rng: np.random.Ge
     problem = task.problem
     sets = [problem.values(theta) for theta in draws.thetas]
     tuned = _simulate_runs(sets, problem, problem.insertions, jobs)
-    held = tuple(_simulate_runs(vary_bevels(sets, rng), problem, (run,), jobs)[0] for run in task.held)
+    new_bevel_sd, held = problem.new_bevel_sd, list[Floats]()
+    for run in task.held:
+        held += _simulate_runs(vary_bevels(sets, new_bevel_sd, rng), problem, (run,), jobs)
     good = np.all([np.isfinite(one).all(axis=1) for one in (*tuned, *held)], axis=0)
     scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])[good]
     return TrackDraws(tuple(one[good] for one in tuned), tuple(one[good] for one in held), scale)
