@@ -6,9 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.likelihood.observation import make_observation, pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
+from needlefit.inference.simulated_points import read_points
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -26,6 +29,8 @@ from needlefit.studies.job import Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.cross_validation.score_tables import lay_out_coverage
 from needlefit.studies.kinds.cross_validation.verdict import describe_after_one
 from needlefit.studies.new_specimens import NewSpecimens
+from needlefit.studies.planned_draws import draw_conditions, simulate_planned
+from needlefit.studies.planned_insertions import with_planned_layers
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 
@@ -51,6 +56,13 @@ def known(job):
 @pytest.fixture(scope="module")
 def few_draws(known):
     return replace(known, thetas=known.thetas[:25])
+
+
+def predict_alone(values, medium, needle, insertion, s, wrong, deep):
+    """One needle through the layers that it meets itself, with errors of depths, mm."""
+    met = with_planned_layers(insertion, values, medium, needle)
+    moved, at = shift_depths(met, s, deep + wrong[: len(met.boundaries)], deep)
+    return read_points(moved, predict(values, medium, needle, moved), at)
 
 
 def sure(known):
@@ -123,6 +135,21 @@ def test_a_bevel_that_varies_between_insertions_widens_it(job, known):
     assert tips[0] == pytest.approx(tips[1], rel=0.02)
 
 
+def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, known):
+    insertion, medium, needle = job.folds[0].validate[0], job.medium, job.dataset.needle
+    sets = [job.parameters.values(theta) for theta in known.thetas[:300]]
+    conditions = draw_conditions(insertion, len(sets), np.random.default_rng(3))
+    s = np.linspace(10.0, insertion.depth, 5)
+    few = [0, 7, 101, 202, 299]  # of which most are not simulated with other depths
+    for drawn, tolerance in ((sets, 0.02), ([sets[0]] * len(sets), 0.01)):
+        together = simulate_planned(drawn, medium, needle, insertion, s, conditions)
+        assert together.solved.all() and together.valid.all()
+        for n in few:
+            wrong, deep = conditions.wrong[n], conditions.deep[n]
+            alone = predict_alone(drawn[n], medium, needle, insertion, s, wrong, deep)
+            assert together.points[n] == pytest.approx(alone, abs=tolerance)
+
+
 def test_the_measured_shape_is_only_compared(job, known):
     insertion = job.folds[0].validate[0]
     bent = replace(insertion, planar=insertion.planar + np.array([0.0, 5.0]))
@@ -185,8 +212,8 @@ def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     middle = sorted(held_out, key=lambda one: one.depth)[1]
     row = table.set_index("insertion").loc[middle.id]
     assert row["tip_95_width_after_one_mm"] == after and f"{after:.2g} mm" in describe_after_one(table)
-    (same,) = tabulate_held_out(job, of(job, middle), few)
-    assert same["tip_95_high_mm"] - same["tip_95_low_mm"] < after
+    (exactly,) = tabulate_held_out(job, of(job, middle), sure(known))
+    assert exactly["tip_95_high_mm"] - exactly["tip_95_low_mm"] < after
     assert after < 0.7 * (row["tip_95_high_mm"] - row["tip_95_low_mm"])
     # no other number depends on it
     plain = pd.DataFrame(tabulate_held_out(job, fold, few, new))
