@@ -2,8 +2,11 @@
 
 import math
 import os
+import subprocess
+import sys
 import time
 from functools import partial
+from pathlib import Path
 
 import pytest
 from inference_cases import squares_recipe, two_layers
@@ -21,10 +24,43 @@ from tests.cluster_processes import start_scheduler, start_worker
 from tests.cluster_work import fail, find_process, nap_until, square, wait_for_stop
 
 
+@pytest.fixture(autouse=True)
+def spawned(monkeypatch):
+    """Processes that begin anew, as where this process has threads."""
+    monkeypatch.setattr(tasks, "can_fork", lambda: False)
+
+
 @pytest.fixture(scope="module")
 def pool():
     with LocalPool(2) as kept:
         yield kept
+
+
+COPIES = """
+import os, sys, threading, time
+from needlefit.project import forked, tasks
+
+def tell(n):
+    time.sleep(0.2)
+    return n, os.getpid(), sys.modules["__main__"].loaded
+
+if __name__ == "__main__":
+    loaded = "before"
+    forked.count_cores = lambda: 2
+    with tasks.LocalPool(2) as pool:
+        for expected in ("before", "since"):
+            loaded = expected
+            found = list(tasks.run_in_order(tell, [1, 2, 3, 4], pool))
+            assert [n for n, _, _ in found] == [1, 2, 3, 4] and {one for *_, one in found} == {expected}
+            assert len({process for _, process, _ in found} - {os.getpid()}) == 2
+            assert threading.active_count() == 1
+        parts = dict(tasks.run_parts(tell, [1, 2, 3, 4, 5, 6, 7], pool, 1, tasks.TaskStop(lambda: False)))
+        assert parts[0][1] == os.getpid() and {process for _, process, _ in parts.values()} > {os.getpid()}
+        print(os.getpid(), flush=True)
+        if len(sys.argv) > 1:
+            list(pool.run(time.sleep, [60, 60]))
+"""
+"""A program whose tasks know what was loaded before them: 1.2 s of parts are worth copies."""
 
 
 @pytest.fixture
@@ -35,6 +71,35 @@ def long(monkeypatch):
 def test_processes_stay_until_the_end_of_the_with_statement(pool):
     first, second = (set(run_in_order(find_process, [0.3] * 4, pool)) for _ in range(2))
     assert first == second and len(first) == 2 and os.getpid() not in first
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
+def test_copies_of_this_process_have_what_it_has_loaded_and_end_with_each_run(tmp_path):
+    (tmp_path / "copies.py").write_text(COPIES)
+    subprocess.run((sys.executable, "copies.py"), cwd=tmp_path, check=True)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
+def test_copies_end_with_a_killed_process(tmp_path):
+    (tmp_path / "copies.py").write_text(COPIES)
+    command = (sys.executable, "copies.py", "wait")
+    deadline = time.monotonic() + 30
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout.readline()
+        children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
+        while len(copies := children.read_text().split()) < 2 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        running.kill()
+    while any(_is_running(one) for one in copies) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert len(copies) == 2 and not any(_is_running(one) for one in copies)
+
+
+def _is_running(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def test_processes_serve_again_after_a_stop_and_an_error(pool):

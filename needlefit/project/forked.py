@@ -1,6 +1,7 @@
-"""Share short work between this process and a copy of it, where a copy costs nothing (Linux)."""
+"""Copies of this process, where they cost nothing (Linux): they have loaded everything that it has."""
 
 import os
+import signal
 import sys
 import tempfile
 import threading
@@ -17,13 +18,16 @@ MAX_SHARED = 255
 """Pieces of work at most that are shared: each is one byte in a pipe."""
 
 
+_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
+
+
 def compute_in_two_processes(work: Sequence[Callable[[], bytes]]) -> list[bytes]:
     """Return what each piece of work gives; a copy of this process takes every second one, or as it comes.
 
     What the copy leaves undone is done here, so that its errors are raised here. Work must not wait for
     threads of this process, which the copy lacks: those of typst among them.
     """
-    if not 2 <= len(work) <= MAX_SHARED or not _can_fork():
+    if not 2 <= len(work) <= MAX_SHARED or not can_fork():
         return [piece() for piece in work]
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
         folder = Path(name)
@@ -43,9 +47,19 @@ def compute_in_two_processes(work: Sequence[Callable[[], bytes]]) -> list[bytes]
     return [done[n] if n in done else found[n] if n in found else piece() for n, piece in enumerate(work)]
 
 
-def _can_fork() -> bool:
+def can_fork() -> bool:
     """Return whether a copy works: libraries of macOS do not survive it, nor do locks that threads hold."""
     return sys.platform == "linux" and count_cores() > 1 and threading.active_count() == 1
+
+
+def end_with(parent: int) -> None:
+    """Let this process be ended together with its parent, by its id, where the system offers it."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+        if os.getppid() != parent:  # it ended before
+            os._exit(1)
 
 
 def _take(source: int) -> "Iterator[int]":

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from needlefit import errors
 from needlefit.errors import ConfigError, DataError, NeedlefitError
+from needlefit.project.forked import end_with
 
 try:
     import resource
@@ -60,7 +61,6 @@ _CHILD = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from needlefit.project import sandbox; "
     "sandbox.serve(json.loads(sys.argv[2]))"
 )
-_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
 _WHOLE = "a whole file, as its program wrote it"
 _DAMAGED = "the file may be damaged: copy it or export it again"
 _WINDOWS = os.name == "nt"
@@ -362,7 +362,7 @@ def allow_memory(size: int) -> None:
 
 def serve(request: dict[str, Any]) -> None:
     """In the child: run the reader of a request under its limits, answer, and end."""
-    _end_with(request["parent"])
+    end_with(request["parent"])
     pipe = os.dup(1)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)  # a native library may write there
@@ -393,16 +393,6 @@ def _attempt(request: dict[str, Any]) -> dict[str, Any]:
         if isinstance(error, OSError) and error.errno == errno.ENOMEM:
             return {"kind": "memory"}
         return {"kind": "raised", "name": type(error).__name__}
-
-
-def _end_with(parent: int) -> None:
-    """Let this process be ended together with its parent, where the system offers it."""
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
-        if os.getppid() != parent:  # it ended before
-            os._exit(1)
 
 
 def _set_limits(allowed: ReaderLimits) -> None:

@@ -8,6 +8,7 @@ cluster that trust each other; no file is ever unpickled.
 This module imports nothing heavy, so that a new process limits itself to one thread before it imports numpy.
 """
 
+import os
 import pickle
 import signal
 import time
@@ -28,6 +29,7 @@ from multiprocessing.synchronize import Event
 from typing import Any, Protocol, Self, TypeVar
 
 from needlefit.errors import ConfigError
+from needlefit.project.forked import can_fork, end_with
 from needlefit.project.progress import Stop, never_stop
 from needlefit.project.threads import limit_to_one_thread
 
@@ -39,7 +41,10 @@ STOP_POLL_S = 0.2
 
 
 MIN_SHARED_S = 8.0
-"""Seconds of work that are worth processes: each takes two or three of processor time to begin."""
+"""Seconds of work that are worth new processes: each takes two or three of processor time to begin."""
+
+MIN_COPIED_S = 1.0
+"""Seconds of work that are worth copies of this process, which begin in some hundredths of a second."""
 
 
 class TaskPool(Protocol):
@@ -76,7 +81,7 @@ class TaskPool(Protocol):
 class LocalPool:
     """Processes of this machine; with one task or `size` 1 everything is done in this process.
 
-    They end with each run, or, in a `with` statement, with that.
+    They end with each run, or, in a `with` statement, with that; copies of this process always with the run.
     """
 
     size: int = 1
@@ -96,11 +101,13 @@ class LocalPool:
         """Yield results as they are finished: see `TaskPool.run`."""
         count = min(self.size, len(items))
         if count > 1:
-            processes = self._kept[-1] if self._kept else _Processes(count)
+            # copies begin at once, and a later one has what was loaded since
+            own = can_fork() or not self._kept
+            processes = _Processes(count) if own else self._kept[-1]
             try:
                 yield from processes.run(work, items, count, self.size // count, stop)
             finally:
-                if not self._kept:
+                if own:
                     processes.close()
             return
         for n, item in enumerate(items):
@@ -163,7 +170,8 @@ def run_parts(
     try:
         if pool is not THIS_PROCESS and len(items) > 1 and not stop():
             yield left.pop(0), work(items[0])
-            if (time.perf_counter() - begun) * len(left) > MIN_SHARED_S:
+            least = MIN_COPIED_S if can_fork() else MIN_SHARED_S
+            if (time.perf_counter() - begun) * len(left) > least:
                 for n, result in pool.run(work, [items[n] for n in left], stop):
                     yield left[n], result
                 return
@@ -253,9 +261,12 @@ class _Processes:
 
     @cached_property
     def _pool(self) -> tuple[ProcessPoolExecutor, Event]:
-        context = get_context("spawn")  # a fork would copy threads that hold locks
+        # a copy of this process has everything loaded, but would also copy locks that other threads hold
+        copied = can_fork()
+        context = get_context("fork" if copied else "spawn")
         event = context.Event()
-        return ProcessPoolExecutor(self._size, context, _begin_process, (event,)), event
+        parent = os.getpid() if copied else None
+        return ProcessPoolExecutor(self._size, context, _begin_process, (event, parent)), event
 
 
 def _run_task(data: bytes, item: object, threads: int) -> tuple[Any, bool]:
@@ -282,8 +293,16 @@ def _result(future: "Future[tuple[Result, bool]]") -> tuple[Result, bool]:
         ) from None
 
 
-def _begin_process(stop: Event) -> None:
-    """Keep linear algebra to one thread, and leave Ctrl-C to the process that started this one."""
+def _begin_process(stop: Event, parent: int | None) -> None:
+    """Keep linear algebra to one thread, and leave Ctrl-C to the process that started this one.
+
+    `parent` is the process that this one is a copy of: it then has loaded its linear algebra already.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     limit_to_one_thread()
+    if parent is not None:
+        from threadpoolctl import threadpool_limits
+
+        end_with(parent)
+        threadpool_limits(1, user_api="blas")
     _Surroundings.stop = stop
