@@ -43,9 +43,6 @@ STOP_POLL_S = 0.2
 MIN_SHARED_S = 8.0
 """Seconds of work that are worth new processes: each takes two or three of processor time to begin."""
 
-MIN_COPIED_S = 1.0
-"""Seconds of work that are worth copies of this process, which begin in some hundredths of a second."""
-
 
 class TaskPool(Protocol):
     """Where tasks run."""
@@ -163,15 +160,17 @@ def run_parts(
 ) -> Iterator[tuple[int, Result]]:
     """Yield results as `TaskPool.run` does, of parts that may be short.
 
-    The first one shows how long they take: if the others are worth a process they go to the pool, else they
-    stay in this process, on so many threads. `stop` is requested in the end.
+    Copies of this process begin within 0.1 s, so that all go to them. Else the first part shows how long they
+    take: if the others are worth a process they go to the pool, else they stay in this process, on so many
+    threads. `stop` is requested in the end.
     """
     begun, left = time.perf_counter(), list(range(len(items)))
     try:
         if pool is not THIS_PROCESS and len(items) > 1 and not stop():
-            yield left.pop(0), work(items[0])
-            least = MIN_COPIED_S if can_fork() else MIN_SHARED_S
-            if (time.perf_counter() - begun) * len(left) > least:
+            copied = not pool.remote and can_fork()
+            if not copied:
+                yield left.pop(0), work(items[0])
+            if copied or (time.perf_counter() - begun) * len(left) > MIN_SHARED_S:
                 for n, result in pool.run(work, [items[n] for n in left], stop):
                     yield left[n], result
                 return

@@ -85,7 +85,8 @@ def weigh_or_sample(
 
     That is None too after a stop before there is any.
     """
-    found = escalate_effort(lambda effort: sample_about_fit(problem, fit, rng, settings.jobs, effort))
+    jobs, pool = settings.jobs, settings.part_pool
+    found = escalate_effort(lambda effort: sample_about_fit(problem, fit, rng, jobs, effort, pool))
     if found.certified or settings.stop():
         return found, None
     return found, sample_posterior(job, problem, fit, key, settings)

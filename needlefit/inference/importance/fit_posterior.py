@@ -14,6 +14,7 @@ integrals are by importance, each about its own peaks (C. P. Robert, D. Wraith, 
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -31,6 +32,8 @@ from needlefit.inference.sampling.log_density import (
     approximate_by_information,
     approximate_by_laplace,
 )
+from needlefit.project.progress import never_stop
+from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
 
 MAX_LOG_DENSITY_GAP = 10.0
 """A start that ended with a log density this much below the best one's found no mode."""
@@ -69,18 +72,23 @@ def escalate_effort(sample: Callable[[Effort], WeightedDraws]) -> WeightedDraws:
 
 
 def sample_about_modes(
-    problem: Problem, ends: Floats, rng: np.random.Generator, jobs: int = 1, effort: Effort = EFFORT
+    problem: Problem,
+    ends: Floats,
+    rng: np.random.Generator,
+    jobs: int = 1,
+    effort: Effort = EFFORT,
+    pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
     """Return weighted draws of a posterior whose modes (M, P), the best first, are known."""
     evaluator, bounds = Evaluator(problem, jobs), (problem.lower, problem.upper)
     approximations = [approximate_by_laplace(evaluator, end, *bounds) for end in ends]
     if effort.profiles:
-        points = trace_profiles(problem, ends[0])
+        points = trace_profiles(problem, ends[0], pool)
         approximations += [approximate_by_information(one.information, one.theta, *bounds) for one in points]
     return sample_by_importance(evaluator, approximations, bounds, rng, effort)
 
 
-def trace_profiles(problem: Problem, mode: Floats) -> list[LocalMinimum]:
+def trace_profiles(problem: Problem, mode: Floats, pool: TaskPool = THIS_PROCESS) -> list[LocalMinimum]:
     """Return points along the profiles, about a mode (P,), of parameters neither tied nor a spread.
 
     A plateau beside the peak, where the data no longer tell a layer from none, may hold a tenth of the
@@ -88,12 +96,16 @@ def trace_profiles(problem: Problem, mode: Floats) -> list[LocalMinimum]:
     weights do not show it.
     """
     stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
-    optimum, points = minimize_squares(problem, mode), list[LocalMinimum]()
-    for k, name in enumerate(problem.names):
-        if name not in stated:
-            found = trace_profile(problem, k, optimum, steps=PROFILE_STEPS).points[1:]
-            points += [one for one in found if one.value - optimum.value <= 2 * MAX_LOG_DENSITY_GAP]
-    return points
+    optimum = minimize_squares(problem, mode)
+    traced = [k for k, name in enumerate(problem.names) if name not in stated]
+    found = dict(run_parts(partial(_trace_one, problem, optimum), traced, pool, 1, TaskStop(never_stop)))
+    points = [one for n in range(len(traced)) for one in found[n]]
+    return [one for one in points if one.value - optimum.value <= 2 * MAX_LOG_DENSITY_GAP]
+
+
+def _trace_one(problem: Problem, optimum: LocalMinimum, k: int) -> list[LocalMinimum]:
+    """Return the points of one profile without its optimum."""
+    return trace_profile(problem, k, optimum, steps=PROFILE_STEPS).points[1:]
 
 
 def sample_about_minimum(
@@ -106,7 +118,12 @@ def sample_about_minimum(
 
 
 def sample_about_fit(
-    problem: Problem, fit: Fit, rng: np.random.Generator, jobs: int = 1, effort: Effort = EFFORT
+    problem: Problem,
+    fit: Fit,
+    rng: np.random.Generator,
+    jobs: int = 1,
+    effort: Effort = EFFORT,
+    pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
     """Return weighted draws of the posterior about a fit with at least one free parameter.
 
@@ -120,7 +137,7 @@ def sample_about_fit(
     else:
         # the minimum of the metric is no mode of the posterior
         ends = minimize_squares(known, theta).theta[None]
-    return sample_about_modes(known, ends, rng, jobs, effort)
+    return sample_about_modes(known, ends, rng, jobs, effort, pool)
 
 
 def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:

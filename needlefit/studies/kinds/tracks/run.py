@@ -346,9 +346,8 @@ def _draw_posterior(
     pareto_k = math.nan
     if not settings.sample:
         rng = random_stream(seed, name, task.name, "weighed")
-        found = escalate_effort(
-            lambda effort: sample_about_fit(task.problem, fit, rng, settings.jobs, effort)
-        )
+        jobs, pool = settings.jobs, settings.part_pool
+        found = escalate_effort(lambda effort: sample_about_fit(task.problem, fit, rng, jobs, effort, pool))
         if found.certified:
             return fit, resample_draws(found, PREDICTION_DRAWS, rng)
         pareto_k = found.k
