@@ -162,6 +162,7 @@ def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
     assert {"fits.parquet", "errors.parquet", "fits.csv", "errors.csv", "failures.csv"} <= one.keys()
     assert one == two
     rebuild(written[0], project / "three")
+    rebuild(project / "three", project / "three")
     assert _read_bytes(project / "three") == one
     assert list(compare_runs(*written)) == []
     stored = restore_run(written[0])

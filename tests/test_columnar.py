@@ -9,7 +9,7 @@ import tempfile
 import pandas as pd
 import pytest
 
-from needlefit.errors import DataError
+from needlefit.errors import ConfigError, DataError
 from needlefit.reporting.table_files import write_csv, write_csv_pieces
 from needlefit.studies import columnar
 from needlefit.studies.columnar import (
@@ -101,6 +101,11 @@ def test_stored_files_are_opened_by_their_digests(tmp_path, monkeypatch):
     assert store_files(make_frames(), tmp_path / "again") == digests
     assert ColumnarFrames(open_files(tmp_path, digests))["fits"].equals(in_memory())
     assert store_files({"fits": in_memory()}, tmp_path) == {}
+    monkeypatch.setattr(columnar, "find_spec", lambda name: None)
+    assert open_files(tmp_path, {}) == {}  # of other kinds of study
+    with pytest.raises(ConfigError):
+        open_files(tmp_path, digests)
+    monkeypatch.undo()
     monkeypatch.setattr(columnar, "MAX_ROWS", 4)
     with pytest.raises(DataError, match="4"):
         open_files(tmp_path, digests)

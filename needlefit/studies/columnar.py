@@ -7,6 +7,7 @@ import shutil
 from collections import UserDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from weakref import finalize
 
 import pandas as pd
 
+from needlefit.errors import ConfigError
 from needlefit.project.files import sha256
 from needlefit.project.input_files import is_file
 from needlefit.studies.packing import damage_error
@@ -47,21 +49,29 @@ class ColumnarFrames(UserDict[str, Any]):
         return {name: found for name, found in self.data.items() if isinstance(found, Path)}
 
 
-def read_columns(
-    frames: Mapping[str, pd.DataFrame], name: str, columns: Sequence[str] | None = None
-) -> pd.DataFrame:
+def require_pyarrow() -> None:
+    """Raise ConfigError unless PyArrow is installed."""
+    if find_spec("pyarrow") is None:
+        raise ConfigError(
+            "the tables of a cohort are Parquet files, for which PyArrow is not installed",
+            fix="pip install 'needlefit[cluster]'",
+        )
+
+
+def read_columns(frames: Mapping[str, pd.DataFrame], name: str, columns: Sequence[str]) -> pd.DataFrame:
     """Return some columns of a frame; texts of one in a file are categories, which take little memory."""
     if (file := _find_file(frames, name)) is None:
-        return frames[name] if columns is None else frames[name][list(columns)]
+        return frames[name][list(columns)]
     return _read(file, columns, categories=True)
 
 
 def list_columns(frames: Mapping[str, pd.DataFrame], name: str) -> list[str]:
     """Return the names of a frame's columns."""
+    if (file := _find_file(frames, name)) is None:
+        return [str(one) for one in frames[name]]
     from pyarrow import parquet
 
-    file = _find_file(frames, name)
-    return [str(one) for one in frames[name]] if file is None else list(parquet.read_schema(file).names)
+    return list(parquet.read_schema(file).names)
 
 
 def iterate_pieces(frames: Mapping[str, pd.DataFrame], name: str) -> Iterator[pd.DataFrame]:
@@ -161,7 +171,12 @@ def open_files(folder: Path, digests: Mapping[str, str]) -> dict[str, Path]:
     ------
     DataError
         If one is missing, is not the one with the stored digest, or holds more than `MAX_ROWS`.
+    ConfigError
+        If there are files, and PyArrow is not installed.
     """
+    if not digests:
+        return {}
+    require_pyarrow()
     from pyarrow import parquet
 
     files = {name: folder / f"{name}.parquet" for name in digests}

@@ -9,7 +9,6 @@ import glob
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import provenance
-from needlefit.studies.columnar import iterate_pieces, read_columns, write_frames
+from needlefit.studies.columnar import iterate_pieces, read_columns, require_pyarrow, write_frames
 from needlefit.studies.folds import Fold, group_insertions
 from needlefit.studies.job import Job, Settings, find_named, prepare
 from needlefit.studies.kinds.cohort.schema import CohortRecord
@@ -70,11 +69,7 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     ConfigError
         If no dataset matches, the tissue model or the recipe is wrong, or nothing could be fitted.
     """
-    if find_spec("pyarrow") is None:
-        raise ConfigError(
-            "a cohort is written as a Parquet file, for which PyArrow is not installed",
-            fix="pip install 'needlefit[cluster]'",
-        )
+    require_pyarrow()
     with add_study_context(name, "datasets"):
         files = find_datasets(record)
     medium_file = find_named("medium", record.medium)
