@@ -12,16 +12,23 @@ import pytest
 
 from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, DataError
+from needlefit.metrics import list_metrics
 from needlefit.project.cluster import connect
 from needlefit.project.locate import find_file
+from needlefit.studies import columnar
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kinds.cohort import run as cohort_run
 from needlefit.studies.kinds.cohort.run import find_datasets, run
 from needlefit.studies.posterior_fit import find_fit
+from needlefit.studies.rebuild import rebuild
 from needlefit.studies.report import write_run
+from needlefit.studies.run import restore_run
+from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.study_files import check_study
 from tests.cluster_processes import start_scheduler, start_worker
+
+parquet = pytest.importorskip("pyarrow.parquet")
 
 CHOSEN = ["chicken-01", "chicken-04", "chicken-05"]
 COHORT = {"schema": 2, "kind": "cohort", "medium": "chicken", "recipe": "few", "tune": {"insertions": CHOSEN}}
@@ -89,8 +96,8 @@ def test_a_worker_in_an_empty_folder_fits_what_lies_here(project, tmp_path_facto
         found = run("cohort", study, Settings(pool=pool))
     assert list(folder.iterdir()) == []
     assert len(found.frames["failures"]) == 1
-    for name, frame in here.frames.items():
-        pd.testing.assert_frame_equal(found.frames[name], frame, check_exact=True)
+    for name, file in here.frames.files.items():
+        assert found.frames.files[name].read_bytes() == file.read_bytes()
     assert found.run == here.run
 
 
@@ -120,6 +127,63 @@ def test_datasets_are_read_one_by_one_as_they_are_sent(project, monkeypatch):
     with pytest.raises(ConfigError) as caught:
         run("cohort", cohort("specimens/[bde]"), Settings(pool=SendingPool()))
     assert "specimens/b" in caught.value.expected and len(read_files) == 3
+
+
+def _fit_at_once(job, specimen, insertions, settings):
+    """Return rows as a fit does, without one."""
+    value = float(sum(insertion.depth for insertion in insertions))
+    rows = [
+        {"parameter": name, "value": value, "sd": 0.1, "at_bound": name == "b_mm", "converged": True}
+        for name in ("mu1_pa", "bevel_mm")
+    ]
+    return rows, {"converged": True, **{metric.name: value / 3 for metric in list_metrics()}}
+
+
+def _read_bytes(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
+
+
+def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
+    for name in ("d", "e"):
+        shutil.copytree("specimens/a", f"specimens/{name}")
+    monkeypatch.setattr(cohort_run, "_fit_specimen", _fit_at_once)
+    monkeypatch.setattr(columnar, "MIN_GROUP_ROWS", 1)
+    study, kept = cohort("specimens/*"), project / "cohort.partial"
+    whole = run("cohort", study, Settings())
+    groups = {name: parquet.read_metadata(file).num_row_groups for name, file in whole.frames.files.items()}
+    assert groups == {"fits": 3, "errors": 3, "failures": 1}  # of a, d and e; of b
+    first = run("cohort", study, Settings(checkpoint=kept, stop=lambda: len(list(kept.glob("*.jsonl"))) >= 2))
+    assert first.interrupted and first.frames["fits"]["dataset"].unique().tolist() == ["specimens/a"]
+    assert list(project.rglob("*.parquet")) == []
+    again = run("cohort", study, Settings(checkpoint=kept, resume=True))
+    assert not again.interrupted
+    written = [write_run(one, project / name) for name, one in (("one", whole), ("two", again))]
+    one, two = map(_read_bytes, written)
+    assert {"fits.parquet", "errors.parquet", "fits.csv", "errors.csv", "failures.csv"} <= one.keys()
+    assert one == two
+    rebuild(written[0], project / "three")
+    rebuild(project / "three", project / "three")
+    assert _read_bytes(project / "three") == one
+    assert list(compare_runs(*written)) == []
+    stored = restore_run(written[0])
+    pd.testing.assert_frame_equal(stored.frames["fits"], whole.frames["fits"], check_exact=True)
+    assert stored.verdicts == whole.verdicts and stored.verdicts[0].numbers == {"failures": 1}
+    (written[0] / "errors.parquet").write_bytes(one["fits.parquet"])
+    with pytest.raises(DataError, match=r"errors\.parquet"):
+        restore_run(written[0])
+
+
+def test_a_cohort_of_an_earlier_version_is_reported_with_the_same_tables(project, monkeypatch):
+    """It stored its tables with all else, and has no files of them."""
+    monkeypatch.setattr(cohort_run, "_fit_specimen", _fit_at_once)
+    found = run("cohort", cohort("specimens/a"), Settings())
+    now = write_run(found, project / "now")
+    earlier = write_run(replace(found, frames=dict(found.frames)), project / "earlier")
+    (again,) = rebuild(earlier, project / "again")
+    assert pd.read_parquet(project / "again" / "fits.parquet").equals(found.frames["fits"])
+    assert isinstance(again.frames, dict) and again.verdicts == found.verdicts
+    for name in ("fits.csv", "errors.csv", "failures.csv", "parameters.tex", "report.pdf"):
+        assert (project / "again" / name).read_bytes() == (now / name).read_bytes()
 
 
 def test_a_dataset_that_is_listed_twice_by_its_content_is_a_warning(project):

@@ -41,26 +41,42 @@ def _stopping_after(count: int, done: list[str]) -> Settings:
 
 
 def test_interrupted_tasks_resume_to_the_same_rows(tmp_path):
-    whole, interrupted = run_tasks(_pieces([]), "x", Settings(), open_checkpoint(None, False, {}))
-    assert not interrupted
-    assert [row["of"] for row in whole["errors"]] == ["a", "b", "c", "d"]
-    assert whole["errors"][0]["te_mm"] == THIRD and type(whole["errors"][1]["te_mm"]) is float
+    whole = list(run_tasks(_pieces([]), "x", Settings(), open_checkpoint(None, False, {})))
+    assert [part["errors"][0]["of"] for part in whole] == ["a", "b", "c", "d"]
+    assert whole[0]["errors"][0]["te_mm"] == THIRD and type(whole[1]["errors"][0]["te_mm"]) is float
     first: list[str] = []
     kept = open_checkpoint(tmp_path, False, {"work": 1})
-    part, interrupted = run_tasks(_pieces(first), "x", _stopping_after(3, first), kept)
-    assert interrupted
-    assert [row["of"] for row in part["errors"]] == ["a", "b"]  # the third was caught half done
+    part = list(run_tasks(_pieces(first), "x", _stopping_after(3, first), kept))
+    assert part == whole[:2]  # the third was caught half done
     second: list[str] = []
-    again, interrupted = run_tasks(
-        _pieces(second), "x", Settings(), open_checkpoint(tmp_path, True, {"work": 1})
-    )
-    assert not interrupted and second == ["c", "d"]
+    again = list(run_tasks(_pieces(second), "x", Settings(), open_checkpoint(tmp_path, True, {"work": 1})))
+    assert second == ["c", "d"]
     assert json.dumps(again) == json.dumps(whole)
 
 
+class _BackwardPool:
+    """Finishes the last task first; stops after so many."""
+
+    remote = False
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    def run(self, work, items, stop):
+        for n in reversed(range(len(items))[-self._count :]):
+            yield n, work(items[n])
+
+
+@pytest.mark.parametrize(("count", "of"), [(4, "abcd"), (2, "cd")])
+def test_rows_come_in_the_order_of_tasks_that_finish_in_another(count, of):
+    parts = run_tasks(_pieces([]), "x", Settings(pool=_BackwardPool(count)), open_checkpoint(None, False, {}))
+    assert [part["errors"][0]["of"] for part in parts] == list(of)
+
+
 def test_a_task_row_keeps_no_value_that_json_would_change():
+    tasks = {"a": lambda: {"x": [{"at": Path()}]}}
     with pytest.raises(TypeError, match="Path"):
-        run_tasks({"a": lambda: {"x": [{"at": Path()}]}}, "x", Settings(), open_checkpoint(None, False, {}))
+        list(run_tasks(tasks, "x", Settings(), open_checkpoint(None, False, {})))
 
 
 def test_evidence_is_rounded_to_a_micrometre_and_three_digits():

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,14 @@ from needlefit.reporting.tidy import to_tidy
 
 def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
     """Write a table as CSV, tidy; `digits` None writes all digits."""
-    to_tidy(frame).to_csv(path, index=False, float_format=digits, lineterminator="\n", encoding="utf-8")
+    write_csv_pieces([frame], path, digits)
+
+
+def write_csv_pieces(pieces: Iterable[pd.DataFrame], path: Path, digits: str | None = "%.8g") -> None:
+    """Write a table as `write_csv`, whose rows come in pieces."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        for n, piece in enumerate(pieces):
+            to_tidy(piece).to_csv(file, index=False, header=n == 0, float_format=digits, lineterminator="\n")
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

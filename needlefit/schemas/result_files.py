@@ -146,3 +146,4 @@ class StoredRunTable(_StoredTable):
     run: RunTable
     frames: dict[FileName, FrameTable]
     posteriors: list[str]
+    columnar: dict[FileName, str] = {}

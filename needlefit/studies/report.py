@@ -20,9 +20,10 @@ from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex, format_table_macros
 from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.reporting.table import Table
-from needlefit.reporting.table_files import to_records, write_csv, write_json
+from needlefit.reporting.table_files import to_records, write_csv_pieces, write_json
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.reporting.tidy import to_tidy
+from needlefit.studies.columnar import iterate_pieces
 from needlefit.studies.kind import find_kind
 from needlefit.studies.run import Run, store_run
 from needlefit.studies.run_differences import TableComparison
@@ -198,9 +199,10 @@ def write_files(result: Run, folder: Path) -> None:
     from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
 
     page = find_kind(result.kind).report
-    for name, frame in page.tabulate(result).items():
-        marked = result.origin == "none" or "origin" in frame
-        write_csv(frame if marked else frame.assign(origin=result.origin), folder / f"{name}.csv")
+    frames = page.tabulate(result)
+    for name in frames:
+        pieces = (_mark_origin(piece, result.origin) for piece in iterate_pieces(frames, name))
+        write_csv_pieces(pieces, folder / f"{name}.csv")
     tables = page.lay_out(result)
     for table in tables:
         (folder / f"{table.name}.tex").write_text(format_latex(table, result.synthetic), encoding="utf-8")
@@ -218,6 +220,11 @@ def write_files(result: Run, folder: Path) -> None:
     store_run(result, folder)
     write_json(folder / "run.json", result.run_json)
     write_json(folder / "timing.json", result.timing)
+
+
+def _mark_origin(frame: pd.DataFrame, origin: str) -> pd.DataFrame:
+    marked = origin == "none" or "origin" in frame
+    return frame if marked else frame.assign(origin=origin)
 
 
 def label_figures(figures: FigurePaths, synthetic: bool) -> None:

@@ -1,7 +1,7 @@
 """The result of a study: tables, provenance, and the file that stores them."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -14,11 +14,12 @@ from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.json_values import to_json_values
 from needlefit.project.run_file import read_timing, require_schema
 from needlefit.schemas.result_files import StoredRunTable
+from needlefit.studies.columnar import ColumnarFrames, list_columns, open_files, store_files
 from needlefit.studies.kind import KINDS, find_kind
 from needlefit.studies.packing import RESULTS_FILE, damage_error, pack, pack_frame, unpack, unpack_frame
 from needlefit.studies.verdict import Verdict, judge_run
 
-Frames = dict[str, pd.DataFrame]
+Frames = MutableMapping[str, pd.DataFrame]
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Run:
     dataset_title : str
         The data, in words.
     frames : mapping of DataFrame
-        One row a fact, the unit in every column's name.
+        One row a fact, the unit in every column's name. Those of `ColumnarFrames` lie in files.
     run : dict
         All that decides the result (versions, data, configuration, rules); no time and no path.
     timing : dict
@@ -137,16 +138,18 @@ _PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "faults", "r
 def store_run(result: Run, folder: Path) -> Path:
     """Write a result without its times to `folder`; equal results give equal bytes.
 
-    Posteriors stay in netCDF files of their own beside it.
+    Posteriors and the frames of files stay in files of their own beside it.
     """
     files = posterior_file_names(len(result.posteriors))
     for posterior, file in zip(result.posteriors.values(), files, strict=True):
         save(posterior, folder / file)
+    columnar = store_files(result.frames, folder)
     table = {
         "posteriors": list(result.posteriors),
         "record": result.record.model_dump(mode="json", by_alias=True),
         **{key: to_json_values(getattr(result, key)) for key in _PLAIN},
-        "frames": {name: pack_frame(frame) for name, frame in result.frames.items()},
+        "frames": {name: pack_frame(result.frames[name]) for name in result.frames if name not in columnar},
+        **({"columnar": columnar} if columnar else {}),
     }
     return pack(table, folder)
 
@@ -165,8 +168,10 @@ def restore_run(folder: Path) -> Run:
             raise damage_error(folder / RESULTS_FILE, f"there is no kind of study called {table['kind']!r}")
         kind = find_kind(table["kind"])
         about: dict[str, Any] = {key: table[key] for key in _PLAIN}
-        frames = {name: unpack_frame(frame) for name, frame in table["frames"].items()}
+        frames: Frames = {name: unpack_frame(frame) for name, frame in table["frames"].items()}
         frames = {name: _add_missing_columns(frame, name) for name, frame in frames.items()}
+        if columnar := open_files(folder, table.get("columnar", {})):
+            frames = ColumnarFrames({**frames, **columnar})
         _require_columns(frames, kind.frames)
         names = table["posteriors"]
         files = posterior_file_names(len(names))
@@ -199,6 +204,7 @@ def _add_missing_columns(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 
 def _require_columns(frames: Frames, columns: Mapping[str, Sequence[str]]) -> None:
     for name, wanted in columns.items():
-        missing = [column for column in wanted if name not in frames or column not in frames[name]]
+        found = list_columns(frames, name) if name in frames else []
+        missing = [column for column in wanted if column not in found]
         if missing:
             raise ValueError(f"the table {name} lacks {', '.join(missing)}")

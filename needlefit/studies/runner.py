@@ -1,9 +1,12 @@
 """Run an analysis of any kind: checkpointed tasks, then a conclusion; the result has its provenance."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Generic, TypeVar
 
 import pandas as pd
@@ -29,8 +32,6 @@ Value = TypeVar("Value")
 AnalysisTask = Callable[[], FrameRows]
 """Computes the rows of one task from its arguments alone; its random streams are keyed by them too."""
 
-_CHECKPOINT_ROWS = "tasks"
-
 
 class Shared(Generic[Value]):
     """A value that several tasks need: computed by the first call, and sent with the tasks."""
@@ -53,29 +54,39 @@ def run_tasks(
     settings: Settings,
     checkpoint: Checkpoint,
     shared: Sequence[Callable[[], object]] = (),
-) -> tuple[FrameRows, bool]:
-    """Return the rows of all tasks in their order, and whether a stop left some of them undone.
+) -> Iterator[FrameRows]:
+    """Yield the rows of each task, in the order of the tasks, once it and all before it are done.
 
-    Where several tasks are left, `shared` is called before them.
+    Each task has a file of the checkpoint, or a temporary one: memory does not grow with their number. A stop
+    leaves tasks undone; those that are done are yielded all the same. Where several tasks are left, `shared`
+    is called before them.
 
     A task that a stop interrupts is discarded: its rows would be incomplete.
     """
-    finished: dict[str, FrameRows] = {
-        row["task"]: row["rows"] for row in checkpoint.rows(_CHECKPOINT_ROWS, ("task", "rows"))
-    }
-    left = [key for key in tasks if key not in finished]
-    done = len(tasks) - len(left)
-    settings.progress(label, done, len(tasks))
-    for compute in shared if len(left) > 1 else ():
-        compute()
-    for n, text in settings.task_pool().run(_compute_rows, [tasks[key] for key in left], settings.stop):
-        if settings.stop():
-            break
-        finished[left[n]] = json.loads(text)
-        checkpoint.keep_row(_CHECKPOINT_ROWS, {"task": left[n], "rows": finished[left[n]]})
-        done += 1
-        settings.progress(f"{label}: {left[n]}", done, len(tasks))
-    return join_rows([finished[key] for key in tasks if key in finished]), done < len(tasks)
+    with TemporaryDirectory(prefix="needlefit-") as spare:
+        kept = replace(checkpoint, folder=checkpoint.folder or Path(spare))
+
+        def read(key: str) -> list[FrameRows]:
+            return [row["rows"] for row in kept.rows(f"task {key}", ("rows",))]
+
+        finished = {key for key in tasks if read(key)}
+        left, due = [key for key in tasks if key not in finished], deque(tasks)
+        settings.progress(label, len(finished), len(tasks))
+        for compute in shared if len(left) > 1 else ():
+            compute()
+        while due and due[0] in finished:
+            yield read(due.popleft())[0]
+        for n, text in settings.task_pool().run(_compute_rows, [tasks[key] for key in left], settings.stop):
+            if settings.stop():
+                break
+            kept.keep_row(f"task {left[n]}", {"rows": json.loads(text)})
+            finished.add(left[n])
+            settings.progress(f"{label}: {left[n]}", len(finished), len(tasks))
+            while due and due[0] in finished:
+                yield read(due.popleft())[0]
+        for key in due:
+            if key in finished:
+                yield read(key)[0]
 
 
 def _compute_rows(task: AnalysisTask) -> str:
@@ -90,6 +101,12 @@ def join_rows(parts: Iterable[FrameRows]) -> FrameRows:
         for frame, rows in part.items():
             every.setdefault(frame, []).extend(rows)
     return every
+
+
+def _make_frames(parts: Iterable[FrameRows], columns: Mapping[str, Sequence[str]]) -> Frames:
+    """Return the rows of all tasks as frames in memory."""
+    rows = join_rows(parts)
+    return {name: pd.DataFrame(rows.get(name, []), columns=list(names)) for name, names in columns.items()}
 
 
 def _conclude_nothing(frames: Frames) -> tuple[str, ...]:
@@ -121,6 +138,8 @@ class AnalysisPlan:
         Compute what several tasks need and keep, before the tasks are sent to other processes.
     warnings : sequence of ResultWarning
         About the data, besides those of the jobs.
+    collect : callable
+        Rows of each task, and `columns` -> the frames.
     """
 
     jobs: Sequence[Job]
@@ -132,6 +151,7 @@ class AnalysisPlan:
     parameters: Mapping[str, Parameters] = field(default_factory=dict)
     shared: Sequence[Callable[[], object]] = ()
     warnings: Sequence[ResultWarning] = ()
+    collect: Callable[[Iterable[FrameRows], Mapping[str, Sequence[str]]], Frames] = _make_frames
 
 
 def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: AnalysisPlan) -> Run:
@@ -144,8 +164,16 @@ def run_analysis(name: str, record: AnalysisRecord, settings: Settings, plan: An
     """
     work = _describe_configuration(name, record, plan)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
-    rows, interrupted = run_tasks(plan.tasks, name, settings, checkpoint, plan.shared)
-    frames = {frame: _make_frame(rows.get(frame, []), columns) for frame, columns in plan.columns.items()}
+    done = 0
+
+    def count_parts() -> Iterator[FrameRows]:
+        nonlocal done
+        for part in run_tasks(plan.tasks, name, settings, checkpoint, plan.shared):
+            done += 1
+            yield part
+
+    frames = plan.collect(count_parts(), plan.columns)
+    interrupted = done < len(plan.tasks)
     faults = () if interrupted else plan.conclude(frames)
     at_bounds = analysis_bound_warnings(frames["fits"], plan.parameters) if plan.parameters else ()
     datasets = {job.dataset.name: job.dataset for job in plan.jobs}.values()
@@ -193,7 +221,3 @@ def _describe_configuration(name: str, record: AnalysisRecord, plan: AnalysisPla
 
 
 _PARTS = ("medium", "recipe", "rules", "hand_tuned", "folds")
-
-
-def _make_frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> pd.DataFrame:
-    return pd.DataFrame(list(rows), columns=list(columns))

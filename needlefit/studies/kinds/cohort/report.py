@@ -1,6 +1,6 @@
 """Report of a cohort: parameters and errors over specimens, and what could not be fitted."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from needlefit.reporting.number_format import (
 )
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_layout import TableLayout
+from needlefit.studies.columnar import ColumnarFrames, read_columns
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
 from needlefit.studies.verdict import Verdict
@@ -37,26 +38,24 @@ MAX_NAMED = 3
 MAX_BINS = 40
 """Bins of a histogram."""
 
-PARQUET = "fits.parquet"
-"""The frame `fits`, in a columnar file."""
-
 
 def summarize(result: Run) -> list[str]:
     """Return sentences: how many were fitted, the median of each parameter, and the errors."""
-    errors, failures = result.frames["errors"], result.frames["failures"]
-    count = len(errors)
+    metrics = [metric.name for metric in headline_metrics()]
+    errors = read_columns(result.frames, "errors", ("dataset", "insertions", *metrics))
     parts = [_format_median(name, rows) for name, rows in _by_parameter(result)]
-    typical = {metric.name: float(errors[metric.name].median()) for metric in headline_metrics()}
+    typical = {name: float(errors[name].median()) for name in metrics}
     return [
-        f"Fitted {count} specimens of {errors['dataset'].nunique()} datasets "
-        f"({int(errors['insertions'].sum())} insertions); {_name_failures(failures)}.",
+        f"Fitted {len(errors)} specimens of {errors['dataset'].nunique()} datasets "
+        f"({int(errors['insertions'].sum())} insertions); {_name_failures(result)}.",
         f"Median over specimens: {'; '.join(parts)}.",
         f"Median in-sample error: {join_metrics(typical)}.",
     ]
 
 
-def _name_failures(failures: pd.DataFrame) -> str:
+def _name_failures(result: Run) -> str:
     """Return how many could not be fitted, the first of them, and the file that has them all."""
+    failures = read_columns(result.frames, "failures", ("dataset", "specimen"))
     if failures.empty:
         return "0 could not be fitted"
     pairs = failures[["dataset", "specimen"]].itertuples(index=False)
@@ -76,15 +75,17 @@ def _symbol(name: str) -> str:
 
 def judge(result: Run) -> list[Verdict]:
     """Return the first sentence; failures and open searches make it a warning."""
-    whole = result.frames["failures"].empty and bool(result.frames["errors"]["converged"].all())
+    failures = len(read_columns(result.frames, "failures", ("dataset",)))
+    whole = not failures and bool(read_columns(result.frames, "errors", ("converged",))["converged"].all())
     sentence = summarize(result)[0].rstrip(".")
-    numbers = {"failures": len(result.frames["failures"])}
-    return [Verdict(sentence, "pass" if whole else "warn", numbers=numbers)]
+    return [Verdict(sentence, "pass" if whole else "warn", numbers={"failures": failures})]
 
 
-def _by_parameter(result: Run) -> Iterator[tuple[str, pd.DataFrame]]:
-    for name, rows in result.frames["fits"].groupby("parameter", sort=False):
-        yield str(name), rows
+def _by_parameter(result: Run, columns: Sequence[str] = ("value",)) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield some columns of the fits, parameter by parameter."""
+    fits = read_columns(result.frames, "fits", ("parameter", *columns))
+    for name in fits["parameter"].unique():  # a `groupby` would take three times the memory
+        yield str(name), fits.loc[fits["parameter"] == name, list(columns)]
 
 
 def lay_out_tables(result: Run) -> list[TableLayout]:
@@ -94,7 +95,7 @@ def lay_out_tables(result: Run) -> list[TableLayout]:
 
 def _lay_out_parameters(result: Run) -> TableLayout:
     rows = []
-    for name, found in _by_parameter(result):
+    for name, found in _by_parameter(result, ("value", "sd", "at_bound")):
         low, high = np.quantile(found["value"], [0.05, 0.95]).tolist()
         rows.append(
             {
@@ -114,7 +115,7 @@ def _lay_out_parameters(result: Run) -> TableLayout:
 
 
 def _lay_out_failures(result: Run) -> list[TableLayout]:
-    failures = result.frames["failures"]
+    failures = read_columns(result.frames, "failures", ("dataset", "specimen", "note"))
     if failures.empty:
         return []
     caption = f"What could not be fitted ({min(len(failures), MAX_LISTED)} of {len(failures)})."
@@ -167,8 +168,9 @@ def compose_sections(result: Run, figures: FigurePaths) -> list[Block]:
 
 
 def write_parquet(result: Run, folder: Path) -> None:
-    """Write all fits to one columnar file."""
-    result.frames["fits"].to_parquet(folder / PARQUET, index=False)
+    """Write the fits of a run of an earlier version, which stored them in another file, as Parquet."""
+    if not isinstance(result.frames, ColumnarFrames):
+        result.frames["fits"].to_parquet(folder / "fits.parquet", index=False)
 
 
 REPORT = StudyReport(

@@ -1,15 +1,14 @@
 """Fit a tissue model to each specimen of many datasets; a dataset that cannot be fitted is a row of its own.
 
-Each dataset is one task, which reads it, fits its specimens and forgets it: memory does not grow with the
-cohort, but for the tables of results. To another machine a dataset is sent as it was read here, with the
-tissue model and the recipe: no file is looked up there.
+Each dataset is one task, which reads it, fits its specimens and forgets it; its rows are appended to Parquet
+files: memory does not grow with the cohort. To another machine a dataset is sent as it was read here, with
+the tissue model and the recipe: no file is looked up there.
 """
 
 import glob
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import provenance
+from needlefit.studies.columnar import iterate_pieces, read_columns, require_pyarrow, write_frames
 from needlefit.studies.folds import Fold, group_insertions
 from needlefit.studies.job import Job, Settings, find_named, prepare
 from needlefit.studies.kinds.cohort.schema import CohortRecord
@@ -54,6 +54,12 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 """`specimen` is that of the insertions fitted together, or the insertion; errors are means over these, in
 sample."""
 
+_TYPES = {
+    "insertions": "int64",
+    **dict.fromkeys(("value", "sd"), "float64"),
+    **dict.fromkeys(("at_bound", "converged"), "bool"),
+}
+
 
 def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     """Fit each specimen of a cohort.
@@ -63,11 +69,7 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     ConfigError
         If no dataset matches, the tissue model or the recipe is wrong, or nothing could be fitted.
     """
-    if find_spec("pyarrow") is None:
-        raise ConfigError(
-            "a cohort is written as a Parquet file, for which PyArrow is not installed",
-            fix="pip install 'needlefit[cluster]'",
-        )
+    require_pyarrow()
     with add_study_context(name, "datasets"):
         files = find_datasets(record)
     medium_file = find_named("medium", record.medium)
@@ -75,25 +77,24 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     recipe = load(find_named("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
-    inputs = replace(settings.inputs, medium=medium, recipe=recipe)
+    settings = replace(settings, inputs=replace(settings.inputs, medium=medium, recipe=recipe))
     source = _SentDataset if settings.task_pool().remote else _LocalDataset
     tasks: dict[str, AnalysisTask] = {
-        str(file.parent): partial(
-            _fit_dataset, name, file, source(file), record, replace(settings, inputs=inputs)
-        )
-        for file in files
+        str(file.parent): partial(_fit_dataset, name, file, source(file), record, settings) for file in files
     }
+    metrics = tuple(metric.name for metric in list_metrics())
     columns = {
         "fits": FRAMES["fits"],
-        "errors": (*FRAMES["errors"], *(metric.name for metric in list_metrics())),
+        "errors": (*FRAMES["errors"], *metrics),
         "failures": (*FRAMES["failures"], "origin"),
     }
+    collect = partial(write_frames, _TYPES | dict.fromkeys(metrics, "float64"))
     digests = {str(file.parent): digest_folders(file) for file in files}
     warnings = (*_warn_of_copies(digests), *medium_warnings(medium, medium_file))
     also = {"datasets_sha256": digests, **_describe_inputs(medium, recipe)}
-    plan = AnalysisPlan((), tasks, columns, _conclude, also, warnings=warnings)
+    plan = AnalysisPlan((), tasks, columns, _conclude, also, warnings=warnings, collect=collect)
     found = run_analysis(name, record, settings, plan)
-    made = (found.frames["fits"]["origin"] == "synthetic").any()
+    made = (read_columns(found.frames, "errors", ("origin",))["origin"] == "synthetic").any()
     title = f"{len(files)} dataset{'s' * (len(files) > 1)}"
     return replace(found, origin="synthetic" if made else "measured", dataset_title=title)
 
@@ -233,8 +234,9 @@ def _fit_specimen(
 
 
 def _conclude(frames: Frames) -> tuple[str, ...]:
-    errors, failures = frames["errors"], frames["failures"]
-    if errors.empty:
-        raise ConfigError("nothing in the cohort could be fitted", expected=str(failures["note"].iloc[0]))
-    open_fits = int((~errors["converged"].astype(bool)).sum())
+    converged = read_columns(frames, "errors", ("converged",))["converged"].astype(bool)
+    if converged.empty:
+        first = next(iterate_pieces(frames, "failures"))
+        raise ConfigError("nothing in the cohort could be fitted", expected=str(first["note"].iloc[0]))
+    open_fits = int((~converged).sum())
     return (f"the searches of {open_fits} specimens did not converge",) if open_fits else ()
