@@ -284,12 +284,14 @@ class _Interpolation:
     @cached_property
     def _rows(self) -> Floats:
         """Return the steps as one block of memory, (B, 2 d, 2 K)."""
-        return np.ascontiguousarray(self.steps).reshape(*self.steps.shape[:2], -1)
+        count, nodes, points, _ = self.steps.shape
+        return np.ascontiguousarray(self.steps).reshape(count, nodes, 2 * points)
 
     def at(self, shifts: Floats, deep: Floats) -> Floats:
         """Return the points (B, K, 2) with boundaries shifted by (B, n - 1) and the entry by (B,), mm."""
         whole = np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach  # (B, d)
-        weights = make_spline_weights(NODE_PLACES, whole.ravel()).reshape(len(whole), 1, -1)
+        nodes = self.steps.shape[1]  # none where no depth is open
+        weights = make_spline_weights(NODE_PLACES, whole.ravel()).reshape(len(whole), 1, nodes)
         moved: Floats = self.points + (weights @ self._rows).reshape(self.points.shape)
         return moved
 
