@@ -54,9 +54,12 @@ if __name__ == "__main__":
             assert [n for n, _, _ in found] == [1, 2, 3, 4] and {one for *_, one in found} == {expected}
             assert len({process for _, process, _ in found} - {os.getpid()}) == 2
             assert threading.active_count() == 1
-        parts = dict(tasks.run_parts(tell, [1, 2, 3, 4, 5, 6, 7], pool, 1, tasks.TaskStop(lambda: False)))
-        assert [n for n, _, _ in (parts[k] for k in range(7))] == [1, 2, 3, 4, 5, 6, 7]
-        assert len({process for _, process, _ in parts.values()} - {os.getpid()}) == 2
+        for loaded in (False, True):
+            stop = tasks.TaskStop(lambda: False)
+            parts = dict(tasks.run_parts(tell, [1, 2, 3, 4, 5], pool, 1, stop, loaded))
+            assert [parts[k][0] for k in range(5)] == [1, 2, 3, 4, 5]
+            assert (parts[0][1] == os.getpid()) is not loaded
+            assert len({parts[k][1] for k in range(1, 5)} - {os.getpid()}) == 2
         print(os.getpid(), flush=True)
         if len(sys.argv) > 1:
             list(pool.run(time.sleep, [60, 60]))

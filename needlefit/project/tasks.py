@@ -43,6 +43,9 @@ STOP_POLL_S = 0.2
 MIN_SHARED_S = 8.0
 """Seconds of work that are worth new processes: each takes two or three of processor time to begin."""
 
+MIN_COPIED_S = 0.5
+"""Seconds of work that are worth copies of this process: they begin within 0.1 s."""
+
 
 class TaskPool(Protocol):
     """Where tasks run."""
@@ -156,21 +159,27 @@ def _find_stop_of_task() -> Stop:
 
 
 def run_parts(
-    work: Callable[[Item], Result], items: Sequence[Item], pool: TaskPool, threads: int, stop: TaskStop
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    pool: TaskPool,
+    threads: int,
+    stop: TaskStop,
+    loaded: bool = False,
 ) -> Iterator[tuple[int, Result]]:
     """Yield results as `TaskPool.run` does, of parts that may be short.
 
-    Copies of this process begin within 0.1 s, so that all go to them. Else the first part shows how long they
-    take: if the others are worth a process they go to the pool, else they stay in this process, on so many
-    threads. `stop` is requested in the end.
+    The first one shows how long they take, and loads what they need, which copies of this process then have:
+    if the others are worth a process they go to the pool, else they stay in this process, on so many threads.
+    Where all is `loaded`, copies get the first one too. `stop` is requested in the end.
     """
     begun, left = time.perf_counter(), list(range(len(items)))
     try:
         if pool is not THIS_PROCESS and len(items) > 1 and not stop():
             copied = not pool.remote and can_fork()
-            if not copied:
+            if not (copied and loaded):
                 yield left.pop(0), work(items[0])
-            if copied or (time.perf_counter() - begun) * len(left) > MIN_SHARED_S:
+            expected = (time.perf_counter() - begun) * len(left)
+            if (copied and loaded) or expected > (MIN_COPIED_S if copied else MIN_SHARED_S):
                 for n, result in pool.run(work, [items[n] for n in left], stop):
                     yield left[n], result
                 return

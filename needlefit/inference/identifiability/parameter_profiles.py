@@ -142,7 +142,7 @@ def profile_parameters(
 
     parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_alphas(noisy)]
     work = partial(_profile_one, noisy, optimum, elsewhere, scale)
-    every = dict(run_parts(work, parts, pool, jobs, TaskStop(stop)))
+    every = dict(run_parts(work, parts, pool, jobs, TaskStop(stop), loaded=True))
     found = tuple(every[n] for n in sorted(every))
     spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
     at_fit = noisy.residuals(np.array(fit.theta))

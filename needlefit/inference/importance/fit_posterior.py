@@ -98,7 +98,8 @@ def trace_profiles(problem: Problem, mode: Floats, pool: TaskPool = THIS_PROCESS
     stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
     optimum = minimize_squares(problem, mode)
     traced = [k for k, name in enumerate(problem.names) if name not in stated]
-    found = dict(run_parts(partial(_trace_one, problem, optimum), traced, pool, 1, TaskStop(never_stop)))
+    work, stop = partial(_trace_one, problem, optimum), TaskStop(never_stop)
+    found = dict(run_parts(work, traced, pool, 1, stop, loaded=True))
     points = [one for n in range(len(traced)) for one in found[n]]
     return [one for one in points if one.value - optimum.value <= 2 * MAX_LOG_DENSITY_GAP]
 
