@@ -52,7 +52,7 @@ MIN_NODE_MM = 0.05
 """Least distance of the depths at which needles are simulated, mm."""
 
 NODE_DRAWS = 3 * LANES
-"""Draws, at least, that are simulated with other depths than the middle: whole blocks of the lanes."""
+"""Draws, at most, that are simulated with other depths than the middle: whole blocks of the lanes."""
 
 SAME_DRAW = 1e-6
 """Deviations of parameters (ln of positive ones) below which draws do not differ."""
