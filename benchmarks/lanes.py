@@ -2,6 +2,7 @@
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/lanes.py [--json] [--rounds N]
     ... --beside FOLDER     time per step and set beside the package of another checkout, in turns
+    ... --priors            time per step and set over broad priors, beside nominal sets, in turns
     ... --errors            largest errors against full passes to 1e-11 mm
     ... --features          lanes beside the scalar kernel, for each kind of input
 
@@ -67,6 +68,7 @@ LOOPS = ("full_regular", "chord_regular", "full_interval", "chord_interval", "fu
          "extrapolate_node", "friction_point")  # fmt: skip
 TABLES = ("table", "bending", "shapes")  # the arguments that have two dimensions
 FEATURE_SETS = 128
+TIMED_SETS = 1024
 ARITHMETIC = re.compile(r"\bv?(?:add|sub|mul|div|fn?m(?:add|sub)(?:132|213|231))([ps])d\b.*")
 
 
@@ -236,17 +238,39 @@ def compare(folder: str, rounds: int) -> None:
         program.stdin.close()
 
 
+def make_kinds(nominal: int, broad: int) -> dict[str, Batch]:
+    """Return so many sets about the nominal one, and over broad priors."""
+    rng = np.random.default_rng(5)
+    priors = replace(
+        batch(broad, TOLERANCES[0]),
+        mu=10 ** rng.uniform(np.log10(0.05), np.log10(60), (broad, 4)),
+        alpha=rng.uniform(-3, 3, (broad, 4)),
+        offset=rng.uniform(0, 0.2, broad),
+    )
+    return {"within 30 % of nominal": batch(nominal, TOLERANCES[0]), "priors": priors}
+
+
+def time_priors(rounds: int) -> None:
+    """Print the time per step and set, us of wall, of nominal sets and of those over priors, in turns."""
+    kinds, found = make_kinds(TIMED_SETS, TIMED_SETS), {}
+    for n in range(rounds + 1):  # the first round is for the caches
+        for threads in (1, 2):
+            for name, sets in kinds.items():
+                begin = time.perf_counter()
+                (shapes,) = simulate_batches([sets], threads)
+                taken = 1e6 * (time.perf_counter() - begin) / TIMED_SETS / DEPTH
+                if n:
+                    found.setdefault((name, threads, int((~shapes.converged).sum())), []).append(taken)
+    for (name, threads, failed), taken in found.items():
+        print(
+            f"{name:24s} {threads} threads: least {min(taken):.3f}, median {np.median(taken):.3f} us; "
+            f"{failed} of {TIMED_SETS} sets without a solution"
+        )
+
+
 def print_errors(count: int = 10_000) -> None:
     """Print the largest errors of shapes, mm, for nominal sets and broad priors."""
-    rng = np.random.default_rng(5)
-    nominal = batch(SETS, TOLERANCES[0])
-    broad = replace(
-        batch(count, TOLERANCES[0]),
-        mu=10 ** rng.uniform(np.log10(0.05), np.log10(60), (count, 4)),
-        alpha=rng.uniform(-3, 3, (count, 4)),
-        offset=rng.uniform(0, 0.2, count),
-    )
-    for name, sets in (("within 30 % of nominal", nominal), ("priors", broad)):
+    for name, sets in make_kinds(SETS, count).items():
         (found,) = simulate_batches([sets])
         (exact,) = simulate_batches([replace(sets, rules=replace(sets.rules, tolerance=1e-11))])
         errors = np.abs(found.u - exact.u).max(axis=1)[found.converged & exact.converged]
@@ -304,6 +328,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--beside", metavar="FOLDER")
+    parser.add_argument("--priors", action="store_true")
     parser.add_argument("--errors", action="store_true")
     parser.add_argument("--features", action="store_true")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
@@ -316,6 +341,9 @@ def main() -> None:
         return
     if arguments.features:
         compare_features(arguments.rounds)
+        return
+    if arguments.priors:
+        time_priors(arguments.rounds)
         return
     if arguments.errors:
         print_errors()
