@@ -37,15 +37,24 @@ def pool():
 
 
 COPIES = """
-import os, sys, threading, time
+import os, signal, sys, threading, time
+from needlefit.errors import ConfigError
 from needlefit.project import forked, tasks
 
 def tell(n):
     time.sleep(0.2)
     return n, os.getpid(), sys.modules["__main__"].loaded
 
+def fail_or_die(n):
+    if n == 0:
+        raise ZeroDivisionError
+    if n == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(60)
+
 if __name__ == "__main__":
     loaded = "before"
+    signal.signal(signal.SIGTERM, lambda *_: None)
     forked.count_cores = lambda: 2
     with tasks.LocalPool(2) as pool:
         for expected in ("before", "since"):
@@ -60,6 +69,12 @@ if __name__ == "__main__":
             assert [parts[k][0] for k in range(5)] == [1, 2, 3, 4, 5]
             assert (parts[0][1] == os.getpid()) is not loaded
             assert len({parts[k][1] for k in range(1, 5)} - {os.getpid()}) == 2
+        for items, error in (([0, 0], ZeroDivisionError), ([1, 2], ConfigError)):
+            try:
+                list(pool.run(fail_or_die, items))
+            except error:
+                continue
+            raise AssertionError(items)
         print(os.getpid(), flush=True)
         if len(sys.argv) > 1:
             list(pool.run(time.sleep, [60, 60]))
@@ -80,7 +95,7 @@ def test_processes_stay_until_the_end_of_the_with_statement(pool):
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
 def test_copies_of_this_process_have_what_it_has_loaded_and_end_with_each_run(tmp_path):
     (tmp_path / "copies.py").write_text(COPIES)
-    subprocess.run((sys.executable, "copies.py"), cwd=tmp_path, check=True)
+    subprocess.run((sys.executable, "copies.py"), cwd=tmp_path, check=True, timeout=50)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")

@@ -86,13 +86,18 @@ def _bar() -> Iterator[Report]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     remaining = RemainingTime()
+    # without its thread: a process with threads is not forked (`project.forked`)
     with Progress(
-        *columns, TextColumn("{task.fields[left]}"), console=Console(stderr=True), transient=True
+        *columns,
+        TextColumn("{task.fields[left]}"),
+        console=Console(stderr=True),
+        transient=True,
+        auto_refresh=False,
     ) as bar:
         task = bar.add_task("starting", total=None, left="")
 
         def report(label: str, done: int, total: int) -> None:
             left = format_remaining(remaining.estimate(done, total)).removeprefix(", ")
-            bar.update(task, description=label, completed=done, total=total, left=left)
+            bar.update(task, description=label, completed=done, total=total, left=left, refresh=True)
 
         yield report

@@ -1,4 +1,4 @@
-"""Copies of this process, where they cost nothing (Linux): they have loaded everything that it has."""
+"""Fork this process (Linux): a copy has loaded everything that it has."""
 
 import os
 import signal
@@ -48,7 +48,10 @@ def compute_in_two_processes(work: Sequence[Callable[[], bytes]]) -> list[bytes]
 
 
 def can_fork() -> bool:
-    """Return whether a copy works: libraries of macOS do not survive it, nor do locks that threads hold."""
+    """Return whether a copy works: libraries of macOS do not survive it, nor do locks that threads hold.
+
+    Threads of libraries are not seen: a copy must not wait for one that has worked here, such as typst's.
+    """
     return sys.platform == "linux" and count_cores() > 1 and threading.active_count() == 1
 
 

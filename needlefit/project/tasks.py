@@ -11,6 +11,7 @@ This module imports nothing heavy, so that a new process limits itself to one th
 import os
 import pickle
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -44,7 +45,10 @@ MIN_SHARED_S = 8.0
 """Seconds of work that are worth new processes: each takes two or three of processor time to begin."""
 
 MIN_COPIED_S = 0.5
-"""Seconds of work that are worth copies of this process: they begin within 0.1 s."""
+"""Seconds of work that are worth forked processes: two begin and end within 0.1 s."""
+
+
+_ENDING_SIGNALS = {signal.SIGTERM, signal.SIGHUP} if sys.platform == "linux" else set[signal.Signals]()
 
 
 class TaskPool(Protocol):
@@ -81,7 +85,7 @@ class TaskPool(Protocol):
 class LocalPool:
     """Processes of this machine; with one task or `size` 1 everything is done in this process.
 
-    They end with each run, or, in a `with` statement, with that; copies of this process always with the run.
+    They end with each run, or, in a `with` statement, with that; forked ones always with the run.
     """
 
     size: int = 1
@@ -101,7 +105,7 @@ class LocalPool:
         """Yield results as they are finished: see `TaskPool.run`."""
         count = min(self.size, len(items))
         if count > 1:
-            # copies begin at once, and a later one has what was loaded since
+            # forked processes begin at once, and later ones have what was loaded since
             own = can_fork() or not self._kept
             processes = _Processes(count) if own else self._kept[-1]
             try:
@@ -168,9 +172,9 @@ def run_parts(
 ) -> Iterator[tuple[int, Result]]:
     """Yield results as `TaskPool.run` does, of parts that may be short.
 
-    The first one shows how long they take, and loads what they need, which copies of this process then have:
-    if the others are worth a process they go to the pool, else they stay in this process, on so many threads.
-    Where all is `loaded`, copies get the first one too. `stop` is requested in the end.
+    The first one shows how long they take, and loads what they need, which forked processes then have: if the
+    others take long they go to the pool, else they stay in this process, on so many threads. If all that they
+    need is `loaded`, forked processes get the first one too. `stop` is requested in the end.
     """
     begun, left = time.perf_counter(), list(range(len(items)))
     try:
@@ -274,7 +278,13 @@ class _Processes:
         context = get_context("fork" if copied else "spawn")
         event = context.Event()
         parent = os.getpid() if copied else None
-        return ProcessPoolExecutor(self._size, context, _begin_process, (event, parent)), event
+        pool = ProcessPoolExecutor(self._size, context, _begin_process, (event, parent))
+        if copied:
+            # a signal that comes before a copy has its own handlers waits until then
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING_SIGNALS)
+            pool.submit(int)  # the first task forks all processes
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return pool, event
 
 
 def _run_task(data: bytes, item: object, threads: int) -> tuple[Any, bool]:
@@ -306,11 +316,14 @@ def _begin_process(stop: Event, parent: int | None) -> None:
 
     `parent` is the process that this one is a copy of: it then has loaded its linear algebra already.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    limit_to_one_thread()
     if parent is not None:
         from threadpoolctl import threadpool_limits
 
         end_with(parent)
+        for number in _ENDING_SIGNALS:  # the parent's handlers only note them
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING_SIGNALS)
         threadpool_limits(1, user_api="blas")
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    limit_to_one_thread()
     _Surroundings.stop = stop
