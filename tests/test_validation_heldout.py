@@ -140,14 +140,17 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
     sets = [job.parameters.values(theta) for theta in known.thetas[:300]]
     conditions = draw_conditions(insertion, len(sets), np.random.default_rng(3))
     s = np.linspace(10.0, insertion.depth, 5)
-    few = [0, 7, 101, 202, 299]  # of which most are not simulated with other depths
-    for drawn, tolerance in ((sets, 0.02), ([sets[0]] * len(sets), 0.01)):
+    other = [*sets[:-1], {**sets[-1], "alpha1": 1.5 * sets[-1]["alpha1"]}]
+    for drawn, tolerance in ((other, 0.05), ([sets[0]] * len(sets), 0.02)):
         together = simulate_planned(drawn, medium, needle, insertion, s, conditions)
         assert together.solved.all() and together.valid.all()
-        for n in few:
+        for n in [*range(3, 299, 37), 299]:  # of which most are not simulated with other depths
             wrong, deep = conditions.wrong[n], conditions.deep[n]
             alone = predict_alone(drawn[n], medium, needle, insertion, s, wrong, deep)
             assert together.points[n] == pytest.approx(alone, abs=tolerance)
+    failing = [{**sets[0], "mu1_pa": np.nan}, *sets[1:]]
+    found = simulate_planned(failing, medium, needle, insertion, s, conditions)
+    assert not found.solved[0] and found.solved[1:].all()
 
 
 def test_the_measured_shape_is_only_compared(job, known):

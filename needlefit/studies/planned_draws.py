@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
@@ -54,6 +55,9 @@ MIN_NODE_MM = 0.05
 NODE_DRAWS = 3 * LANES
 """Draws, at most, that are simulated with other depths than the middle: whole blocks of the lanes."""
 
+FAR_DRAWS = LANES
+"""Draws of these that are chosen because they lie farthest from the others: nothing is extrapolated far."""
+
 SAME_DRAW = 1e-6
 """Deviations of parameters (ln of positive ones) below which draws do not differ."""
 
@@ -79,7 +83,10 @@ class DrawnConditions:
 
 @dataclass(frozen=True)
 class PlannedNeedles:
-    """The needles of B draws: points (B, K, 2) in C, mm, NaN where a solve failed; and which are valid."""
+    """The needles of B draws: points (B, K, 2) in C, mm, and which are valid.
+
+    Points are NaN where the solve at the middle depths failed; validity is of these depths too.
+    """
 
     points: Floats
     valid: Bools
@@ -184,6 +191,10 @@ def simulate_planned(
 def _make_coordinates(sets: Sequence[Mapping[str, float]]) -> Floats:
     """Return what differs between sets of values, (B, P): ln of positive parameters, on principal axes."""
     table = np.array([list(values.values()) for values in sets])
+    finite = np.isfinite(table).all(axis=1)
+    if not finite.any():
+        return np.empty((len(table), 0))
+    table[~finite] = table[finite][0]  # their needles have no solution, whatever their depths
     positive = (table > 0).all(axis=0)
     table[:, positive] = np.log(table[:, positive])
     left, sizes, _ = np.linalg.svd(table - table.mean(axis=0), full_matrices=False)
@@ -192,12 +203,18 @@ def _make_coordinates(sets: Sequence[Mapping[str, float]]) -> Floats:
 
 
 def _choose_draws(coordinates: Floats) -> Ints:
-    """Return up to `NODE_DRAWS` draws that differ from each other, (C,), evenly spaced in their order."""
+    """Return up to `NODE_DRAWS` draws that differ, (C,): evenly spaced in their order, then the farthest."""
     _, first = np.unique((coordinates / SAME_DRAW).round(), axis=0, return_index=True)
     different = np.sort(first)
-    count = min(len(different), NODE_DRAWS)
-    chosen: Ints = different[np.linspace(0, len(different) - 1, count).round().astype(np.int64)]
-    return chosen
+    if len(different) <= NODE_DRAWS:
+        return different
+    evenly = np.linspace(0, len(different) - 1, NODE_DRAWS - FAR_DRAWS).round().astype(np.int64)
+    chosen = list(different[evenly])
+    nearest = cdist(coordinates, coordinates[chosen]).min(axis=1)
+    for _ in range(FAR_DRAWS):
+        chosen.append(np.argmax(nearest))
+        nearest = np.minimum(nearest, np.linalg.norm(coordinates - coordinates[chosen[-1]], axis=1))
+    return np.sort(chosen)
 
 
 def _interpolate_steps(coordinates: Floats, chosen: Ints, steps: Floats) -> Floats | None:
