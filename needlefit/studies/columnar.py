@@ -1,4 +1,4 @@
-"""Tables of a run that lie in Parquet files: memory does not grow with their rows.
+"""Tables of a run that are stored in Parquet files: memory does not grow with their rows.
 
 Rows are written while tasks finish, in the order of the tasks, and read column by column or piece by piece.
 """
@@ -105,7 +105,9 @@ def _read(file: Path, columns: Sequence[str] | None = None, categories: bool = F
 def write_frames(
     types: Mapping[str, str], parts: Iterable[Mapping[str, Rows]], columns: Mapping[str, Sequence[str]]
 ) -> ColumnarFrames:
-    """Write the rows of tasks to temporary Parquet files, one per frame, which go with the frames.
+    """Write the rows of tasks to temporary Parquet files, one per frame.
+
+    The files are removed when the returned object is no longer referenced; a copy of it does not keep them.
 
     Parameters
     ----------
@@ -141,9 +143,12 @@ class _RowWriter(AbstractContextManager["_RowWriter"]):
         self._schema, self._rows = schema, list[Mapping[str, Any]]()
         self._writer = parquet.ParquetWriter(file, schema)
 
-    def __exit__(self, *_: object) -> None:
-        self._write()
-        self._writer.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._write()
+        finally:
+            self._writer.close()
 
     def add(self, rows: Rows) -> None:
         self._rows += rows

@@ -62,7 +62,7 @@ SAME_DRAW = 1e-6
 """Deviations of parameters (ln of positive ones) below which draws do not differ."""
 
 CROSSING_ROUNDS = 6
-"""Rounds in which the crossings of interpolated needles come to rest; each changes them by a slope less."""
+"""Rounds in which the crossings of interpolated needles converge; each changes them by a slope less."""
 
 
 @dataclass(frozen=True)
