@@ -148,9 +148,9 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
             wrong, deep = conditions.wrong[n], conditions.deep[n]
             alone = predict_alone(drawn[n], medium, needle, insertion, s, wrong, deep)
             assert together.points[n] == pytest.approx(alone, abs=tolerance)
-    failing = [{**sets[0], "mu1_pa": np.nan}, *sets[1:]]
+    failing = [*sets[:-1], {**sets[-1], "mu1_pa": np.nan}]
     found = simulate_planned(failing, medium, needle, insertion, s, conditions)
-    assert not found.solved[0] and found.solved[1:].all()
+    assert found.solved[:-1].all() and not found.solved[-1]
 
 
 def test_the_measured_shape_is_only_compared(job, known):
