@@ -282,8 +282,10 @@ class _Processes:
         if copied:
             # a signal that comes before a copy has its own handlers waits until then
             before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING_SIGNALS)
-            pool.submit(int)  # the first task forks all processes
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            try:
+                pool.submit(int)  # the first task forks all processes
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
         return pool, event
 
 
