@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -13,12 +13,18 @@ from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import Surface
+from needlefit.project.late_import import import_late
+
+if TYPE_CHECKING:
+    import trimesh
+else:
+    trimesh = import_late("trimesh")
 
 TUBE_FACETS = 12
 """Number of corners of a tube's cross-section."""
 
 
-def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> trimesh.Trimesh:
+def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> "trimesh.Trimesh":
     """Return a closed tube with elliptic cross-sections; its triangles face outward.
 
     Parameters
@@ -49,7 +55,7 @@ def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> t
     return trimesh.Trimesh(np.vstack([vertices.reshape(-1, 3), ends]), _list_faces(count), process=False)
 
 
-def write_ply(mesh: trimesh.Trimesh, path: Path, comments: Sequence[str] = ()) -> None:
+def write_ply(mesh: "trimesh.Trimesh", path: Path, comments: Sequence[str] = ()) -> None:
     """Write a mesh in LPS as binary PLY, float32; the same mesh gives the same bytes.
 
     The header says `SPACE=LPS`, which 3D Slicer reads; `comments` stand beside it.

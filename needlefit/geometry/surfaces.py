@@ -5,11 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import trimesh
-import trimesh.triangles
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -19,6 +17,12 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import Frame, PatientSystem, apply_affine, normalize
 from needlefit.geometry.vtk_polydata import read_polydata
 from needlefit.project.input_files import open_regular, read_bytes
+from needlefit.project.late_import import import_late
+
+if TYPE_CHECKING:
+    import trimesh
+else:
+    trimesh = import_late("trimesh")
 
 SurfaceKind = Literal["sheet", "solid"]
 
@@ -51,7 +55,7 @@ class Surface:
     """A layer boundary: crossing a "sheet" leads into layer `into`; a "solid" is layer `into` inside."""
 
     name: str
-    mesh: trimesh.Trimesh
+    mesh: "trimesh.Trimesh"
     kind: SurfaceKind
     into: int
 
@@ -110,7 +114,7 @@ def _load_mesh(data: BytesIO, kind: str) -> object:
     return trimesh.load_mesh(data, file_type=kind, process=False, resolver=None, skip_materials=True)
 
 
-def _load_polydata(data: bytes) -> trimesh.Trimesh:
+def _load_polydata(data: bytes) -> "trimesh.Trimesh":
     return trimesh.Trimesh(*read_polydata(data), process=False)
 
 
@@ -291,7 +295,7 @@ def make_cylinder(
     return Surface(name, trimesh.Trimesh(vertices, faces, process=False), "solid", into)
 
 
-def find_mesh_faults(mesh: trimesh.Trimesh, kind: SurfaceKind) -> list[str]:
+def find_mesh_faults(mesh: "trimesh.Trimesh", kind: SurfaceKind) -> list[str]:
     """Return why `mesh` cannot be a boundary: a "solid" must be closed, a "sheet" without holes."""
     if len(mesh.faces) == 0:
         return ["holds no triangles"]

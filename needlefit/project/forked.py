@@ -6,6 +6,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -21,14 +22,17 @@ MAX_SHARED = 255
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
 
 
-def compute_in_two_processes(work: Sequence[Callable[[], bytes]]) -> list[bytes]:
-    """Return what each piece of work gives; a copy of this process takes every second one, or as it comes.
+@contextmanager
+def compute_beside(work: Sequence[Callable[[], bytes]]) -> "Iterator[Callable[[], list[bytes]]]":
+    """Begin pieces of work in a copy of this process; yield the function that ends and returns them.
 
-    What the copy leaves undone is done here, so that its errors are raised here. Work must not wait for
-    threads of this process, which the copy lacks: those of typst among them.
+    In between this process may do other work. That function takes the pieces that are left as well, and does
+    here what the copy leaves undone, so that its errors are raised here. Work must not wait for threads of
+    this process, which the copy lacks: those of typst among them.
     """
     if not 2 <= len(work) <= MAX_SHARED or not can_fork():
-        return [piece() for piece in work]
+        yield lambda: [piece() for piece in work]
+        return
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
         folder = Path(name)
         source, sink = os.pipe()
@@ -37,14 +41,23 @@ def compute_in_two_processes(work: Sequence[Callable[[], bytes]]) -> list[bytes]
         copy = os.fork()
         if copy == 0:
             _compute_in_copy(work, source, folder)
-        done = {}
-        try:
+        waiting = [copy]
+
+        def end() -> list[bytes]:
             done = {n: work[n]() for n in _take(source)}
+            os.waitpid(waiting.pop(), 0)
+            found = {int(file.name): file.read_bytes() for file in folder.iterdir() if not file.suffix}
+            parts = [done.get(n, found.get(n)) for n in range(len(work))]
+            return [work[n]() if part is None else part for n, part in enumerate(parts)]
+
+        try:
+            yield end
         finally:
+            for _ in _take(source):  # after an error nobody wants the rest
+                pass
             os.close(source)
-            os.waitpid(copy, 0)
-        found = {int(file.name): file.read_bytes() for file in folder.iterdir() if not file.suffix}
-    return [done[n] if n in done else found[n] if n in found else piece() for n, piece in enumerate(work)]
+            for copy in waiting:
+                os.waitpid(copy, 0)
 
 
 def can_fork() -> bool:

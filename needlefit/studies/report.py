@@ -199,17 +199,20 @@ def write_files(result: Run, folder: Path) -> None:
     from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
 
     page = find_kind(result.kind).report
-    frames = page.tabulate(result)
-    for name in frames:
-        pieces = (_mark_origin(piece, result.origin) for piece in iterate_pieces(frames, name))
-        write_csv_pieces(pieces, folder / f"{name}.csv")
-    tables = page.lay_out(result)
-    for table in tables:
-        (folder / f"{table.name}.tex").write_text(format_latex(table, result.synthetic), encoding="utf-8")
-    (folder / "numbers.tex").write_text(format_table_macros(result.name, tables), encoding="utf-8")
-    with draw_together():
+    with draw_together() as begin_drawing:
         figures = page.draw(result, folder)
-    page.write_files(result, folder)
+        begin_drawing()
+        frames = page.tabulate(result)
+        for name in frames:
+            pieces = (_mark_origin(piece, result.origin) for piece in iterate_pieces(frames, name))
+            write_csv_pieces(pieces, folder / f"{name}.csv")
+        tables = page.lay_out(result)
+        for table in tables:
+            path = folder / f"{table.name}.tex"
+            path.write_text(format_latex(table, result.synthetic), encoding="utf-8")
+        (folder / "numbers.tex").write_text(format_table_macros(result.name, tables), encoding="utf-8")
+        page.write_files(result, folder)
+        store_run(result, folder)
     report = compose_run_report(result, figures)
     write_report(report, folder)
     methods = (folder / "methods.tex").is_file()
@@ -217,7 +220,6 @@ def write_files(result: Run, folder: Path) -> None:
     example = format_example(report, pictures, [table.name for table in tables], methods)
     (folder / EXAMPLE_FILE).write_text(example, encoding="utf-8")
     label_figures(figures, result.synthetic)
-    store_run(result, folder)
     write_json(folder / "run.json", result.run_json)
     write_json(folder / "timing.json", result.timing)
 

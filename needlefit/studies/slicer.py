@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Placement
 from needlefit.geometry.meshes import make_tube, write_ply
-from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.outputs import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, Band, NeedleInScan, read_needles
 from needlefit.studies.run import Run
+
+if TYPE_CHECKING:
+    from needlefit.imaging.reconstruction import Reconstruction
 
 LINE_WIDTH_MM, THIN_LINE_WIDTH_MM = 0.6, 0.3
 """Lines of needles and of the edges of bands, mm."""
@@ -155,7 +158,7 @@ _SCAN_BAND_COLOUR, _MARKER_COLOUR = SKY_BLUE, GREEN
 _NORMAL_95_HALF_WIDTH_SD = 1.96
 
 
-def write_scan(reconstruction: Reconstruction, folder: Path, diameter: float) -> tuple[Path, ...]:
+def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) -> tuple[Path, ...]:
     """Write the objects that Slicer shows over the scan to `folder`; return the files.
 
     `<id>.mrk.json` holds the whole needle, the part from entry to tip, the edges of its 95 % band toward and
@@ -176,7 +179,7 @@ def write_scan(reconstruction: Reconstruction, folder: Path, diameter: float) ->
     return tuple(files)
 
 
-def make_scan_markups(reconstruction: Reconstruction) -> Iterator[tuple[Markups, CurveStyle]]:
+def make_scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markups, CurveStyle]]:
     """Yield the curves and points of a reconstruction, LPS, and how each is drawn."""
     summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
     whole, inserted = reconstruction.needle_axis.points, _inserted_needle(reconstruction)
@@ -208,13 +211,13 @@ def rgb_of_layers() -> tuple[float, float, float]:
 
 
 def _make_markups(
-    reconstruction: Reconstruction, name: str, kind: str, labels: tuple[str, ...], points: Floats
+    reconstruction: "Reconstruction", name: str, kind: str, labels: tuple[str, ...], points: Floats
 ) -> Markups:
     scan = reconstruction.scan.id
     return Markups(Path(scan), f"{scan} {name}", kind, labels, points)
 
 
-def _scan_points(reconstruction: Reconstruction) -> Iterator[tuple[str, tuple[str, ...], Floats, str]]:
+def _scan_points(reconstruction: "Reconstruction") -> Iterator[tuple[str, tuple[str, ...], Floats, str]]:
     """Yield name, labels, places (K, 3) and colour of each list of points."""
     inserted, layers = _inserted_needle(reconstruction), reconstruction.layers
     yield "entry and tip", ("entry", "tip"), inserted[[0, -1]], PAPER_COLOUR
@@ -227,7 +230,7 @@ def _scan_points(reconstruction: Reconstruction) -> Iterator[tuple[str, tuple[st
         yield "markers", name_markers(reconstruction), reconstruction.markers.centers, _MARKER_COLOUR
 
 
-def name_markers(reconstruction: Reconstruction) -> tuple[str, ...]:
+def name_markers(reconstruction: "Reconstruction") -> tuple[str, ...]:
     """Return a name for each found marker: the number of its known marker, counted from 0, or none."""
     markers, registration = reconstruction.markers, reconstruction.registration
     if markers is None:
@@ -239,7 +242,7 @@ def name_markers(reconstruction: Reconstruction) -> tuple[str, ...]:
     )
 
 
-def _scan_bodies(reconstruction: Reconstruction, diameter: float) -> Iterator[tuple[str, Floats, Floats]]:
+def _scan_bodies(reconstruction: "Reconstruction", diameter: float) -> Iterator[tuple[str, Floats, Floats]]:
     """Yield the name, axis (K, 3) and half widths (K, 2) of each body."""
     whole = reconstruction.needle_axis.points
     yield "needle", whole, np.full((len(whole), 2), diameter / 2)
@@ -247,12 +250,12 @@ def _scan_bodies(reconstruction: Reconstruction, diameter: float) -> Iterator[tu
     yield "band", _inserted_needle(reconstruction), np.column_stack([wide, wide])
 
 
-def _inserted_needle(reconstruction: Reconstruction) -> Floats:
+def _inserted_needle(reconstruction: "Reconstruction") -> Floats:
     """Return the centreline from first contact to tip in the scan (N, 3), LPS, mm."""
     return reconstruction.patient.to_local(reconstruction.points)
 
 
-def _band_direction(reconstruction: Reconstruction) -> Floats:
+def _band_direction(reconstruction: "Reconstruction") -> Floats:
     """Return C's y axis in the scan, LPS (3,)."""
     toward: Floats = reconstruction.patient.rotation.T @ reconstruction.frame.rotation[:, 1]
     return toward

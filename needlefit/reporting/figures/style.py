@@ -3,7 +3,7 @@ of labels.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar, copy_context
 from io import BytesIO
 from pathlib import Path
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
-from needlefit.project.forked import compute_in_two_processes
+from needlefit.project.forked import compute_beside
 from needlefit.project.outputs import require_folder
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
 from needlefit.reporting.sheet import compile_sheet
@@ -163,17 +163,28 @@ _waiting: ContextVar[list[tuple[Path, Callable[[], bytes]]] | None] = ContextVar
 
 
 @contextmanager
-def draw_together() -> Iterator[None]:
-    """Draw all figures (PDF) that are asked for in here when it ends, on two cores where it can."""
-    token = _waiting.set([])
-    try:
-        yield
-        waiting = _waiting.get() or []
-    finally:
-        _waiting.reset(token)
-    drawings = compute_in_two_processes([paint for _, paint in waiting])
-    for (path, _), drawing in zip(waiting, drawings, strict=True):
-        path.write_bytes(compile_sheet(drawing, ".svg"))
+def draw_together() -> Iterator[Callable[[], None]]:
+    """Draw all figures (PDF) that are asked for in here when it ends, on two cores where it can.
+
+    Yields a function to be called once all were asked for: a copy of this process then begins to draw them,
+    while this one goes on.
+    """
+    waiting: list[tuple[Path, Callable[[], bytes]]] = []
+    around = _waiting.get()
+    _waiting.set(waiting)
+    with ExitStack() as stack:
+        stack.callback(_waiting.set, around)
+        begun = []
+
+        def begin() -> None:
+            _waiting.set(around)
+            begun.append(stack.enter_context(compute_beside([paint for _, paint in waiting])))
+
+        yield begin
+        if not begun:
+            begin()
+        for (path, _), drawing in zip(waiting, begun[0](), strict=True):
+            path.write_bytes(compile_sheet(drawing, ".svg"))
 
 
 MAX_HALF_COLUMN_LETTERS = 24
