@@ -30,7 +30,7 @@ PAIR_DRAWS = 125
 """Draws, at most, whose pairs show how much the Gaussians add to the distances between draws."""
 
 BRACKET_SD = 9.0
-"""Deviations beyond the outermost draws within which every quantile lies."""
+"""Deviations beyond which a Gaussian has next to nothing: 1e-19 on each side."""
 
 TINY_MM = 1e-9
 """The bracket of a quantile has at least this width where draws leave nothing open."""
@@ -71,11 +71,17 @@ def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
     def excess(at: Floats, k: Ints, wanted: Floats) -> Floats:
         return cdf(PredictiveMixture(mixture.means[:, k], mixture.sd[k]), at) - wanted
 
-    beyond = BRACKET_SD * mixture.sd + TINY_MM
-    bracket = (mixture.means.min(axis=0) - beyond, mixture.means.max(axis=0) + beyond)
-    wanted = np.asarray(p, dtype=np.float64)[..., None]
+    beyond, count = BRACKET_SD * mixture.sd + TINY_MM, len(mixture.means)
+    wanted, ranked = np.asarray(p, dtype=np.float64)[..., None], np.sort(mixture.means, axis=0)
+    # so many draws lie below with all of their Gaussians, or above: the quantile lies between
+    low, high = np.floor(wanted * count).astype(np.int64) - 1, np.ceil(wanted * count).astype(np.int64)
+    columns = np.arange(len(beyond))
+    bracket = (
+        ranked[np.maximum(low, 0), columns] - beyond,
+        ranked[np.minimum(high, count - 1), columns] + beyond,
+    )
     # one search for all: its overhead is that of thousands of draws
-    found: Floats = elementwise.find_root(excess, bracket, args=(np.arange(len(beyond)), wanted)).x
+    found: Floats = elementwise.find_root(excess, bracket, args=(columns, wanted)).x
     return found
 
 
@@ -100,7 +106,8 @@ def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
     some = ranked[step // 2 :: step]
     first, second = np.triu_indices(len(some), 1)
     apart = [m[second] - m[first] for m in some.T]
-    added = [(_mean_absolute(m, s) - m).sum() for m, s in zip(apart, sd, strict=True)]
+    near = [m[m < BRACKET_SD * s] for m, s in zip(apart, sd, strict=True)]  # farther ones add nothing
+    added = [(_mean_absolute(m, s) - m).sum() for m, s in zip(near, sd, strict=True)]
     # each pair of different draws counts twice, and each draw beside itself
     between = between + (2 * np.array(added) / len(some) + _mean_absolute(np.zeros(len(sd)), sd)) / len(some)
     score: Floats = off - between / 2

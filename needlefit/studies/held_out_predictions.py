@@ -12,7 +12,6 @@ of it leaves a band that the predicted probability of such needles stays within 
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +34,9 @@ from needlefit.inference.predictive_distribution import (
 )
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
+from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.interval_width import estimate_width_after_one
@@ -137,7 +138,14 @@ def tabulate_held_out(job: Job, fold: Fold, draws: Draws, new: NewSpecimens | No
 
 
 def predict_held_out(
-    job: Job, fold: Fold, draws: Draws, new: NewSpecimens | None = None, jobs: int = 1, *, bands: bool = False
+    job: Job,
+    fold: Fold,
+    draws: Draws,
+    new: NewSpecimens | None = None,
+    jobs: int = 1,
+    pool: TaskPool = THIS_PROCESS,
+    *,
+    bands: bool = False,
 ) -> Iterator[HeldOutPrediction]:
     """Yield the prediction of every insertion that a fold holds out, y toward +y of C, mm.
 
@@ -147,8 +155,7 @@ def predict_held_out(
     """
     given = [one for one in fold.validate if job.dataset.noise.stated or one.sd is not None]
     if new is not None:
-        for one in filter(new.differs, given):
-            new.find_spread(one)  # searched once, before several threads want it
+        new.learn_spreads(tuple(filter(new.differs, given)), jobs, pool)  # before several tasks want them
     side_by_side = max(1, min(jobs, len(given)))
     # what is predicted are the stored points, as they will be measured
     update = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
@@ -167,11 +174,9 @@ def predict_held_out(
         if new is not None and bands
         else frozenset(),
     )
-    if side_by_side == 1:
-        yield from filter(None, map(predict.predict, given))
-        return
-    with ThreadPoolExecutor(side_by_side) as pool:  # numpy and the kernel let go of the interpreter
-        yield from filter(None, pool.map(predict.predict, given))
+    parts = run_parts(predict.predict, given, pool, side_by_side, TaskStop(never_stop), loaded=True)
+    found = dict(parts)
+    yield from filter(None, (found[n] for n in range(len(given))))
 
 
 @dataclass(frozen=True)

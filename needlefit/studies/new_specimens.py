@@ -5,6 +5,7 @@ what the recipe states; each is fitted by itself, by some of its insertions.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,6 +20,8 @@ from needlefit.inference.between_specimens import (
     list_groups,
     move_to_new_specimen,
 )
+from needlefit.project.progress import never_stop
+from needlefit.project.tasks import TaskPool, TaskStop, run_parts
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
 from needlefit.studies.score import Row
@@ -46,6 +49,16 @@ class NewSpecimens:
     def differs(self, insertion: Insertion) -> bool:
         """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
         return self.job.record.specimens == "others" and insertion.specimen not in self._tuned
+
+    def learn_spreads(self, insertions: Sequence[Insertion], jobs: int, pool: TaskPool) -> None:
+        """Learn the spreads for some insertions; the specimens are fitted side by side."""
+        moving = insertions if list_groups(self.job.parameters) else ()
+        others = {name for insertion in moving for name in self.list_others(insertion)}
+        wanted = sorted(others - self.estimates.keys())
+        parts = run_parts(self._search, wanted, pool, jobs, TaskStop(never_stop), loaded=True)
+        self.estimates |= {wanted[n]: found for n, found in parts}
+        for insertion in insertions:
+            self.find_spread(insertion)
 
     def find_spread(self, insertion: Insertion | None) -> SpecimenSpread:
         """Return the spread between specimens, learned without that of this insertion.
@@ -80,19 +93,15 @@ class NewSpecimens:
 
     def _estimate(self, specimen: str) -> SpecimenEstimate | None:
         if specimen not in self.estimates:
-            own = sorted(
-                (
-                    one
-                    for one in self.job.dataset.insertions
-                    if one.specimen == specimen and max(one.sequence) <= self.job.medium.layers
-                ),
-                key=lambda one: (one.depth, one.id),
-            )
-            chosen = np.unique(np.linspace(0, len(own) - 1, MAX_INSERTIONS).round().astype(int))
-            everything = self.job.problem(self.fold)
-            problem = replace(everything, insertions=tuple(own[k] for k in chosen))
-            self.estimates[specimen] = estimate_specimen(problem, self.theta)
+            self.estimates[specimen] = self._search(specimen)
         return self.estimates[specimen]
+
+    def _search(self, specimen: str) -> SpecimenEstimate | None:
+        fits = [one for one in self.job.dataset.insertions if max(one.sequence) <= self.job.medium.layers]
+        own = sorted((one for one in fits if one.specimen == specimen), key=lambda one: (one.depth, one.id))
+        chosen = np.unique(np.linspace(0, len(own) - 1, MAX_INSERTIONS).round().astype(int))
+        everything = self.job.problem(self.fold)
+        return estimate_specimen(replace(everything, insertions=tuple(own[k] for k in chosen)), self.theta)
 
 
 def describe_specimen(new: NewSpecimens | None, insertion: Insertion | None, otherwise: str = "same") -> Row:

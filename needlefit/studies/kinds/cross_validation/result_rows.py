@@ -156,12 +156,13 @@ def tabulate_predictions(
     Those into new specimens are predicted as the paper does too, by what was tuned alone.
     """
     new = NewSpecimens(job, fold, theta)
-    for one in predict_held_out(job, fold, draws, new, settings.jobs, bands=True):
+    jobs, pool = settings.jobs, settings.part_pool
+    for one in predict_held_out(job, fold, draws, new, jobs, pool, bands=True):
         tables.predictive.append(one.row)
         tables.bands += one.band
         tables.counts.predicted.add(one.solved, one.outside)
     others = tuple(one for one in fold.validate if new.differs(one))
-    plain = predict_held_out(job, replace(fold, validate=others), draws, jobs=settings.jobs)
+    plain = predict_held_out(job, replace(fold, validate=others), draws, None, jobs, pool)
     tables.predictive_training += [one.row for one in plain]
 
 
