@@ -1,5 +1,6 @@
 """Predictions of held-out needles: parts of the width; the measured shape is only compared."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,10 @@ from needlefit.inference.likelihood.observation import make_observation, pose_sd
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.simulated_points import read_points
+from needlefit.project import tasks
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.tasks import THIS_PROCESS, LocalPool
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.held_out_predictions import (
@@ -172,6 +175,17 @@ def test_the_same_study_predicts_the_same(job, few_draws):
     assert first == again
     alone = list(tabulate_held_out(job, of(job, job.folds[0].validate[1]), few_draws))
     assert alone == first[1:]  # an insertion does not depend on the others
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
+def test_copies_of_the_process_predict_the_same(job, few_draws, monkeypatch):
+    monkeypatch.setattr(tasks, "can_fork", lambda: True)
+    few = of(job, *(replace(one, specimen="another") for one in job.folds[0].validate[:3]))
+    new = [NewSpecimens(job, few, few_draws.thetas[0]) for _ in range(2)]
+    pairs = (new[0], THIS_PROCESS), (new[1], LocalPool(2))
+    alone, copied = (list(predict_held_out(job, few, few_draws, one, 2, pool)) for one, pool in pairs)
+    assert len(alone) == 3 and repr(alone) == repr(copied)  # repr: NaN equals itself
+    assert new[0].estimates and repr(new[0].estimates) == repr(new[1].estimates)
 
 
 def test_the_table_counts_covered_insertions(job, few_draws):
