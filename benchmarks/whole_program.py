@@ -138,6 +138,7 @@ def main() -> None:
                     folder = Path(scratch, tree.name)
                     folder.mkdir(exist_ok=True)
                     environment = {**os.environ, "PYTHONPATH": str(tree.resolve())}
+                    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # else each command compiles 300 files
                     if arguments.cold:
                         environment["NEEDLEFIT_CACHE_DIR"] = tempfile.mkdtemp(dir=scratch)
                     command = [sys.executable, "-m", "needlefit", *COMMANDS[name]]
