@@ -82,3 +82,13 @@ def test_after_an_error_the_copy_ends(monkeypatch, tmp_path):
         raise ZeroDivisionError
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
+def test_without_room_for_a_copy_all_is_done_here(monkeypatch):
+    def refuse() -> int:
+        raise BlockingIOError
+
+    monkeypatch.setattr(forked, "count_cores", lambda: 2)
+    monkeypatch.setattr(os, "fork", refuse)
+    assert compute([lambda: tell_process(0)] * 9) == [tell_process(0)] * 9

@@ -76,8 +76,11 @@ if __name__ == "__main__":
                 continue
             raise AssertionError(items)
         print(os.getpid(), flush=True)
-        if len(sys.argv) > 1:
+        if sys.argv[1:] == ["pool"]:
             list(pool.run(time.sleep, [60, 60]))
+    if sys.argv[1:] == ["beside"]:
+        with forked.compute_beside([lambda: time.sleep(60)] * 2):
+            time.sleep(60)
 """
 """A program whose tasks know what was loaded before them."""
 
@@ -99,19 +102,20 @@ def test_copies_of_this_process_have_what_it_has_loaded_and_end_with_each_run(tm
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
-def test_copies_end_with_a_killed_process(tmp_path):
+@pytest.mark.parametrize(("where", "expected"), [("pool", 2), ("beside", 1)])
+def test_copies_end_with_a_killed_process(tmp_path, where, expected):
     (tmp_path / "copies.py").write_text(COPIES)
-    command = (sys.executable, "copies.py", "wait")
+    command = (sys.executable, "copies.py", where)
     deadline = time.monotonic() + 30
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout.readline()
         children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
-        while len(copies := children.read_text().split()) < 2 and time.monotonic() < deadline:
+        while len(copies := children.read_text().split()) < expected and time.monotonic() < deadline:
             time.sleep(0.05)
         running.kill()
     while any(_is_running(one) for one in copies) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert len(copies) == 2 and not any(_is_running(one) for one in copies)
+    assert len(copies) == expected and not any(_is_running(one) for one in copies)
 
 
 def _is_running(process):

@@ -12,13 +12,10 @@ from scipy.sparse.csgraph import connected_components
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
-from needlefit.geometry.surfaces import Surface
-from needlefit.project.late_import import import_late
+from needlefit.geometry.surfaces import Surface, make_mesh
 
 if TYPE_CHECKING:
     import trimesh
-else:
-    trimesh = import_late("trimesh")
 
 TUBE_FACETS = 12
 """Number of corners of a tube's cross-section."""
@@ -52,7 +49,7 @@ def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> "
     arms = np.stack([first, second], axis=1) * widths[:, :, None]  # (N, 2, 3)
     vertices = axis[:, None, :] + np.einsum("fk,nkd->nfd", rim, arms)  # (N, TUBE_FACETS, 3)
     ends = np.stack([axis[0], axis[-1]])
-    return trimesh.Trimesh(np.vstack([vertices.reshape(-1, 3), ends]), _list_faces(count), process=False)
+    return make_mesh(np.vstack([vertices.reshape(-1, 3), ends]), _list_faces(count))
 
 
 def write_ply(mesh: "trimesh.Trimesh", path: Path, comments: Sequence[str] = ()) -> None:
@@ -60,7 +57,9 @@ def write_ply(mesh: "trimesh.Trimesh", path: Path, comments: Sequence[str] = ())
 
     The header says `SPACE=LPS`, which 3D Slicer reads; `comments` stand beside it.
     """
-    data: bytes = trimesh.exchange.ply.export_ply(mesh, encoding="binary", vertex_normal=False)
+    from trimesh.exchange.ply import export_ply
+
+    data: bytes = export_ply(mesh, encoding="binary", vertex_normal=False)
     head, format_line, body = data.partition(b"\nformat binary_little_endian 1.0\n")
     lines = "".join(f"comment {line}\n" for line in ("SPACE=LPS", *comments))
     path.write_bytes(head + format_line + lines.encode("ascii", "replace") + body)
@@ -139,4 +138,4 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
     if volumes[largest] < 0:
         largest_faces = largest_faces[:, ::-1]
     others = float(np.abs(volumes).sum() / abs(volumes[largest])) - 1.0
-    return Surface(name, trimesh.Trimesh(points[used], largest_faces, process=False), "solid", into), others
+    return Surface(name, make_mesh(points[used], largest_faces), "solid", into), others

@@ -17,12 +17,9 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import Frame, PatientSystem, apply_affine, normalize
 from needlefit.geometry.vtk_polydata import read_polydata
 from needlefit.project.input_files import open_regular, read_bytes
-from needlefit.project.late_import import import_late
 
 if TYPE_CHECKING:
     import trimesh
-else:
-    trimesh = import_late("trimesh")
 
 SurfaceKind = Literal["sheet", "solid"]
 
@@ -64,6 +61,13 @@ class Surface:
         return from_triangles, (to_triangles(self),)
 
 
+def make_mesh(vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike | None = None) -> "trimesh.Trimesh":
+    """Return a mesh of these vertices (V, 3), triangles (F, 3) and, if known, their normals (F, 3)."""
+    import trimesh
+
+    return trimesh.Trimesh(vertices, faces, face_normals=normals, process=False)
+
+
 def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
     """Read an STL, PLY, OBJ or (legacy) VTK file, in mm; the mesh itself is checked by `find_mesh_faults`.
 
@@ -81,6 +85,8 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
         _check_ply(data, path)
     if ending == ".stl":
         _check_stl(data, path)
+    import trimesh  # late: it takes 0.3 s to load, and most commands read no surface
+
     try:
         mesh = _load_mesh(BytesIO(data), ending.lstrip(".")) if ending != ".vtk" else _load_polydata(data)
     except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
@@ -111,11 +117,13 @@ def _load_mesh(data: BytesIO, kind: str) -> object:
 
     process=False: it would drop non-finite vertices and hide the fault.
     """
+    import trimesh
+
     return trimesh.load_mesh(data, file_type=kind, process=False, resolver=None, skip_materials=True)
 
 
 def _load_polydata(data: bytes) -> "trimesh.Trimesh":
-    return trimesh.Trimesh(*read_polydata(data), process=False)
+    return make_mesh(*read_polydata(data))
 
 
 def _check_ply(data: bytes, path: Path) -> None:
@@ -174,13 +182,15 @@ def _mesh_error(path: Path, what: str) -> DataError:
 
 def write_surface(surface: Surface, path: Path) -> None:
     """Write a surface as text STL, coordinates rounded to 1e-4 mm; the same surface gives the same bytes."""
+    from trimesh.exchange.stl import export_stl_ascii
+
     vertices = np.round(surface.mesh.vertices, COORDINATE_DECIMALS) + 0.0  # no "-0.0"
-    mesh = trimesh.Trimesh(vertices, surface.mesh.faces, process=False)
+    mesh = make_mesh(vertices, surface.mesh.faces)
     normals = np.round(mesh.face_normals, 6) + 0.0
-    mesh = trimesh.Trimesh(vertices, mesh.faces, face_normals=normals, process=False)
+    mesh = make_mesh(vertices, mesh.faces, normals)
     mesh.metadata["name"] = surface.name
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(trimesh.exchange.stl.export_stl_ascii(mesh).encode("ascii", "replace"))
+    path.write_bytes(export_stl_ascii(mesh).encode("ascii", "replace"))
 
 
 @dataclass(frozen=True)
@@ -207,21 +217,21 @@ def from_triangles(plain: Triangles) -> Surface:
         raise ValueError("no triangles")
     if plain.faces.size and not (plain.faces.min() >= 0 and plain.faces.max() < len(plain.vertices)):
         raise ValueError("a face names a vertex that is not there")
-    mesh = trimesh.Trimesh(plain.vertices, plain.faces, process=False)
+    mesh = make_mesh(plain.vertices, plain.faces)
     return Surface(plain.name, mesh, plain.kind, plain.into)
 
 
 def transform_surface(surface: Surface, frame: Frame) -> Surface:
     """Return a surface, given in `frame`, in world coordinates."""
     vertices = frame.to_world(surface.mesh.vertices)
-    return replace(surface, mesh=trimesh.Trimesh(vertices, surface.mesh.faces, process=False))
+    return replace(surface, mesh=make_mesh(vertices, surface.mesh.faces))
 
 
 def map_surface(surface: Surface, matrix: NDArray[np.float64]) -> Surface:
     """Return a surface moved by a linear map (4, 4); one that mirrors keeps the side of its triangles."""
     vertices = apply_affine(matrix, surface.mesh.vertices)
     faces = surface.mesh.faces if np.linalg.det(matrix[:3, :3]) > 0 else surface.mesh.faces[:, ::-1]
-    return replace(surface, mesh=trimesh.Trimesh(vertices, faces, process=False))
+    return replace(surface, mesh=make_mesh(vertices, faces))
 
 
 @dataclass(frozen=True)
@@ -234,6 +244,8 @@ class NearestSurface:
 
 def find_nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> NearestSurface:
     """Return the distance of `points` (N, 3) from the nearest of some surfaces, and unit normals there."""
+    from trimesh.triangles import closest_point
+
     triangles = np.vstack([surface.mesh.triangles for surface in surfaces])
     normals = np.vstack([surface.mesh.face_normals for surface in surfaces])
     low, high = triangles.min(axis=1), triangles.max(axis=1)
@@ -242,7 +254,7 @@ def find_nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> NearestSurfa
         outside = np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0), axis=1)
         reach = np.linalg.norm(np.maximum(high - point, point - low), axis=1).min()
         near = np.flatnonzero(outside <= reach)  # no other triangle can hold the nearest place
-        closest = trimesh.triangles.closest_point(triangles[near], np.tile(point, (len(near), 1)))
+        closest = closest_point(triangles[near], np.tile(point, (len(near), 1)))
         away = np.linalg.norm(closest - point, axis=1)
         distances.append(away.min())
         found.append(normals[near[np.argmin(away)]])
@@ -256,7 +268,7 @@ def make_sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, int
     y = np.cross(z, x)
     corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     vertices = np.asarray(center, dtype=np.float64) + [size / 2 * (i * x + j * y) for i, j in corners]
-    return Surface(name, trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], process=False), "sheet", into)
+    return Surface(name, make_mesh(vertices, [[0, 1, 2], [0, 2, 3]]), "sheet", into)
 
 
 def make_grid_sheet(name: str, points: ArrayLike, into: int) -> Surface:
@@ -265,7 +277,7 @@ def make_grid_sheet(name: str, points: ArrayLike, into: int) -> Surface:
     n = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2])
     corners = np.stack([n[:-1, :-1], n[1:, :-1], n[1:, 1:], n[:-1, 1:]], axis=-1).reshape(-1, 4)
     faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-    return Surface(name, trimesh.Trimesh(grid.reshape(-1, 3), faces, process=False), "sheet", into)
+    return Surface(name, make_mesh(grid.reshape(-1, 3), faces), "sheet", into)
 
 
 def make_cylinder(
@@ -292,7 +304,7 @@ def make_cylinder(
             np.column_stack([i + facets, j + facets, centre_top]),
         ]
     )
-    return Surface(name, trimesh.Trimesh(vertices, faces, process=False), "solid", into)
+    return Surface(name, make_mesh(vertices, faces), "solid", into)
 
 
 def find_mesh_faults(mesh: "trimesh.Trimesh", kind: SurfaceKind) -> list[str]:

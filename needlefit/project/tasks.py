@@ -11,7 +11,6 @@ This module imports nothing heavy, so that a new process limits itself to one th
 import os
 import pickle
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -30,7 +29,7 @@ from multiprocessing.synchronize import Event
 from typing import Any, Protocol, Self, TypeVar
 
 from needlefit.errors import ConfigError
-from needlefit.project.forked import can_fork, end_with
+from needlefit.project.forked import begin_copy, block_signals, can_fork
 from needlefit.project.progress import Stop, never_stop
 from needlefit.project.threads import limit_to_one_thread
 
@@ -46,9 +45,6 @@ MIN_SHARED_S = 8.0
 
 MIN_COPIED_S = 0.5
 """Seconds of work that are worth forked processes: two begin and end within 0.1 s."""
-
-
-_ENDING_SIGNALS = {signal.SIGTERM, signal.SIGHUP} if sys.platform == "linux" else set[signal.Signals]()
 
 
 class TaskPool(Protocol):
@@ -280,12 +276,8 @@ class _Processes:
         parent = os.getpid() if copied else None
         pool = ProcessPoolExecutor(self._size, context, _begin_process, (event, parent))
         if copied:
-            # a signal that comes before a copy has its own handlers waits until then
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING_SIGNALS)
-            try:
+            with block_signals():
                 pool.submit(int)  # the first task forks all processes
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
         return pool, event
 
 
@@ -321,10 +313,7 @@ def _begin_process(stop: Event, parent: int | None) -> None:
     if parent is not None:
         from threadpoolctl import threadpool_limits
 
-        end_with(parent)
-        for number in _ENDING_SIGNALS:  # the parent's handlers only note them
-            signal.signal(number, signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING_SIGNALS)
+        begin_copy(parent)
         threadpool_limits(1, user_api="blas")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     limit_to_one_thread()

@@ -199,13 +199,13 @@ def write_files(result: Run, folder: Path) -> None:
     from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
 
     page = find_kind(result.kind).report
+    frames = page.tabulate(result)
+    for name in frames:  # before the figures: of a frame that is drawn, theirs is the file
+        pieces = (_mark_origin(piece, result.origin) for piece in iterate_pieces(frames, name))
+        write_csv_pieces(pieces, folder / f"{name}.csv")
     with draw_together() as begin_drawing:
         figures = page.draw(result, folder)
         begin_drawing()
-        frames = page.tabulate(result)
-        for name in frames:
-            pieces = (_mark_origin(piece, result.origin) for piece in iterate_pieces(frames, name))
-            write_csv_pieces(pieces, folder / f"{name}.csv")
         tables = page.lay_out(result)
         for table in tables:
             path = folder / f"{table.name}.tex"
