@@ -73,7 +73,7 @@ def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
 
     beyond, count = BRACKET_SD * mixture.sd + TINY_MM, len(mixture.means)
     wanted, ranked = np.asarray(p, dtype=np.float64)[..., None], np.sort(mixture.means, axis=0)
-    # so many draws lie below with all of their Gaussians, or above: the quantile lies between
+    # the quantile lies between two draws of the ranks about p B, within the width of their Gaussians
     low, high = np.floor(wanted * count).astype(np.int64) - 1, np.ceil(wanted * count).astype(np.int64)
     columns = np.arange(len(beyond))
     bracket = (

@@ -164,10 +164,9 @@ _waiting: ContextVar[list[tuple[Path, Callable[[], bytes]]] | None] = ContextVar
 
 @contextmanager
 def draw_together() -> Iterator[Callable[[], None]]:
-    """Draw all figures (PDF) that are asked for in here when it ends, on two cores where it can.
+    """Collect the figures (PDF) of a `with` block, and draw them at its end, on two cores where possible.
 
-    Yields a function to be called once all were asked for: a copy of this process then begins to draw them,
-    while this one goes on.
+    Yields a function that lets a copy of this process begin to draw: call it after the last figure.
     """
     waiting: list[tuple[Path, Callable[[], bytes]]] = []
     around = _waiting.get()
