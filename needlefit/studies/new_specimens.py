@@ -55,8 +55,8 @@ class NewSpecimens:
         moving = insertions if list_groups(self.job.parameters) else ()
         others = {name for insertion in moving for name in self.list_others(insertion)}
         wanted = sorted(others - self.estimates.keys())
-        parts = run_parts(self._search, wanted, pool, jobs, TaskStop(never_stop), loaded=True)
-        self.estimates |= {wanted[n]: found for n, found in parts}
+        found = dict(run_parts(self._search, wanted, pool, jobs, TaskStop(never_stop), loaded=True))
+        self.estimates |= {specimen: found[n] for n, specimen in enumerate(wanted)}
         for insertion in insertions:
             self.find_spread(insertion)
 
