@@ -36,10 +36,14 @@ PROJECT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True)
 class Area:
-    """Modules that are mutated (files or folders below `needlefit`), and the test files that run on them."""
+    """Modules that are mutated (files or folders below `needlefit`), and the test files that run on them.
+
+    `without`: a folder of these that is left out.
+    """
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
+    without: str = ""
 
 
 AREAS = {
@@ -65,6 +69,30 @@ AREAS = {
     "resume": Area(
         ("studies/checkpoint.py", "project/checkpoint_file.py", "project/checkpoint_folder.py"),
         ("project_checkpoint_file", "validation_checkpoint", "project_ownership"),
+    ),
+    "mechanics": Area(
+        ("mechanics",),
+        (
+            *("mechanics_laws", "mechanics_closed_forms", "mechanics_model", "mechanics_rules"),
+            *("mechanics_controls", "mechanics_plan", "mechanics_scene", "mechanics_session"),
+            *("mechanics_session_again", "mechanics_session_failures", "mechanics_sensitivity"),
+            *("mechanics_lanes", "mechanics_batch_positions", "mechanics_path_angle"),
+            *("mechanics_load", "mechanics_friction", "mechanics_compression", "mechanics_validity"),
+        ),
+        without="mechanics/kernel",
+    ),
+    "studies": Area(
+        ("studies",),
+        (
+            *("validation_division", "validation_score", "verdict", "paper", "validation_differences"),
+            *("validation_coverage", "fit_warnings", "columnar", "planning", "credibility"),
+            *("reporting_tables", "reporting_papers", "reporting_slicer", "cli_studies"),
+            *("validation_run", "validation_heldout", "validation_forecast", "validation_validity"),
+            *("validation_calibration", "validation_comparison", "validation_sensitivity"),
+            *("validation_adaptation", "validation_seeds", "validation_synthetic_truth"),
+            *("analysis_plan", "analysis_specimens", "analysis_next_insertion", "analysis_cohort"),
+            *("cli_tracks", "cli_identify", "cli_material", "cli_reconstruct", "cli_verify"),
+        ),
     ),
 }
 
@@ -121,9 +149,12 @@ def list_sites(project: Path, area: str) -> Iterator[list[Mutant]]:
     from cosmic_ray.ast import ast_nodes, get_ast
     from cosmic_ray.plugins import get_operator, operator_names
 
-    roots = [project / "needlefit" / name for name in AREAS[area].modules]
+    package, without = project / "needlefit", AREAS[area].without
+    roots = [package / name for name in AREAS[area].modules]
     files = sorted(file for root in roots for file in (root.rglob("*.py") if root.is_dir() else [root]))
     for file in files:
+        if without and file.is_relative_to(package / without):
+            continue
         source = file.read_text(encoding="utf-8")
         tree, spans, sites = get_ast(source), annotated_spans(source), defaultdict(list)
         for name in filter(lambda name: is_sensible(name.removeprefix("core/")), operator_names()):

@@ -7,7 +7,9 @@ them, whatever the environment says.
 
 import gc
 import os
+import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -17,7 +19,9 @@ from needlefit.project.threads import limit_to_one_thread  # noqa: E402
 
 limit_to_one_thread()  # before what loads BLAS; the processes of xdist, which begin later, inherit it
 
+import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
+from world import World, open_world  # noqa: E402
 
 from needlefit.mechanics.precompile import KERNEL_PARTS, precompile  # noqa: E402
 
@@ -27,8 +31,53 @@ settings.register_profile("busy cores", deadline=None)  # the first example of a
 settings.load_profile("busy cores")
 
 
+SWEEP_PARTS = 16
+"""A session without `-m` runs one part of the tests that are marked `sweep`; `-m sweep` runs them all."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    about = f"the part of the sweeps to run, from 0 to {SWEEP_PARTS - 1} (default: by the commit)"
+    parser.addoption("--sweep-part", type=int, help=about)
+
+
 def pytest_sessionstart() -> None:
     precompile(*KERNEL_PARTS)
+
+
+@cache
+def find_sweep_part() -> int:
+    """Return the part that the hash of the commit chooses; 0 where there is none."""
+    try:
+        words = ("git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD")
+        commit = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return 0
+    return int(commit, 16) % SWEEP_PARTS
+
+
+def _choose_sweep_part(config: pytest.Config) -> int | None:
+    """Return the part of the sweeps that is run; None for all of them."""
+    if "sweep" in config.option.markexpr or any("::" in one for one in config.args):
+        return None
+    given = config.getoption("--sweep-part")
+    return find_sweep_part() if given is None else given % SWEEP_PARTS
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep every sixteenth of the tests in sweeps, so that each long one has its share."""
+    part = _choose_sweep_part(config)
+    if part is not None:
+        sweeps = [one for one in items if one.get_closest_marker("sweep")]
+        left_out = [one for n, one in enumerate(sweeps) if n % SWEEP_PARTS != part]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [one for one in items if one not in {*left_out}]
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    part = _choose_sweep_part(config)
+    if part is not None:
+        how = f"--sweep-part {part} repeats this one, -m sweep runs all"
+        terminalreporter.write_line(f"sweeps: part {part} of {SWEEP_PARTS} ({how})")
 
 
 def pytest_collection_finish() -> None:
@@ -76,3 +125,9 @@ def _read_twin_once() -> None:
 
 
 _read_twin_once()
+
+
+@pytest.fixture(scope="session")
+def world(tmp_path_factory: pytest.TempPathFactory) -> World:
+    """The tiny world: a project, and one finished run of every kind of study."""
+    return open_world(tmp_path_factory)

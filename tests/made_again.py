@@ -1,19 +1,31 @@
 """A run's folder made again from what it stored."""
 
+import tempfile
 from pathlib import Path
 
+from needlefit.project.ownership import STAMP
 from needlefit.studies.rebuild import rebuild
 
 
-def assert_made_again(folder: Path) -> None:
-    """Every file of a run but its times comes back to the same bytes; beside each figure lies its table."""
-    again = folder.parent / f"{folder.name}-again"
+def read_files(folder: Path) -> dict[str, bytes]:
+    """Return every file of a run by its path in the folder, but for its times."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "timing.json")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def assert_made_again(folder: Path, has_data: bool = False) -> Path:
+    """Every file of a run but its times comes back to the same bytes; beside each figure lies its table.
+
+    A folder that is a dataset `has_data`, which are not made again.
+    """
+    again = Path(tempfile.mkdtemp(dir=folder.parent, prefix="again-")) / folder.name
     rebuild(folder, again)
-    first, second = (
-        {path.name: path.read_bytes() for path in where.iterdir() if path.name != "timing.json"}
-        for where in (folder, again)
-    )
-    assert sorted(first) == sorted(second)
+    first, second = read_files(folder), read_files(again)
+    if has_data:
+        first = {name: first[name] for name in second if name != STAMP}  # which lists the data too
+        second.pop(STAMP)
+    assert {*first} == {*second}
     assert [name for name in first if first[name] != second[name]] == []
     pictures = {name.removesuffix(".pdf") for name in first if name.endswith(".pdf")} - {"report"}
-    assert pictures and {f"{name}.csv" for name in pictures} <= set(first)
+    assert has_data or {f"{name}.csv" for name in pictures} <= {*first}
+    return again

@@ -51,7 +51,7 @@ def cohort(*datasets):
     return check_study({**COHORT, "datasets": list(datasets)}, "cohort.toml")
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_cohort_has_the_fits_of_its_specimens_and_what_could_not_be_fitted(project):
     result = run("cohort", cohort("specimens/*"), Settings())
     fits, failures = result.frames["fits"], result.frames["failures"]
@@ -82,7 +82,7 @@ def test_a_pattern_that_matches_nothing_is_an_error(project):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_worker_in_an_empty_folder_fits_what_lies_here(project, tmp_path_factory):
     """Neither the datasets nor the recipe lie in the worker's folder."""
     pytest.importorskip("distributed")

@@ -135,7 +135,7 @@ def test_the_template_s_specimen_decides_unless_the_study_does():
         assert (run._find_new_specimen(where, known) is not None) == differs
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "SEARCH_DRAWS", 8)
     monkeypatch.setattr(run, "TEST_DRAWS", 20)
@@ -155,7 +155,7 @@ def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
     assert {"plane.pdf", "plane.csv", "within.pdf", "within.csv", "report.pdf"} <= written
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_plan_of_draws_that_are_not_certified_has_no_misses(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "SEARCH_DRAWS", 2)
     monkeypatch.setattr(run, "TEST_DRAWS", 6)

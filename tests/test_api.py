@@ -46,7 +46,7 @@ DOCTEST_OPTIONS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 PAGE = shipped_folder() / "docs" / "python.md"
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.skipif(not PAGE.is_file(), reason="not run from the repository")
 def test_the_page_prints_what_it_shows(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -257,7 +257,7 @@ def test_other_files_in_the_folder_stay(command, project, stubs):
     carry_out(command, project)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "command",
     [name for name in CASES if name not in ("twin build", "verify") and not name.startswith("view")],

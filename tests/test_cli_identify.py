@@ -49,7 +49,7 @@ def designed(tmp_path_factory):
         return Path.cwd() / "reports" / "identify-study2", printed.getvalue()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     folder, out = designed
     assert "1 insertion, 24 mm deep" in out and "study2" in out
@@ -88,7 +88,7 @@ def test_a_parameter_that_needs_an_assumption_states_it_in_table_and_sentence():
         assert "an assumption" in lay_out_identification(frame, expected=True).rows[0][-1]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_same_bytes_for_any_number_of_threads(designed, folder):
     assert run("identify", "study2", "--jobs", "2", "-q") == 0
     one, two = (
@@ -98,7 +98,7 @@ def test_the_same_bytes_for_any_number_of_threads(designed, folder):
     assert one == two
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_fit_adds_its_stage_beside_the_design(folder, capsys):
     text = (
         'schema = 1\ndataset = "twin"\nmedium = "phantom2"\nrecipe = "quick"\n'
@@ -116,7 +116,7 @@ def test_a_fit_adds_its_stage_beside_the_design(folder, capsys):
     assert_made_again(folder.parent / "identify-one")
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
     """Bent by 5 mm, the measured centreline changes nothing that the design says."""

@@ -40,7 +40,7 @@ def gel(tmp_path, monkeypatch):
     return gel_file(tmp_path / "gel.csv")
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_estimates_of_the_specimens_are_printed_and_written(gel, tmp_path, capsys):
     assert run("material", "gel.csv") == 0
     out = capsys.readouterr().out

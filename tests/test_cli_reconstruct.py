@@ -129,7 +129,7 @@ def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
     assert str(shipped_folder()) not in text and "/tmp" not in text  # no path of a machine
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("searched_once")
 def test_proposed_layers_stand_beside_the_stated_ones(tmp_path, capsys):
     out = tmp_path / "out"
@@ -146,7 +146,7 @@ def test_proposed_layers_stand_beside_the_stated_ones(tmp_path, capsys):
     assert len(crossings) == 1  # the stated one
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
     again = tmp_path / "mydata"
     shutil.copytree(done, again)
@@ -171,7 +171,7 @@ def test_the_report_is_written_again_and_the_dataset_stays(done, tmp_path, capsy
     assert json.loads(capsys.readouterr().out) == []
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("searched_once")
 def test_layers_take_all_words_up_to_the_next_option_and_dicom_is_read_alike(tmp_path, capsys):
     series = tmp_path / "series"
@@ -185,7 +185,7 @@ def test_layers_take_all_words_up_to_the_next_option_and_dicom_is_read_alike(tmp
     assert output["scans"][0]["depth_mm"] == pytest.approx(25.0, abs=0.4)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("searched_once")
 def test_a_scan_without_markers_defines_its_own_world_frame(tmp_path, capsys):
     assert run("reconstruct", VOLUME, "--out", tmp_path / "out", "-q") == 0
@@ -212,14 +212,14 @@ def resumed(tmp_path_factory):
     return words, out
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_one_failure_loses_nothing_and_resume_completes_it(resumed):
     _, out = resumed
     assert [one.id for one in read_dataset(out).insertions] == ["truncated", "whole"]
     assert not out.with_name("out.partial").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_resumed_results_equal_those_of_one_run(resumed):
     words, out = resumed
     again = out.with_name("again") / "out"
@@ -230,7 +230,7 @@ def test_resumed_results_equal_those_of_one_run(resumed):
     assert found.keys() == at_once.keys()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("searched_once")
 def test_damaged_checkpoints_are_set_aside_and_no_pickle_is_opened(tmp_path, capsys, monkeypatch):
     class Bomb:
@@ -418,9 +418,9 @@ def short_needle(folder):
         (two_markers, "2 markers"),
         (mirrored_markers, "mirror"),
         (wrong_markers, "pairing"),
-        pytest.param(ras_as_lps, r"fiducials\.mrk\.json: .*RAS", marks=pytest.mark.slow),
-        pytest.param(two_series, "--series", marks=pytest.mark.slow),
-        pytest.param(short_needle, r"sample\.nrrd: gives no insertion.*20 mm long", marks=pytest.mark.slow),
+        pytest.param(ras_as_lps, r"fiducials\.mrk\.json: .*RAS", marks=pytest.mark.sweep),
+        pytest.param(two_series, "--series", marks=pytest.mark.sweep),
+        pytest.param(short_needle, r"sample\.nrrd: gives no insertion.*20 mm long", marks=pytest.mark.sweep),
         (holes, "hole"),
         (truncated, "cut short|shorter|ends"),
         (not_finite, "90 voxels"),
@@ -469,7 +469,7 @@ def test_every_refused_scan_that_can_be_read_has_a_page(spoil, tmp_path):
     assert (tmp_path / "out.refused" / "quality" / "sample.pdf").is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("searched_once")
 def test_the_pages_of_an_earlier_refusal_go_when_the_scan_is_written(tmp_path):
     out, refused = tmp_path / "out", tmp_path / "out.refused"
@@ -558,7 +558,7 @@ def test_a_small_offset_of_the_stage_is_reported(tmp_path):
     assert "outside the tissue" in warnings_of(tmp_path / "out")
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_voxels_need_not_be_cubes(tmp_path):
     volume = read_volume(VOLUME)
     slices = volume.values[: 2 * (len(volume.values) // 2)]
@@ -618,7 +618,7 @@ def test_an_invalid_frame_is_refused(tmp_path, capsys):
     assert "'world', 'scan'" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("child_process_reader")
 def test_libraries_print_nothing_beside_the_error(tmp_path, capfd):
     for path in (truncated(tmp_path)[0], no_decoder(tmp_path)[0]):

@@ -29,7 +29,7 @@ def test_a_pipe_closed_early_is_no_failure(words, lines):
     assert (done.returncode, done.stderr, done.stdout.count(b"\n")) == (0, b"", lines)
 
 
-@pytest.mark.parametrize("closed", [pytest.param("<&-", marks=pytest.mark.slow), ">&- 2>&- <&-"])
+@pytest.mark.parametrize("closed", [pytest.param("<&-", marks=pytest.mark.sweep), ">&- 2>&- <&-"])
 def test_closed_streams_change_no_exit_code(closed):
     done = shell(f"needlefit paper {closed}")
     assert (done.returncode, done.stderr, bool(done.stdout)) == (0, b"", closed == "<&-")

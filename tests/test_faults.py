@@ -28,13 +28,7 @@ def wrong(name, count, seed, server, folder):
     return {(*fault, prepared.steps[fault[1] - 1]): why for fault, why in found.items() if why}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "count"), [("reconstruct", 4), ("analysis", 1)])
-def test_a_fault_loses_nothing(name, count, server, tmp_path):
-    assert wrong(name, count, 1, server, tmp_path / "f") == {}
-
-
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", COMMANDS)
 def test_faults_at_many_steps_lose_nothing(name, server, tmp_path):
-    assert wrong(name, 12, 2, server, tmp_path / "f") == {}
+    assert wrong(name, 8, 2, server, tmp_path / "f") == {}

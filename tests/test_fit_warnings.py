@@ -197,6 +197,13 @@ alpha1 = { fixed = 1.0 }
 bevel_mm = { bounds = [1e-3, 0.5] }
 """
 
+FAST = """
+schema = 1
+starts = 2
+metric = false
+[likelihood]
+bevel_spread = 0.0
+"""
 FLIPPED = """
 schema = 1
 dataset = "./data"
@@ -215,7 +222,7 @@ def flipped(tmp_path, monkeypatch):
     tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
     write_dataset(tmp_path / "data", tables, rows, dict.fromkeys("ab", CURVE), {})
     (tmp_path / "gel.toml").write_text(GEL)
-    (tmp_path / "fast.toml").write_text("schema = 1\nstarts = 2\nmetric = false\n")
+    (tmp_path / "fast.toml").write_text(FAST)
     (tmp_path / "fit.toml").write_text(FLIPPED)
     return tmp_path
 
@@ -223,14 +230,14 @@ def flipped(tmp_path, monkeypatch):
 CAUSE_AND_EFFECT = {"bevel_side", "parameter_at_bound", "worse_than_baseline"}
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_fit_to_flipped_bevels_warns_of_cause_and_effect(flipped):
     results = run_fit("fit", load(flipped / "fit.toml", FitRecord), Settings())
     assert {one["kind"] for one in results.run["warnings"]} >= CAUSE_AND_EFFECT
     assert "insertions.csv:2" in {one["where"] for one in results.run["warnings"]}
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, capsys):
     assert run("tune", "./fit.toml", "-q", "--strict") == 5
     err = capsys.readouterr().err
@@ -250,7 +257,7 @@ insertions = ["a", "b"]
 """
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_every_warning_that_a_study_prints_is_in_run_json(flipped, capsys):
     rows = [row(name, "gel", layers=1, bevel=np.array([0, 1.0, 0])) for name in "abcde"]
     bent = CURVE * [1, 3, 1]

@@ -92,7 +92,7 @@ def plain(reconstruction):
     return encode(reconstruction, batch._HOOKS, arrays), {name: one.tobytes() for name, one in arrays.items()}
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample, tmp_path):
     gone = replace(sample, id="gone", volume=tmp_path / "x.nrrd")
     here = reconstruct_all([sample, gone], RECIPE, ReconstructionBatch())
@@ -101,7 +101,7 @@ def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample
     assert there[1].scan == gone and str(gone.volume) in str(there[1].error)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, monkeypatch, jobs):
     """The header passes, and the native reader of both processes crashes on what follows."""
@@ -181,7 +181,7 @@ def test_checkpoints_of_other_input_are_recomputed(change, sample, tmp_path, wor
     assert worked.done == ["sample"] * (1 if change == "nothing" else 2)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
     """A series is named by any of its files; a change of another one is a change of the scan."""
     write_volume(read_volume(sample.volume), tmp_path / "series")
@@ -194,7 +194,7 @@ def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
     assert worked.done == ["sample"] * 2
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
     file, chance = tmp_path / "sample.checkpoint", random.Random(1)
@@ -212,7 +212,7 @@ def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
         assert len(worked.done) == number + 2
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_numbers_of_a_scan_count_to_the_last_digit(sample, tmp_path, worked):
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
     moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))

@@ -58,7 +58,7 @@ def test_needles_of_known_equation(name):
     assert line.bevel @ [0, 1, 0] > 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_axis_follows_shifts_under_a_voxel():
     shift = np.array([0.13, 0.31, 0.17])
     still = found(cases.scan(cases.axis()))
@@ -70,7 +70,7 @@ def test_the_axis_follows_shifts_under_a_voxel():
     assert_allclose(across[2:] - across[:2], shift[:2], atol=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_turning_volume_and_needle_together_turns_the_answer():
     turn = Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix()
     shift = np.array([-30.0, 12.0, 7.0])
@@ -114,7 +114,7 @@ def test_markers_rays_and_table_change_nothing():
     assert np.linalg.norm(line.tip - truth[-1]) < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_pieces_of_one_needle_are_joined():
     truth = cases.axis()
     volume = cases.scan(truth)
@@ -173,7 +173,7 @@ def test_the_end_in_tissue_is_the_tip_where_both_ends_are_seen():
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_two_ends_in_tissue_need_an_entry_direction():
     truth = cases.axis()[48:]  # base 4 mm under the face
     volume = cases.scan(truth)
@@ -183,14 +183,14 @@ def test_two_ends_in_tissue_need_an_entry_direction():
     assert np.linalg.norm(line.tip - truth[-1]) < 0.15
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_stated_deviations_grow_with_the_noise():
     quiet, loud = (found(cases.scan(cases.axis(), noise_hu=hu)) for hu in (10.0, 200.0))
     assert loud.sd.mean() > 2 * quiet.sd.mean()
     assert loud.tip_sd[0] > 1.2 * quiet.tip_sd[0]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_ray_beside_the_needle_pulls_no_further_than_stated():
     """A ridge of 400 HU runs along the needle, 1 mm beside it: every section is pulled alike."""
     truth = cases.axis(tip=(1.0, 2.0, 28.0))
@@ -250,7 +250,7 @@ def test_recipes_that_contradict_themselves(table):
         cases.recipe(**table)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize(("angle", "most"), [(25.0, 0.2), (45.0, 0.2), (20.0, 0.4)])
 def test_a_bevel_unlike_the_recipe_s_moves_the_tip_by_little(angle, most):
     """Taken at its word, the recipe's angle of 30 degrees would misplace the tip by 0.4 to 0.6 mm.
@@ -269,7 +269,7 @@ def test_a_blunt_needle_has_no_side():
     assert np.isnan(line.bevel).all()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("hu", [4000.0, 9000.0])
 def test_metal_below_and_above_the_ceiling(hu):
     truth = cases.axis(tip=(1.0, 2.0, 28.0), curve=(2.0, 1.0))

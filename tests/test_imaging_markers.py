@@ -62,7 +62,7 @@ def test_balls_are_found_where_they_are(plain):
 
 @pytest.mark.parametrize(
     ("stated", "warned"),
-    [(3.0, False), *(pytest.param(stated, True, marks=pytest.mark.slow) for stated in (3.3, 3.7))],
+    [(3.0, False), *(pytest.param(stated, True, marks=pytest.mark.sweep) for stated in (3.3, 3.7))],
 )
 def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, stated, warned):
     found = find_markers(plain, recipe(markers={"diameter_mm": stated}), needle_of(plain))
@@ -77,7 +77,7 @@ def test_the_needle_is_no_marker_even_when_unknown(plain):
     assert off(find_markers(plain, RECIPE)).max() < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("hu", [1600.0, 12000.0])
 def test_glass_and_tungsten_with_bloom_and_streaks(hu):
     volume = with_balls(hu=hu, bloom=0.12, streaks=1.0, views=90)
@@ -105,7 +105,7 @@ def test_ball_on_the_face_of_the_phantom_is_not_pulled_by_it():
     assert off(find_markers(volume, RECIPE, needle_of(volume)), places).max() < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_ball_that_touches_the_needle_is_left_out_or_right():
     touching = ENTRY + np.array([0.635 + 1.5, 0, 10.0])
     near = ENTRY + np.array([0.635 + 1.5 + 1.0, 0, 22.0])
@@ -118,14 +118,14 @@ def test_ball_that_touches_the_needle_is_left_out_or_right():
     assert (cdist(found.centers, places).min(axis=1) < 0.15).all()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_ball_cut_by_the_volume_is_left_out():
     end = (SHAPE[2] - 1) * SPACING
     places = np.vstack([PLACES, [[6.0, 9.0, end - 0.8], [0.5, 11.0, 15.0]]])
     assert off(find_markers(with_balls(places), RECIPE)).shape == (4,)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_rails_of_the_table_are_no_markers():
     slab = Frame(np.array([19.5, 11.0, 25.0]), np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]))
     places = PLACES * [0.8, 1, 1]
@@ -133,7 +133,7 @@ def test_rails_of_the_table_are_no_markers():
     assert off(find_markers(volume, RECIPE), places).max() < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_bubbles_and_lumps_of_metal_are_no_markers(plain):
     values = plain.values.copy()
     values[60:66, 20:26, 20:26] = -1000.0  # a bubble
@@ -146,7 +146,7 @@ def test_bubbles_and_lumps_of_metal_are_no_markers(plain):
     assert apart.shape[1] <= 4
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("count", [1, 2])
 def test_fewer_than_three_are_returned_and_refused_by_the_registration(count):
     found = find_markers(with_balls(PLACES[:count]), RECIPE)
@@ -160,13 +160,13 @@ def test_needle_alone_holds_no_marker():
     assert len(find_markers(volume, RECIPE, needle_of(volume)).centers) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_balls_of_another_size_are_none(plain):
     assert len(find_markers(plain, recipe(markers={"diameter_mm": 6.0})).centers) == 0
     assert len(find_markers(with_balls(radius=0.8), RECIPE).centers) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_what_is_no_ball_is_listed_with_its_misfit(plain):
     larger = recipe(markers={"diameter_mm": 4.0})
     none = find_markers(plain, larger, needle_of(plain))
@@ -314,7 +314,7 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     assert moved.sd[4] == 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_two_fiducials_do_not_share_a_ball(plain, tmp_path):
     pair = np.array([PLACES[0] + [0.2, 0, 0], PLACES[0] - [0.6, 0, 0]])
     moved = refine_fiducials(read_fiducials(table(tmp_path / "pair.csv", pair), RECIPE), plain, RECIPE)
@@ -332,7 +332,7 @@ def test_ras_read_as_lps_is_noticed(tmp_path):
         refine_fiducials(given, volume, RECIPE)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_fiducials_outside_the_volume_are_refused(plain, tmp_path):
     given = read_fiducials(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
     with pytest.raises(DataError, match="1 of 2 fiducials"):

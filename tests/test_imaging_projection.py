@@ -57,7 +57,7 @@ def render():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_volume_of_projections_is_reconstructed(tmp_path):
     lines = ["x_mm,y_mm,z_mm", *(",".join(map(str, place)) for place in BALLS)]
     (tmp_path / "known.csv").write_text("\n".join(lines) + "\n")

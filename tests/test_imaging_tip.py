@@ -74,7 +74,7 @@ def test_the_bevel_s_point_lies_at_its_roll():
     assert_allclose(rod_image(spread, -0.6, -0.4, cotangent=1.732, roll=np.pi), toward, rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_model_that_is_not_to_be_trusted_gives_way_to_the_threshold(monkeypatch):
     volume = cases.scan(TRUTH)
     by_model = trace(volume)
@@ -94,7 +94,7 @@ def test_an_end_that_nothing_shows_is_refused():
     assert caught.value.fix
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_bevel_s_side_is_left_open_where_noise_hides_it():
     clear = trace(cases.scan(TRUTH, psf_mm=0.3))
     assert clear.bevel_probability > tip.MIN_BEVEL_PROBABILITY

@@ -259,7 +259,7 @@ def test_a_transform_that_is_not_linear_is_refused(tmp_path, kind):
     assert "harden" in error.value.fix
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_workbook_that_unpacks_to_gigabytes_or_is_huge_is_refused(tmp_path):
     from openpyxl import Workbook
 

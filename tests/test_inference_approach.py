@@ -127,7 +127,7 @@ def test_uncertain_depths_are_approached_as_stated_and_a_metric_by_plain_squares
     assert np.corrcoef(off[1:], residuals[1:])[0, 1] > 0.95
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_metric_ends_where_it_does_without_approach():
     task = two_layers()
     search = squares_recipe(minimize="metric", algorithm="slsqp", starts=4, evaluations=400)

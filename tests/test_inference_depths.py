@@ -63,13 +63,13 @@ def marginal(name, depths):
 
 
 @pytest.mark.parametrize(
-    "name", ["phantom2-04", *(pytest.param(f"phantom2-{n}", marks=pytest.mark.slow) for n in ("07", "09"))]
+    "name", ["phantom2-04", *(pytest.param(f"phantom2-{n}", marks=pytest.mark.sweep) for n in ("07", "09"))]
 )
 def test_quadrature_gives_the_integral_over_all_depths(name):
     assert marginal(name, "quadrature") == pytest.approx(brute_force(name), abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["phantom2-05", "phantom2-06"])
 def test_a_linear_effect_is_farther_from_the_integral_than_quadrature(name):
     """Why quadrature exists: the linear likelihood is off by more than 0.2 there."""

@@ -34,7 +34,7 @@ def test_exact_curves_give_back_their_mu_and_alpha(alpha, kind):
     assert fit.identified and fit.sds[1] < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_95_percent_region_covers_the_truth_about_as_often():
     fits = [fit_specimen(specimen(-5.0, 0.85, 0.01, seed), "nominal") for seed in range(60)]
     inside = [any(low <= -5 <= high for low, high in fit.profile.regions) for fit in fits]

@@ -34,7 +34,7 @@ def test_least_squares_finds_every_certified_value_from_either_start(start):
     assert all(end.succeeded for _, end in found.values())
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("algorithm", "hits"),
     [

@@ -12,7 +12,7 @@ from needlefit.inference.sampling.proposal_density import fit_proposal, make_ini
 from needlefit.inference.sampling.sample import sample
 from needlefit.schemas.recipe import SampleRecord
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.sweep
 
 MOVES = ["stretch", "de", "snooker", "independent", SampleRecord().moves]
 

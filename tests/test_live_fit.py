@@ -44,7 +44,7 @@ def test_the_mode_is_a_maximum_of_the_posterior() -> None:
     )  # the synthetic needle's own is about that
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_draws_lie_about_the_mode() -> None:
     found = draw_about(mode(), shown().insertion, 1)
     assert len(found.spread) == SHOWN_DRAWS and found.certified and found.ess >= 100
@@ -54,7 +54,7 @@ def test_draws_lie_about_the_mode() -> None:
     assert np.array_equal(again.mu, found.mu)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_draws_about_the_information_of_the_search_have_the_evidence_of_others() -> None:
     found = find_mode(shown(), select_insertions(shown(), "specimen")[:4])
     problem, minimum, rng = found.problem, found.minimum, np.random.default_rng
@@ -66,7 +66,7 @@ def test_draws_about_the_information_of_the_search_have_the_evidence_of_others()
     assert means[0] == pytest.approx(means[1], abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_points_that_are_moved_move_the_fit() -> None:
     original = shown().insertion.planar
     ramp = np.linspace(0, 0.3, KNOTS)

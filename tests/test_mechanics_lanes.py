@@ -409,7 +409,7 @@ PACKED = ("full_regular", "chord_regular", "full_interval", "chord_interval", "f
           "solve_tip", "substitute_back", "shift_load", "add_compliance", "friction_point")  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", PACKED)
 def test_loops_over_lanes_are_packed(name: str) -> None:
     """Every fused multiply-add stands in a loop of whole vectors; single ones only where rows overlap."""

@@ -142,7 +142,7 @@ def to_earlier(table):
     return {**table, "kind": "study", "frames": frames, "needles": []}
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_run_of_an_earlier_version_is_written_anew_with_the_same_numbers(tmp_path, monkeypatch):
     folder = tmp_path / "run"
     made = study(3)

@@ -203,7 +203,7 @@ def test_a_guide_is_added_dragged_and_taken_away(page) -> None:
     until(page, "state => state.guides.length === 0")
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
     """And follow the sliders, which tell the whole insertion again."""
     page.fill("#speed", "1000")
@@ -350,7 +350,7 @@ def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chrom
     context.close()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_killed_server_loses_no_step(tmp_path, chromium) -> None:
     server = Server(tmp_path, "study2")
     with opened(chromium, server) as page:
@@ -367,7 +367,7 @@ def test_a_killed_server_loses_no_step(tmp_path, chromium) -> None:
     assert last.state.shape.deflection == state["tip"]["deflection_mm"]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_two_windows_do_not_touch_each_other(page, server, chromium) -> None:
     with opened(chromium, server) as other:
         go_to(page, 10)
@@ -404,7 +404,7 @@ def test_everything_that_can_be_used_has_a_name_and_a_place_in_the_order(page) -
     assert reached == sorted(reached) and len(set(reached)) == len(reached)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_stands_out_in_both_colour_schemes(server, chromium, scheme: str) -> None:
     """Contrast of at least 4.5 to 1 (WCAG AA) of every text against what lies behind it."""
@@ -446,7 +446,7 @@ CONTRASTS = """() => {
 }"""
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_at_200_percent_nothing_is_cut_off(server, chromium) -> None:
     """A window of 1280 x 800 zoomed to 200 % has 640 x 400 pixels of the page's own."""
     settings = {"viewport": {"width": 640, "height": 400}, "device_scale_factor": 2}
@@ -477,7 +477,7 @@ def test_an_export_is_a_file(page) -> None:
     assert last.state.step.depth == 10
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromium) -> None:
     with opened(chromium, server, reduced_motion="no-preference") as window:
         page = window
@@ -562,7 +562,7 @@ def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
 GOAL = "goal => import('/page/aim.js').then(({ setAim }) => setAim(goal))"
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_goal_can_be_undone_and_one_that_is_refused_is_taken_back(page) -> None:
     go_to(page, 5)
     page.evaluate(GOAL, {"target": [35, 0.5]})
@@ -592,7 +592,7 @@ def test_a_goal_that_changes_ends_the_search_for_a_plan(page) -> None:
     assert page.evaluate("[window.needlefit.aim.planning, window.needlefit.aim.plan]") == [False, None]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_plan_that_shifts_the_entry_begins_there(page) -> None:
     page.fill("#speed", "1000")
     go_to(page, 20)
@@ -612,7 +612,7 @@ def test_a_plan_that_shifts_the_entry_begins_there(page) -> None:
     assert page.input_value("#plan-entry") == "0"
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_plan_that_fails_names_what_it_touches(page) -> None:
     go_to(page, 20)
     page.evaluate(GOAL, {"target": [40, -1], "obstacles": [[30, -0.6, 3, "bone"]]})
@@ -634,7 +634,7 @@ def test_by_keyboard_a_target_is_put_ahead_of_the_tip(page) -> None:
     assert page.evaluate("[window.needlefit.aim.placing, window.needlefit.aim.obstacles.length]") == [None, 0]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_hand_is_compared_with_the_planner(page) -> None:
     page.fill("#speed", "1000")
     page.click("#challenge")
@@ -676,7 +676,7 @@ def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
     until(page, "() => window.needlefit.aim.obstacles.length === 0")
 
 
-@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.sweep)])
 def test_axe_finds_no_violation(server, chromium, scheme: str) -> None:
     package = pytest.importorskip("axe_playwright_python")
     script = (Path(package.__file__).parent / "axe.min.js").read_text("utf-8")
@@ -705,7 +705,7 @@ def test_fields_have_definitions_inside_the_window(page) -> None:
         assert number.get_attribute("aria-description") == page.inner_text("#definition") != ""
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("size", [(390, 844), (844, 390), (1280, 800)])
 def test_the_tour_covers_neither_the_picture_nor_what_it_asks_for(server, chromium, size) -> None:
     width, height = size
@@ -806,7 +806,7 @@ def test_the_three_steps_to_try_follow_what_is_done_and_can_be_skipped(page) -> 
     assert page.locator("#tour").is_hidden()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_smoothed_load_has_the_force_of_the_raw_one(page) -> None:
     go_to(page, 30)
     sums = page.evaluate(
@@ -823,7 +823,7 @@ def test_the_smoothed_load_has_the_force_of_the_raw_one(page) -> None:
     assert abs(raw - smoothed) < 0.05 * size and flat < 0.5 * rough
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None:
     page.fill("#speed", "1000")
     page.click("#goto-scene")

@@ -11,7 +11,7 @@ from test_page import FOUND, Server, chromium  # noqa: F401 - a fixture
 
 from needlefit.datasets.read import read
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(FOUND is None, reason="no browser is installed")]
+pytestmark = [pytest.mark.sweep, pytest.mark.skipif(FOUND is None, reason="no browser is installed")]
 
 PATIENCE_MS = 90_000
 

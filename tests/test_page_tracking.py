@@ -11,7 +11,7 @@ import pytest
 from openigtlink_cases import pack, tip_path, transform
 from test_page import FOUND, chromium  # noqa: F401 - a fixture
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(FOUND is None, reason="no browser is installed")]
+pytestmark = [pytest.mark.sweep, pytest.mark.skipif(FOUND is None, reason="no browser is installed")]
 
 
 @pytest.fixture

@@ -95,14 +95,14 @@ def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with() ->
     assert found.hits == np.sum(find_hits(found.needles, goal))
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_turning_the_bevel_lowers_the_risk_of_an_uncertain_bevel() -> None:
     one, goal = uncertain(), Goal((45.0, 0.0), 0.5)
     straight, turned = (plan_steering(one, goal, PlanLimits(turns=n), threads=1) for n in (0, 2))
     assert turned.turns and turned.probability > straight.probability + 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_plan_goes_on_from_where_the_needle_stands() -> None:
     view = open_target("phantom2")
     one = insertion()
@@ -125,7 +125,7 @@ def test_a_target_behind_the_tip_or_out_of_reach_is_refused(target) -> None:
         plan_steering(there, Goal(target, 1.0), threads=1)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_tips_lie_in_the_reachable_region() -> None:
     limits = PlanLimits(base_mm=3.0, base_angle_deg=1.0)
     region = find_reachable_region(uncertain(), 45.0, limits, threads=1)
@@ -138,7 +138,7 @@ def test_tips_lie_in_the_reachable_region() -> None:
     assert plan_steering(uncertain(), beyond, limits, threads=1).probability < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("depth", [0.0, 20.0])
 def test_the_reachable_region_ends_where_plans_end(depth) -> None:
     there = replace(insertion(), path=(replace(insertion().now, depth=depth),))
@@ -213,7 +213,7 @@ def test_a_command_without_a_target_is_refused(words) -> None:
     assert run("plan", "phantom2", *words) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
     one = insertion()
     rules = replace(one.rules, advance="path_angle")
@@ -222,7 +222,7 @@ def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
     assert plan_steering(other, Goal((40.0, -1.0), 1.0), threads=1).nominal_miss < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_random_target_is_one_that_a_plan_reaches() -> None:
     rng = np.random.default_rng(3)
     targets = [draw_target(insertion(), 35.0, rng) for _ in range(3)]

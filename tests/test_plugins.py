@@ -95,7 +95,7 @@ def test_they_are_printed_typeset_and_drawn(report: Path) -> None:
     assert json.loads((report / "run.json").read_text())["versions"][EXAMPLE] == VERSION
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_they_are_made_again_and_compared(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("report", "small", "--out", "reports/again", "-q") == 0
     again = report.with_name("again")
@@ -127,7 +127,7 @@ def test_a_kind_of_study_is_run_reported_and_compared(
     assert run("diff", "deep", "again") == 0
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_without_the_plugin_the_stored_result_is_still_shown(project: Path) -> None:
     words = (sys.executable, "-m", "needlefit", "report", "small", "--out", "reports/plain", "-q")
     subprocess.run(words, cwd=project, check=True)  # its columns are declared nowhere: no check of tests

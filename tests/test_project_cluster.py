@@ -80,14 +80,14 @@ def test_a_stop_drops_what_runs(address):
     assert time.monotonic() - begin < 2
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_worker_of_other_versions_is_refused(address, monkeypatch):
     monkeypatch.setattr(cluster, "describe_code", lambda: {"numpy": "0.1"})
     with connect(address) as pool, pytest.raises(ConfigError, match=r"numpy .* instead of"):
         list(pool.run(square, [1.0]))
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_lost_scheduler_is_an_error(tmp_path):
     with start_scheduler(tmp_path) as (address, server), start_worker(address), connect(address) as pool:
         results = pool.run(nap, [0.5] * 8)
@@ -97,7 +97,7 @@ def test_a_lost_scheduler_is_an_error(tmp_path):
             list(results)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_scheduler_that_is_lost_while_tasks_run_is_an_error_that_names_resume(tmp_path):
     with start_scheduler(tmp_path) as (address, server), start_worker(address), connect(address) as pool:
         pool.client.wait_for_workers(1)
@@ -109,7 +109,7 @@ def test_a_scheduler_that_is_lost_while_tasks_run_is_an_error_that_names_resume(
     assert "--resume" in caught.value.fix
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_workers_are_counted_at_most_once_a_second_and_all_of_them(address):
     with connect(address) as pool:
         counted, find = [], pool.client.nthreads
@@ -152,7 +152,7 @@ def test_an_address_is_secured(address, secured):
         assert caught.value.where == f"--scheduler {address}"
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_an_encrypted_scheduler_works_for_who_has_the_certificates(tmp_path, monkeypatch):
     keys = Security.temporary().get_tls_config_for_role("client")
     files = {}
@@ -184,7 +184,7 @@ def test_no_scheduler_answers(monkeypatch):
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its files of keys stay open
 def test_the_slurm_job_has_what_the_file_states(tmp_path):
     keys = {"jobs": 3, "cores": 4, "processes": 4, "memory": "8GB", "walltime": "01:30:00", "queue": "short"}
@@ -248,13 +248,13 @@ def test_slurm_without_its_command_is_an_error(slurm):
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_job_that_slurm_rejects_is_an_error_with_its_reason(slurm):
     with pytest.raises(ConfigError, match="invalid account"), connect(slurm(sbatch=REJECTS, scancel=CANCELS)):
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_job_that_slurm_starts_runs_tasks_and_is_cancelled(slurm, tmp_path):
     with connect(slurm(sbatch=ACCEPTS, scancel=CANCELS)) as pool:
         assert list(pool.run(square, [3.0])) == [(0, 9.0)]

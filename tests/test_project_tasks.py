@@ -180,7 +180,7 @@ def test_profiles_in_processes_have_the_same_bytes(pool, long):
     assert len(found[0].parameters) >= 3 and repr(found[0]) == repr(found[1])
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_search_on_a_cluster_has_the_same_bytes(tmp_path, long):
     pytest.importorskip("distributed")
     problem, search = two_layers(count=2), squares_recipe(starts=4, evaluations=60)

@@ -17,7 +17,7 @@ from needlefit.datasets.read import read
 from needlefit.imaging.volume_files import read_segments, read_volume
 from needlefit.project.locate import shipped_folder
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.sweep
 SAMPLE = shipped_folder() / "data" / "sample_scan"
 BOX_MM = (8, 5, 6)
 BOTH = ("--export", "scene", "--export", "seg", "-q")

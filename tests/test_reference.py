@@ -35,7 +35,7 @@ def test_every_study_of_the_paper_has_its_evidence():
             assert round_frame(evidence).equals(evidence), f"{file} is not rounded"
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_reduced_study_has_the_errors_of_the_evidence():
     """Study 5 by the quick recipe, a few starts instead of many, and three of its held-out insertions."""
     held = SelectionRecord(insertions=("chicken-04", "chicken-06", "chicken-12"))

@@ -62,7 +62,7 @@ def test_a_result_folder_holds_every_file(folder):
             assert (folder / name).read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_another_process_writes_the_same_bytes(folder, tmp_path):
     code = (
         "from pathlib import Path; from reporting_results import study; "

@@ -170,14 +170,14 @@ def written(tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="LaTeX is not installed")
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_example_compiles(written, tmp_path):
     for folder in written:
         compile_example(folder, tmp_path / "example.pdf")
         assert (tmp_path / "example.pdf").read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_paper_has_every_figure_in_both_widths_with_letters_of_8_points(written):
     run, paper = written
     names = {path.stem for path in run.glob("*.pdf")} - {"report"}

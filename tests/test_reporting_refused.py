@@ -86,7 +86,7 @@ def test_one_voxel_thick_projections_need_no_needle():
     assert (nothing.tubes, len(nothing.balls), nothing.entries) == ((), 0, ())
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_dataset_holds_the_pages_of_its_refused_scans_too(found, tmp_path):
     one = cases.small()
     about = DatasetDescription("data")

@@ -78,7 +78,7 @@ def test_of_many_steps_an_even_selection_is_shown_and_counted_in_the_title(angle
     assert len(figure.axes) == 4 and "of" not in figure.legends[0].get_title().get_text()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_largest_number_of_panels_has_room_for_its_titles(tmp_path):
     one = scene(*(Step(26.0 + 0.1 * n, Bevel(0.085)) for n in range(400)))
     figures.draw_scene("Many steps", one, simulate_scene(one), tmp_path / "a.png")

@@ -177,7 +177,7 @@ def turned(folder: Path) -> None:
     file.write_text(text.replace("[frame]", f"[frame]\n{motion}"))
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
     world = read_needles(run("needles", study(), Settings()).frames["needles"])
     turned(project)
@@ -207,7 +207,7 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
     assert band.is_watertight and band.volume > body.volume
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
 def test_free_shapes_lie_on_the_measured_ones(project):  # noqa: F811
     """Known up to a rigid motion, the fit is laid on the needle where that stands, wherever it does."""
@@ -222,7 +222,7 @@ def test_free_shapes_lie_on_the_measured_ones(project):  # noqa: F811
         assert one.band is not None
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
 def test_a_leave_one_out_places_every_needle_as_held_out(project):  # noqa: F811
     record = study(leave_out="specimen", tune={}, validate=())

@@ -39,7 +39,7 @@ def test_a_scene_is_not_shared(tmp_path) -> None:
     assert run("simulate", "phantom2", "--html", str(tmp_path / "a.html")) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.skipif(BROWSER is None, reason="no browser is installed")
 def test_it_plays_from_a_file_without_requests(shared) -> None:
     from playwright.sync_api import sync_playwright

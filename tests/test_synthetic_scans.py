@@ -249,7 +249,7 @@ def test_nrrd_and_dicom_hold_the_same_voxels(tmp_path):
     assert b"Synthetic: needlefit twin ct sample --seed 1" in header
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_scans_csv_states_the_plan_and_not_the_truth(tmp_path):
     table = write_scans(
         tmp_path, [PLAN["chicken-07"], design.SAMPLE_INSERTION], 1, "nrrd", THIS_PROCESS, quiet
@@ -288,7 +288,7 @@ def test_markers_keep_off_every_needle():
         assert np.linalg.norm(line[:, None] - WHOLE_BOX_SETUP.markers, axis=2).min() > 20
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_registration_errs_as_much_as_the_papers():
     """Mean target error at entry and tip: 0.19 mm, and not above."""
     rng, errors, predicted = np.random.default_rng(0), [], []

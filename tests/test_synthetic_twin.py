@@ -23,7 +23,7 @@ MAKE_TWINS = [PACKAGE / "validation/analyses" / name for name in ("seeds", "spec
 FEW = ("phantom2-16", "chicken-04")
 """The shortest needles."""
 
-SETS = [pytest.param(FEW, marks=pytest.mark.slow)]
+SETS = [pytest.param(FEW, marks=pytest.mark.sweep)]
 
 TARGETS = {  # tip deflection, mm, that the paper's tables imply
     "phantom1_layers3": 1.1,
@@ -88,7 +88,7 @@ def test_the_shipped_twin_is_a_rebuild(rebuilt, names):
         assert file.read_bytes() == (TWIN / "layers" / file.name).read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("names", [FEW], indirect=True, ids=len)
 def test_an_insertion_does_not_depend_on_the_others_or_on_the_number_of_processes(rebuilt, names, tmp_path):
     build_dataset(tmp_path, TWIN_SEED, select_planned_insertions(names[-1:]))

@@ -123,7 +123,7 @@ def project(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project, capsys):
     assert run_cli("validate", "left", "--reference", "-q") == 0
     out = capsys.readouterr().out

@@ -75,14 +75,14 @@ def test_tips_of_a_replicate_are_averaged():
     assert found.loc[1, ["tip_in_50", *ends]].to_dict() == {"tip_in_50": 0.0, **ends}
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_needles_of_the_model_itself_are_calibrated():
     found = run(small_job(), 25)
     assert set(found) == {"mu1_pa", "bevel_mm", "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"}
     assert failures(found) == []
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("control", CONTROLS)
 def test_every_control_is_noticed(control):
     assert failures(run(small_job(), ENOUGH[control], control=control))
@@ -154,7 +154,7 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
     assert np.std(ends) == pytest.approx(0.4, rel=0.15)  # the entry's place moves along
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     job = small_job()
     thetas = [simulate_experiment(job, np.random.default_rng(4)).theta for _ in range(2)]

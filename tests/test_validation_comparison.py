@@ -119,7 +119,7 @@ def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
     assert density.k < 0.7 and density.se < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_path_angle_is_a_candidate():
     made = tuple(measure(TRUTH, medium(layers=1), insertion(30.0 + 6 * k), points=31) for k in range(2))
     fold = Fold("one", made[:1], made[1:])
@@ -176,7 +176,7 @@ def compared():
     return _answer(positive_control=True)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_laws_tie_where_strains_are_small_and_a_straight_line_loses(compared):
     table = compared.frames["comparison"].set_index("method")
     assert table["verdict"].to_dict() == {"ogden": "reference", "linear": "tie", "straight": "behind"}
@@ -185,7 +185,7 @@ def test_laws_tie_where_strains_are_small_and_a_straight_line_loses(compared):
     assert 0.5 < table.loc["ogden", "noise_scale"] < 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_error_of_draws_is_small_and_part_of_the_verdict(compared):
     scores, table = compared.frames["scores"], compared.frames["comparison"].set_index("method")
     assert scores["log_density_se"].max() < 0.2 and scores["pareto_k"].max() < 0.7
@@ -196,14 +196,14 @@ def test_the_error_of_draws_is_small_and_part_of_the_verdict(compared):
     assert table.loc["ogden", "difference_se"] == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_needles_that_are_no_repeats_are_not_called_so(compared):
     assert "over 4 needles" in summarize(compared)[0]
     frames = {**compared.frames, "differences": compared.frames["differences"].assign(group="one hole")}
     assert "repeats" in summarize(replace(compared, frames=frames))[0]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_control_that_the_comparison_misses_is_a_fault(compared):
     (fault,) = compared.faults
     assert "ahead of linear" in fault

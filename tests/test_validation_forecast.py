@@ -306,7 +306,7 @@ def test_an_interrupted_search_predicts_nothing_and_an_early_end_is_flagged(job,
     assert "minimum" in found.faults[0] and "(budget)" in found.faults[0]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_importance_draws_match_the_posterior(job):
     """Weighed draws and walked ones have the same middle and width, in the stiff and the sloppy direction."""
     problem = job.problem(job.folds[0])
@@ -321,7 +321,7 @@ def test_importance_draws_match_the_posterior(job):
         assert np.std(one) == pytest.approx(np.std(two), rel=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     fit = find_file("fit", "phantom2").read_text(encoding="utf-8").replace('"default"', '"quick"')

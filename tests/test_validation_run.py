@@ -144,52 +144,6 @@ def test_there_is_one_fit_where_the_recipe_asks_for_no_second(clean: Run) -> Non
     assert {row["fitted_metric"] for row in arrange_parameters(tabulate_parameters(clean))} == {""}
 
 
-@pytest.mark.slow
-def test_the_same_frames_for_any_number_of_jobs(project: Path, clean: Run) -> None:
-    assert Settings().jobs == 1
-    assert_same(clean, run("clean", study(), Settings(jobs=2)))
-
-
-@pytest.mark.slow
-def test_an_interrupted_run_resumes_to_the_same_frames(project: Path, clean: Run) -> None:
-    seen: list[int] = []
-
-    def progress(label: str, done: int, total: int) -> None:
-        seen.append(done)
-
-    kept = project / "clean.partial"
-    part = run("clean", study(), Settings(checkpoint=kept, progress=progress, stop=lambda: len(seen) >= 2))
-    assert part.interrupted
-    assert len(part.frames["starts"]) < len(clean.frames["starts"]) or "interrupted" in set(
-        part.frames["starts"]["stopped"]
-    )
-    assert not part.frames["errors"].empty  # the best so far is scored
-    again = run("clean", study(), Settings(checkpoint=kept, resume=True))
-    assert_same(again, clean)
-
-
-@pytest.mark.slow
-def test_an_interrupted_sampler_resumes_to_the_same_draws(project: Path) -> None:
-    """Stopped within its second block of steps, after the searches."""
-    whole = run("draws", study(), Settings(sample=True))
-    walked: list[int] = []
-
-    def progress(label: str, done: int, total: int) -> None:
-        if "posterior" in label:
-            walked.append(done)
-
-    kept = project / "draws.partial"
-    stop = Settings(checkpoint=kept, sample=True, progress=progress, stop=lambda: len(walked) >= 15)
-    part = run("draws", study(), stop)
-    assert part.interrupted and part.posteriors["all"].interrupted
-    again = run("draws", study(), Settings(checkpoint=kept, resume=True, sample=True, progress=progress))
-    # each run first reports its searches, 4 steps; the first block is not walked again
-    assert walked[15:17] == [4, 11]
-    for one in ("draws", "log_posterior", "acceptance"):
-        assert np.array_equal(getattr(again.posteriors["all"], one), getattr(whole.posteriors["all"], one))
-    assert again.run["not_converged"] == {"all": list(whole.posteriors["all"].faults)} != {}
-
-
 @pytest.mark.usefixtures("few_draws")
 def test_a_checkpoint_of_other_work_is_refused(project: Path) -> None:
     kept = project / "other.partial"
@@ -209,7 +163,7 @@ def test_where_nothing_fails_the_table_of_failures_is_a_header(clean: Run) -> No
     assert describe_failures(results) == ""
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Constraints that leave the needle by 30 mm a millimetre and more press the tissue flat."""
     rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { bounds = [0.02, 3e3] }")

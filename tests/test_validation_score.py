@@ -193,7 +193,7 @@ def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(several_fi
     assert printed["bevel_mm"]["fitted_metric"] == format_number(second["bevel_mm"])
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -> None:
     """With one evaluation a start ends where it began; the bevel alone is free in both searches."""
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
@@ -210,7 +210,7 @@ def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -
     assert not set(other["bevel_mm"]) & set(starts["bevel_mm"])
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(project: Path) -> None:
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")

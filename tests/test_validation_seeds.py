@@ -149,7 +149,7 @@ def two_twins(tmp_path, monkeypatch):
     return load_study(find_file("study", "two"))
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_worker_in_an_empty_folder_has_the_studies_of_this_one(two_twins, tmp_path_factory):
     pytest.importorskip("distributed")
     folder, record = tmp_path_factory.mktemp("worker"), two_twins.model_copy(update={"seeds": 1})
@@ -164,7 +164,7 @@ def test_a_worker_in_an_empty_folder_has_the_studies_of_this_one(two_twins, tmp_
         pd.testing.assert_frame_equal(found.frames[name], frame, check_exact=True)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_studies_on_two_twins_are_reported(two_twins, tmp_path):
     answer = find_kind("seeds").run("two", two_twins, Settings())
     table = answer.frames["errors"]

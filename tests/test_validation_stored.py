@@ -85,7 +85,7 @@ def test_a_posterior_is_read_from_the_file_beside(tmp_path):
     assert np.array_equal(found.draws, posterior.draws)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_joint_report_is_rebuilt_from_the_runs_beside_it(tmp_path):
     every = [dataclasses.replace(study(k), name=f"study{k}") for k in (1, 5)]
     for one in every:

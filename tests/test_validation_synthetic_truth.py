@@ -127,7 +127,7 @@ def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
     assert np.isnan(find_true_value(job, "bevel_spread", 7))
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_two_replicates_are_reported(small, capsys):
     command = ("calibrate", "small", "--truth", "synthetic", "--jobs", "1", "-q")
     assert run(*command, "--replicates", "2", "--json") == 5  # too few
@@ -144,7 +144,7 @@ def test_two_replicates_are_reported(small, capsys):
     assert_made_again(folder)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_an_interrupted_run_resumes_to_the_same_frames(small):
     record = CalibrationRecord(schema=2, kind="calibration", target="small", replicates=2, truth="synthetic")
     calibration = find_kind("calibration")
@@ -158,7 +158,7 @@ def test_an_interrupted_run_resumes_to_the_same_frames(small):
         pd.testing.assert_frame_equal(frame, resumed.frames[name], check_exact=True)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_truths_measured_through_ct_carry_cross_sections(small):
     job = prepare("small", load_study(find_file("study", "small")), Settings())
     row = replicate_synthetic(0, prepare_synthetic(job, ct=True))

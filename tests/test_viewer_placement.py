@@ -81,7 +81,7 @@ def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, 
     np.testing.assert_allclose(found, read_needles(results.frames["needles"])[ID].fitted, rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_files_of_a_recording_are_in_the_scan_and_in_the_world_of_the_data(
     tmp_path, monkeypatch, capsys
 ) -> None:

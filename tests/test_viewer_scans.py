@@ -164,7 +164,7 @@ def test_corrections_are_used_kept_and_repeated(session, tmp_path):
     assert session.describe()["inserted"] == found["inserted"]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_only_saving_writes_and_never_over_what_another_session_saved(session, tmp_path):
     folder = tmp_path / "scans" / "sample"
     tip = session.describe()["tip"]["at"]
@@ -222,7 +222,7 @@ def test_an_entry_is_not_placed_beside_the_stage(session):
         session.again({"contact": session.describe()["tip"]["at"]})
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_what_a_dataset_may_not_hold_is_refused_on_the_page_and_by_the_command(
     free_session, tmp_path, capsys
 ):

@@ -202,10 +202,15 @@ def _compare_methods(group: pd.DataFrame) -> str:
     """Return the comparison of the fit with each method: better or worse if the interval excludes 0."""
     verdicts: dict[str, list[str]] = {}
     for row in to_records(group[group["method"] != "fitted"]):
-        low, high = row["low"], row["high"]
-        word = "better than" if low > 0 else "worse than" if high < 0 else "not significantly different from"
+        word = _compare_intervals(row["low"], row["high"])
         verdicts.setdefault(word, []).append(f"the {name_track_method(str(row['method']))}")
     return "the fit is " + ", ".join(f"{word} {' and '.join(names)}" for word, names in verdicts.items())
+
+
+def _compare_intervals(low: float | None, high: float | None) -> str:
+    if low is None or high is None:  # a single run has no scatter
+        return "on one run, without an interval, compared with"
+    return "better than" if low > 0 else "worse than" if high < 0 else "not significantly different from"
 
 
 _READINGS_CAPTION = (

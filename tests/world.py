@@ -1,0 +1,163 @@
+"""The tiny world: three insertions into two layers, and one finished run of every kind of study.
+
+Its project lies in `tiny_world/`; its data are simulated. A run is made by its command when a test first
+asks for it, and kept for all processes of the session: the tests of reports, differences, Python, viewer and
+command line read the same runs.
+"""
+
+import fcntl
+import io
+import json
+import shutil
+from collections.abc import Mapping
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import needles
+import pytest
+import track_cases
+from compression_cases import gel_file
+
+from needlefit.cli import main
+from needlefit.studies.run import Run, restore_run
+
+PROJECT = Path(__file__).parent / "tiny_world"
+SHORT = (0, 5)
+"""Exit codes of a run too short to converge in every respect."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What runs a study of a kind, the folder of its result, and the exit codes that it may end with.
+
+    `after`: the kinds of which it reads a run.
+    """
+
+    words: tuple[str, ...]
+    folder: str
+    codes: tuple[int, ...] = SHORT
+    after: tuple[str, ...] = ()
+
+
+def _validate(name: str, *codes: int) -> Command:
+    return Command(("validate", name), name, codes or SHORT)
+
+
+COMMANDS: Mapping[str, Command] = MappingProxyType(
+    {
+        "adaptation": _validate("adaptation"),
+        "calibration": Command(("calibrate", "meat", "--replicates", "2"), "calibrate-meat", (5,)),
+        "cohort": _validate("cohort", 0),
+        "comparison": _validate("comparison"),
+        "credibility": Command(
+            ("credibility", "held_out"), "credibility-held_out", (0,), ("cross_validation", "verification")
+        ),
+        "cross_validation": _validate("held_out", 0),
+        "fit": Command(("tune", "gel", "--sample"), "gel", (5,)),
+        "identification": Command(("identify", "gel", "--fit"), "identify-gel", (0,)),
+        "left_out": _validate("left_out"),
+        "material": Command(("material", "gel.csv"), "material-gel", (0,)),
+        "next_insertion": _validate("next_insertion"),
+        "plan": _validate("plan"),
+        "prediction": Command(
+            ("predict", "held_out", "--scene", "ahead"),
+            "predict-held_out-ahead",
+            SHORT,
+            ("cross_validation",),
+        ),
+        "reconstruction": Command(("reconstruct", "sample_scan"), "scanned", (0,)),
+        "seeds": _validate("seeds"),
+        "sensitivity": _validate("sensitivity"),
+        "specimens": _validate("specimens"),
+        "tracks": _validate("tracks"),
+        "verification": Command(("verify",), "verification", (0,)),
+    }
+)
+"""By kind of study."""
+
+OF_ONE_PROCESS = frozenset({"credibility", "material", "verification"})
+"""Kinds whose commands have no `--jobs`."""
+
+
+def find_words(kind: str, reports: Path, jobs: int = 1) -> list[str]:
+    """Return the command of a kind that leaves its result in a folder of `reports`."""
+    command = COMMANDS[kind]
+    out = reports / command.folder if kind == "reconstruction" else reports  # which names its own folder
+    options = () if kind in OF_ONE_PROCESS else ("--jobs", str(jobs))
+    return [*command.words, "--out", str(out), *options]
+
+
+def build_project(folder: Path) -> None:
+    """Write the project and its data to a folder that is not there yet."""
+    shutil.copytree(PROJECT, folder)
+    needles.build(folder / "data/needles", needles.DEPTHS[:3])
+    rest = [
+        track_cases.measured(track_cases.track(f"rest{n}", 0 * track_cases.GUIDE), n, 0.03, n)
+        for n in range(4)
+    ]
+    moved = track_cases.measured(track_cases.track("moved", track_cases.GUIDE), -1, 0.034, 9)
+    track_cases.written(folder / "data/tips", [*rest, moved])
+    gel_file(folder / "gel.csv")
+
+
+@dataclass(frozen=True)
+class World:
+    """The project and its runs, for all processes of a session."""
+
+    folder: Path
+
+    def find(self, kind: str) -> Path:
+        """Return the folder of the finished run of a kind, which is made if it is not there."""
+        command = COMMANDS[kind]
+        for other in command.after:
+            self.find(other)
+        with (self.folder.parent / f"{kind}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not self._outcome(kind).exists():
+                self._run(kind, command)
+        outcome = json.loads(self._outcome(kind).read_text(encoding="utf-8"))
+        assert outcome["code"] in command.codes, outcome["printed"]
+        return self._result(command)
+
+    def restore(self, kind: str) -> Run:
+        """Return the run of a kind as it was stored."""
+        return restore_run(self.find(kind))
+
+    def read_printed(self, kind: str) -> str:
+        """Return what the command of a kind printed."""
+        self.find(kind)
+        return json.loads(self._outcome(kind).read_text(encoding="utf-8"))["printed"]
+
+    def _result(self, command: Command) -> Path:
+        return self.folder / "reports" / command.folder
+
+    def _outcome(self, kind: str) -> Path:
+        return self.folder.parent / f"{kind}.json"
+
+    def _run(self, kind: str, command: Command) -> None:
+        printed = io.StringIO()
+        with (
+            chdir(self.folder),
+            redirect_stdout(printed),
+            redirect_stderr(printed),
+            pytest.raises(SystemExit) as leaving,
+        ):
+            main(find_words(kind, self.folder / "reports"))
+        outcome = {"code": int(leaving.value.code or 0), "printed": printed.getvalue()}
+        self._outcome(kind).write_text(json.dumps(outcome), encoding="utf-8")
+
+
+def open_world(factory: pytest.TempPathFactory) -> World:
+    """Return the world of this session; the process that comes first builds its project."""
+    base = factory.getbasetemp()
+    shared = base.parent if base.name.startswith("popen-") else base  # the processes of xdist
+    place = shared / "world"
+    place.mkdir(exist_ok=True)
+    with (place / "project.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (place / "project").exists():
+            build_project(place / "project.partial")
+            (place / "project.partial").rename(place / "project")
+    return World(place / "project")
