@@ -143,6 +143,7 @@ def _read_bytes(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
 
 
+@pytest.mark.sweep
 def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
     for name in ("d", "e"):
         shutil.copytree("specimens/a", f"specimens/{name}")
@@ -173,6 +174,7 @@ def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
         restore_run(written[0])
 
 
+@pytest.mark.sweep
 def test_a_cohort_of_an_earlier_version_is_reported_with_the_same_tables(project, monkeypatch):
     """It stored its tables with all else, and has no files of them."""
     monkeypatch.setattr(cohort_run, "_fit_specimen", _fit_at_once)

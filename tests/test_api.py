@@ -75,6 +75,7 @@ def test_a_dataset_is_a_table(dataset):
     assert "SYNTHETIC" in html and "&lt;b&gt;" in html and "<b>" not in html
 
 
+@pytest.mark.sweep
 def test_a_fit_is_the_same_from_names_and_from_objects(fitted):
     medium = load(find_file("medium", "chicken"), MediumRecord)
     again = needlefit.fit(Path("data/twin"), medium, tune=TUNE, recipe=RECIPE, name="twin-chicken", jobs=1)
@@ -85,6 +86,7 @@ def test_a_fit_is_the_same_from_names_and_from_objects(fitted):
     assert other.run["recipe"]["seed"] == 2 and other.frames["starts"]["start"].tolist() == [0]
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch):
     monkeypatch.setattr(prediction, "PREDICTION_DRAWS", 100)
@@ -98,6 +100,7 @@ def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch
     )
 
 
+@pytest.mark.sweep
 def test_a_posterior_goes_to_xarray_and_arviz(sampled):
     tree, data = sampled.posterior.to_xarray(), sampled.posterior.to_inference_data()
     assert set(tree.children) == {"posterior", "sample_stats", "convergence"} == set(data.groups())
@@ -178,6 +181,7 @@ def test_a_run_of_other_data_is_refused(fitted):
         needlefit.predict(replace(fitted, run=other), "chicken")
 
 
+@pytest.mark.sweep
 def test_an_interrupted_fit_is_the_best_so_far_and_goes_on(fitted, tmp_path):
     pressed = []
 
@@ -210,6 +214,7 @@ def test_an_interrupted_prediction_raises():
         )
 
 
+@pytest.mark.sweep
 def test_progress_is_quiet_unless_asked_for(capsys):
     needlefit.fit("twin", "chicken", tune=TUNE, recipe=RECIPE)
     assert capsys.readouterr() == ("", "")

@@ -146,6 +146,7 @@ def test_a_closed_pipe_is_no_error():
     running.stderr.close()
 
 
+@pytest.mark.sweep
 def test_no_escape_codes_in_a_pipe_even_if_colour_is_asked_for():
     done = python(
         "import needlefit.cli; needlefit.cli.main(['paper'])",

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 import typer
-from compression_cases import gel_file
 from credibility_cases import leave, results
 from light_runs import draw_blank
 from reporting_results import skip_figures, study
@@ -18,24 +17,16 @@ from test_cli import run
 from test_cli_verify import GOOD
 from test_validation_checkpoint import HOLDS
 from test_viewer_recording import recorded
+from world import build_project
 
 from needlefit.cli.application import build
-from needlefit.project.locate import find_file, shipped_folder
+from needlefit.project.locate import shipped_folder
 from needlefit.project.ownership import STAMP, find_foreign, write_stamp
 from needlefit.studies.checkpoint import open_checkpoint
 from needlefit.verification import run as verification
 from needlefit.viewer.interaction.inputs import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
-STUDY = """\
-schema = 1
-title = "Mine"
-dataset = "twin"
-medium = "phantom2"
-recipe = "small"
-tune = { insertions = ["phantom2-01", "phantom2-02"] }
-validate = [{ insertions = ["phantom2-03"] }]
-"""
 FOREIGN = (
     "notes.md",
     "thesis.docx",
@@ -52,11 +43,10 @@ EMPTY = "to be filled"
 
 @dataclass(frozen=True)
 class Case:
-    """A command line, the folders that it replaces or removes, and whether it is quick as it stands."""
+    """A command line, the folders that it replaces or removes, and its exit code."""
 
     words: tuple[str, ...]
     folders: tuple[str, ...] = ()
-    quick: bool = True
     code: int = 0
 
 
@@ -74,37 +64,31 @@ CASES = {
     "diff": Case(("diff", "./out/run", "./out/run")),
     "paper": Case(("paper",)),
     "explain": Case(("explain", "coverage")),
-    "tune": Case(("tune", "mine", "--out", "out", "-q"), studies("mine-tune")),
+    "tune": Case(("tune", "held_out", "--out", "out", "-q"), studies("held_out-tune")),
     "validate": Case(
-        ("validate", "mine", "--reference", "--out", "out", "-q"),
-        (*studies("mine"), "out/reference/mine"),
+        ("validate", "held_out", "--reference", "--out", "out", "-q"),
+        (*studies("held_out"), "out/reference/held_out"),
     ),
-    "identify": Case(("identify", "mine", "--out", "out", "-q"), studies("identify-mine"), quick=False),
+    "identify": Case(("identify", "held_out", "--out", "out", "-q"), studies("identify-held_out")),
     "calibrate": Case(
-        ("calibrate", "mine", "--replicates", "2", "--jobs", "1", "--out", "out", "-q"),
-        studies("calibrate-mine"),
-        quick=False,
+        ("calibrate", "meat", "--replicates", "2", "--jobs", "1", "--out", "out", "-q"),
+        studies("calibrate-meat"),
         code=5,
     ),
     "predict": Case(
-        ("predict", "mine", "--scene", "study2", "--out", "out", "-q"),
-        ("out/predict-mine-study2",),
-        quick=False,
+        ("predict", "held_out", "--scene", "ahead", "--out", "out", "-q"),
+        ("out/predict-held_out-ahead",),
     ),
     "report": Case(("report", "./out/run", "--out", "out/again"), ("out/again",)),
     "verify": Case(("verify", "--out", "out", "-q"), ("out/verification",)),
     "credibility": Case(("credibility", "./out/run", "--out", "out", "-q"), ("out/credibility-run",)),
     "material": Case(("material", "gel.csv", "--out", "out"), ("out/material-gel",)),
-    "reconstruct": Case(
-        ("reconstruct", SCANS, "--out", "out/rr", "-q"), ("out/rr", "out/rr.partial"), quick=False
-    ),
+    "reconstruct": Case(("reconstruct", SCANS, "--out", "out/rr", "-q"), ("out/rr", "out/rr.partial")),
     "migrate": Case(("migrate", "./out/run")),
     "import": Case(("import", "curves.csv", "--out", "out/found", "--yes"), ("out/found",)),
     "init": Case(("init", "out/project"), ("out/project/data", "out/project/configs", "out/project/studies")),
     "twin build": Case(("twin", "build", "--out", "out/twin", "-q"), ("out/twin",)),
-    "twin ct": Case(
-        ("twin", "ct", "sample", "--out", "out/ct", "-q", "--jobs", "1"), ("out/ct",), quick=False
-    ),
+    "twin ct": Case(("twin", "ct", "sample", "--out", "out/ct", "-q", "--jobs", "1"), ("out/ct",)),
     "new dataset": Case(("new", "dataset", "out/data"), ("out/data",)),
     "new dataset --from": Case(("new", "dataset", "out/from", "--from", "curves.csv"), ("out/from",)),
     "view --recording": Case(("view", "--recording", "log.csv", "--no-browser", "--out", "out")),
@@ -122,6 +106,8 @@ CASES = {
         )
     ),
 }
+STUBBED = {name for name in CASES if name.startswith(("twin build", "verify", "view"))}
+"""Those that take long, or serve until they are ended."""
 REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.folders]
 
 
@@ -166,17 +152,14 @@ async def steer(page, port, ready, until):
 
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "studies").mkdir()
-    (tmp_path / "studies/mine.toml").write_text(STUDY)
-    (tmp_path / "configs/recipes").mkdir(parents=True)
-    (tmp_path / "configs/recipes/small.toml").write_text(find_file("recipe", "quick").read_text())
-    gel_file(tmp_path / "gel.csv")
-    recorded(tmp_path / "log.csv")
+    folder = tmp_path / "project"
+    build_project(folder)
+    monkeypatch.chdir(folder)
+    recorded(folder / "log.csv")
     points = "".join(f"{x},{4e-4 * x**2},0\n" for x in range(40))
-    (tmp_path / "curves.csv").write_text(f"x_mm,y_mm,z_mm\n{points}")
-    (tmp_path / "out").mkdir()
-    return tmp_path
+    (folder / "curves.csv").write_text(f"x_mm,y_mm,z_mm\n{points}")
+    (folder / "out").mkdir()
+    return folder
 
 
 @pytest.fixture
@@ -225,7 +208,7 @@ def beside(project: Path) -> dict[str, bytes]:
     """Plant files everywhere but in the folders that a command replaces."""
     found = plant(project) | plant(project / "out") | plant(project / "out/other")
     for place in (
-        "out/mine.partial.damaged-1",
+        "out/held_out.partial.damaged-1",
         "out/rr.damaged-1",
         "out/view",
         "out/.rr.needlefit-mine",
@@ -233,8 +216,8 @@ def beside(project: Path) -> dict[str, bytes]:
     ):
         found |= plant(project / place)
     for name in ("out/n.obj", "out/n.png", "out/run.json", f"out/{STAMP}", "out/lock", "out/project.csv"):
-        (project / name).write_bytes(b"mine")
-        found[str(project / name)] = b"mine"
+        (project / name).write_bytes(b"held_out")
+        found[str(project / name)] = b"held_out"
     return found
 
 
@@ -252,21 +235,15 @@ def carry_out(command: str, project: Path) -> None:
     assert {path: after.get(path) for path in planted} == planted
 
 
-@pytest.mark.parametrize("command", [name for name, case in CASES.items() if case.quick])
-def test_other_files_in_the_folder_stay(command, project, stubs):
-    carry_out(command, project)
-
-
 @pytest.mark.sweep
-@pytest.mark.parametrize(
-    "command",
-    [name for name in CASES if name not in ("twin build", "verify") and not name.startswith("view")],
-)
-def test_other_files_in_the_folder_stay_in_complete_runs(command, project):
+@pytest.mark.parametrize("command", CASES)
+def test_other_files_in_the_folder_stay(command, project, request):
+    if command in STUBBED:
+        request.getfixturevalue("stubs")
     carry_out(command, project)
 
 
-@pytest.mark.parametrize("place", ["out/mine-tune", "out/mine-tune.partial"])
+@pytest.mark.parametrize("place", ["out/held_out-tune", "out/held_out-tune.partial"])
 def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, capsys):
     def run_and_plant(name, record, settings):
         results = Stub.run(name, record, settings)
@@ -278,7 +255,7 @@ def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, c
     assert run(*CASES["tune"].words) == (0 if partial else 3)
     assert all((project / place / name).is_file() for name in FOREIGN)
     assert "notes.md" in capsys.readouterr().err
-    assert (project / "out/mine-tune/run.json").is_file() == partial
+    assert (project / "out/held_out-tune/run.json").is_file() == partial
 
 
 def test_a_recording_is_never_overwritten(project, stubs, monkeypatch):
@@ -289,14 +266,14 @@ def test_a_recording_is_never_overwritten(project, stubs, monkeypatch):
 
 def test_a_second_run_into_the_same_folder_is_refused(project, stubs, capsys):
     pytest.importorskip("fcntl")
-    words = [sys.executable, "-c", HOLDS, "out/mine-tune.partial"]
+    words = [sys.executable, "-c", HOLDS, "out/held_out-tune.partial"]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as first:
         assert first.stdout.readline() == b"holds\n"
         for more in ((), ("--resume",)):
             assert run(*CASES["tune"].words, *more) == 3
             printed = capsys.readouterr().err
-            assert f"process {first.pid}" in printed and "mine-tune.partial" in printed
-        assert not (project / "out/mine-tune").exists()
+            assert f"process {first.pid}" in printed and "held_out-tune.partial" in printed
+        assert not (project / "out/held_out-tune").exists()
         first.stdin.close()
     assert run(*CASES["tune"].words) == 0
 
@@ -315,9 +292,9 @@ def test_the_folder_is_removed_while_it_is_written(when, project, stubs, monkeyp
     code = run(*CASES["tune"].words)
     printed = capsys.readouterr().err
     if when.startswith("before a row"):
-        assert code == 3 and "mine-tune.partial" in printed
+        assert code == 3 and "held_out-tune.partial" in printed
     else:
-        assert code == 0 and find_foreign(project / "out/mine-tune") == []
+        assert code == 0 and find_foreign(project / "out/held_out-tune") == []
     assert "Traceback" not in printed and "unexpected" not in printed
 
 

@@ -57,6 +57,7 @@ def test_estimates_of_the_specimens_are_printed_and_written(gel, tmp_path, capsy
     assert_made_again(folder)
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_the_prior_of_the_foundation_modulus_is_written_on_request_alone(gel, capsys):
     assert run("material", "gel.csv", "--foundation", "0.2", "5", "--json") == 0
@@ -66,6 +67,7 @@ def test_the_prior_of_the_foundation_modulus_is_written_on_request_alone(gel, ca
     assert found["specimens"][-1]["specimen"] == "(a further one)"
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_the_same_file_gives_the_same_bytes(gel, tmp_path, capsys):
     sums = []
@@ -97,6 +99,7 @@ def test_a_faulty_file_ends_in_exit_code_3(tmp_path, monkeypatch, capsys):
     assert run("material", "bad.csv", "--foundation", "0.2", "0.5") == 3
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_a_fit_takes_the_prior_and_its_run_holds_it(gel, capsys):
     assert run("material", "gel.csv", "--foundation", "0.2", "5") == 0

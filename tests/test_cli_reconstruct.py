@@ -451,6 +451,7 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
     assert ("needlefit view" in printed) != cannot_be_read
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -493,6 +494,7 @@ def opened(monkeypatch):
     return scans
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("searched_once")
 def test_a_refused_scan_is_opened_with_the_same_files(tmp_path, capsys, opened):
     out, (volume, *markers) = tmp_path / "out", two_markers(tmp_path)
@@ -552,6 +554,7 @@ def test_contradicting_statements_are_refused(changes, words, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("searched_once")
 def test_a_small_offset_of_the_stage_is_reported(tmp_path):
     assert run("reconstruct", table(tmp_path, entry_y_mm="4.0"), "--out", tmp_path / "out", "-q") == 0

@@ -57,6 +57,7 @@ def test_a_tip_that_differs_from_the_recording_is_reported(log, capsys):
     assert " 0.001 mm " in capsys.readouterr().out
 
 
+@pytest.mark.sweep
 def test_files_of_a_recording_and_of_a_scene(log, tmp_path, capsys, monkeypatch):
     for name, value in (("MAX_FRAMES", 4), ("FINAL_FRAMES", 2), ("DOTS_PER_INCH", 15)):
         monkeypatch.setattr(animation, name, value)

@@ -23,6 +23,7 @@ def shell(line: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(command, capture_output=True, check=False, env={**os.environ, **environment})
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("words", "lines"), [("paper --json | head -1", 1), ("--help | true", 0)])
 def test_a_pipe_closed_early_is_no_failure(words, lines):
     done = shell(f"needlefit {words}")
@@ -40,6 +41,7 @@ def test_without_stderr_a_fault_still_has_its_exit_code(lost):
     assert shell(f"needlefit simulate nonsense {lost}").returncode == 3
 
 
+@pytest.mark.sweep
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
 @pytest.mark.parametrize("words", ["paper", "--help"])
 def test_output_on_a_full_disk_is_an_error(words):
@@ -48,6 +50,7 @@ def test_output_on_a_full_disk_is_an_error(words):
     assert b"No space left" in done.stderr and b"Traceback" not in done.stderr
 
 
+@pytest.mark.sweep
 def test_characters_unknown_to_the_terminal_are_replaced(tmp_path):
     done = shell("needlefit paper", PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stderr) == (0, b"") and done.stdout.isascii()

@@ -174,6 +174,7 @@ def _shorten(file: h5py.File) -> None:
     file["posterior"].attrs["walkers"] = 0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("damage", [_drop, _add, _claim, _shorten])
 def test_a_posterior_that_was_changed_is_refused(damage, tmp_path):
     path = tmp_path / "posterior.nc"
@@ -212,6 +213,7 @@ def test_a_name_that_no_file_can_have_is_not_found(name):
         assert caught.value.exit_code == 3
 
 
+@pytest.mark.sweep
 def test_report_names_a_damaged_run_file_that_it_does_not_use(tmp_path, capsys, monkeypatch):
     skip_figures(monkeypatch)  # takes longest
     store_run(study(1), tmp_path)

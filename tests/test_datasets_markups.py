@@ -228,6 +228,7 @@ json_values = st.recursive(
 )
 
 
+@pytest.mark.sweep
 @given(st.sampled_from(["type", "name", "coordinateSystem", "coordinateUnits", "controlPoints", "position",
                         "positionStatus", "label", "markups", "@schema"]), json_values)  # fmt: skip
 @anything

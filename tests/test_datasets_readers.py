@@ -51,6 +51,7 @@ def test_numbers_and_lines_survive_whatever_blank_lines_stand_between(tmp_path, 
     np.testing.assert_allclose(values, [row[:2] for row in rows], rtol=1e-14)
 
 
+@pytest.mark.sweep
 @given(st.data())
 @anything
 def test_check_reads_or_refuses_any_cell(tmp_path, data):

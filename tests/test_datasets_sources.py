@@ -129,6 +129,7 @@ def test_matlab_centrelines_are_read_like_csv(tmp_path):
     np.testing.assert_array_equal(read(file).insertions[0].planar, planar)
 
 
+@pytest.mark.sweep
 def test_matlab_faults(tmp_path):
     file = write_dataset(
         tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,8 @@ def test_files_name_neither_folder_nor_time_and_rows_name_their_origin(world, ki
 @EVERY
 def test_a_run_is_written_again_from_its_stored_results_and_differs_in_nothing(world, kind):
     folder = world.find(kind)
-    again = assert_made_again(folder, has_data=kind == "reconstruction")
+    with chdir(world.folder):
+        again = assert_made_again(folder, has_data=kind == "reconstruction")
     assert list(compare_runs(folder, again)) == []
 
 

@@ -53,6 +53,7 @@ TURNED = Entry(30.0, -7.0, 0.5)
 # ---- the table ----
 
 
+@pytest.mark.sweep
 def test_the_table_has_a_row_for_every_node_and_millimetre() -> None:
     one = scene(TURNED)
     moment = end(one)
@@ -204,6 +205,7 @@ def test_each_frame_shows_the_last_moment_before_it() -> None:
     assert sample_moments(moments, [0.0, 0.1, 0.2, 0.3, 0.4]) == ["a", "b", "c", "c", "d"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("seconds", "speed", "lasts"), [(0.3, 1, 0.5), (1200.0, 2000, 0.8), (40.0, 50, 1.0)])
 def test_an_animation_keeps_time_or_is_marked(seconds, speed, lasts, tmp_path, monkeypatch) -> None:
     """And the end stays for a while; frames that are alike are kept as one that is shown longer."""
@@ -248,6 +250,7 @@ def test_an_animation_can_be_a_film(tmp_path) -> None:
 # ---- of a recording ----
 
 
+@pytest.mark.sweep
 def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path, monkeypatch) -> None:
     log = tmp_path / "log.csv"
     last = recorded(log)[-1]

@@ -31,6 +31,7 @@ def shifted(one, shift):
     return replace(one, layers=replace(one.layers, surfaces=surfaces))
 
 
+@pytest.mark.sweep
 def test_the_dataset_records_what_was_reconstructed(tmp_path):
     assemble_dataset(tmp_path, [named("a"), named("b")], RECIPE, ABOUT)
     assert check(tmp_path) == []
@@ -97,6 +98,7 @@ def test_two_media_never_share_a_file(tmp_path):
     assert error.value.fix
 
 
+@pytest.mark.sweep
 def test_scans_of_one_medium_have_the_same_layers(tmp_path):
     without = replace(small(layers=False), scan=replace(small().scan, id="b"))
     with pytest.raises(DataError, match="not those of a") as error:

@@ -62,6 +62,7 @@ def worked(monkeypatch, reconstructed):
     return Worked(monkeypatch, reconstructed)
 
 
+@pytest.mark.sweep
 def test_a_failed_scan_is_reported_and_the_others_are_reconstructed(sample, tmp_path):
     truncated = tmp_path / "truncated.nrrd"
     truncated.write_bytes(sample.volume.read_bytes()[:50_000])

@@ -93,6 +93,7 @@ def test_indices_and_patient_positions_are_inverse():
     assert_allclose(to_patient(volume, [[1, 0, 0]]) - volume.origin, 0.5 * volume.direction[:, :1].T)
 
 
+@pytest.mark.sweep
 def test_slices_thicker_than_pixels_are_allowed():
     truth = cases.axis(tip=(3.0, 2.0, 28.0), curve=(2.0, 0.0))
     grid = cases.grid(size=(48, 48, 56), spacing=np.array([0.46, 0.46, 0.9]))
@@ -101,6 +102,7 @@ def test_slices_thicker_than_pixels_are_allowed():
     assert np.linalg.norm(line.tip - truth[-1]) < 0.2
 
 
+@pytest.mark.sweep
 def test_markers_rays_and_table_change_nothing():
     truth = cases.axis(curve=(2.0, 1.0))
     balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
@@ -167,6 +169,7 @@ def test_an_entry_direction_that_points_out_of_the_volume():
         found(cases.scan(cases.axis()), recipe)
 
 
+@pytest.mark.sweep
 def test_the_end_in_tissue_is_the_tip_where_both_ends_are_seen():
     truth = cases.axis()[34:]  # base in air, 6 mm above the face
     line = found(cases.scan(truth))

@@ -128,6 +128,7 @@ def test_folders_too_deep_are_refused(tmp_path):
 # ---- archives
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("child_process_reader")
 def test_an_archive_of_an_export(tmp_path):
     path = pack(tmp_path / "scan.zip", export(tmp_path / "export"))

@@ -166,6 +166,7 @@ NRRD_FIELDS = (
 META_FIELDS = ("NDims", "TransformMatrix", "Offset", "ElementSpacing", "DimSize", "ElementType")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "value", [LONG, "3" + "0" * 99, "-1", "1e308", "nan nan nan", "", "9 " * 500, "%s%n"]
 )
@@ -180,6 +181,7 @@ def test_a_header_with_a_value_that_cannot_be(tmp_path, field, value):
         assert error.where == str(path) and "9999" not in str(error)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("at", [0, 40, 42, 56, 70, 72, 76, 108, 112, 252, 344])
 @pytest.mark.parametrize("entry", [b"\xff\xff\xff\x7f", b"\xff\xff\xff\xff", b"\0\0\0\0", b"\0\0\x80\x7f"])
 def test_a_nifti_header_with_a_value_that_cannot_be(tmp_path, at, entry):
@@ -243,6 +245,7 @@ def test_bzip2_and_several_files_of_voxels_are_named_as_what_is_not_read(tmp_pat
         assert word in caught.value.what and caught.value.fix
 
 
+@pytest.mark.sweep
 def test_headers_that_lie_beside_their_voxels(tmp_path):
     (tmp_path / "my scan.raw").write_bytes(bytes(16) + VALUES.tobytes())
     plain(nrrd(tmp_path / "a.nhdr", data=b"", data_file="my scan.raw", byte_skip=16))

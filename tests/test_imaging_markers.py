@@ -52,6 +52,7 @@ def plain():
     return with_balls()
 
 
+@pytest.mark.sweep
 def test_balls_are_found_where_they_are(plain):
     found = find_markers(plain, RECIPE, needle_of(plain))
     assert found.source == "volume"
@@ -73,6 +74,7 @@ def test_a_diameter_that_the_image_contradicts_is_a_warning_with_both(plain, sta
         assert (measured, given) == (3.0, stated)
 
 
+@pytest.mark.sweep
 def test_the_needle_is_no_marker_even_when_unknown(plain):
     assert off(find_markers(plain, RECIPE)).max() < 0.03
 
@@ -84,6 +86,7 @@ def test_glass_and_tungsten_with_bloom_and_streaks(hu):
     assert off(find_markers(volume, RECIPE, needle_of(volume))).max() < 0.1
 
 
+@pytest.mark.sweep
 def test_anisotropic_voxels_on_turned_axes():
     turned = np.array([[0.0, -1, 0], [0.8, 0, -0.6], [0.6, 0, 0.8]])
     spacing = np.array([0.35, 0.5, 1.0])
@@ -180,6 +183,7 @@ def test_what_is_no_ball_is_listed_with_its_misfit(plain):
     assert off(find_markers(plain, lenient, needle_of(plain))).max() < 0.05
 
 
+@pytest.mark.sweep
 def test_threshold_of_the_recipe(plain):
     assert off(find_markers(plain, recipe(markers={"threshold_hu": 1500.0}))).max() < 0.03
     with pytest.raises(DataError, match="exceed 5000 HU") as caught:
@@ -300,6 +304,7 @@ def test_files_without_points_are_refused(tmp_path):
         read_markers(tmp_path / "missing.csv")
 
 
+@pytest.mark.sweep
 def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     clicked = PLACES + np.array([[0.5, 0.2, -0.3], [-1.2, 0, 0.9], [0, 0, 0], [0.3, 0.3, 0.3]])
     landmark = np.array([[10.0, 20.0, 45.0]])  # no ball there
@@ -322,6 +327,7 @@ def test_two_fiducials_do_not_share_a_ball(plain, tmp_path):
     np.testing.assert_allclose(moved.centers[1], pair[1])
 
 
+@pytest.mark.sweep
 def test_ras_read_as_lps_is_noticed(tmp_path):
     # a scan about the patient's middle, so that changed signs stay in the volume
     around = with_balls(grid=grid(origin=np.zeros(3)))

@@ -69,6 +69,7 @@ def cropped(mask):
     return replace(mask, values=mask.values[:, 6:, 4:].copy(), origin=origin)
 
 
+@pytest.mark.sweep
 def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
     with pytest.raises(DataError, match="2 needles"):
         segment_needle(volume, cases.RECIPE)

@@ -29,18 +29,21 @@ def face(at):
     return make_sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).mesh
 
 
+@pytest.mark.sweep
 def test_the_tissue_s_own_surface_sets_the_entry(tmp_path):
     one = reconstruct(scan(tmp_path, face(FACE + 2.0)), cases.RECIPE)
     assert one.points[0, 2] == pytest.approx(FACE + 2.0, abs=0.05)
     assert any("own surface" in warning for warning in one.warnings)
 
 
+@pytest.mark.sweep
 def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
     with pytest.raises(DataError, match=r"own surface .*\b8\.[01] mm") as error:
         reconstruct(scan(tmp_path, face(FACE + 8.0)), cases.RECIPE)
     assert "state the stage" in error.value.fix
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("before_tip", "words"), [(-2.0, r"\b(1\.9|2\.\d) mm beyond"), (0.8, r"0\.\d+ mm before"), (4.0, "")]
 )
@@ -56,6 +59,7 @@ def test_a_contact_lies_before_the_tip(before_tip, words):
         assert found.reconstruction.depth == pytest.approx(before_tip, abs=0.15)
 
 
+@pytest.mark.sweep
 def test_a_surface_drawn_along_the_needle_is_refused(tmp_path):
     """A tube of 1.8 mm radius about it, of which only the ends are crossed."""
     around = make_cylinder("own", (np.array([11.0, 11, FACE]), np.array([11.0, 12, FACE + 24])), 1.8, into=1)

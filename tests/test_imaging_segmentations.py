@@ -82,6 +82,7 @@ def refused(path, names=()):
 # ---- DICOM-SEG
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("child_process_reader")
 def test_segments_are_labels_where_the_scan_stands(tmp_path):
     labels = read_labels(write_seg(tmp_path / "tissue", boxes()))  # archives use no endings

@@ -49,6 +49,7 @@ def spans(part, volume):
     return np.sort(find_ends(volume, part)[:, 2])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("radius", [2.5, 4.0])
 def test_a_hub_on_the_shaft_is_cut_off(radius):
     volume = painted(rod((11.0, 11.0), 0.0, 5.0, radius))
@@ -113,6 +114,7 @@ def test_of_two_long_tubes_that_of_the_stated_diameter_is_taken():
     assert len(found.warnings) == 1
 
 
+@pytest.mark.sweep
 def test_a_plastic_hub_is_no_tissue():
     """Soft material at both ends: the tip is where it lasts longer."""
     volume = painted(rod((11.0, 11.0), 0.0, 2.6, 7.0) & ~rod((11.0, 11.0), 0.0, 9.0, 1.2), hu=80.0)

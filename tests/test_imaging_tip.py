@@ -125,6 +125,7 @@ def test_metal_beyond_the_tip_is_a_warning():
     assert_allclose(float(distance), 3.0, atol=0.6)
 
 
+@pytest.mark.sweep
 def test_a_tip_behind_a_dark_stretch_is_found():
     """Rays hide 4 mm of the shaft, and the search begins before them, 10 mm before the tip."""
     volume = cases.scan(TRUTH)
@@ -137,6 +138,7 @@ def test_a_tip_behind_a_dark_stretch_is_found():
     assert abs(found.at - tip_at) < 0.3
 
 
+@pytest.mark.sweep
 def test_what_rays_hide_grows_with_the_needle_that_they_pass(monkeypatch):
     volume = cases.scan(TRUTH)
     seen = trace(volume)  # along the slices' normal: rays pass no more than its width and a slice

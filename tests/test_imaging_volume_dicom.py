@@ -396,6 +396,7 @@ def test_a_file_cut_short(tmp_path, kept):
     assert fault.where == str(file) and "again" in fault.fix
 
 
+@pytest.mark.sweep
 def test_compressed_voxels_cut_short(tmp_path):
     slices = series()
     for data in slices:
@@ -406,6 +407,7 @@ def test_compressed_voxels_cut_short(tmp_path):
     assert "RLE" in refused(tmp_path).what
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("child_process_reader")
 def test_headers_that_claim_huge_volumes_are_refused(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -507,6 +509,7 @@ def test_an_unwritable_folder_is_refused(tmp_path):
         write_volume(turned(1), tmp_path / "file" / "scan")
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("child_process_reader")
 def test_a_large_series_is_read(tmp_path):
     values = np.zeros((60, 512, 512), dtype=np.float32)

@@ -222,6 +222,7 @@ def run(*words):
     return ending.value.code
 
 
+@pytest.mark.sweep
 def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     write_european_csv(tmp_path / "six.csv", CURVES)
     assert run("import", tmp_path / "six.csv", "--out", tmp_path / "gel", "--modulus", "steel", "--json") == 0

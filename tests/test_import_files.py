@@ -164,6 +164,7 @@ def test_many_markups_of_a_folder(tmp_path):
     assert_same({one.name: one for one in content.curves})
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("transform", ["tfm", "h5", "inline"])
 def test_a_scene_with_its_transform(tmp_path, transform):
     scene = write_scene(tmp_path / "s", CURVES, transform)

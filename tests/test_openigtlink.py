@@ -113,6 +113,7 @@ def test_a_jittering_base_makes_no_long_path(tmp_path) -> None:
     assert poses.step.controls.base_y == pytest.approx(1.0, abs=1e-5)
 
 
+@pytest.mark.sweep
 def test_while_it_goes_in_the_base_acts_once_a_millimetre_with_the_mean_of_its_poses(tmp_path) -> None:
     poses, rng, read, acted = Poses(tmp_path), np.random.default_rng(2), [], []
     poses.send(base=((-150.0, 0.0), (1.0, 0.0, 0.0)))
@@ -413,6 +414,7 @@ async def test_it_ends_beside_a_peer_without_a_fault(tmp_path) -> None:
     assert faults == [] and server.tracked.peers == 0
 
 
+@pytest.mark.sweep
 @visit
 async def test_many_messages_and_peers_are_limited(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(openigtlink, "STALLED_S", 0.1)

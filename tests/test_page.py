@@ -165,6 +165,7 @@ def test_the_needle_goes_in_and_out_by_button_key_and_wheel(page) -> None:
     until(page, "state => !state.moving")
 
 
+@pytest.mark.sweep
 def test_the_base_is_dragged_in_millimetres_and_one_undo_takes_it_back(page) -> None:
     go_to(page, 30)
     scale = page.evaluate("import('/page/view.js').then(({ view }) => view.scale)")
@@ -178,6 +179,7 @@ def test_the_base_is_dragged_in_millimetres_and_one_undo_takes_it_back(page) -> 
     until(page, f"state => state.base.y === {state['base']['y']}")
 
 
+@pytest.mark.sweep
 def test_the_bevel_turns_over_and_the_needle_with_it(page) -> None:
     side = go_to(page, 20)["bevel"]["side"]
     before = go_to(page, 25)["tip"]["rotation"]
@@ -188,6 +190,7 @@ def test_the_bevel_turns_over_and_the_needle_with_it(page) -> None:
     assert side * (after["tip"]["rotation"] - before) < 0
 
 
+@pytest.mark.sweep
 def test_a_guide_is_added_dragged_and_taken_away(page) -> None:
     go_to(page, 20)
     page.click("#add-guide")
@@ -219,6 +222,7 @@ def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
     assert after["errors"]["te_mm"] != state["errors"]["te_mm"] and after["depth_mm"] == state["depth_mm"]
 
 
+@pytest.mark.sweep
 def test_a_replay_in_the_page_ends_with_the_same_needle(page) -> None:
     go_to(page, 12)
     drag(page, "base", 0, -20)
@@ -231,6 +235,7 @@ def test_a_replay_in_the_page_ends_with_the_same_needle(page) -> None:
     assert again["y"] == state["y"] and again["step"] == state["step"]
 
 
+@pytest.mark.sweep
 def test_a_refused_input_is_announced_and_nothing_moves(page) -> None:
     go_to(page, 20)
     page.fill("#goto-depth", "200")
@@ -257,6 +262,7 @@ def test_a_refused_input_is_announced_and_nothing_moves(page) -> None:
     page.locator("#refusal strong").wait_for(state="hidden")
 
 
+@pytest.mark.sweep
 def test_the_keys_of_the_page_work_wherever_they_are_not_needed(page) -> None:
     """A slider keeps its arrows, a number all that is typed; the rest is the page's."""
     side = go_to(page, 20)["bevel"]["side"]
@@ -275,6 +281,7 @@ def test_the_keys_of_the_page_work_wherever_they_are_not_needed(page) -> None:
     assert page.input_value("#speed") == "1000"
 
 
+@pytest.mark.sweep
 def test_keys_add_to_the_very_value_also_beyond_the_slider(page) -> None:
     held = go_to(page, 20)["tip"]["deflection_mm"]
     field = page.locator("#bevel-fields .number").first
@@ -289,6 +296,7 @@ def test_keys_add_to_the_very_value_also_beyond_the_slider(page) -> None:
     assert tip["deflection_mm"] == pytest.approx(held, abs=1e-12)
 
 
+@pytest.mark.sweep
 def test_of_two_arrow_keys_the_newest_counts_then_the_one_still_pressed(page) -> None:
     page.focus("#canvas")
     page.keyboard.down("ArrowRight")
@@ -301,6 +309,7 @@ def test_of_two_arrow_keys_the_newest_counts_then_the_one_still_pressed(page) ->
     until(page, "state => !state.moving")
 
 
+@pytest.mark.sweep
 def test_a_pasted_address_connects_and_a_missing_needle_is_reported(page) -> None:
     go_to(page, 5)
     address = page.url
@@ -312,6 +321,7 @@ def test_a_pasted_address_connects_and_a_missing_needle_is_reported(page) -> Non
     until(page, "state => window.needlefit.connected && state.depth_mm === 0")
 
 
+@pytest.mark.sweep
 def test_band_validity_and_pause_messages_are_shown(page) -> None:
     go_to(page, 20)
     tell = """message => import('/page/store.js').then(({ now, take }) => {
@@ -328,6 +338,7 @@ def test_band_validity_and_pause_messages_are_shown(page) -> None:
     assert "slope 0.4" in page.locator("#announced").text_content()
 
 
+@pytest.mark.sweep
 def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chromium) -> None:
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, reduced_motion="reduce")
     window = context.new_page()
@@ -377,6 +388,7 @@ def test_two_windows_do_not_touch_each_other(page, server, chromium) -> None:
         assert names[0] != names[1]
 
 
+@pytest.mark.sweep
 def test_touch_drags_the_base(server, chromium) -> None:
     with opened(chromium, server, has_touch=True) as page:
         touch = page.context.new_cdp_session(page)
@@ -387,6 +399,7 @@ def test_touch_drags_the_base(server, chromium) -> None:
         assert until(page, "state => state.base.y > 0.5")["step"] >= 1
 
 
+@pytest.mark.sweep
 def test_everything_that_can_be_used_has_a_name_and_a_place_in_the_order(page) -> None:
     page.click("#add-guide")
     until(page, "state => state.guides.length === 1")
@@ -468,6 +481,7 @@ def test_at_200_percent_nothing_is_cut_off(server, chromium) -> None:
         assert box["y"] >= 0 and box["y"] + box["height"] <= min(400, typed["y"])
 
 
+@pytest.mark.sweep
 def test_an_export_is_a_file(page) -> None:
     go_to(page, 10)
     with page.expect_download() as download:
@@ -494,6 +508,7 @@ def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromi
         assert page.evaluate(sees)[1] == 1
 
 
+@pytest.mark.sweep
 def test_after_a_shift_one_button_on_the_picture_comes_back(page) -> None:
     page.click("[data-fit=tissue]")
     assert not page.is_visible("#refit")
@@ -508,6 +523,7 @@ def test_after_a_shift_one_button_on_the_picture_comes_back(page) -> None:
     assert not page.is_visible("#refit")
 
 
+@pytest.mark.sweep
 def test_until_it_is_drawn_the_picture_is_not_black(server, chromium) -> None:
     context = chromium.new_context()
     page = context.new_page()
@@ -517,6 +533,7 @@ def test_until_it_is_drawn_the_picture_is_not_black(server, chromium) -> None:
     context.close()
 
 
+@pytest.mark.sweep
 def test_a_readout_is_defined_on_hover_and_focus(page) -> None:
     until(page, "state => true")
     page.hover("#readouts .term >> nth=1")
@@ -527,6 +544,7 @@ def test_a_readout_is_defined_on_hover_and_focus(page) -> None:
     assert page.inner_text("#definition") == page.evaluate("window.needlefit.scene.measured.metrics[0][3]")
 
 
+@pytest.mark.sweep
 def test_a_target_is_put_by_a_click_planned_for_and_reached(page) -> None:
     go_to(page, 5)
     page.click("[data-fit=tissue]")
@@ -583,6 +601,7 @@ def test_a_goal_can_be_undone_and_one_that_is_refused_is_taken_back(page) -> Non
     assert float(x.input_value()) == 35
 
 
+@pytest.mark.sweep
 def test_a_goal_that_changes_ends_the_search_for_a_plan(page) -> None:
     go_to(page, 5)
     page.evaluate(GOAL, {"target": [40, 0.5]})
@@ -623,6 +642,7 @@ def test_a_plan_that_fails_names_what_it_touches(page) -> None:
     assert "bone" in page.inner_text("#plan-note")
 
 
+@pytest.mark.sweep
 def test_by_keyboard_a_target_is_put_ahead_of_the_tip(page) -> None:
     go_to(page, 5)
     page.focus("#put-target")
@@ -655,6 +675,7 @@ def test_a_hand_is_compared_with_the_planner(page) -> None:
     until(page, "() => window.needlefit.aim.challenge === null")  # changed by hand: it is over
 
 
+@pytest.mark.sweep
 def test_markups_are_target_and_obstacles(page, tmp_path) -> None:
     """They lie in the scan's coordinates: of this needle its placement says where."""
     from needlefit.geometry.frames import Placement
@@ -693,6 +714,7 @@ def test_axe_finds_no_violation(server, chromium, scheme: str) -> None:
     assert [(one["id"], [node["html"][:120] for node in one["nodes"]]) for one in found] == []
 
 
+@pytest.mark.sweep
 def test_fields_have_definitions_inside_the_window(page) -> None:
     terms = page.locator(".field .term")
     assert terms.count() >= 14  # b twice, mu and alpha of four layers, base, tip
@@ -726,6 +748,7 @@ def test_the_tour_covers_neither_the_picture_nor_what_it_asks_for(server, chromi
 AIM = "import('/page/aim.js').then(({ setAim }) => setAim({ target: [40, 1], obstacles: [[20, 3, 1]] }))"
 
 
+@pytest.mark.sweep
 def test_everything_that_can_be_pressed_measures_24_pixels(page) -> None:
     page.click("#add-guide")
     page.evaluate(AIM)
@@ -740,6 +763,7 @@ def test_everything_that_can_be_pressed_measures_24_pixels(page) -> None:
     assert [one for one in sizes if min(one[1:]) < 24] == []
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_band_and_gaps_stand_out_from_every_layer(server, chromium, scheme: str) -> None:
     """Contrast of at least 3 to 1 (WCAG, graphical objects)."""
@@ -757,6 +781,7 @@ def test_band_and_gaps_stand_out_from_every_layer(server, chromium, scheme: str)
             assert (high + 0.05) / (low + 0.05) >= 3, (drawn, behind)
 
 
+@pytest.mark.sweep
 def test_undo_works_after_a_number_was_typed_and_parameters_say_they_were_changed(page) -> None:
     go_to(page, 20)
     field = page.locator("#tissue-fields .number").first
@@ -776,6 +801,7 @@ def test_undo_works_after_a_number_was_typed_and_parameters_say_they_were_change
     assert page.evaluate("window.needlefit.state.depth_mm") == 20
 
 
+@pytest.mark.sweep
 def test_the_three_steps_to_try_follow_what_is_done_and_can_be_skipped(page) -> None:
     go_to(page, 10)
     page.evaluate("import('/page/tour.js').then(({ offer }) => offer())")

@@ -82,6 +82,7 @@ def test_a_metric_and_a_baseline_are_in_every_table(report: Path) -> None:
         assert rows[["value", "pooled", "floor"]].gt(0).all(axis=None) and rows["paper"].isna().all()
 
 
+@pytest.mark.sweep
 def test_they_are_printed_typeset_and_drawn(report: Path) -> None:
     printed = json.loads((report.parents[1] / "printed.json").read_text(encoding="utf-8"))
     (row,) = select(printed["validation"], metric="end_error_mm", method="parabola")
@@ -111,6 +112,7 @@ def test_they_are_made_again_and_compared(report: Path, capsys: pytest.CaptureFi
     assert any("End error" in one["where"] and "parabola" in one["where"] for one in found)
 
 
+@pytest.mark.sweep
 def test_a_kind_of_study_is_run_reported_and_compared(
     tmp_path: Path, plugin: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

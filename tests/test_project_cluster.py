@@ -42,6 +42,7 @@ def test_results_are_those_of_this_machine_in_order(address):
         assert list(run_in_order(work, items, pool)) == list(run_in_order(work, items, LocalPool()))
 
 
+@pytest.mark.sweep
 def test_the_error_of_a_task_reaches_the_caller(address):
     with connect(address) as pool, pytest.raises(ConfigError, match="of task 2") as caught:
         list(pool.run(fail, [2]))
@@ -55,6 +56,7 @@ def test_a_worker_that_dies_costs_its_task_alone(address, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed"]
 
 
+@pytest.mark.sweep
 def test_the_log_of_dask_is_silent_while_a_scheduler_is_connected(address):
     """It prints a traceback where a connection is lost; what is wrong is our error."""
     log, handler = logging.getLogger("distributed"), logging.StreamHandler()
@@ -67,6 +69,7 @@ def test_the_log_of_dask_is_silent_while_a_scheduler_is_connected(address):
         log.removeHandler(handler)
 
 
+@pytest.mark.sweep
 def test_a_stop_drops_what_runs(address):
     asked = []
 
@@ -120,6 +123,7 @@ def test_the_workers_are_counted_at_most_once_a_second_and_all_of_them(address):
         assert len(counted) <= 3 + (time.monotonic() - begin)
 
 
+@pytest.mark.sweep
 def test_work_without_workers_waits_with_one_note(tmp_path):
     notes = []
     with start_scheduler(tmp_path) as (address, _), connect(address, note=notes.append) as pool:
@@ -127,6 +131,7 @@ def test_work_without_workers_waits_with_one_note(tmp_path):
     assert len(notes) == 1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("address", "secured"),
     [
@@ -174,10 +179,12 @@ def test_an_encrypted_scheduler_works_for_who_has_the_certificates(tmp_path, mon
             pass
 
 
+@pytest.mark.sweep
 def test_an_unencrypted_scheduler_needs_a_word():
     require_secured("tcp://cluster:8786", insecure=True)
 
 
+@pytest.mark.sweep
 def test_no_scheduler_answers(monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
     with pytest.raises(ConfigError, match="no scheduler answers"), connect(f"{LOOPBACK}:9"):
@@ -243,6 +250,7 @@ def slurm(tmp_path, monkeypatch):
         gc.collect()
 
 
+@pytest.mark.sweep
 def test_slurm_without_its_command_is_an_error(slurm):
     with pytest.raises(ConfigError, match="sbatch"), connect(slurm()):
         pass

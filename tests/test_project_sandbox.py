@@ -39,6 +39,7 @@ def test_arrays_and_values_come_back():
     arrays["values"][0, 0, 0] = 5.0  # it is writable, as an array of one's own
 
 
+@pytest.mark.sweep
 def test_a_large_array_is_mapped_not_copied():
     held = "RssAnon"
 
@@ -52,6 +53,7 @@ def test_a_large_array_is_mapped_not_copied():
     assert anonymous() - before < 16
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("reader", "word"),
     [("crashes", "SIGSEGV"), ("is_killed", "memory"), ("leaves", "answer"), ("computes_for_ever", "1 s of")],
@@ -60,6 +62,7 @@ def test_a_reader_that_ends_without_a_result_is_a_data_error(reader, word):
     assert word in refused(reader)
 
 
+@pytest.mark.sweep
 def test_a_reader_that_hangs_is_ended():
     begin = time.monotonic()
     assert "0.5 s" in refused("sleeps", ReaderLimits(wall_seconds=0.5))

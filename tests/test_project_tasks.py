@@ -90,17 +90,20 @@ def long(monkeypatch):
     monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
 
 
+@pytest.mark.sweep
 def test_processes_stay_until_the_end_of_the_with_statement(pool):
     first, second = (set(run_in_order(find_process, [0.3] * 4, pool)) for _ in range(2))
     assert first == second and len(first) == 2 and os.getpid() not in first
 
 
+@pytest.mark.sweep
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
 def test_copies_of_this_process_have_what_it_has_loaded_and_end_with_each_run(tmp_path):
     (tmp_path / "copies.py").write_text(COPIES)
     subprocess.run((sys.executable, "copies.py"), cwd=tmp_path, check=True, timeout=50)
 
 
+@pytest.mark.sweep
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
 @pytest.mark.parametrize(("where", "expected"), [("pool", 2), ("beside", 1)])
 def test_copies_end_with_a_killed_process(tmp_path, where, expected):
@@ -125,6 +128,7 @@ def _is_running(process):
         return False
 
 
+@pytest.mark.sweep
 def test_processes_serve_again_after_a_stop_and_an_error(pool):
     begun = time.monotonic()
     assert list(pool.run(wait_for_stop, [60.0, 60.0], lambda: time.monotonic() > begun + 0.5)) == []
@@ -139,12 +143,14 @@ def test_short_parts_stay_in_this_process(pool):
     assert found == dict.fromkeys(range(4), os.getpid())
 
 
+@pytest.mark.sweep
 def test_long_parts_go_to_the_pool_after_the_first(pool, long):
     found = dict(run_parts(find_process, [0.3] * 5, pool, 1, TaskStop(never_stop)))
     assert sorted(found) == [0, 1, 2, 3, 4] and found.pop(0) == os.getpid()
     assert os.getpid() not in found.values() and len(set(found.values())) == 2
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "changed", [{}, {"algorithm": "praxis"}, {"minimize": "metric", "algorithm": "slsqp"}]
 )
@@ -157,6 +163,7 @@ def test_a_search_in_processes_has_the_same_bytes(pool, long, changed):
     assert fits[0] == fits[1]
 
 
+@pytest.mark.sweep
 def test_a_part_that_is_stopped_returns_what_it_has(pool):
     begun = time.monotonic()
     stop = TaskStop(lambda: time.monotonic() > begun + 0.5)
@@ -173,6 +180,7 @@ def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(pool, long):
     assert part.interrupted and math.isfinite(part.objective)
 
 
+@pytest.mark.sweep
 def test_profiles_in_processes_have_the_same_bytes(pool, long):
     problem = two_layers(count=2)
     fit = minimize(problem, squares_recipe(starts=2), random_stream(1, "starts"))

@@ -105,6 +105,7 @@ def test_failures_are_counted_by_reason_where_there_are_any():
     assert "30 over-compressed" in warning and "10 not converged" in warning
 
 
+@pytest.mark.sweep
 def test_the_report_warns_before_any_number():
     document = compose_run_report(study(1), {})
     assert document.synthetic
@@ -116,6 +117,7 @@ def test_the_report_warns_before_any_number():
     assert measured.blocks[0]["kind"] == "verdict"
 
 
+@pytest.mark.sweep
 def test_all_studies_together(tmp_path):
     files = write_combined([study(1), study(5)], tmp_path / "all")
     assert {"validation.csv", "tuning.csv", "parameters.csv", "boxplot.pdf", "report.pdf"} <= {
@@ -126,6 +128,7 @@ def test_all_studies_together(tmp_path):
     assert set(json.loads((tmp_path / "all" / "run.json").read_text())) == {"study1", "study5"}
 
 
+@pytest.mark.sweep
 def test_a_failure_keeps_the_earlier_result_and_leaves_no_partial_one(tmp_path, monkeypatch):
     target = tmp_path / "study1"
     target.mkdir()
@@ -142,6 +145,7 @@ def test_a_failure_keeps_the_earlier_result_and_leaves_no_partial_one(tmp_path, 
     assert [p.name for p in target.iterdir()] == ["run.json"]
 
 
+@pytest.mark.sweep
 def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
     monkeypatch.setattr("needlefit.reporting.document.compile_pdf", lambda _: b"%PDF")
     skip_figures(monkeypatch)
@@ -170,6 +174,7 @@ def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
     assert "validation.csv" not in {path.name for path in files.iterdir()}
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_a_fit_has_no_validation_table_but_a_report(tmp_path):
     whole = study(1)

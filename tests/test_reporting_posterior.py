@@ -84,6 +84,7 @@ def test_an_unconverged_posterior_is_flagged_in_every_output():
     assert describe_unconverged(fine) == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
 
 
+@pytest.mark.sweep
 def test_captions_announce_bands_where_there_are_some(tmp_path):
     drawn = {"overlays": tmp_path / "overlays.pdf"}
     drawn["overlays"].write_bytes(b"/MediaBox [0 0 400 100]")

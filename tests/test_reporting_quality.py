@@ -45,6 +45,7 @@ def facts(reconstruction):
 # the page
 
 
+@pytest.mark.sweep
 def test_the_report_is_one_page_and_reproducible(tmp_path):
     one = write_quality(cases.small(), tmp_path / "one.pdf")
     two = write_quality(cases.small(), tmp_path / "quality" / "two.pdf")
@@ -53,6 +54,7 @@ def test_the_report_is_one_page_and_reproducible(tmp_path):
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["one.pdf"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("warnings", [(), LONG, ("[brackets] *stars* #hash $dollar$ <angle>",)])
 def test_the_report_stays_one_page(tmp_path, warnings):
     bare = dataclasses.replace(cases.small(markers=False, layers=False), warnings=warnings)
@@ -213,6 +215,7 @@ def test_cross_sections_lie_across_the_axis_and_scatter_as_little_as_it_does():
     assert np.abs(needle_axis.residuals[:, 2]).max() < 0.01  # the needle runs along S, but for its bend
 
 
+@pytest.mark.sweep
 def test_markers_left_out_miss_by_what_is_expected_of_them():
     rng = random_stream(1, "left out")
     layout = np.array([[5, -40, -31], [22, 40, -18], [41, -40, 24], [58, 21, 40], [80, -33, -38.0]])

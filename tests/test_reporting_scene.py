@@ -34,6 +34,7 @@ MOVED = Step(40.0, Bevel(0.085, -1), Controls(2.0, guides=(Guide(-10.0, 1.0),)))
 PULLED = Step(15.0, Bevel(0.085, -1), Controls(2.0))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])
 @pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
 def test_a_scene_is_drawn_by_its_suffix_with_the_same_bytes(tmp_path, suffix, begins, more):

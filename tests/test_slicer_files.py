@@ -40,6 +40,7 @@ def test_a_segmentation():
     assert to_patient(labels.volume, ijk) == pytest.approx(ijk @ matrix[:3, :3].T + matrix[:3, 3])
 
 
+@pytest.mark.sweep
 def test_segments_of_it_as_layers():
     path = FILES / "Segmentation.seg.nrrd"
     names = [one.name for one in read_labels(path).segments]

@@ -208,6 +208,7 @@ def test_the_field_holds_box_markers_and_shaft_and_little_else(name):
     assert np.prod(grid.size) < 14e6
 
 
+@pytest.mark.sweep
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path):
     paths = [tmp_path / name for name in "abc"]
     for path, seed in zip(paths, (1, 1, 2), strict=True):
@@ -222,6 +223,7 @@ def files(folder):
     return sorted(path for path in Path(folder).rglob("*") if path.is_file())
 
 
+@pytest.mark.sweep
 def test_the_shipped_sample_is_a_rebuild(tmp_path):
     """On the machine that built it to the last byte; elsewhere rounding may turn a voxel by 1 HU."""
     write_scans(tmp_path, [design.SAMPLE_INSERTION], TWIN_SEED, "nrrd", THIS_PROCESS, quiet)
@@ -237,6 +239,7 @@ def test_the_shipped_sample_is_a_rebuild(tmp_path):
             assert (SHIPPED / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
+@pytest.mark.sweep
 def test_nrrd_and_dicom_hold_the_same_voxels(tmp_path):
     nrrd, dicom = (
         read_volume(render_insertion(tmp_path, design.SAMPLE_INSERTION, 1, form).scan.volume)
@@ -321,6 +324,7 @@ def test_an_unknown_insertion_lists_the_nearest():
     )
 
 
+@pytest.mark.sweep
 def test_scans_replace_scans_and_nothing_else(tmp_path):
     out = tmp_path / "scans"
     assert needlefit("sample", "--out", out, "-q", "--jobs", 1).stdout.startswith(f"{out}: 1 synthetic scan")

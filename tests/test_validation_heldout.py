@@ -177,6 +177,7 @@ def test_the_same_study_predicts_the_same(job, few_draws):
     assert alone == first[1:]  # an insertion does not depend on the others
 
 
+@pytest.mark.sweep
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
 def test_copies_of_the_process_predict_the_same(job, few_draws, monkeypatch):
     monkeypatch.setattr(tasks, "can_fork", lambda: True)
@@ -218,6 +219,7 @@ def test_a_known_tip_takes_what_it_shares_with_another_from_its_width():
     assert width == pytest.approx(2 * 1.959964 * np.hypot(0.4, 0.9 / np.hypot(3, 0.3)), rel=0.03)
 
 
+@pytest.mark.sweep
 def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     held_out = job.folds[0].validate[:3]
     fold = of(job, *(replace(one, specimen="another") for one in held_out))

@@ -80,6 +80,7 @@ def test_titles_are_the_keys_of_random_streams_and_differ():
     assert len({(check.group, check.title) for check in checks}) == len(checks)
 
 
+@pytest.mark.sweep
 def test_the_same_seed_measures_the_same_and_another_one_other_cases():
     some = [check for check in compiled.CHECKS if "12 random" in check.title]
     first, again, other = (verify(seed, some).rows[0].measured for seed in (3, 3, 4))
@@ -217,6 +218,7 @@ def test_a_percent_of_stiffness_is_noticed_by_every_solution(monkeypatch):
     assert len(failing(compiled)) >= 2
 
 
+@pytest.mark.sweep
 def test_a_law_taken_for_another_is_noticed(monkeypatch):
     fault(monkeypatch, lambda tissue: replace(tissue, law=tissue.law.replace("neo_hookean", "ogden")))
     assert failing(manufactured) >= {title for title in titles(manufactured) if "neo-Hookean" in title}
@@ -234,6 +236,7 @@ def test_a_wrong_nonlinearity_is_noticed_where_tissue_is_thin(change, monkeypatc
     assert failing(tangent) == titles(tangent)
 
 
+@pytest.mark.sweep
 def test_friction_left_out_is_noticed(monkeypatch):
     fault(monkeypatch, lambda tissue: replace(tissue, friction=0 * tissue.friction))
     assert failing(collocation) == {title for title in titles(collocation) if "Friction" in title}
@@ -241,6 +244,7 @@ def test_friction_left_out_is_noticed(monkeypatch):
     assert "The same with friction" in failing(manufactured)
 
 
+@pytest.mark.sweep
 def test_wrong_weights_are_noticed(monkeypatch):
     """Quadrature that loses a fiftieth of every element's second half."""
     true = clamped_module.build_grid
@@ -339,6 +343,7 @@ def test_a_template_that_stays_behind_is_noticed(monkeypatch):
     assert failing(world_frame) == titles(world_frame)
 
 
+@pytest.mark.sweep
 def test_a_jacobian_one_part_in_a_million_wrong_is_noticed(monkeypatch):
     true = sensitivities.linearize_steps
 
@@ -352,6 +357,7 @@ def test_a_jacobian_one_part_in_a_million_wrong_is_noticed(monkeypatch):
     assert len(failed) == 6
 
 
+@pytest.mark.sweep
 def test_a_reference_that_differs_is_noticed(monkeypatch):
     true = reference.modulus
 
@@ -458,6 +464,7 @@ def test_a_tip_that_is_no_number_fails_its_refinement(monkeypatch):
     assert {row.verdict for row in verify(1, refinement.CHECKS[1:]).rows} == {"FAILS"}
 
 
+@pytest.mark.sweep
 def test_a_difference_that_is_no_number_fails_its_comparison(monkeypatch):
     true = reference.simulate_steps
 

@@ -142,6 +142,7 @@ def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):
     assert open_target(None).name == "phantom2"
 
 
+@pytest.mark.sweep
 def test_a_dataset_shows_its_first_insertion_or_the_one_that_is_named(project):
     for name in ("needles", "data/needles", "data/needles/dataset.toml", str(project / "data/needles")):
         assert open_target(name).measured.id == "needle-1"
@@ -205,6 +206,7 @@ def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):
     assert np.array_equal(new.mu[:, 1], same.mu[:, 1])  # fixed in the medium
 
 
+@pytest.mark.sweep
 def test_a_new_specimen_is_that_also_where_an_insertion_that_was_tuned_on_is_shown(project):
     opened = [open_target("small", "needle-1", one) for one in ("shown", "planned", "new", "same")]
     assert [one.specimen for one in opened] == ["same", "new", "new", "same"]
@@ -215,6 +217,7 @@ def test_a_new_specimen_is_that_also_where_an_insertion_that_was_tuned_on_is_sho
     assert 0.2 < np.std(moved) < 1.5 * np.sqrt(2) * np.log(2)
 
 
+@pytest.mark.sweep
 def test_a_plan_follows_a_study_without_spread_between_specimens(project, tmp_path):
     results = restore_run(project / "reports/small")
     plain = results.record.model_copy(update={"specimens": "training only"})
@@ -228,6 +231,7 @@ def test_a_plan_follows_a_study_without_spread_between_specimens(project, tmp_pa
     assert np.std(np.log(new.mu[:, 0] / same.mu[:, 0])) > 0.2
 
 
+@pytest.mark.sweep
 def test_a_plan_states_specimen_draws_and_the_warnings_of_the_run(project, tmp_path, capsys):
     results = restore_run(project / "reports/small")
     warned = results.run | warnings_entry([ResultWarning("worse_than_baseline", "a line is closer")])
@@ -247,6 +251,7 @@ def test_a_plan_states_specimen_draws_and_the_warnings_of_the_run(project, tmp_p
         assert one["draws"] == total - one["search_draws"] and one["search_draws"] == 32
 
 
+@pytest.mark.sweep
 def test_live_errors_at_the_measured_depth_are_those_of_the_run(project):
     errors = restore_run(project / "reports/small").frames["errors"]
     for id_ in open_target("small").choices:
@@ -279,6 +284,7 @@ def test_a_run_without_draws_has_no_band_and_a_note(project, tmp_path):
     assert viewed_scene.spread is None and "certified" in viewed_scene.note
 
 
+@pytest.mark.sweep
 def test_a_plan_with_a_run_that_is_not_certified_is_marked(project, tmp_path, capsys):
     results = restore_run(project / "reports/small")
     frames = {"draws": results.frames["draws"].assign(certified=False)}

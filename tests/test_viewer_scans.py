@@ -44,6 +44,7 @@ def turned(columns) -> Volume:
     return Volume(values, np.zeros(3), np.array([1.0, 2.0, 3.0]), np.array(columns, dtype=float).T)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "columns",
     [np.eye(3), [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], [[0, 1, 0], [0, 0, -1], [1, 0, 0]]],
@@ -72,6 +73,7 @@ def test_slices_show_the_patient_from_the_same_sides(columns):
     ]
 
 
+@pytest.mark.sweep
 def test_the_needle_is_drawn_straight():
     s = np.linspace(0, 20, 41)
     needle = np.column_stack([s, 0.01 * s**2, np.zeros_like(s)])
@@ -89,6 +91,7 @@ def test_the_needle_is_drawn_straight():
         assert np.abs(middle - HALF_WIDTH_MM / PIXEL_MM).max() < 0.6  # rows of 0.3 mm
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "content", [3, {"needle": [1, 2]}, {"tip": ["a", 1, 2]}, {"balls": "x"}, {"contact": [1, 2, True]}]
 )
@@ -97,6 +100,7 @@ def test_corrections_that_are_no_places_are_refused(content):
         read_corrections(content)
 
 
+@pytest.mark.sweep
 def test_scans_are_written_as_the_rows_from_which_they_are_read(tmp_path):
     (scan,) = read_scans(SAMPLE)
     tip, contact = np.array([1.5, -2.25, 3.0]), np.array([0.5, 0.25, 9.0])
@@ -127,6 +131,7 @@ def require_equal(one, other):
             assert after == before, field.name
 
 
+@pytest.mark.sweep
 def test_a_session_describes_its_findings(session):
     found = session.describe()
     assert found["error"] is None and len(found["balls"]) == 5 and len(found["layers"]) == 1
@@ -137,6 +142,7 @@ def test_a_session_describes_its_findings(session):
         session.cut({"view": "axial", "index": "x", "low": 0, "high": 1})
 
 
+@pytest.mark.sweep
 def test_proposed_layers_are_shown_where_the_needle_crosses_them(session, free_session):
     assert session.describe()["proposed"] == []
     found = free_session.describe()
@@ -194,6 +200,7 @@ def test_only_saving_writes_and_never_over_what_another_session_saved(session, t
     assert first.save().parent.name == "sample-3" and len(kept()) == 8
 
 
+@pytest.mark.sweep
 def test_a_refused_scan_shows_how_far_it_got(session):
     session.again({"balls": [one["at"] for one in session.describe()["balls"][:3]]})
     found = session.describe()
@@ -202,6 +209,7 @@ def test_a_refused_scan_shows_how_far_it_got(session):
     assert found["tip"] is not None and found["tubes"][0]["chosen"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("count", [0, 2])
 def test_too_few_balls_change_nothing(session, count):
     before = session.describe()
@@ -210,6 +218,7 @@ def test_too_few_balls_change_nothing(session, count):
     assert session.describe() == before
 
 
+@pytest.mark.sweep
 def test_placed_balls_that_fit_nothing_are_named_without_their_file(session):
     session.again({"balls": [[0.0, 0.0, 900.0 + n] for n in range(4)]})
     error = session.describe()["error"]
@@ -217,6 +226,7 @@ def test_placed_balls_that_fit_nothing_are_named_without_their_file(session):
     assert error["where"] == "balls placed by hand"
 
 
+@pytest.mark.sweep
 def test_an_entry_is_not_placed_beside_the_stage(session):
     with pytest.raises(DataError, match="entry"):
         session.again({"contact": session.describe()["tip"]["at"]})
@@ -237,6 +247,7 @@ def test_what_a_dataset_may_not_hold_is_refused_on_the_page_and_by_the_command(
     assert error["what"] in capsys.readouterr().err
 
 
+@pytest.mark.sweep
 def test_a_needle_picked_beside_every_tube_is_an_error_of_the_scan(session):
     session.again({"needle": session.volume.origin.tolist()})
     found = session.describe()
@@ -244,6 +255,7 @@ def test_a_needle_picked_beside_every_tube_is_an_error_of_the_scan(session):
     assert found["error"]["where"].startswith("needle_x_mm") and found["axis"] is None
 
 
+@pytest.mark.sweep
 def test_targets_that_are_scans_are_recognised(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text("")
@@ -285,6 +297,7 @@ def visit(test):
     return run
 
 
+@pytest.mark.sweep
 @visit
 async def test_requests_without_the_token_are_refused(session):
     async with served(session) as (access, client):

@@ -182,6 +182,7 @@ async def test_what_is_recorded_is_there_at_every_moment_and_replays(tmp_path) -
         assert done["tip"] == state["tip"] and not done["playing"]
 
 
+@pytest.mark.sweep
 @visit
 async def test_a_replay_keeps_time_can_be_halted_and_goes_on(tmp_path) -> None:
     async with house(tmp_path) as server:
@@ -250,6 +251,7 @@ async def test_a_needle_has_one_window_the_newest(tmp_path) -> None:
         assert (await two.say("change", insert_mm=1))["depth_mm"] == 11
 
 
+@pytest.mark.sweep
 @visit
 async def test_a_needle_taken_while_its_window_looks_for_another_has_one_window(tmp_path) -> None:
     """A asks for another insertion, which takes a while; B takes A's needle, and then C takes it from B."""
@@ -279,6 +281,7 @@ async def test_so_many_windows_and_no_more_but_each_finds_its_needle(tmp_path) -
         assert (await server.page(pages[3].scene["needle"])).first["depth_mm"] == 0
 
 
+@pytest.mark.sweep
 def test_only_idle_needles_are_dropped(tmp_path) -> None:
     viewed_scene = open_target("study2")
     trials = TrialRegistry(viewed_scene, tmp_path, lambda insertion: viewed_scene)
@@ -364,6 +367,7 @@ async def test_strangers_are_kept_out(tmp_path) -> None:
             assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
 
 
+@pytest.mark.sweep
 @visit
 async def test_too_large_and_too_fast_is_cut_off_and_the_needle_is_not_lost(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
@@ -446,6 +450,7 @@ async def test_another_insertion_is_another_needle(tmp_path) -> None:
         assert page.scene["needle"] == first and back["tip"] == state["tip"] and back["undo"]
 
 
+@pytest.mark.sweep
 @visit
 async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
     async with house(tmp_path) as server:
@@ -486,6 +491,7 @@ async def test_goals_plans_and_their_faults_reach_the_page(tmp_path) -> None:
         assert (await page.hear("aim"))["target"] is None
 
 
+@pytest.mark.sweep
 @visit
 async def test_a_plan_shifts_the_entry_as_the_command_does_and_begins_there(tmp_path) -> None:
     async with house(tmp_path, "phantom2") as server:
@@ -538,6 +544,7 @@ def test_a_needle_at_the_entry_of_its_plan_keeps_parameters_set_by_hand(tmp_path
     assert other.aim.goal.target == (40.0, 2.0 - trial.aim.plan.entry_mm)
 
 
+@pytest.mark.sweep
 @visit
 async def test_a_fit_sends_its_mode_and_its_draws(tmp_path) -> None:
     async with house(tmp_path, "twin/phantom2-05") as server:
