@@ -92,8 +92,8 @@ def test_validate_json_has_every_error_beside_the_paper_s(stub, capsys):
     assert run("validate", "mine", "--json") == 0
     rows = json.loads(capsys.readouterr().out)["validation"]
     ours = [row for row in rows if (row["method"], row["boundaries"]) == ("fitted", "measured")]
-    assert [row["metric"] for row in ours[: len(METRICS)]] == METRICS
-    three_layers = {row["metric"]: row for row in ours[: len(METRICS)]}
+    three_layers = {row["metric"]: row for row in ours if row["layers"] == 3}
+    assert three_layers.keys() >= {*METRICS}
     head = three_layers["te_mm"]
     assert [head[name] for name in ("study", "medium", "layers", "origin")] == [1, "phantom2", 3, "synthetic"]
     assert (head["paper"], three_layers["edp_percent"]["paper"]) == (0.14, 5.56)

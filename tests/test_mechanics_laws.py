@@ -20,8 +20,11 @@ NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 BASE = Controls(base_y=0.4)
 
 
+CLOSED_FORMS = ("linear", "fung", "neo_hookean", "ogden")
+
+
 def modulus(law: str, alpha: float, stretch: np.ndarray) -> np.ndarray:
-    """Return k / mu, written as in the paper."""
+    """Return k / mu of one of the `CLOSED_FORMS`, written as in the paper."""
     if law == "linear":
         return np.full_like(stretch, 3.0)
     if law == "fung":
@@ -33,7 +36,7 @@ def modulus(law: str, alpha: float, stretch: np.ndarray) -> np.ndarray:
     return 2 * (stretch ** (alpha - 1) + 0.5 * stretch ** (-alpha / 2 - 1))
 
 
-@pytest.mark.parametrize("law", LAWS.names())
+@pytest.mark.parametrize("law", CLOSED_FORMS)
 @pytest.mark.parametrize("thickness", [0.3, 5.0, 40.0, 80.0])
 def test_the_polynomial_is_the_law_as_far_as_it_is_used(law: str, thickness: float) -> None:
     """To 1e-9 of k, and its tangent d(k e)/de to 1e-7, over the widest prior."""

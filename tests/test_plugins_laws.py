@@ -100,7 +100,7 @@ def test_a_study_with_everything_of_a_plugin(
     assert version == VERSION if not options else version.startswith("sha256:")
     assert stored["rules"]["law"] == "logarithmic"
     assert run("report", "mine", *options) == 0
-    assert LAWS.names() == ("fung", "linear", "logarithmic", "neo_hookean", "ogden")
+    assert {"logarithmic", "ogden"} < {*LAWS.names()}
 
 
 def test_curves_of_the_format_become_a_dataset(site: Site, project: Path) -> None:
