@@ -21,6 +21,9 @@ limit_to_one_thread()  # before what loads BLAS; the processes of xdist, which b
 
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
+
+pytest.register_assert_rewrite("made_again")
+
 from world import World, open_world  # noqa: E402
 
 from needlefit.mechanics.precompile import KERNEL_PARTS, precompile  # noqa: E402

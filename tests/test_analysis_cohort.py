@@ -174,20 +174,6 @@ def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
         restore_run(written[0])
 
 
-@pytest.mark.sweep
-def test_a_cohort_of_an_earlier_version_is_reported_with_the_same_tables(project, monkeypatch):
-    """It stored its tables with all else, and has no files of them."""
-    monkeypatch.setattr(cohort_run, "_fit_specimen", _fit_at_once)
-    found = run("cohort", cohort("specimens/a"), Settings())
-    now = write_run(found, project / "now")
-    earlier = write_run(replace(found, frames=dict(found.frames)), project / "earlier")
-    (again,) = rebuild(earlier, project / "again")
-    assert pd.read_parquet(project / "again" / "fits.parquet").equals(found.frames["fits"])
-    assert isinstance(again.frames, dict) and again.verdicts == found.verdicts
-    for name in ("fits.csv", "errors.csv", "failures.csv", "parameters.tex", "report.pdf"):
-        assert (project / "again" / name).read_bytes() == (now / name).read_bytes()
-
-
 def test_a_dataset_that_is_listed_twice_by_its_content_is_a_warning(project):
     shutil.copytree("specimens/a", "specimens/again")
     stopped = Settings(stop=lambda: True)

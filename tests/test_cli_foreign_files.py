@@ -84,7 +84,6 @@ CASES = {
     "credibility": Case(("credibility", "./out/run", "--out", "out", "-q"), ("out/credibility-run",)),
     "material": Case(("material", "gel.csv", "--out", "out"), ("out/material-gel",)),
     "reconstruct": Case(("reconstruct", SCANS, "--out", "out/rr", "-q"), ("out/rr", "out/rr.partial")),
-    "migrate": Case(("migrate", "./out/run")),
     "import": Case(("import", "curves.csv", "--out", "out/found", "--yes"), ("out/found",)),
     "init": Case(("init", "out/project"), ("out/project/data", "out/project/configs", "out/project/studies")),
     "twin build": Case(("twin", "build", "--out", "out/twin", "-q"), ("out/twin",)),

@@ -263,9 +263,7 @@ def test_damaged_checkpoints_are_set_aside_and_no_pickle_is_opened(tmp_path, cap
             "whole.checkpoint.damaged-1",
         ),
     }
-    (keep / "whole.pickle").write_bytes(
-        pickle.dumps(Bomb())
-    )  # as earlier versions kept it: not ours any more
+    (keep / "whole.pickle").write_bytes(pickle.dumps(Bomb()))
     assert run(*words, "--resume") == 3
     assert "whole.pickle" in capsys.readouterr().err and (keep / "whole.pickle").is_file()
     assert not (tmp_path / "was_run").exists()

@@ -56,12 +56,6 @@ def test_one_changed_digit_is_found(tmp_path):
     assert "digest" in fault(tmp_path).what
 
 
-def test_results_of_an_earlier_format_are_refused_with_the_command_that_rewrites_them(tmp_path, content):
-    (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(json.dumps({"format": 2, **content}).encode()))
-    with pytest.raises(DataError, match="needlefit migrate"):
-        restore_run(tmp_path)
-
-
 def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(packing, "MAX_UNPACKED_BYTES", 10_000)
     assert MAX_UNPACKED_BYTES < 2**30

@@ -198,35 +198,6 @@ def test_files_of_a_run_of_another_program_are_foreign(tmp_path, run):
     assert find_foreign(tmp_path) == ["errors.csv", "report.pdf", "run.json"]
 
 
-def test_a_result_of_an_earlier_version_is_known_by_its_names(tmp_path):
-    folder = tmp_path / "study3"
-    (folder / "slicer").mkdir(parents=True)
-    for name in ("errors.pdf", "results.json.gz", "posterior_2.nc", "numbers.tex", "timing.json"):
-        (folder / name).write_text("ours")
-    (folder / "run.json").write_text('{"versions": {"needlefit": "0.1.0"}}')
-    (folder / "errors.csv").write_text("fold,insertion\nall,n1\nall,n2\n")
-    (folder / "slicer" / "n1.mrk.json").write_text("ours")
-    (folder / "slicer" / "n2.band.ply").write_text("ours")
-    assert find_foreign(folder) == []
-    mine = [
-        "notes.md",
-        "thesis.docx",
-        "my_errors.csv",
-        "slicer/mine.mrk.json",
-        "slicer/n1.txt",
-        "sub/errors.csv",
-    ]
-    for name in mine:
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text("mine")
-    assert find_foreign(folder) == sorted(mine)
-    for name in mine:
-        (folder / name).unlink()
-    (folder / "sub").rmdir()
-    write(folder)
-    assert (folder / STAMP).is_file()
-
-
 def test_the_evidence_in_the_repository_and_the_shipped_data_may_be_replaced():
     known = [*(shipped_folder() / "reports" / "reference").glob("*/"), shipped_folder() / "data/twin"]
     known.append(shipped_folder() / "data/sample_scan")

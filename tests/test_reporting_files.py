@@ -15,13 +15,11 @@ from light_runs import blank_figures  # noqa: F401 - a fixture
 from reporting_results import skip_figures, stereo, study
 
 from needlefit.errors import ConfigError
+from needlefit.project.ownership import write_stamp
 from needlefit.reporting.figures.style import choose_vertical_scale
 from needlefit.studies.combined_report import write_combined
 from needlefit.studies.kinds.cross_validation.results import COLUMNS
 from needlefit.studies.report import compose_run_report, write_run
-
-EARLIER = '{"versions": {"needlefit": "0.1.0"}}'
-"""`run.json` of a result without a stamp."""
 
 FIGURES = ("boxplot", "schematic", "overlays", "residuals", "waterfall")
 EXPECTED = {
@@ -132,7 +130,8 @@ def test_all_studies_together(tmp_path):
 def test_a_failure_keeps_the_earlier_result_and_leaves_no_partial_one(tmp_path, monkeypatch):
     target = tmp_path / "study1"
     target.mkdir()
-    (target / "run.json").write_text(EARLIER)
+    (target / "run.json").write_text("{}")
+    write_stamp(target)
 
     def fail(_: object) -> bytes:
         raise OSError("disk full")
@@ -142,7 +141,7 @@ def test_a_failure_keeps_the_earlier_result_and_leaves_no_partial_one(tmp_path, 
     with pytest.raises(OSError, match="disk full"):
         write_run(study(1), target)
     assert [p.name for p in tmp_path.iterdir()] == ["study1"]
-    assert [p.name for p in target.iterdir()] == ["run.json"]
+    assert [p.name for p in target.iterdir()] == ["needlefit.json", "run.json"]
 
 
 @pytest.mark.sweep
@@ -151,8 +150,8 @@ def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
     skip_figures(monkeypatch)
     target = tmp_path / "study1"
     target.mkdir()
-    (target / "run.json").write_text(EARLIER)
     (target / "corner.csv").write_text("")
+    write_stamp(target)
     files = write_run(study(1), target)
     assert not (target / "corner.csv").exists()
     assert (files / "methods.tex").exists() or (files / "numbers.tex").exists()

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from reporting_results import stereo, study, with_predictions
+from reporting_results import stereo, study
 from test_reporting_posterior import sampled
 
 from needlefit.errors import DataError
@@ -40,13 +40,6 @@ def test_floats_that_are_no_numbers_and_cells_that_are_empty_survive(tmp_path):
     found = restore_run(tmp_path).frames["starts"]
     pd.testing.assert_frame_equal(found, starts, check_exact=True)
     assert found["joined"].dtype == starts["joined"].dtype
-
-
-def test_predictions_stored_before_the_width_after_one_insertion_are_read(tmp_path):
-    one = with_predictions(study(1))
-    earlier = one.frames["predictive"].drop(columns="tip_95_width_after_one_mm")
-    store_run(one.with_frames(predictive=earlier), tmp_path)
-    assert restore_run(tmp_path).frames["predictive"]["tip_95_width_after_one_mm"].isna().all()
 
 
 def test_a_folder_without_results_is_an_error_that_names_it(tmp_path):

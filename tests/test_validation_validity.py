@@ -57,7 +57,7 @@ def test_a_run_inside_its_limits_has_no_warning():
     counts.draws.add(400, 0)
     assert list(validity_warnings({"validity": counts.table()})) == []
     assert describe_outside({"validity": counts.table()}) == ""
-    assert describe_outside({}) == "" and list(validity_warnings({})) == []  # an earlier version's run
+    assert describe_outside({}) == "" and list(validity_warnings({})) == []
     counts.draws.add(400, 3)  # fewer than one in a hundred
     assert list(validity_warnings({"validity": counts.table()})) == []
     counts.draws.add(400, 30)

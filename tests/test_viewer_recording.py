@@ -11,7 +11,6 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.migration import migrate_file
 from needlefit.viewer.interaction.inputs import Change, find_changes
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
@@ -124,22 +123,19 @@ def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault)
         list(replay(read_recording(path)))
 
 
-def test_a_recording_of_an_earlier_version_is_refused_with_its_line_and_rewritten(tmp_path) -> None:
+def test_a_recording_of_another_version_is_refused_and_left_alone(tmp_path) -> None:
     path = tmp_path / "log.csv"
     recorded(path)
-    today = path.read_text()
-    earlier = today.replace("# schema = 2", "# schema = 1").replace("# target =", "# subject =")
-    earlier = earlier.replace("guide_engaged", "guide_holds")
-    assert earlier != today and "guide_holds" in earlier
-    path.write_text(earlier)
-    with pytest.raises(NeedlefitError, match="`target`"):
-        read_recording(path)
-    path.write_text(earlier.replace("# subject =", "# target ="))
-    with pytest.raises(NeedlefitError, match=r"line .*: .*`guide_engaged`"):
-        read_recording(path)
-    path.write_text(earlier)
-    assert migrate_file(path)
-    assert path.read_text() == today
+    for known, other in (
+        ("# target =", "# subject ="),
+        ("guide_engaged", "guide_holds"),
+        ("schema = 2", "schema = 3"),
+    ):
+        path.write_text(text := path.read_text().replace(known, other))
+        with pytest.raises(NeedlefitError):
+            read_recording(path)
+        assert path.read_text() == text
+        path.write_text(text.replace(other, known))
 
 
 def test_an_insertion_by_hand_is_the_simulated_one() -> None:

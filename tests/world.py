@@ -52,10 +52,10 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "cohort": _validate("cohort", 0),
         "comparison": _validate("comparison"),
         "credibility": Command(
-            ("credibility", "held_out", "--evidence", "reports/verification"),
+            ("credibility", "held_out"),
             "credibility-held_out",
             (0,),
-            ("cross_validation", "verification"),
+            ("cross_validation", "verification", "sensitivity"),  # what it finds about the study
         ),
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel", "--sample"), "gel", (5,)),

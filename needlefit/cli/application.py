@@ -17,7 +17,6 @@ from needlefit.cli.explain import explain
 from needlefit.cli.identify import identify
 from needlefit.cli.import_data import import_data
 from needlefit.cli.material import material
-from needlefit.cli.migrate import migrate
 from needlefit.cli.paper import paper
 from needlefit.cli.plan import plan
 from needlefit.cli.predict import predict
@@ -64,7 +63,6 @@ _COMMANDS: Mapping[str, Mapping[Callable[..., None] | str, str]] = {
         explain: "explain coverage",
         diff: "diff reports/study3 old/study3",
         paper: "paper",
-        migrate: "migrate reports --dry-run",
     },
 }
 """By heading of `--help`: commands in the order of the work, each with an example."""

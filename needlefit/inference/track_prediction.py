@@ -162,7 +162,7 @@ def draw_baseline(
     best = np.linalg.solve(basis.T @ basis, basis.T @ measured)
     squares = float(np.sum((measured - basis @ best) ** 2))
     # the order of the draws matters for the result: scale first, then coefficients. A straight line, which
-    # has none, draws and drops one of them, so that its readings are those of earlier versions.
+    # has none, draws and drops one of them.
     scale = np.sqrt(squares / rng.chisquare(len(measured) - unknowns, size=count))
     normal = rng.normal(size=(max(1, unknowns), count))[:unknowns]
     root = np.linalg.cholesky(np.linalg.inv(basis.T @ basis))

@@ -17,7 +17,6 @@ from needlefit.project.files import remove_contents, remove_folder
 from needlefit.project.outputs import not_writable_error
 from needlefit.project.ownership import (
     STAMP,
-    STAMPS,
     checkpoint_stamp,
     find_foreign,
     is_lock_only,
@@ -115,7 +114,7 @@ def remove_checkpoint(folder: Path, note: Note) -> None:
         note(f"{folder} is not removed: it holds {', '.join(faults)}")
         return
     with suppress(OSError):  # what stays has its stamp still: the next run removes it
-        remove_folder(folder, (LOCK_NAME, *STAMPS))
+        remove_folder(folder, (LOCK_NAME, STAMP))
     if lock is not None:
         lock.release()
 
@@ -130,12 +129,12 @@ def _work_of(folder: Path) -> str | None:
 
 
 def _holds_results(folder: Path) -> bool:
-    return any(one.name not in (LOCK_NAME, *STAMPS) for one in folder.iterdir())
+    return any(one.name not in (LOCK_NAME, STAMP) for one in folder.iterdir())
 
 
 def _empty(folder: Path) -> None:
     """Remove all but the lock from a checkpoint in which nothing is foreign."""
-    remove_contents(folder, STAMPS, keep=(LOCK_NAME,))
+    remove_contents(folder, (STAMP,), keep=(LOCK_NAME,))
 
 
 def _lock(folder: Path) -> Lock | None:

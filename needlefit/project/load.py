@@ -17,7 +17,6 @@ from needlefit.project import input_files
 from needlefit.project.locate import file_label
 from needlefit.project.toml_lines import locate_key
 from needlefit.schemas.base import MISSING_KEY
-from needlefit.schemas.renamed import earlier_keys
 
 Location = tuple[int | str, ...]
 ErrorContext = dict[str, Any]
@@ -31,8 +30,6 @@ class SchemaFault:
     what: str
     expected: str
     fix: str
-    new_name: str = ""
-    """Of a key that was renamed."""
 
 
 _TYPE_NAMES: dict[type, str] = {
@@ -63,7 +60,6 @@ _EXPECTED: dict[str, Callable[[ErrorContext], str]] = {
     "dict_type": lambda _: "a table of keys and values",
     "model_type": lambda _: "a table of keys and values",
 }
-_MIGRATE = "write `{}`, or have `needlefit migrate FILE` rewrite the file"
 _MEMBER = re.compile(r"constrained-|literal\[")
 _LENGTH_FAULTS = {"too_short": "has too few members", "too_long": "has too many members"}
 
@@ -81,7 +77,7 @@ def schema_faults(error: ValidationError, kind: type[BaseModel]) -> list[SchemaF
         for each, place in zip(found, places, strict=True)
         if each["type"] != "too_short" or not any(_within(other, place) for other in places)
     ]
-    return _join_faults_of_key(_without_renamed(faults))
+    return _join_faults_of_key(faults)
 
 
 def _place_missing_key(error: ErrorDetails) -> ErrorDetails:
@@ -89,17 +85,6 @@ def _place_missing_key(error: ErrorDetails) -> ErrorDetails:
     if error["type"] != MISSING_KEY:
         return error
     return {**error, "type": "missing", "loc": (*error["loc"], *error["ctx"]["location"])}
-
-
-def _without_renamed(faults: list[SchemaFault]) -> list[SchemaFault]:
-    """Leave out that a key is missing where its table has it under its earlier name."""
-    new_keys = {_sibling(fault.key, fault.new_name) for fault in faults if fault.new_name}
-    return [fault for fault in faults if fault.new_name or fault.key not in new_keys]
-
-
-def _sibling(key: str, name: str) -> str:
-    table, dot, _ = key.rpartition(".")
-    return f"{table}{dot}{name}"
 
 
 def _strip_union_members(location: Location) -> Location:
@@ -155,11 +140,6 @@ def _as_written(value: str | float | bool) -> str:
 
 
 def _unknown(key: str, location: Location, kind: type[BaseModel]) -> SchemaFault:
-    holder = _record_at(kind, location[:-1])
-    new_name = earlier_keys(holder).get(str(location[-1])) if holder else None
-    if new_name:
-        what = f"key `{key}` is now called `{new_name}`"
-        return SchemaFault(key, what, "", _MIGRATE.format(new_name), new_name)
     known = list(_fields(kind, location[:-1]))
     near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
     forms, table = _forms(kind, location[:-1]), key.rpartition(".")[0]

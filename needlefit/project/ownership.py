@@ -10,7 +10,7 @@ import json
 import os
 import re
 import stat
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
@@ -20,11 +20,8 @@ from needlefit.project.files import remove_folder, sha256
 from needlefit.project.input_files import read_bytes, read_json
 from needlefit.project.outputs import require_writable
 from needlefit.project.progress import Note
-from needlefit.project.unstamped import unstamped_files
 
 STAMP = "needlefit.json"
-STAMPS = (STAMP, "work.sha256")
-"""Of a checkpoint: now, and in earlier versions."""
 
 FORMAT = 1
 
@@ -40,7 +37,7 @@ MAX_LISTED_FILES = 5
 """Foreign files that a message names."""
 
 _CHECKPOINT = re.compile(
-    r"(lock|work\.sha256|[0-9a-f]{16}\.jsonl|[0-9a-f]{16}\.posterior/\d{5}\.(checkpoint|kept|h5)|[^/]+\.(checkpoint|kept))(\.(damaged|torn)-\d+)?"
+    r"(lock|[0-9a-f]{16}\.jsonl|[0-9a-f]{16}\.posterior/\d{5}\.(checkpoint|kept|h5)|[^/]+\.(checkpoint|kept))(\.damaged-\d+)?"
     r"|([^/]+/)?\.[^/]+\.needlefit-[^/]+/.*"
 )
 """Files of a checkpoint: those of runs and of reconstructions, what was damaged, and, as a kill leaves them,
@@ -55,8 +52,6 @@ _CHECKPOINT_FOLDER = re.compile(r"[0-9a-f]{16}\.posterior|([^/]+/)?\.[^/]+\.need
 
 MAX_STAMP_BYTES = 2**20
 """Size of a stamp of a checkpoint, which has a hundred bytes."""
-
-_EARLIER_STAMP = re.compile(rb"[0-9a-f]{0,64}")
 
 _LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 64
 """What the lock of a checkpoint holds: nothing at first, then the process that has it, perhaps cut short."""
@@ -106,13 +101,10 @@ def find_foreign(folder: Path, holds: FolderKind = "result") -> list[str]:
     if holds == "checkpoint":
         faults = _foreign_in_checkpoint(folder, names)
         return [*faults, *_empty_folders(folder, names, _CHECKPOINT_FOLDER.fullmatch)]
-    if listed := listed_files(folder):
-        faults = [fault for name in names if name != STAMP and (fault := _fault(folder, name, listed))]
-        ours: Collection[str] = listed.keys()
-    else:
-        ours = frozenset() if (folder / STAMP).is_file() else unstamped_files(folder)
-        faults = [name for name in names if name not in ours or not _is_file(folder / name)]
-    parents = {str(parent) for name in ours for parent in PurePosixPath(name).parents}
+    listed = listed_files(folder)
+    written = [name for name in names if name != STAMP] if listed else names
+    faults = [fault for name in written if (fault := _fault(folder, name, listed))]
+    parents = {str(parent) for name in listed for parent in PurePosixPath(name).parents}
     return [*faults, *_empty_folders(folder, names, parents.__contains__)]
 
 
@@ -155,7 +147,7 @@ def remove_result(folder: Path, note: Note) -> None:
         note(f"{folder} of an earlier run is not removed: it holds {', '.join(faults[:MAX_LISTED_FILES])}")
         return
     with suppress(OSError):  # what stays has its stamp still: the next run removes it
-        remove_folder(folder, STAMPS)
+        remove_folder(folder, (STAMP,))
 
 
 def not_replaced_error(folder: Path, faults: list[str]) -> ConfigError:
@@ -206,7 +198,7 @@ def _foreign_in_checkpoint(folder: Path, names: list[str]) -> list[str]:
 
     A run that ended before its stamp was written leaves its lock, and the stamp half written beside it.
     """
-    if not any(_is_checkpoint_stamp(folder / name) for name in STAMPS):
+    if not _is_checkpoint_stamp(folder / STAMP):
         return [] if is_lock_only(folder) else names
     return [
         name
@@ -262,8 +254,6 @@ def _is_checkpoint_stamp(path: Path) -> bool:
         text = read_bytes(path, MAX_STAMP_BYTES).rstrip(b"\0\n")
     except DataError:
         return False
-    if path.name != STAMP:
-        return _EARLIER_STAMP.fullmatch(text) is not None
     try:
         return bool(read_stamp(path.parent).get("holds", "checkpoint") == "checkpoint")
     except DataError:

@@ -59,5 +59,5 @@ def warnings_entry(warnings: Iterable[ResultWarning]) -> dict[str, list[dict[str
 
 
 def read_warnings(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
-    """Return the warnings that a run keeps; an earlier version kept none."""
+    """Return the warnings that a run keeps."""
     return tuple(ResultWarning(**row) for row in run.get(WARNINGS_KEY, ()))

@@ -23,8 +23,7 @@ class Record(BaseModel):
 class FileRecord(Record):
     """A whole TOML file; `schema` is the version of its layout.
 
-    `SCHEMA` is the version of today. A file of an earlier version is read as long as none of its keys was
-    renamed since (`needlefit/schemas/renamed.py`).
+    `SCHEMA` is the version of today. A file of a lower one is read if its keys are those of today.
     """
 
     SCHEMA: ClassVar[int] = 1

@@ -7,7 +7,6 @@ that is still valid gzip and valid JSON is found.
 import gzip
 import hashlib
 import json
-import shlex
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,20 +21,13 @@ from needlefit.project.input_files import (
     is_file,
     open_regular,
     parse_json,
-    read_json,
     unreadable_error,
 )
-from needlefit.project.run_file import MAX_RUN_BYTES, RUN_FILE
 
 RESULTS_FILE = "results.json.gz"
 
 FORMAT_VERSION = 5
-"""Of the file. `needlefit migrate` rewrites those of earlier versions."""
-
-EARLIER_FORMAT_VERSIONS = (3, 4)
-
-FORMAT_VERSION_WITHOUT_DIGEST = 2
-"""One line of JSON."""
+"""Of the file."""
 
 MAX_UNPACKED_BYTES = 256 * 2**20
 """Largest size of the text in the file; the studies of the paper have some MB."""
@@ -69,34 +61,12 @@ def unpack(folder: Path) -> dict[str, Any]:
     DataError
         If it holds none, or one that is damaged, too large or of another version.
     """
-    version, table = unpack_version(folder)
-    if version != FORMAT_VERSION:
-        raise DataError(
-            "was written by an earlier version",
-            where=str(folder / RESULTS_FILE),
-            expected=f"format {FORMAT_VERSION}; this is format {version}",
-            fix=f"rewrite it: {shlex.join(('needlefit', 'migrate', str(folder)))}",
-        )
-    return table
-
-
-def unpack_version(folder: Path) -> tuple[int, dict[str, Any]]:
-    """Return the format and the table that a run of this or an earlier version left in `folder`.
-
-    Raises
-    ------
-    DataError
-        If it holds none, or one that is damaged, too large or of a later version.
-    """
     path = folder / RESULTS_FILE
     if not is_file(path):
         raise no_results_error(folder)
     first, _, rest = _unzip(path).partition(b"\n")
     head = _parse_table(first, path)
-    version = head.get("format")
-    if version == FORMAT_VERSION_WITHOUT_DIGEST:
-        return version, head
-    if version not in (FORMAT_VERSION, *EARLIER_FORMAT_VERSIONS):
+    if head.get("format") != FORMAT_VERSION:
         raise DataError(
             "is of a format that this version cannot read",
             where=str(path),
@@ -105,38 +75,17 @@ def unpack_version(folder: Path) -> tuple[int, dict[str, Any]]:
         )
     if head.get("sha256") != hashlib.sha256(rest).hexdigest():
         raise damage_error(path, "its content was changed: the digest does not match")
-    return version, _parse_table(rest, path)
+    return _parse_table(rest, path)
 
 
 def no_results_error(folder: Path) -> DataError:
-    """Return the error for a folder without stored results, with the command that makes them."""
-    command = find_command(folder)
+    """Return the error for a folder without stored results."""
     return DataError(
         "holds no stored results",
         where=str(folder),
         expected=f"{RESULTS_FILE}, which needlefit writes into each run",
-        fix=f"run it again: {shlex.join(command)}" if command else "name the folder of a run",
+        fix="name the folder of a run",
     )
-
-
-def find_command(folder: Path) -> list[str]:
-    """Return the command that an earlier version wrote a folder with, if that stored no results."""
-    try:
-        run = read_json(folder / RUN_FILE, MAX_RUN_BYTES)
-        if run["name"] == "verification":
-            command = ["verify", "--seed", str(run["seed"])]
-        elif run["name"].startswith("credibility-"):
-            statements = run["stated"]["file"]
-            command = ["credibility", *run["runs"], *(["--statements", statements] if statements else [])]
-        elif run["name"].startswith("material-"):
-            stress = ["--stress", run["measure"]] if "stress_kpa" in run["columns"] else []
-            factors = [str(factor) for factor in (run["foundation"] or {}).values()]
-            command = ["material", run["file"], *stress, *(["--foundation", *factors] if factors else [])]
-        else:
-            return []
-    except (DataError, KeyError, TypeError, AttributeError):
-        return []
-    return ["needlefit", *command, "--out", str(folder.parent)]
 
 
 def _unzip(path: Path) -> bytes:

@@ -1,6 +1,5 @@
 """The result of a study: tables, provenance, and the file that stores them."""
 
-import math
 from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -169,7 +168,6 @@ def restore_run(folder: Path) -> Run:
         kind = find_kind(table["kind"])
         about: dict[str, Any] = {key: table[key] for key in _PLAIN}
         frames: Frames = {name: unpack_frame(frame) for name, frame in table["frames"].items()}
-        frames = {name: _add_missing_columns(frame, name) for name, frame in frames.items()}
         if columnar := open_files(folder, table.get("columnar", {})):
             frames = ColumnarFrames({**frames, **columnar})
         _require_columns(frames, kind.frames)
@@ -182,24 +180,6 @@ def restore_run(folder: Path) -> Run:
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
             **{**about, "faults": tuple(about["faults"])},
         )
-
-
-_INTERVAL_COLUMNS = ("interval_low", "interval_high", "draw_source")
-_LATER_COLUMNS: Mapping[str, Sequence[str]] = {
-    "parameters": (*_INTERVAL_COLUMNS, "condition"),
-    "identification": (*_INTERVAL_COLUMNS, "bound_low", "bound_high", "note"),
-    "directions": ("sd_ratio",),
-    "identify": (*_INTERVAL_COLUMNS, "bound_low", "bound_high", "note"),
-    **dict.fromkeys(("predictive", "predictive_training"), ("tip_95_width_after_one_mm",)),
-}
-"""Columns that earlier results of this format lack; they are empty then."""
-
-
-def _add_missing_columns(frame: pd.DataFrame, name: str) -> pd.DataFrame:
-    of_shapes = "status" in frame or "tip_pit" in frame or name == "directions"
-    wanted = _LATER_COLUMNS.get(name, ()) if of_shapes else ()
-    wanted = ("condition",) if name == "parameters" and "sd_ratio" in frame else wanted  # of tip tracks
-    return frame.assign(**{column: math.nan for column in wanted if column not in frame})
 
 
 def _require_columns(frames: Frames, columns: Mapping[str, Sequence[str]]) -> None:

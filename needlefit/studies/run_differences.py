@@ -173,8 +173,8 @@ def _read_kind(folder: Path, run: Mapping[str, Any]) -> str:
         raise DataError(
             "states no kind of study",
             where=str(folder / "run.json"),
-            expected="a run of this version, of one study",
-            fix=f"rewrite it: needlefit migrate {folder}",
+            expected="a run of one study",
+            fix="name the folder of one study, or run it again",
         )
     return str(run["kind"])
 

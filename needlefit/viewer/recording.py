@@ -22,7 +22,6 @@ from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.load import check
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
-from needlefit.schemas.renamed import RENAMED_INPUTS
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
 
@@ -201,11 +200,6 @@ def _changes(step: Sequence[_LogRow], path: Path) -> tuple[Change, ...]:
 
 
 def _change(row: _LogRow, path: Path) -> Change:
-    if row.name in RENAMED_INPUTS:
-        what = f"input `{row.name}` is now called `{RENAMED_INPUTS[row.name]}`"
-        raise _line_error(
-            path, row.line, what, "the name of today; `needlefit migrate FILE` rewrites the file"
-        )
     if row.item and not (row.item.isdecimal() and len(row.item) <= MAX_ITEM_DIGITS):
         raise _line_error(path, row.line, f"item `{row.item}`", "the number of a guide or layer, or nothing")
     try:

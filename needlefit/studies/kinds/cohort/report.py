@@ -24,7 +24,7 @@ from needlefit.reporting.number_format import (
 )
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_layout import TableLayout
-from needlefit.studies.columnar import ColumnarFrames, read_columns
+from needlefit.studies.columnar import read_columns
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
 from needlefit.studies.verdict import Verdict
@@ -167,12 +167,4 @@ def compose_sections(result: Run, figures: FigurePaths) -> list[Block]:
     ]
 
 
-def write_parquet(result: Run, folder: Path) -> None:
-    """Write the fits of a run of an earlier version, which stored them in another file, as Parquet."""
-    if not isinstance(result.frames, ColumnarFrames):
-        result.frames["fits"].to_parquet(folder / "fits.parquet", index=False)
-
-
-REPORT = StudyReport(
-    summarize, lay_out_tables, draw_figures, compose_sections, write_files=write_parquet, judge=judge
-)
+REPORT = StudyReport(summarize, lay_out_tables, draw_figures, compose_sections, judge=judge)

@@ -203,9 +203,7 @@ _COMPARISONS = {
 
 def _describe_observation(dataset: Mapping[str, Any], likelihood: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is compared with what, and which errors insertions share."""
-    stated = dataset.get("measurement")
-    if stated is None:  # a run of an earlier version
-        return
+    stated = dataset["measurement"]
     operator = stated["operator"]
     smoothed = likelihood.get("measurement", "stored") == "stored" and likelihood["noise"] == "correlated"
     if smoothed or operator == "none":

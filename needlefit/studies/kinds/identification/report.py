@@ -91,8 +91,6 @@ def describe_design(found: Run) -> list[str]:
 
 def _describe_place(about: Mapping[str, Any]) -> str:
     count = f"{about['insertions']} insertion" + ("s" if about["insertions"] > 1 else "")
-    if "depths_mm" not in about:  # as earlier versions stored it
-        return f"Design alone: {count}, at {about['place']}. Measured shapes are not used."
     shallow, deep = (f"{depth:.3g}" for depth in about["depths_mm"])
     depth = f"{shallow} mm" if shallow == deep else f"{shallow} to {deep} mm"
     return (
