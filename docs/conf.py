@@ -28,6 +28,9 @@ extensions = [
     "names",
     "api_pages",
     "commands",
+    "toml_page",
+    "columns_page",
+    "notebooks_page",
     "shipped",
 ]
 root_doc = "index"

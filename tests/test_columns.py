@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from docs_scripts import load_script
 
 from needlefit.reporting.columns import (
     FORMATS,
@@ -86,11 +85,3 @@ def test_the_unit_of_a_metric_stands_where_all_rows_share_it():
     both = [row, {"metric": "edp_percent", "value": 2.0}]
     units = [Table("t", "", rows, ("value",)).lay_out().columns[0].unit for rows in ([row], both)]
     assert units == ["mm", ""]
-
-
-def test_the_glossary_is_up_to_date():
-    script = REFERENCE.parent.parent / "docs/glossary.py"
-    if not script.is_file():
-        pytest.skip("not run from the repository")
-    module = load_script(script)
-    assert module.PAGE.read_text("utf-8") == module.write_page(), "run `python docs/glossary.py`"

@@ -85,3 +85,14 @@ def test_an_excerpt_follows_what_is_printed_now(transcripts):
     shown = ["head", "...", "sum 1.0", "..."]
     printed = ["head", "new", "sum 2.0", "tail"]
     assert transcripts.excerpt(shown, printed) == ["head", "...", "sum 2.0", "..."]
+
+
+def test_the_commands_of_a_guide_print_what_it_shows(transcripts):
+    assert transcripts.check(DOCS / "guides/slicer.md")
+
+
+def test_a_notebook_runs():
+    nbformat = pytest.importorskip("nbformat")
+    notebook = nbformat.read(DOCS / "notebooks/3_simulate.ipynb", as_version=4)
+    executed = load_script(DOCS / "notebooks.py").execute(notebook)
+    assert any(cell.get("outputs") for cell in executed.cells)

@@ -1,42 +1,126 @@
-"""`needlefit explain`: what a warning means, and what to do."""
+"""`needlefit explain`: what a warning, a term, a column of a table or a file means."""
 
 import difflib
-from dataclasses import asdict
-from typing import Annotated
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.project.troubleshooting import read_sections
+
+if TYPE_CHECKING:
+    from needlefit.studies.toml_reference import FileKind
+
+
+@dataclass(frozen=True)
+class Topic:
+    """What is printed about a key: a title, then paragraphs."""
+
+    key: str
+    title: str
+    paragraphs: tuple[str, ...] = ()
+
+
+def _list_warnings() -> Iterator[Topic]:
+    from needlefit.project.troubleshooting import read_sections
+
+    yield from (Topic(one.key, one.title, one.paragraphs) for one in read_sections().values())
+
+
+def _list_files() -> Iterator[Topic]:
+    from needlefit.studies.toml_reference import list_files
+
+    yield from (Topic(one.name, one.title) for one in list_files())
+
+
+def _list_terms() -> Iterator[Topic]:
+    from needlefit.project.glossary import read_terms
+
+    for one in read_terms().values():
+        yield Topic(one.name, ", ".join(filter(None, (one.name, one.symbol, one.unit))), (one.meaning,))
+
+
+def _list_columns() -> Iterator[Topic]:
+    from needlefit.reporting.columns import list_columns
+
+    for one in list_columns().values():
+        title = f"{one.label} ({one.unit})" if one.unit else one.label
+        yield Topic(one.key, title, (one.explanation,))
+
+
+_GROUPS: Mapping[str, Callable[[], Iterator[Topic]]] = MappingProxyType(
+    {
+        "Warnings": _list_warnings,
+        "Files": _list_files,
+        "Terms": _list_terms,
+        "Columns of tables": _list_columns,
+    }
+)
 
 
 def _complete_keys(start: str) -> list[str]:
-    return [key for key in read_sections() if key.startswith(start)]
+    return [one.key for group in _GROUPS.values() for one in group() if one.key.startswith(start)]
 
 
 def explain(
     key: Annotated[
         str,
         typer.Argument(
-            metavar="[KEY]",
+            metavar="NAME",
             autocompletion=_complete_keys,
-            help="As printed behind the warning, such as coverage.",
+            help="A warning as printed (coverage), a file (study.toml), a term, or a column (te_mm).",
         ),
     ] = "",
     json: options.Json = False,
 ) -> None:
-    """Explain a warning: what it means, and what to do. Without KEY: list all of them."""
-    sections = read_sections()
-    if key and key not in sections:
-        near = difflib.get_close_matches(key, sections, n=1)
+    """Explain a warning, a file with all its keys, a term, or a column of a table. Without NAME: list all."""
+    groups = {name: list(group()) for name, group in _GROUPS.items()}
+    topics = [one for group in groups.values() for one in group]
+    found = [one for one in topics if one.key == key] or _find_numbered_column(key)
+    if key and not found:
+        near = difflib.get_close_matches(key, [one.key for one in topics], n=3)
         raise typer.BadParameter(
-            f"`{key}` is no key of a warning" + (f"; did you mean {near[0]}?" if near else "")
+            f"`{key}` is no warning, file, term or column"
+            + (f"; did you mean {' or '.join(near)}?" if near else "")
         )
-    chosen = [sections[key]] if key else list(sections.values())
     if json:
-        screen.show_json([asdict(one) for one in chosen])
+        screen.show_json([asdict(one) for one in (map(_describe, found) if key else topics)])
     elif key:
-        screen.print_text("\n".join([chosen[0].title, *chosen[0].paragraphs]))
+        for one in map(_describe, found):
+            screen.print_text("\n".join([one.title, *one.paragraphs]))
     else:
-        for one in chosen:
-            screen.print_line(f"{one.key:20}{one.title}")
+        for name, members in groups.items():
+            screen.print_line(f"\n{name}")
+            for one in members:
+                screen.print_line(f"  {one.key:28}{one.title}")
+
+
+def _find_numbered_column(key: str) -> list[Topic]:
+    """Return a column whose name has a number, such as mu3_pa."""
+    from needlefit.reporting.columns import find_column
+
+    column = find_column(key)
+    return [Topic(key, column.label, (column.explanation,))] if key and column.explanation else []
+
+
+def _describe(topic: Topic) -> Topic:
+    """Return a topic with its paragraphs; those of a file are its tables."""
+    from needlefit.studies.toml_reference import list_files
+
+    file = next((one for one in list_files() if one.name == topic.key), None)
+    return topic if file is None else Topic(topic.key, topic.title, tuple(_describe_file(file)))
+
+
+def _describe_file(file: "FileKind") -> Iterator[str]:
+    from needlefit.studies.toml_reference import describe_files
+
+    ((_, tables),) = describe_files([file])
+    for number, table in enumerate(tables):
+        yield f"\n{table.title}\n{table.summary}" if number else table.summary
+        for one in table.keys:
+            more = f" Keys: {one.described_in}." if one.described_in else ""
+            yield f"\n  {one.key}: {one.value.replace('**', '').replace('`', '')}"
+            yield f"      {one.meaning}{more}"
+            yield from (f"      {one.example}",) if one.example else ()

@@ -40,7 +40,13 @@ def _wrap(text: str, stream: TextIO, piped_width: int | None = None) -> str:
     if width is None:
         return text
     return "\n".join(
-        textwrap.fill(line, width, break_on_hyphens=False, break_long_words=False)
+        textwrap.fill(
+            line,
+            width,
+            subsequent_indent=line[: len(line) - len(line.lstrip())],
+            break_on_hyphens=False,
+            break_long_words=False,
+        )
         for line in text.splitlines()
     )
 

@@ -12,7 +12,7 @@ TISSUE_FILE = "tissue.toml"
 
 MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
 
-_NOTE = "# A start, made by `needlefit import`: {what} docs/toml.md describes every key.\n"
+_NOTE = "# A start, made by `needlefit import`: {what} `needlefit explain {kind}` lists every key.\n"
 
 
 def name_study_file(name: str) -> str:
@@ -61,10 +61,11 @@ def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
     }
     check(tissue, MediumRecord, TISSUE_FILE)
     check(study, StudyRecord, name_study_file(dataset.name))
-    _write(folder / TISSUE_FILE, tissue, "the layers, and which parameters are fitted.")
-    _write(folder / name_study_file(dataset.name), study, "what is fitted, and what is predicted.")
+    _write(folder / TISSUE_FILE, tissue, "medium.toml", "the layers, and which parameters are fitted.")
+    study_file = folder / name_study_file(dataset.name)
+    _write(study_file, study, "study.toml", "what is fitted, and what is predicted.")
     return True
 
 
-def _write(path: Path, tables: dict[str, object], what: str) -> None:
-    path.write_bytes((_NOTE.format(what=what) + dumps(tables)).encode("utf-8"))
+def _write(path: Path, tables: dict[str, object], kind: str, what: str) -> None:
+    path.write_bytes((_NOTE.format(what=what, kind=kind) + dumps(tables)).encode("utf-8"))

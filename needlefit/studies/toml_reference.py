@@ -1,18 +1,16 @@
-"""Write the reference of all TOML files from their schemas, with examples from files that load.
+"""The keys of every TOML file that a user may write, read out of the schemas that check the files.
 
-python docs/toml_reference.py      writes docs/toml.md
+The examples are from files that load: the shipped ones and those in `docs/examples/`.
 """
 
 import ast
 import inspect
-import re
 import textwrap
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
@@ -20,6 +18,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from needlefit.project.load import read_toml
+from needlefit.project.locate import shipped_folder
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.cluster import SlurmRecord
@@ -35,28 +34,14 @@ from needlefit.studies.kind import KINDS
 from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
 from needlefit.studies.kinds.tracks.schema import TrackStudyRecord
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "toml.md"
 EXAMPLES = "docs/examples"
-
-OPENING = """\
-# TOML reference
-
-Every key of every file that you may write. `docs/toml_reference.py` makes this page from the schemas that
-check the files. The examples are from files that load: the shipped ones and those in `docs/examples/`.
-
-- Every file begins with `schema`, the version of its layout. Unknown keys are errors.
-- A key's ending is its unit: `_mm`, `_deg`, `_pa`, `_gpa`, `_hu`.
-- Names of datasets, tissue models, recipes and scenes are looked up in your working folder, then in the
-  shipped project. A name with a `/`, or that ends in `.toml`, is a path.
-- `needlefit simulate --set layers.1.mu_pa=3e5` replaces one value of a scene.
-"""
 
 
 @dataclass(frozen=True)
 class FileKind:
     """A kind of TOML file: its schema, and the examples from which keys are shown, the best first."""
 
+    name: str
     title: str
     record: type[FileRecord]
     examples: tuple[str, ...]
@@ -90,7 +75,7 @@ def list_files() -> tuple[FileKind, ...]:
         if KINDS[name].record not in (*known, *WRITTEN_BY_COMMANDS)
     }
     return tuple(
-        FileKind(title, record, (*shipped, *_own_examples(key)))
+        FileKind(f"{key}.toml", title, record, (*shipped, *_own_examples(key)))
         for key, (record, title, shipped) in {**SHIPPED, **analyses}.items()
     )
 
@@ -100,25 +85,42 @@ WRITTEN_BY_COMMANDS = (ReconstructionBatchRecord,)
 
 
 def _shipped_studies(kind: str) -> tuple[str, ...]:
-    paths = sorted((ROOT / "studies").glob("*.toml"))
+    paths = sorted((shipped_folder() / "studies").glob("*.toml"))
     return tuple(f"studies/{path.name}" for path in paths if read_toml(path).get("kind") == kind)
 
 
 def _own_examples(key: str) -> list[str]:
-    return [f"{EXAMPLES}/{path.name}" for path in sorted((ROOT / EXAMPLES).glob(f"{key}*.toml"))]
+    return [f"{EXAMPLES}/{path.name}" for path in sorted((shipped_folder() / EXAMPLES).glob(f"{key}*.toml"))]
 
 
-def write_page() -> str:
-    """Return the page."""
-    files, described = list_files(), dict[type[BaseModel], str]()
-    elsewhere = dict(pair for one in reversed(files) for pair in collect_examples(one).items())
-    contents = "\n".join(f"- [{one.title}](#{_anchor(one.title)})" for one in files)
-    parts = [part for one in files for part in _describe_file(one, described, elsewhere)]
-    return "\n".join([OPENING, contents, *parts]) + "\n"
+@dataclass(frozen=True)
+class KeyDescription:
+    """A key of a table: what it takes, what it means, an example.
+
+    `described_in` is the title of the table that describes its own keys; empty if it is no table.
+    """
+
+    key: str
+    value: str
+    meaning: str
+    example: str
+    described_in: str = ""
 
 
-def _anchor(title: str) -> str:
-    return re.sub(r"[^\w -]", "", title).lower().replace(" ", "-")
+@dataclass(frozen=True)
+class TableDescription:
+    """A table of a file, or the file itself: its title, what it is, and its keys."""
+
+    title: str
+    summary: str
+    keys: tuple[KeyDescription, ...]
+
+
+def describe_files(files: Sequence[FileKind]) -> list[tuple[FileKind, list[TableDescription]]]:
+    """Return the tables of several files; what an earlier one describes is not described again."""
+    described = dict[type[BaseModel], str]()
+    elsewhere = dict(pair for one in reversed(list_files()) for pair in collect_examples(one).items())
+    return [(one, list(_describe_file(one, described, elsewhere))) for one in files]
 
 
 Examples = Mapping[tuple[type[BaseModel], str], str]
@@ -127,17 +129,10 @@ Examples = Mapping[tuple[type[BaseModel], str], str]
 
 def _describe_file(
     file: FileKind, described: dict[type[BaseModel], str], elsewhere: Examples
-) -> Iterator[str]:
-    yield f"\n## {file.title}\n\n{_summary(file.record)}\n"
-    first = (ROOT / file.examples[0]).read_text(encoding="utf-8")
-    if len(first.splitlines()) <= MAX_EXAMPLE_LINES:
-        yield f"```toml\n{first}```\n"
+) -> Iterator[TableDescription]:
     examples = {**elsewhere, **collect_examples(file)}
+    described[file.record] = file.title
     yield from _describe_record(file.record, "", file.title, examples, described)
-
-
-MAX_EXAMPLE_LINES = 45
-"""Longer files are not shown whole."""
 
 
 def _describe_record(
@@ -146,25 +141,19 @@ def _describe_record(
     title: str,
     examples: Examples,
     described: dict[type[BaseModel], str],
-) -> Iterator[str]:
-    """Yield the table of keys of a record, then those of the tables within it that are new on the page."""
-    described[record] = f"{title}: {path}" if path else title
-    if path:
-        yield f"\n### {described[record]}\n\n{_summary(record)}\n"
-    yield "| key | value | meaning | example |\n|---|---|---|---|"
-    inner = []
+) -> Iterator[TableDescription]:
+    """Yield the keys of a record, then those of the tables within it that were not described."""
+    keys, inner = [], []
     for name, field in record.model_fields.items():
         key, record_in = field.alias or name, find_record(field.annotation)
-        meaning = _escape(find_meaning(record, name))
-        if record_in and described.get(record_in):
-            meaning += f" Keys: [{_escape(described[record_in])}](#{_anchor(described[record_in])})."
-        elif record_in:
+        if record_in and record_in not in described:
             inner.append((record_in, _table_path(path, key, field)))
             described[record_in] = f"{title}: {inner[-1][1]}"
-            meaning += f" Keys: [below](#{_anchor(described[record_in])})."
         example = examples.get((find_owner(record, name), name), "")
         value = f"up to `{record.SCHEMA}`, **required**" if name == "schema_" else _describe_value(key, field)
-        yield f"| `{key}` | {_escape(value)} | {meaning} | {_code(example)} |"
+        place = described[record_in] if record_in else ""
+        keys.append(KeyDescription(key, value, find_meaning(record, name), example, place))
+    yield TableDescription(described[record], _summary(record), tuple(keys))
     for record_in, path_in in inner:
         yield from _describe_record(record_in, path_in, title, examples, described)
 
@@ -177,18 +166,8 @@ def _table_path(path: str, key: str, field: FieldInfo) -> str:
     return brackets.format(f"{outer}.{name}" if outer else name)
 
 
-def _escape(text: str) -> str:
-    """Return text as a cell; within backticks only bars need an escape."""
-    parts = text.replace("|", r"\|").split("`")
-    return "`".join(part if n % 2 else part.replace("<", r"\<") for n, part in enumerate(parts))
-
-
-def _code(example: str) -> str:
-    return "`" + example.replace("|", r"\|") + "`" if example else ""
-
-
 def _summary(record: type[BaseModel]) -> str:
-    return _escape(" ".join((inspect.getdoc(record) or "").partition("\n\n")[0].split()))
+    return " ".join((inspect.getdoc(record) or "").partition("\n\n")[0].split())
 
 
 # --- meaning, type, default and bounds ------------------------------------------------------------------
@@ -301,7 +280,7 @@ def collect_examples(file: FileKind) -> dict[tuple[type[BaseModel], str], str]:
     """Return an example of every key that the example files hold, by record and field."""
     found = dict[tuple[type[BaseModel], str], str]()
     for path in file.examples:
-        for key, text in _walk(file.record, read_toml(ROOT / path), ()):
+        for key, text in _walk(file.record, read_toml(shipped_folder() / path), ()):
             found.setdefault(key, text)
     return found
 
@@ -353,7 +332,3 @@ def _show(key: str, value: Any, path: Sequence[str], *, is_table: bool) -> str: 
 
 def _toml_value(value: Any) -> str:  # noqa: ANN401 - a TOML value
     return dumps({"key": value}).partition("= ")[2].strip() if value != "" else '""'
-
-
-if __name__ == "__main__":
-    PAGE.write_text(write_page(), encoding="utf-8")
