@@ -1,6 +1,6 @@
 """Faults at every step: whether a full disk, a failing disk or `kill -9` ever loses anything.
 
-    python benchmarks/faults.py [--command NAME] [--every 1] [--jobs 2] [--out FILE] [--write]
+    python benchmarks/faults.py [--command NAME] [--every 1] [--jobs 2] [--out FILE]
 
 Each command (`tests/faults/commands.py`, on tiny inputs) is run once where nothing goes wrong, and its steps
 are counted: every opening for writing, write, fsync, rename, mkdir, unlink, rmdir, truncate. Then it is run
@@ -8,7 +8,7 @@ once for each step and kind of fault: killed at the step, the disk full from the
 (EIO). Afterwards the old result or the new one must stand, byte for byte, other files be as they were, and
 going on (`--resume`, or the command again) give the bytes of the first run and leave nothing behind. Figures
 and PDFs are stubs; NEEDLEFIT_FAULTS_DRAW=1 draws them. --every 5 takes every fifth fault; with --out an
-interrupted campaign goes on; --write makes the table of `benchmarks/README.md`.
+interrupted campaign goes on.
 """
 
 import argparse
@@ -27,7 +27,6 @@ from faults.commands import COMMANDS  # noqa: E402
 from faults.injection import KINDS  # noqa: E402
 from faults.outcome import prepare, spoil  # noqa: E402
 from faults.server import Server  # noqa: E402
-from marked_table import write_table  # noqa: E402
 
 Found = dict[str, dict]
 """Of each command: its number of steps, the faults tried ("kill 12"), and what was wrong with which."""
@@ -89,7 +88,6 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     options.command = options.command or list(COMMANDS)
     stored = json.loads(options.out.read_text()) if options.out and options.out.is_file() else {}
@@ -106,9 +104,6 @@ def main() -> None:
     for row in rows(found):
         print(f"{row[0]:<15}" + "".join(f"{cell:>17}" for cell in row[1:]))
     print(f"{time.monotonic() - began:.0f} s")
-    if options.write:
-        part = "Every step." if options.every == 1 else f"One in {options.every} of all steps."
-        write_table("faults", rows(found), part)
     sys.exit(1 if any(of["wrong"] for of in found.values()) else 0)
 
 

@@ -6,7 +6,7 @@ Every reader of what comes from outside (`tests/fuzzing/readers.py`) reads valid
 random. Allowed is a value or a `NeedlefitError`, within 10 s of processor time and 1 GB. An input that does
 anything else (another exception, a crash, control characters in a message) is copied to the folder of --keep,
 with what happened. The same seed gives the same mutants: `--only N` reads one of them again, and with --out
-an interrupted campaign goes on where it was. --write makes the table of `benchmarks/README.md`.
+an interrupted campaign goes on where it was.
 """
 
 import argparse
@@ -24,7 +24,6 @@ sys.path[:0] = [str(PROJECT / "tests"), str(PROJECT), str(PROJECT / "benchmarks"
 
 from fuzzing.campaign import Verdict, Workers  # noqa: E402
 from fuzzing.readers import READERS  # noqa: E402
-from marked_table import write_table  # noqa: E402
 
 SHARE = 40
 """Mutants that a process reads of one reader before it turns to the next."""
@@ -144,14 +143,6 @@ def show(counts: Counts) -> None:
         )
 
 
-def write(counts: Counts, options: argparse.Namespace) -> None:
-    """Write the table for the documentation."""
-    hours = sum(of["wall"] for of in counts.values()) / 3600
-    took = f"{hours:.2f} hours of {options.jobs} process{'es' * (options.jobs > 1)} in all"
-    note = f"Seed {options.seed}, {took}. Memory is what one input adds."
-    write_table("fuzz", rows(counts), note)
-
-
 def again(reader: str, number: int, seed: int) -> None:
     """Read one mutant and print what came of it."""
     with Workers() as workers:
@@ -171,7 +162,6 @@ def main() -> None:
     parser.add_argument("--only", type=int)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     if options.only is not None:
         for reader in options.reader or READERS:
@@ -184,8 +174,6 @@ def main() -> None:
     options.reader = options.reader or list(READERS)
     campaign(options, counts)
     show(counts)
-    if options.write:
-        write(counts, options)
     sys.exit(1 if any(of["violations"] for of in counts.values()) else 0)
 
 
