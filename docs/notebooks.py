@@ -1,7 +1,7 @@
 """Execute the notebooks.
 
-python docs/notebooks.py            executes docs/notebooks/*.ipynb; an error in a cell ends with exit code 1
-python docs/notebooks.py --write    also stores their outputs
+python docs/notebooks.py [FILE ...]            executes docs/notebooks/*.ipynb; exit code 1 if a cell fails
+python docs/notebooks.py [FILE ...] --write    also stores their outputs
 
 It needs `pip install '.[docs]'`. Stored notebooks hold no times and no ids.
 """
@@ -22,12 +22,13 @@ FOLDER = HERE / "notebooks"
 
 
 def main() -> int:
-    """Execute all notebooks; return 0 if no cell fails."""
+    """Execute notebooks; return 0 if no cell fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("files", nargs="*", type=Path, default=sorted(FOLDER.glob("*.ipynb")))
     parser.add_argument("--write", action="store_true", help="store the outputs")
     options = parser.parse_args()
     executed = []
-    for path in sorted(FOLDER.glob("*.ipynb")):
+    for path in options.files:
         notebook = nbformat.read(path, as_version=4)
         try:
             executed.append((path, execute(notebook)))

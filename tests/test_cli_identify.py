@@ -78,7 +78,8 @@ def test_a_parameter_that_needs_an_assumption_states_it_in_table_and_sentence():
         "fisher_sd": 0.19, "sd_ratio": 0.06, "low": 1.5e5, "high": 3.2e5, "end_low": "closed",
         "end_high": "closed", "tip_range_mm": None, "profile_verdict": "154 to 321 kPa (95 %)",
     }  # fmt: skip
-    about = {"insertions": 1, "place": "here", "medium": {"thickness_mm": 40.0}}
+    about = {"insertions": 1, "place": "here", "places_near": 3, "layers": "one", "depths_mm": [20.0, 30.0]}
+    about |= {"medium": {"thickness_mm": 40.0}}
     for agreement, contrasted in ((AGREEMENT, False), ("the profile is 2 times wider below", True)):
         frame = pd.DataFrame([row | {"agreement": agreement}])
         found = SimpleNamespace(frames={"identify": frame, "directions": pd.DataFrame()}, run=about)

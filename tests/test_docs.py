@@ -1,6 +1,8 @@
 """The documentation's links lead somewhere, its commands exist, and what it shows is held against them."""
 
 import re
+import subprocess
+import sys
 
 import pytest
 from docs_scripts import load_script
@@ -92,7 +94,6 @@ def test_the_commands_of_a_guide_print_what_it_shows(transcripts):
 
 
 def test_a_notebook_runs():
-    nbformat = pytest.importorskip("nbformat")
-    notebook = nbformat.read(DOCS / "notebooks/3_simulate.ipynb", as_version=4)
-    executed = load_script(DOCS / "notebooks.py").execute(notebook)
-    assert any(cell.get("outputs") for cell in executed.cells)
+    pytest.importorskip("nbclient")
+    words = [sys.executable, DOCS / "notebooks.py", DOCS / "notebooks/3_simulate.ipynb"]
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)

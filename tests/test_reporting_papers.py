@@ -35,6 +35,7 @@ RUN = {
     "versions": {"needlefit": "9.8.7", "python": "3.11.7", "numpy": "2.4.6", "nlopt": "2.11.0"},
     "medium": {"parameters": {"mu1_pa": FREE, "alpha1": FIXED, "bevel_mm": FREE}},
     "folds": [{"tune": ["a", "b"], "validate": ["c", "d", "e"]}],
+    "dataset": {"measurement": {"operator": "none", "description": "points"}, "boundary_shared_sd_mm": []},
 }
 
 
@@ -151,7 +152,7 @@ def test_keys_of_parameters_differ_by_their_symbols():
 
 
 def test_methods_name_synthetic_data():
-    one = run_of(dataset={"name": "twin"})
+    one = run_of(dataset={**RUN["dataset"], "name": "twin"})
     assert "synthetic" in format_methods_latex(one)
     measured = dataclasses.replace(one, origin="measured")
     assert "synthetic" not in format_methods_latex(measured)

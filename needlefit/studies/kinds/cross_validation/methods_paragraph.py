@@ -90,7 +90,7 @@ def _iterate_sentences(results: Run, run: Mapping[str, Any]) -> Iterator[CitedSe
     yield from map(CitedSentence, _describe_ties(run["medium"]["parameters"], by_metric))
     yield from map(CitedSentence, _describe_objective(results, recipe, by_metric))
     if not by_metric:
-        yield from map(CitedSentence, _describe_observation(run.get("dataset", {}), recipe["likelihood"]))
+        yield from map(CitedSentence, _describe_observation(run["dataset"], recipe["likelihood"]))
         yield from map(CitedSentence, _describe_bevels(results, recipe["likelihood"]))
     yield CitedSentence(_describe_search(recipe))
     yield from _describe_posterior(results, recipe)
