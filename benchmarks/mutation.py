@@ -91,7 +91,7 @@ AREAS = {
             *("validation_calibration", "validation_comparison", "validation_sensitivity"),
             *("validation_adaptation", "validation_seeds", "validation_synthetic_truth"),
             *("analysis_plan", "analysis_specimens", "analysis_next_insertion", "analysis_cohort"),
-            *("cli_tracks", "cli_identify", "cli_material", "cli_reconstruct", "cli_verify"),
+            *("cli_tracks", "cli_identify", "cli_material", "cli_reconstruct", "cli_verify", "every_kind"),
         ),
     ),
 }

@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 from light_runs import blank_figures  # noqa: F401 - a fixture
-from made_again import assert_made_again
 from test_cli import run
 
 from needlefit.inference.identifiability.assessment import AGREEMENT
@@ -19,19 +18,6 @@ from needlefit.inference.identifiability.information import KNOWN_BY_PRIOR
 from needlefit.studies import job
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.identification.report import describe_design
-
-FILES = {
-    *(
-        "directions.csv",
-        "directions.tex",
-        "example.tex",
-        "identification.tex",
-        "identify.csv",
-        "needlefit.json",
-    ),
-    *("numbers.tex", "profiles.csv", "profiles.pdf", "report.html", "report.pdf", "results.json.gz"),
-    *("run.json", "timing.json"),
-}
 
 
 @pytest.fixture
@@ -54,7 +40,6 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     folder, out = designed
     assert "1 insertion, 24 mm deep" in out and "study2" in out
     assert re.search(r"alpha1 .* 0\.001 mm .* 40 mm", " ".join(out.split()))
-    assert {path.name for path in folder.iterdir()} == FILES
     table = pd.read_csv(folder / "identify.csv").set_index("parameter")
     assert set(table["stage"]) == {"design"} and not table["determined"].any()
     assert table.loc["alpha1", "sd_ratio"] == pytest.approx(1.0, abs=1e-3)
@@ -114,7 +99,6 @@ def test_a_fit_adds_its_stage_beside_the_design(folder, capsys):
     for name in ("profiles", "profiles_design"):
         profiles = pd.read_csv(folder.parent / "identify-one" / f"{name}.csv")
         assert (profiles.groupby("parameter")["deviance"].min() == 0).all()
-    assert_made_again(folder.parent / "identify-one")
 
 
 @pytest.mark.sweep

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from light_runs import blank_figures, few_draws  # noqa: F401 - fixtures
-from made_again import assert_made_again
 from test_cli import run
 from track_cases import DEPTH, GUIDE, NEEDLE, NOISE, TRUTH, measured, track, written
 
@@ -148,7 +147,6 @@ def test_runs_are_predicted_scored_and_printed(project, capsys):
         "paired.csv",
         "depths.csv",
     } <= names
-    assert_made_again(folder)
 
 
 def test_a_run_that_both_tunes_and_validates_is_refused(project, capsys):

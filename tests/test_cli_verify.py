@@ -8,7 +8,6 @@ import subprocess
 
 import pytest
 from light_runs import blank_figures  # noqa: F401 - a fixture
-from made_again import assert_made_again
 from test_cli import run
 
 from needlefit.verification import run as running
@@ -23,18 +22,6 @@ from needlefit.verification.check import (
     within,
 )
 
-FILES = {
-    *(
-        "closed_forms.tex",
-        "convergence.csv",
-        "convergence.pdf",
-        "example.tex",
-        "manufactured.tex",
-        "needlefit.json",
-    ),
-    *("numbers.tex", "report.html", "report.pdf", "results.json.gz", "run.json", "stated.tex"),
-    *("timing.json", "verification.csv"),
-}
 H = (4.0, 2.0, 1.0)
 NORMS = {"deflection": 4, "slope": 3, "deflection at the nodes": 4, "slope at the nodes": 4}
 
@@ -98,7 +85,6 @@ def test_a_good_table_is_printed_and_written(table, tmp_path, capsys):
     assert re.search(r"(?m)^All 2 .*; 1 ", out)
     assert f"written: {tmp_path}/verification/" in out
     folder = tmp_path / "verification"
-    assert {path.name for path in folder.iterdir()} == FILES
     rows = read_csv(folder / "verification.csv")
     assert [row["verdict"] for row in rows] == ["passes", "passes", "stated"]
     assert float(rows[0]["measured"]) == 2.5e-7 and float(rows[0]["bound_high"]) == 1e-5
@@ -114,7 +100,6 @@ def test_a_good_table_is_printed_and_written(table, tmp_path, capsys):
 def test_a_verification_is_reported_again_and_compared(table, tmp_path, capsys):
     table(*GOOD)
     assert run("verify", "--out", str(tmp_path)) == 0
-    assert_made_again(tmp_path / "verification")
     table(*GOOD, BAD)
     assert run("verify", "--out", str(tmp_path / "b")) == 6
     capsys.readouterr()

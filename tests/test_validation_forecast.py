@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from light_runs import do_not_escalate, few_draws  # noqa: F401 - a fixture
-from made_again import assert_made_again
 from test_cli import run
 
 import needlefit
@@ -355,7 +354,6 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     }
     names |= {"specimens.csv", "specimens.tex"}
     assert set(first) == names | {"results.json.gz", "run.json", "needlefit.json"}
-    assert_made_again(folder)
     assert run(*words, "--jobs", "1") == 0
     assert "SYNTHETIC" in capsys.readouterr().out
     assert read_files(folder) == first
