@@ -118,6 +118,53 @@ def test_a_plan_goes_on_from_where_the_needle_stands() -> None:
     assert end == pytest.approx(found.nominal[-1], abs=1e-5)
 
 
+RANGES = (5.0, 10.0, 15.0, 20.0)
+WAYS = [
+    (target, obstacle)
+    for target in ((45.0, 2.0), (45.0, -3.0), (38.0, 4.0), (52.0, 0.5), (45.0, 5.0), (33.0, -2.0))
+    for obstacle in (
+        (25.0, 0.5, 1.0),
+        (20.0, -0.5, 1.0),
+        (30.0, 1.5, 1.5),
+        (15.0, 0.0, 0.5),
+        (35.0, 0.0, 1.0),
+    )
+]
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize(("target", "obstacle"), WAYS)
+def test_a_wider_range_never_finds_less(target, obstacle) -> None:
+    x, y, radius = obstacle
+    goal = Goal(target, 2.0, (ObstacleRecord(name="o", centre_mm=(x, y), radius_mm=radius),))
+    found = [plan_steering(insertion(), goal, PlanLimits(base_mm=base), threads=1) for base in RANGES]
+    hits = [one.hits for one in found]
+    assert hits == sorted(hits)
+    assert all(np.isfinite(one.nominal_miss) for one in found)
+
+
+def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named() -> None:
+    goal = Goal((45.0, 1.0), 2.0)
+    free = plan_steering(insertion(), goal, threads=1)
+    assert free.hits and free.nominal_miss < 0.3 and free.at_limit == ()
+    bound = plan_steering(
+        insertion(), Goal((45.0, 4.0), 5.0), PlanLimits(base_mm=2, base_angle_deg=0), threads=1
+    )
+    assert bound.hits and "base" in bound.at_limit
+
+
+def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsys) -> None:
+    words = ("plan", "phantom2", "--target", "45,9", "--radius", "0.5", "--base", "2", "--turns", "0")
+    path = tmp_path / "plan.csv"
+    assert run(*words, "--recording", str(path)) == 5
+    out = capsys.readouterr().out
+    assert "nan" not in out and "insert" not in out and "base is at its limit" in out and not path.exists()
+    assert run(*words, "--json") == 5
+    found = json.loads(capsys.readouterr().out)
+    assert not found["reached"] and found["steps"] == [] and found["at_limit"] == ["base", "base angle"]
+    assert found["nominal_miss_mm"] > 0.5
+
+
 @pytest.mark.parametrize("target", [(10.0, 0.0), (300.0, 0.0)])
 def test_a_target_behind_the_tip_or_out_of_reach_is_refused(target) -> None:
     there = replace(insertion(), path=(replace(insertion().now, depth=20.0),))

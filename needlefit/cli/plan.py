@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import options, screen
+from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import require_no_faults
 from needlefit.cli.options import complete_view_targets
 from needlefit.cli.screen import print_warnings
@@ -104,6 +104,8 @@ def plan(
     else:
         screen.print_text(_describe(shown, found, summary))
     print_warnings(context.find_root().obj, shown.warnings)
+    if not found.hits:
+        raise typer.Exit(exit_codes.NOT_CONVERGED)
     if not json:
         _show_steps(shown, aim, summary)
     if recording is not None:
@@ -165,6 +167,7 @@ def _summarize(
     from needlefit.project.result_warnings import to_rows
 
     goal, misses, exact = found.goal, found.misses, shown.spread is None
+    nominal = found.nominal_miss
     quantiles = np.quantile(misses, [0.5, 0.95]).tolist() if len(misses) else [None, None]
     return {
         "target_mm": list(goal.target),
@@ -184,9 +187,10 @@ def _summarize(
                 "base_y_mm": step.controls.base_y,
                 "base_slope": step.controls.base_slope,
             }
-            for step in found.steps
+            for step in (found.steps if found.hits else ())
         ],
-        "nominal_miss_mm": found.nominal_miss,
+        "at_limit": list(found.at_limit),
+        "nominal_miss_mm": nominal if math.isfinite(nominal) else None,
         "specimen": shown.specimen or None,
         "draws": 0 if exact else len(found.needles),
         "search_draws": 0 if exact else search_draws,
@@ -239,24 +243,35 @@ def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, An
 def _describe_outcome(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, Any]) -> str:
     past = " and touches no obstacle" if found.goal.obstacles else ""
     within = f"within {found.goal.radius:g} mm of the target"
+    if not found.hits:
+        return f"No plan was found that reaches the target{past}: {_describe_failure(found, summary)}."
+    bound = "".join(f" The {one} is at its limit." for one in found.at_limit)
     if shown.spread is None:
         nominal = f"{found.nominal_miss:.2f} mm from it"
         scene = shown.shown is None
         why = "for a probability, plan with a run" if scene else "the run has no certified draws"
         known = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
-        if found.hits:
-            reaches = "would reach" if shown.faults else "reaches"
-            return f"The plan {reaches} the target{past}. {known} ends {nominal}."
-        touched = [name for name, share in found.touched.items() if share]
-        beside = f" and the needle touches {', '.join(touched)}" if touched else ""
-        return f"No plan was found that reaches the target{past}. {known} of the best ends {nominal}{beside}."
+        reaches = "would reach" if shown.faults else "reaches"
+        return f"The plan {reaches} the target{past}. {known} ends {nominal}.{bound}"
     return (
         f"The tip ends {within}{past} with probability {100 * found.probability:.0f} % (95 % CI "
         f"{100 * found.low:.0f} to {100 * found.high:.0f} %), by {len(found.needles)} posterior draws for "
         f"{_SPECIMENS[shown.specimen]}. "
         f"Median miss {_format(summary['median_mm'])} mm, 95 % below {_format(summary['miss_95_mm'])} mm. "
-        "Model error is not included."
+        f"Model error is not included.{bound}"
     )
+
+
+def _describe_failure(found: "SteeringPlan", summary: dict[str, Any]) -> str:
+    """Return how near the best plan comes, and what keeps it from the target."""
+    near = summary["median_mm"]
+    if near is None:
+        return "on every way the needle leaves the limits within which the model is valid"
+    touched = [f"the needle touches {name}" for name, share in found.touched.items() if share]
+    bound = [f"the {one} is at its limit" for one in found.at_limit]
+    why = ", ".join([*touched, *bound])
+    within = f", {found.goal.radius:g} mm are allowed" if near > found.goal.radius else ""
+    return f"the closest tip ends {near:.2f} mm from it{within}" + (f" ({why})" if why else "")
 
 
 _SPECIMENS = {

@@ -85,7 +85,8 @@ function describePlan() {
   const turns = `${plan.turns} turn${plan.turns === 1 ? "" : "s"} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
   if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
   const begins = plan.anew ? ` Entry shifted by ${signed(plan.entry_mm, 2)} mm along y: Run plan begins there, at first contact.` : "";
-  return `${describeOutcome(plan)} ${turns}${begins}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
+  const bound = plan.at_limit.map((one) => ` The ${one} is at its limit.`).join("");
+  return `${describeOutcome(plan)} ${turns}${bound}${begins}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
 }
 
 /** Whether the plan reaches the target past the obstacles, or how the best one fails. */

@@ -193,6 +193,7 @@ def plan_message(found: SteeringPlan | NeedlefitError, aim: TrialAim) -> dict[st
         "miss_95_mm": misses[1],
         "nominal_miss_mm": found.nominal_miss if len(nominal) else None,
         "touched": found.touched,
+        "at_limit": list(found.at_limit),
     }
 
 

@@ -64,6 +64,18 @@ RISK_WIDTH = 0.15
 TURN_RISK, EFFORT_RISK = 0.005, 0.01
 """Risk for which a further turn is taken, and for which base and entry are moved over their ranges."""
 
+MISS_RISK = 0.02
+"""Risk of a tip at the rim of the target beside one in its middle: within the radius the miss counts, too."""
+
+NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
+"""Parts of the ranges that are searched too: a wider range then never finds less than these narrower ones."""
+
+SURE_RISK = 0.05
+"""A plan of at most this risk leaves little to narrower ranges, which are then not searched."""
+
+LIMIT_PART = 1e-3
+"""A choice this near to the end of its range, as a part of the range, is at its limit."""
+
 CERTAIN_RISK = 0.99
 """From this risk on a choice counts as one that misses the target in all draws."""
 
@@ -89,6 +101,15 @@ class PlanLimits:
     def base_slope(self) -> float:
         """Greatest slope of the base."""
         return math.tan(math.radians(self.base_angle_deg))
+
+    def narrow(self, part: float) -> "PlanLimits":
+        """Return the limits with that part of each range."""
+        return replace(
+            self,
+            entry_mm=part * self.entry_mm,
+            base_mm=part * self.base_mm,
+            base_angle_deg=part * self.base_angle_deg,
+        )
 
 
 @dataclass(frozen=True)
@@ -168,6 +189,8 @@ class SteeringPlan:
         Wilson's 95 % interval of their share.
     touched : dict of str -> float
         Share of draws that touch each obstacle.
+    at_limit : tuple of str
+        Which of "entry", "base" and "base angle" are at the end of their range.
     """
 
     entry_mm: float
@@ -180,6 +203,7 @@ class SteeringPlan:
     low: float
     high: float
     touched: dict[str, float]
+    at_limit: tuple[str, ...] = ()
 
     @property
     def end(self) -> Step:
@@ -242,15 +266,14 @@ def plan_steering(
     chosen = search.best()
     way = search.way(chosen)
     tests = insertion.samples[1]
-    (needles,), (nominal,) = (
-        search.needles(draws, [chosen], valid=True) for draws in (tests, insertion.exact)
-    )
+    (needles,), (nominal,) = (search.needles(draws, [chosen]) for draws in (tests, insertion.exact))
     hits = int(np.sum(find_hits(needles, goal)))
     low, high = wilson_interval(hits / len(needles), len(needles))
     touched = {one.name: float(np.mean(compute_clearances(needles, one) < 0)) for one in goal.obstacles}
     entry_mm = float(chosen.at[0])
     turns = (insertion.now.depth,) * (way[0].bevel.side != insertion.now.bevel.side) + chosen.turns
-    return SteeringPlan(entry_mm, way, turns, goal, needles, nominal[0], hits, low, high, touched)
+    limits_met = search.list_limits_met(chosen)
+    return SteeringPlan(entry_mm, way, turns, goal, needles, nominal[0], hits, low, high, touched, limits_met)
 
 
 @dataclass(frozen=True)
@@ -337,16 +360,13 @@ class _Search:
             side = -side if end in choice.turns else side
         return tuple(steps)
 
-    def needles(
-        self, draws: ParameterDraws, choices: Sequence[_Choice], *, valid: bool = False
-    ) -> list[Floats]:
-        """Return the needles (B, K, 2) of all draws under each choice, NaN where there is none (`valid`)."""
+    def needles(self, draws: ParameterDraws, choices: Sequence[_Choice]) -> list[Floats]:
+        """Return the needles (B, K, 2) of all draws under each choice, NaN where none is within validity."""
         found = self.insertion.simulate(draws, [self.way(one) for one in choices], self.threads)
         placed = []
         for shapes, (entry, depth, *_) in zip(found, (one.at for one in choices), strict=True):
             points = compute_batch_positions(shapes, np.linspace(0.0, depth, PATH_POINTS))
-            kept = shapes.valid if valid else shapes.converged
-            placed.append(np.where(kept[:, None, None], points + np.array([0.0, entry]), np.nan))
+            placed.append(np.where(shapes.valid[:, None, None], points + np.array([0.0, entry]), np.nan))
         return placed
 
     @cached_property
@@ -360,6 +380,14 @@ class _Search:
         low, high = self.bounds
         moved: Floats = ((choice.at - self.still) / (high - low))[[0, 2, 3]]
         return moved
+
+    def list_limits_met(self, choice: _Choice) -> tuple[str, ...]:
+        """Return which of entry, base and its angle a choice moves to the end of their range."""
+        low, high = self.bounds
+        near = LIMIT_PART * (high - low)
+        moved = np.abs(choice.at - self.still) > near
+        at_end = moved & ((choice.at <= low + near) | (choice.at >= high - near))
+        return tuple(name for name, met in zip(_LIMITED, at_end[[0, 2, 3]], strict=True) if met)
 
     def residuals(self, choices: Sequence[_Choice]) -> list[Floats]:
         """Return the misses of each choice over the draws of the search, and how far it moves the base."""
@@ -395,7 +423,17 @@ class _Search:
         return [_Choice(side, turned, begin) for turned, side in product(turns, sides)]
 
     def best(self) -> _Choice:
-        """Return the choice of least risk; where all miss the target, the one of the least expected miss."""
+        """Return the choice of least risk, of this range and of narrower ones.
+
+        Where all miss the target, it is the one of the least expected miss.
+        """
+        found = [self._find()]
+        if self.risks(found)[0] > SURE_RISK:
+            found += [replace(self, limits=self.limits.narrow(part))._find() for part in NESTED_RANGES]
+        return self._rank(found)[0]
+
+    def _find(self) -> _Choice:
+        """Return the best choice of this range alone."""
         tried = self._step_once(self.list_choices())
         found = [self._optimize(one) for one in self._rank(tried)[:REFINED_PLANS]]
         best = self._rank(found)[0]
@@ -448,6 +486,9 @@ class _Search:
         return replace(choice, at=at) if found.fun < risk(choice.at) - 1e-3 else choice
 
 
+_LIMITED = ("entry", "base", "base angle")
+"""What `PlanLimits` limits, as `SteeringPlan.at_limit` names it."""
+
 _STEPS = np.array([DIFFERENCE_STEP_MM, DIFFERENCE_STEP_MM, DIFFERENCE_STEP_MM, DIFFERENCE_STEP_SLOPE])
 
 
@@ -472,8 +513,10 @@ def _smooth_risk(needles: Floats, goal: Goal) -> float:
     margins = [goal.radius - compute_misses(needles, goal)]
     margins += [compute_clearances(needles, one) for one in goal.obstacles]
     margin = np.nan_to_num(np.min(margins, axis=0), nan=-1e3)
+    off = np.minimum(np.nan_to_num(compute_misses(needles, goal), nan=np.inf) / goal.radius, 1.0)
     with np.errstate(over="ignore"):
-        return float(np.mean(1 / (1 + np.exp(margin / (RISK_WIDTH * goal.radius)))))
+        outside = 1 / (1 + np.exp(margin / (RISK_WIDTH * goal.radius)))
+    return float(np.mean(outside + MISS_RISK * off**2))
 
 
 MAX_TRIES = 20
@@ -493,7 +536,7 @@ def draw_target(
         at[2:] += rng.uniform(-0.25, 0.25, 2) * (search.bounds[1] - search.bounds[0])[2:]
         turns = tuple(rng.choice(search.stations, 1).tolist()) if rng.uniform() < 0.5 else ()
         choice = _Choice(int(rng.choice((-1, 1))), turns, at)
-        (needle,) = search.needles(insertion.exact, [choice], valid=True)
+        (needle,) = search.needles(insertion.exact, [choice])
         x, y = needle[0, -1].tolist()
         if math.isfinite(x):
             return x, y
