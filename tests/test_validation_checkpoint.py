@@ -15,7 +15,7 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Start
-from needlefit.project.checkpoint_folder import remove_checkpoint
+from needlefit.project.checkpoint_folder import release_checkpoint, remove_checkpoint
 from needlefit.project.ownership import STAMP
 from needlefit.studies.checkpoint import open_checkpoint
 
@@ -178,7 +178,7 @@ def test_one_process_at_a_time(tmp_path):
         assert len(lines) == 1 and (tmp_path / "c" / STAMP).read_bytes() == before
         os.kill(process.pid, signal.SIGKILL)
         process.wait(10)
-    assert open_checkpoint(tmp_path / "c", True, {"n": 1}).lock is not None
+    open_checkpoint(tmp_path / "c", True, {"n": 1})
 
 
 def test_a_full_disk_is_the_reason_why_a_checkpoint_cannot_be_opened(tmp_path, monkeypatch):
@@ -192,10 +192,13 @@ def test_a_full_disk_is_the_reason_why_a_checkpoint_cannot_be_opened(tmp_path, m
 
 def test_a_lock_is_free_again_once_it_is_released(tmp_path):
     pytest.importorskip("fcntl")
-    first = open_checkpoint(tmp_path / "c", False, {"n": 1})
-    assert first.lock is not None and open_checkpoint(tmp_path / "c", True, {"n": 1}).lock is None
-    first.lock.release()
-    assert open_checkpoint(tmp_path / "c", True, {"n": 1}).lock is not None
+    words = [sys.executable, "-c", HOLDS, str(tmp_path / "c")]
+    open_checkpoint(tmp_path / "c", False, {"n": 1})
+    open_checkpoint(tmp_path / "c", True, {"n": 1})  # the same process has it
+    refused = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    assert refused.returncode and f"process {os.getpid()}" in refused.stderr
+    release_checkpoint(tmp_path / "c")
+    subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=True)
 
 
 def test_the_bytes_of_a_row_are_the_same_each_time(tmp_path):

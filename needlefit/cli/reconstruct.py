@@ -103,7 +103,11 @@ def reconstruct(
             add_findings,
             reconstruct_all,
         )
-        from needlefit.project.checkpoint_folder import claim_checkpoint, remove_checkpoint
+        from needlefit.project.checkpoint_folder import (
+            claim_checkpoint,
+            release_checkpoint,
+            remove_checkpoint,
+        )
         from needlefit.project.load import load
         from needlefit.project.locate import find_file
         from needlefit.project.outputs import require_no_inputs_within
@@ -126,7 +130,7 @@ def reconstruct(
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
-        lock = claim_checkpoint(keep, CHECKPOINT_WORK, resume, print_remark)
+        claim_checkpoint(keep, CHECKPOINT_WORK, resume, print_remark)
         with show_progress(invocation.quiet) as report:
             with open_pool(jobs or min(MAX_DEFAULT_JOBS, count_cores()), scheduler, insecure) as pool:
                 batch = ReconstructionBatch(pool, keep, resume, report, stop, print_remark)
@@ -164,8 +168,7 @@ def reconstruct(
         screen.print_note(f"needlefit: finished scans are kept in {keep}; to go on: {invocation.resuming()}")
     else:
         remove_checkpoint(keep, print_remark)
-    if lock is not None:
-        lock.release()
+    release_checkpoint(keep)
     if failed:
         raise typer.Exit(DataError.exit_code)
 

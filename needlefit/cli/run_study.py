@@ -14,6 +14,7 @@ from needlefit.cli import screen
 from needlefit.cli.execution import Execution
 from needlefit.cli.progress import show_progress
 from needlefit.cli.show_results import show_run, show_warnings
+from needlefit.project.checkpoint_folder import release_checkpoint
 from needlefit.project.load import load
 from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
 from needlefit.project.tasks import LocalPool, stop_requested, threads_of_task
@@ -111,7 +112,9 @@ def _stop_in_process() -> bool:
 
 
 def _run_in_process(execution: Execution, work: StudyTask) -> Run:
-    return _run_one(replace(execution, jobs=threads_of_task()), work)
+    result = _run_one(replace(execution, jobs=threads_of_task()), work)
+    release_checkpoint(execution.checkpoint(work.name))  # the program that began this process removes it
+    return result
 
 
 def _run_one(execution: Execution, work: StudyTask) -> Run:

@@ -52,20 +52,26 @@ class Lock:
         self.release()
 
 
+_held: dict[Path, Lock] = {}
+"""Locks of this process. A complete run has its lock until its results stand and its folder is gone."""
+
+
+def release_checkpoint(folder: Path) -> None:
+    """Let other processes have the checkpoint in a folder, if this one has it."""
+    if (lock := _held.pop(folder.resolve(), None)) is not None:
+        lock.release()
+
+
 def hash_work(work: Mapping[str, Any]) -> str:
     """Return the digest of all that decides a result, given as JSON values."""
     return hashlib.sha256(json.dumps(work, sort_keys=True).encode()).hexdigest()
 
 
-def claim_checkpoint(folder: Path, work: str, resume: bool, note: Note) -> Lock | None:
+def claim_checkpoint(folder: Path, work: str, resume: bool, note: Note) -> None:
     """Make `folder` the checkpoint of the work with this digest; with `resume` what is there stays.
 
+    This process has its lock, where the system has locks, until `remove_checkpoint` or `release_checkpoint`.
     A checkpoint whose stamp is damaged is set aside.
-
-    Returns
-    -------
-    Lock or None
-        To be held while the run goes on; None where the system has no locks.
 
     Raises
     ------
@@ -79,6 +85,13 @@ def claim_checkpoint(folder: Path, work: str, resume: bool, note: Note) -> Lock 
     if not is_lock_only(folder) and _work_of(folder) is None:
         note(f"{folder} is damaged: it is now {set_aside(folder).name}, and its run starts afresh")
         lock = _lock(folder)
+    _prepare(folder, work, resume)
+    if lock is not None:
+        _held[folder.resolve()] = lock
+
+
+def _prepare(folder: Path, work: str, resume: bool) -> None:
+    """Leave a checkpoint of this work alone in a folder."""
     if resume and (found := _work_of(folder)) is not None:
         if found != work:
             raise ConfigError(
@@ -87,7 +100,7 @@ def claim_checkpoint(folder: Path, work: str, resume: bool, note: Note) -> Lock 
                 expected="the same data, configuration, seed and versions",
                 fix="run again without --resume, which starts afresh",
             )
-        return lock
+        return
     if _work_of(folder) == work and _holds_results(folder):
         raise UnfinishedWorkError(
             "holds the unfinished work of an earlier run, which was interrupted or killed",
@@ -98,13 +111,14 @@ def claim_checkpoint(folder: Path, work: str, resume: bool, note: Note) -> Lock 
     _empty(folder)
     with replace_file(folder / STAMP) as fresh:
         fresh.write_text(checkpoint_stamp(work), encoding="ascii")
-    return lock
 
 
 def remove_checkpoint(folder: Path, note: Note) -> None:
     """Remove the checkpoint of a run that is complete; where it holds anything foreign it stays."""
     if not folder.is_dir():
+        release_checkpoint(folder)
         return
+    lock = None
     try:
         faults = find_foreign(folder, "checkpoint")
         lock = None if faults else _lock(folder)
@@ -112,9 +126,10 @@ def remove_checkpoint(folder: Path, note: Note) -> None:
         faults = [str(error)]
     if faults:
         note(f"{folder} is not removed: it holds {', '.join(faults)}")
-        return
-    with suppress(OSError):  # what stays has its stamp still: the next run removes it
-        remove_folder(folder, (LOCK_NAME, STAMP))
+    else:
+        with suppress(OSError):  # what stays has its stamp still: the next run removes it
+            remove_folder(folder, (LOCK_NAME, STAMP))
+    release_checkpoint(folder)
     if lock is not None:
         lock.release()
 

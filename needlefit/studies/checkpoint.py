@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from needlefit.inference.fit import Start, start_from_dict, start_to_dict
 from needlefit.inference.sampling.snapshots import Snapshots
 from needlefit.project.atomic_write import replace_file
 from needlefit.project.checkpoint_file import MAX_CHECKPOINT_BYTES, set_aside
-from needlefit.project.checkpoint_folder import Lock, claim_checkpoint, hash_work
+from needlefit.project.checkpoint_folder import claim_checkpoint, hash_work
 from needlefit.project.input_files import parse_json, read_bytes
 from needlefit.project.progress import Note, no_note
 
@@ -29,7 +29,6 @@ class Checkpoint:
 
     folder: Path | None
     note: Note = no_note
-    lock: Lock | None = field(default=None, repr=False, compare=False)
 
     def finished(self, search: str) -> dict[int, Start]:
         """Return the stored starts of one search."""
@@ -105,7 +104,8 @@ def open_checkpoint(
     """
     if folder is None:
         return Checkpoint(None)
-    return Checkpoint(folder, note, claim_checkpoint(folder, hash_work(work), resume, note))
+    claim_checkpoint(folder, hash_work(work), resume, note)
+    return Checkpoint(folder, note)
 
 
 def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:

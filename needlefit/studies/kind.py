@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from needlefit.project.checkpoint_folder import release_checkpoint
 from needlefit.project.source_revision import find_source_revision
 from needlefit.project.threads import one_thread
 from needlefit.project.toml_lines import add_study_context
@@ -59,16 +60,22 @@ class StudyKind:
         """Run a study of this kind.
 
         The same record, data, seed and versions give the same frames for any number of jobs, and after an
-        interruption with `resume`.
+        interruption with `resume`. A run that is complete still has the lock of its checkpoint: the caller
+        writes the result, then removes or releases it.
 
         Raises
         ------
         ConfigError, DataError
             If anything the record names is missing or wrong.
         """
-        begin = time.time()
-        with add_study_context(name):
-            result: Run = import_module(f"{self.package}.run").run(name, record, settings)
+        begin, complete = time.time(), False
+        try:
+            with add_study_context(name):
+                result: Run = import_module(f"{self.package}.run").run(name, record, settings)
+            complete = not result.interrupted
+        finally:
+            if settings.checkpoint is not None and not complete:
+                release_checkpoint(settings.checkpoint)
         timing = {"seconds": time.time() - begin, "jobs": settings.jobs, **describe_surroundings(begin)}
         state = {"interrupted": result.interrupted, "faults": list(result.faults)}
         revision = find_source_revision()

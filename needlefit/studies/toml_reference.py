@@ -150,12 +150,18 @@ def _describe_record(
             inner.append((record_in, _table_path(path, key, field)))
             described[record_in] = f"{title}: {inner[-1][1]}"
         example = examples.get((find_owner(record, name), name), "")
-        value = f"up to `{record.SCHEMA}`, **required**" if name == "schema_" else _describe_value(key, field)
+        value = _describe_schema(record) if name == "schema_" else _describe_value(key, field)
         place = described[record_in] if record_in else ""
         keys.append(KeyDescription(key, value, find_meaning(record, name), example, place))
     yield TableDescription(described[record], _summary(record), tuple(keys))
     for record_in, path_in in inner:
         yield from _describe_record(record_in, path_in, title, examples, described)
+
+
+def _describe_schema(record: type[BaseModel]) -> str:
+    """Return the versions of a file's layout that are read."""
+    assert issubclass(record, FileRecord)
+    return f"up to `{record.SCHEMA}`, **required**"
 
 
 def _table_path(path: str, key: str, field: FieldInfo) -> str:
@@ -182,7 +188,7 @@ def find_owner(record: type[BaseModel], name: str) -> type[BaseModel]:
     """Return the record or base class that documents a field; KeyError if none does."""
     for one in record.__mro__:
         if name in _field_docstrings(one):
-            return one  # type: ignore[return-value]
+            return one
     raise KeyError(f"{record.__name__}.{name} has no docstring")
 
 
@@ -206,8 +212,16 @@ UNITS = {
     "mm": "mm", "deg": "°", "pa": "Pa", "gpa": "GPa", "nmm2": "N mm²", "hu": "HU", "percent": "%",
 }  # fmt: skip
 WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false", type(None): ""}
-BOUNDS = {Ge: ("ge", "≥ {}"), Gt: ("gt", "> {}"), Le: ("le", "≤ {}"), Lt: ("lt", "< {}")}
-LENGTHS = {MinLen: ("min_length", "at least {}"), MaxLen: ("max_length", "at most {}")}
+BOUNDS: Mapping[type, tuple[str, str]] = {
+    Ge: ("ge", "≥ {}"),
+    Gt: ("gt", "> {}"),
+    Le: ("le", "≤ {}"),
+    Lt: ("lt", "< {}"),
+}
+LENGTHS: Mapping[type, tuple[str, str]] = {
+    MinLen: ("min_length", "at least {}"),
+    MaxLen: ("max_length", "at most {}"),
+}
 
 
 def _describe_value(key: str, field: FieldInfo) -> str:
