@@ -13,9 +13,11 @@ import pytest
 from made_again import assert_made_again, read_files
 from world import COMMANDS, find_words
 
+import needlefit
 from needlefit.project.run_file import read_run
 from needlefit.studies.kind import KINDS
 from needlefit.studies.run_differences import compare_runs
+from needlefit.viewer.opening import open_target
 
 EVERY = pytest.mark.parametrize("kind", KINDS.names())
 WRITTEN = {"needlefit.json", "report.html", "report.pdf", "results.json.gz", "run.json", "timing.json"}
@@ -51,6 +53,19 @@ def test_a_run_is_written_again_from_its_stored_results_and_differs_in_nothing(w
     with chdir(world.folder):
         again = assert_made_again(folder, has_data=kind == "reconstruction")
     assert list(compare_runs(folder, again)) == []
+
+
+@EVERY
+def test_python_loads_a_run(world, kind):
+    found = needlefit.load_run(world.find(kind))
+    assert (found.kind, found.run) == (kind, world.restore(kind).run)
+
+
+@pytest.mark.parametrize(("kind", "insertion"), [("cross_validation", "needle-3"), ("fit", "needle-1")])
+def test_a_needle_of_a_run_is_viewed(world, kind, insertion):
+    with chdir(world.folder):
+        shown = open_target(str(world.find(kind))).shown
+    assert shown is not None and shown.insertion.id == insertion
 
 
 @EVERY

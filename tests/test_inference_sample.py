@@ -305,3 +305,16 @@ def test_the_needle_posterior_covers_the_truth():
     got = sample(p, best, settings(ensembles=2), np.random.default_rng(3), Callbacks(jobs=2))
     low, high = got.percentiles((0.5, 99.5))["bevel_mm"]
     assert low < VALUES["bevel_mm"] < high < 0.5
+
+
+def test_points_beyond_a_bound_come_back_as_far_within():
+    lower, upper = np.array([-1.0, 2.0]), np.array([3.0, 5.0])
+    beyond = np.array([[0.5, 3.0], [4.0, 1.5], [-2.0, 6.0], [8.5, 9.0]])
+    found = walkers._reflect_at_bounds(beyond, lower, upper)
+    assert found == pytest.approx(np.array([[0.5, 3.0], [2.0, 2.5], [0.0, 4.0], [0.5, 3.0]]))
+
+
+def test_ensembles_begin_at_no_end_that_is_far_worse_than_the_best():
+    densities = np.array([-20.0, -20.0 - walkers.MAX_LOG_DENSITY_GAP, -21.0 - walkers.MAX_LOG_DENSITY_GAP])
+    ends = np.arange(6.0).reshape(3, 2)
+    assert walkers._select_plausible(lambda _: densities, ends).tolist() == ends[:2].tolist()
