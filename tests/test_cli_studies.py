@@ -110,7 +110,7 @@ def test_validate_reference_writes_evidence(stub):
     assert run("validate", "mine", "--reference", "--out", "new", "-q") == 0
     assert made.written[1][1] == Path("new/mine")
     evidence = pd.read_csv("new/reference/mine/validation.csv")
-    assert all(f"{value:.3g}" == f"{value:.6g}" for value in evidence["value"])
+    assert all(f"{value:.5g}" == f"{value:.9g}" for value in evidence["value"])
     assert "searches" not in json.loads(Path("new/reference/mine/run.json").read_text())
 
 

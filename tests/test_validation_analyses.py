@@ -79,21 +79,21 @@ def test_a_task_row_keeps_no_value_that_json_would_change():
         list(run_tasks(tasks, "x", Settings(), open_checkpoint(None, False, {})))
 
 
-def test_evidence_is_rounded_to_a_micrometre_and_three_digits():
+def test_evidence_is_rounded_to_five_decimals_of_a_length_and_five_digits():
     frame = pd.DataFrame(
         {
-            "te_mm": [0.12345, -0.0002, np.inf],
+            "te_mm": [0.1234567, -0.000002, np.inf],
             "mu1_pa": [123456.0, 0.0, np.nan],
-            "edp_percent": [12.345, 0.0012345, 1e9 / 3],
+            "edp_percent": [12.34567, 0.001234567, 1e9 / 3],
             "insertions": [7, 8, 9],
             "note": ["a", "b", "c"],
         }
     )
     got = round_frame(frame)
-    assert got["te_mm"].tolist() == [0.123, 0.0, np.inf]
+    assert got["te_mm"].tolist() == [0.12346, 0.0, np.inf]
     assert str(got["te_mm"][1]) == "0.0"
-    assert got["mu1_pa"].tolist()[:2] == [123000.0, 0.0] and np.isnan(got["mu1_pa"][2])
-    assert got["edp_percent"].tolist() == [12.3, 0.00123, 3.33e8]
+    assert got["mu1_pa"].tolist()[:2] == [123460.0, 0.0] and np.isnan(got["mu1_pa"][2])
+    assert got["edp_percent"].tolist() == [12.346, 0.0012346, 3.3333e8]
     assert got[["insertions", "note"]].equals(frame[["insertions", "note"]])
 
 

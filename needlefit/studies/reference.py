@@ -1,6 +1,7 @@
 """Write reference results: the numbers of a run, rounded so that only a changed result changes the files.
 
-Lengths are rounded to 0.001 mm, in which machines agree; everything else to three significant digits. Of
+Lengths are rounded to 0.00001 mm, everything else to five significant digits: what pages print of it, to
+0.01 mm or three digits, is then as if it were rounded once. Machines agree to 0.001 mm. Of
 `run.json` what the answer was computed with and what it could not tell is kept; how many evaluations that
 took is not, for it differs from machine to machine.
 """
@@ -19,10 +20,10 @@ from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
 from needlefit.studies.run import Run
 from needlefit.studies.validity import VALIDITY_KEY
 
-LENGTH_DECIMALS = 3
+LENGTH_DECIMALS = 5
 """Decimals of a length in mm."""
 
-SIGNIFICANT_DIGITS = 3
+SIGNIFICANT_DIGITS = 5
 """Significant digits of all other numbers."""
 
 MAX_ROWS = 500
@@ -59,7 +60,7 @@ def write_reference(one: Run, folder: Path) -> Path:
 
 
 def round_frame(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a frame with lengths rounded to 0.001 mm and other numbers to three significant digits."""
+    """Return a frame with lengths rounded to 0.00001 mm and other numbers to five significant digits."""
     return frame.assign(**{str(name): _round_column(frame[name], str(name)) for name in frame})
 
 

@@ -9,7 +9,7 @@ Depths are arc lengths, as the needle is inserted; target and obstacles are in t
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -102,14 +102,11 @@ class PlanLimits:
         """Greatest slope of the base."""
         return math.tan(math.radians(self.base_angle_deg))
 
-    def narrow(self, part: float) -> "PlanLimits":
-        """Return the limits with that part of each range."""
-        return replace(
-            self,
-            entry_mm=part * self.entry_mm,
-            base_mm=part * self.base_mm,
-            base_angle_deg=part * self.base_angle_deg,
-        )
+    def list_narrower(self) -> Iterator["PlanLimits"]:
+        """Yield limits with a part of the range of the base, its angle and the entry, each alone."""
+        for part, name in product(NESTED_RANGES, ("base_mm", "base_angle_deg", "entry_mm")):
+            if getattr(self, name):
+                yield replace(self, **{name: part * getattr(self, name)})
 
 
 @dataclass(frozen=True)
@@ -429,7 +426,7 @@ class _Search:
         """
         found = [self._find()]
         if self.risks(found)[0] > SURE_RISK:
-            found += [replace(self, limits=self.limits.narrow(part))._find() for part in NESTED_RANGES]
+            found += [replace(self, limits=one)._find() for one in self.limits.list_narrower()]
         return self._rank(found)[0]
 
     def _find(self) -> _Choice:
