@@ -85,8 +85,13 @@ WRITTEN_BY_COMMANDS = (ReconstructionBatchRecord,)
 
 
 def _shipped_studies(kind: str) -> tuple[str, ...]:
+    return tuple(name for name, found in _read_kinds_of_shipped_studies().items() if found == kind)
+
+
+@cache
+def _read_kinds_of_shipped_studies() -> Mapping[str, object]:
     paths = sorted((shipped_folder() / "studies").glob("*.toml"))
-    return tuple(f"studies/{path.name}" for path in paths if read_toml(path).get("kind") == kind)
+    return {f"studies/{path.name}": read_toml(path).get("kind") for path in paths}
 
 
 def _own_examples(key: str) -> list[str]:
@@ -290,6 +295,7 @@ def find_record(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401 - wh
     return next((found for one in get_args(kind) if (found := find_record(one))), None)
 
 
+@cache
 def collect_examples(file: FileKind) -> dict[tuple[type[BaseModel], str], str]:
     """Return an example of every key that the example files hold, by record and field."""
     found = dict[tuple[type[BaseModel], str], str]()

@@ -68,7 +68,7 @@ MISS_RISK = 0.02
 """Risk of a tip at the rim of the target beside one in its middle: within the radius the miss counts, too."""
 
 NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
-"""Parts of the ranges that are searched too: a wider range then never finds less than these narrower ones."""
+"""Parts of the base's range that are searched too: a wider range then finds no less than these."""
 
 SURE_RISK = 0.05
 """A plan of at most this risk leaves little to narrower ranges, which are then not searched."""
@@ -103,10 +103,11 @@ class PlanLimits:
         return math.tan(math.radians(self.base_angle_deg))
 
     def list_narrower(self) -> Iterator["PlanLimits"]:
-        """Yield limits with a part of the range of the base, its angle and the entry, each alone."""
-        for part, name in product(NESTED_RANGES, ("base_mm", "base_angle_deg", "entry_mm")):
-            if getattr(self, name):
-                yield replace(self, **{name: part * getattr(self, name)})
+        """Yield limits with parts of the range of the base, then with half of all ranges."""
+        if self.base_mm:
+            yield from (replace(self, base_mm=part * self.base_mm) for part in NESTED_RANGES)
+        entry, base, angle = self.entry_mm / 2, self.base_mm / 2, self.base_angle_deg / 2
+        yield replace(self, entry_mm=entry, base_mm=base, base_angle_deg=angle)
 
 
 @dataclass(frozen=True)
