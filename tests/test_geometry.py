@@ -18,7 +18,14 @@ from needlefit.geometry.curves import (
     make_normal,
     resample_curve,
 )
-from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
+from needlefit.geometry.frames import (
+    Frame,
+    align_lateral,
+    align_rigid,
+    differentiate_align_lateral,
+    differentiate_align_rigid,
+    make_entry_frame,
+)
 from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics, pool_metric
 
 seeds = st.integers(0, 2**32 - 1)
@@ -229,3 +236,22 @@ def test_the_metrics_of_tables_sentences_and_macros():
 def test_curves_of_other_shapes_are_not_compared(shapes):
     with pytest.raises(ValueError, match="cannot be compared"):
         compare_curves(*(np.zeros(shape) for shape in shapes))
+
+
+@pytest.mark.parametrize(
+    ("align", "differentiate"),
+    [
+        (align_rigid, differentiate_align_rigid),
+        (align_lateral, lambda moving, fixed, slopes: differentiate_align_lateral(fixed, slopes)),
+    ],
+)
+def test_derivatives_of_an_alignment_are_its_central_differences(align, differentiate):
+    rng = np.random.default_rng(5)
+    fixed = np.column_stack([np.linspace(0, 30, 7), rng.normal(size=7)])
+    moving, slopes = fixed + rng.normal(size=(7, 2)), rng.normal(size=(7, 2, 3))
+    if align is align_lateral:  # depths are the same in both
+        moving[:, 0], slopes[:, 0] = fixed[:, 0], 0.0
+    found = differentiate(moving, fixed, slopes)
+    for n in range(3):
+        ends = [align(moving + step * slopes[..., n], fixed) for step in (1e-6, -1e-6)]
+        np.testing.assert_allclose(found[..., n], (ends[0] - ends[1]) / 2e-6, atol=1e-7)

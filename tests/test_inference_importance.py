@@ -155,6 +155,14 @@ def test_smoothed_weights_are_arviz_s(shape):
     assert ours == pytest.approx(np.asarray(theirs), abs=1e-10)
 
 
+def test_the_tail_of_few_weights_is_a_fifth_of_them():
+    """Of 100 weights the 20 largest are smoothed; of 1500 it is 3 times the root (test above)."""
+    log_weights = np.sort(np.random.default_rng(2).normal(size=100))
+    smoothed, _ = smooth_weights(log_weights)
+    moved = np.abs(np.diff(smoothed) - np.diff(log_weights)) > 1e-9
+    assert not moved[:79].any() and moved[80:].all()
+
+
 def test_the_fit_finds_a_pareto_law():
     shape, scale = fit_pareto(np.sort(genpareto.rvs(0.4, scale=2.0, size=4000, random_state=1)))
     assert (shape, scale) == (pytest.approx(0.4, abs=0.06), pytest.approx(2.0, rel=0.08))
@@ -180,6 +188,10 @@ def test_resampled_draws_stand_once_and_by_their_weight():
     rng = np.random.default_rng(7)
     known = WeightedDraws(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0, 0.0)
     assert len(set(resample(known, 79, rng).tolist())) == 79
+    uneven = np.log(np.repeat([1.5, 0.5], 200) / 400)
+    one = WeightedDraws(np.zeros((400, 1)), np.zeros(400), uneven, 0.0, 1.0, 0.0)
+    heavy = [np.mean(resample(one, 40, rng) < 200) for _ in range(50)]
+    assert np.mean(heavy) == pytest.approx(0.75, abs=0.05)
     few = np.log(np.array([0.8, 0.2]))
     drawn = resample(WeightedDraws(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
     assert np.mean(drawn == 0) == pytest.approx(0.8, abs=0.03)
