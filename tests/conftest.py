@@ -71,9 +71,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     part = _choose_sweep_part(config)
     if part is not None:
         sweeps = [one for one in items if one.get_closest_marker("sweep")]
-        left_out = [one for n, one in enumerate(sweeps) if n % SWEEP_PARTS != part]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [one for one in items if one not in {*left_out}]
+        left_out = {one for n, one in enumerate(sweeps) if n % SWEEP_PARTS != part}
+        config.hook.pytest_deselected(items=[*left_out])
+        items[:] = [one for one in items if one not in left_out]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

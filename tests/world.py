@@ -5,12 +5,11 @@ asks for it, and kept for all processes of the session: the tests of reports, di
 command line read the same runs.
 """
 
-import fcntl
 import io
 import json
 import shutil
-from collections.abc import Mapping
-from contextlib import chdir, redirect_stderr, redirect_stdout
+from collections.abc import Iterator, Mapping
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -22,6 +21,11 @@ from compression_cases import gel_file
 
 from needlefit.cli import main
 from needlefit.studies.run import Run, restore_run
+
+try:
+    import fcntl
+except ImportError:  # Windows: there the tests of one session are to run in one process
+    fcntl = None  # type: ignore[assignment]
 
 PROJECT = Path(__file__).parent / "tiny_world"
 SHORT = (0, 5)
@@ -116,8 +120,7 @@ class World:
         command = COMMANDS[kind]
         for other in command.after:
             self.find(other)
-        with (self.folder.parent / f"{kind}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with _one_process(self.folder.parent / f"{kind}.lock"):
             if not self._outcome(kind).exists():
                 self._run(kind, command)
         outcome = json.loads(self._outcome(kind).read_text(encoding="utf-8"))
@@ -152,14 +155,22 @@ class World:
         self._outcome(kind).write_text(json.dumps(outcome), encoding="utf-8")
 
 
+@contextmanager
+def _one_process(lock: Path) -> Iterator[None]:
+    """Let one process at a time do what follows."""
+    with lock.open("w") as file:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def open_world(factory: pytest.TempPathFactory) -> World:
     """Return the world of this session; the process that comes first builds its project."""
     base = factory.getbasetemp()
     shared = base.parent if base.name.startswith("popen-") else base  # the processes of xdist
     place = shared / "world"
     place.mkdir(exist_ok=True)
-    with (place / "project.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with _one_process(place / "project.lock"):
         if not (place / "project").exists():
             build_project(place / "project.partial")
             (place / "project.partial").rename(place / "project")
