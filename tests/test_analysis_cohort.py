@@ -143,7 +143,6 @@ def _read_bytes(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
 
 
-@pytest.mark.sweep
 def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
     for name in ("d", "e"):
         shutil.copytree("specimens/a", f"specimens/{name}")

@@ -88,7 +88,6 @@ def test_the_mean_bevel_of_all_needles_is_less_known_than_that_of_some(ids):
     assert sds["mu1_pa"] == sds["bevel_spread"] == 0
 
 
-@pytest.mark.sweep
 def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "OUTER_DRAWS", 40)
     monkeypatch.setattr(candidates, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))

@@ -59,7 +59,6 @@ def test_without_a_bevel_the_best_plan_is_the_straight_aim():
     assert (aimed.offset, aimed.depth) == (3.0, 45.0)
 
 
-@pytest.mark.sweep
 def test_a_target_on_the_other_side_turns_the_bevel_over():
     """Straight ahead, only bending reaches beside the axis."""
     plans = {}
@@ -184,7 +183,6 @@ def test_a_target_out_of_reach_is_refused():
             PlanRecord.model_validate({**CHICKEN, "target_mm": target})
 
 
-@pytest.mark.sweep
 def test_a_plan_out_of_reach_is_reported_with_its_parameters_at_bounds(monkeypatch):
     """Straight ahead and 30 mm deep at most, a place 4 mm to the side is out of reach."""
     monkeypatch.setattr(run, "SEARCH_DRAWS", 2)

@@ -30,7 +30,6 @@ def two() -> Run:
     return run("two", SpecimensRecord.model_validate(CHICKEN), Settings())
 
 
-@pytest.mark.sweep
 def test_two_specimens_do_not_determine_a_spread(two, tmp_path):
     answer = two
     table = answer.frames["population"].set_index(["quantity", "parameter"])
@@ -60,7 +59,6 @@ def test_posteriors_truncated_by_a_bound_are_named(two):
         )
 
 
-@pytest.mark.sweep
 def test_intervals_cover_the_synthetic_population(tmp_path):
     changed = {**CHICKEN, "tune": {"insertions": ["chicken-03"]}, "recovery": RECOVERY}
     answer = run("made", SpecimensRecord.model_validate(changed), Settings())

@@ -102,7 +102,6 @@ def test_validate_json_has_every_error_beside_the_paper_s(stub, capsys):
     assert (head["paper"], three_layers["edp_percent"]["paper"]) == (0.14, 5.56)
 
 
-@pytest.mark.sweep
 def test_validate_reference_writes_evidence(stub):
     made = stub(study(1))
     assert run("validate", "mine", "-q") == 0

@@ -193,7 +193,6 @@ def test_guided_runs_are_tuned_and_identified_like_shapes(project):
     assert before["determined"].to_dict()["mu1_pa"] and not before["determined"].to_dict()["alpha1"]
 
 
-@pytest.mark.sweep
 @pytest.mark.usefixtures("blank_figures")
 def test_a_design_of_runs_is_identified(project):
     assert run("identify", "mine", "--jobs", "1", "-q") == 0
@@ -204,7 +203,6 @@ def test_a_design_of_runs_is_identified(project):
     assert bent["sd_ratio"].min() < 0.5 < 0.9 < bent["sd_ratio"].max()
 
 
-@pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
 def test_a_planned_needle_is_predicted_from_runs(project):
     assert run("predict", "mine", "--scene", "plan", "--jobs", "1", "-q") in (0, 5)  # of a short recipe

@@ -96,7 +96,6 @@ def test_a_good_table_is_printed_and_written(table, tmp_path, capsys):
     assert about["study"]["seed"] == 1 and about["rules"]["spacing"] == 1.0 and "scipy" in about["versions"]
 
 
-@pytest.mark.sweep
 def test_a_verification_is_reported_again_and_compared(table, tmp_path, capsys):
     table(*GOOD)
     assert run("verify", "--out", str(tmp_path)) == 0

@@ -150,7 +150,6 @@ def test_evidence_of_another_model_is_named(tmp_path, changed, why):
     assert not evidence.counted and why in "; ".join(evidence.objections)
 
 
-@pytest.mark.sweep
 def test_evidence_of_another_model_is_listed_but_not_counted(alone, tmp_path):
     leave_calibration(tmp_path, **other("dataset", sha256="cd" * 32))
     found = load_case(alone)
@@ -226,7 +225,6 @@ def test_measured_shapes_are_not_called_synthetic_and_leave_gaps(tmp_path):
     assert "Nothing found" in found["quality_assurance"][0] or found["quality_assurance"][1]
 
 
-@pytest.mark.sweep
 def test_equal_findings_of_several_runs_are_listed_once(tmp_path):
     runs = [results(1), results(5)]
     for one in runs:
@@ -255,7 +253,6 @@ def test_a_validated_range_is_no_statement_of_relevance(bare):
     assert words and "relevance_of_validation" in gaps[0]
 
 
-@pytest.mark.sweep
 def test_credibility_writes_the_same_bytes_and_prints_json(alone, tmp_path, capsys, monkeypatch):
     leave_verification(tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -291,7 +288,6 @@ def read_files(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
 
 
-@pytest.mark.sweep
 def test_a_bundle_about_a_run_that_changed_is_not_reported_again(alone, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run("credibility", str(alone)) == 0
@@ -340,7 +336,6 @@ def test_a_result_that_was_changed_since_its_stamp_is_named(alone):
     assert [*find_damaged_files(alone)] == ["posterior.nc"]
 
 
-@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["posterior.nc", "posterior_2.nc", "posterior-tracks.nc"])
 def test_a_damaged_posterior_without_a_digest_is_named(name, alone):
     (alone / STAMP).unlink(missing_ok=True)

@@ -88,7 +88,6 @@ def test_every_control_is_noticed(control):
     assert failures(run(small_job(), ENOUGH[control], control=control))
 
 
-@pytest.mark.sweep
 def test_one_needle_alone_on_the_wrong_side_is_noticed():
     assert failures(run(small_job(1), 6, control="shuffled"))
 
@@ -167,7 +166,6 @@ def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     assert plain == replicate(3, Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}))
 
 
-@pytest.mark.sweep
 def test_the_sampler_is_used_on_request_and_flags_missing_convergence():
     job = small_job(1)
     hurried = job.recipe.model_copy(update={"sample": job.recipe.sample.model_copy(update={"steps": 30})})

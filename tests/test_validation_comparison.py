@@ -102,7 +102,6 @@ def test_a_curves_peak_is_where_its_density_is_greatest():
     assert density.curve(peak).coefficients[0] == pytest.approx(0.001, rel=0.2)
 
 
-@pytest.mark.sweep
 def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
     """Its one parameter can be integrated over by quadrature."""
     made = tuple(_curved(30.0 + 5 * k, (1, -1)[k % 2]) for k in range(3))

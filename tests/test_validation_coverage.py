@@ -20,7 +20,6 @@ def test_repeats_of_one_specimen_do_not_narrow_the_interval():
     assert (repeated.low, repeated.high) == pytest.approx((alone.low, alone.high))
 
 
-@pytest.mark.sweep
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])
 def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
     """PIT values of curves drawn from the prediction are uniform, whether points are correlated or not."""

@@ -172,7 +172,6 @@ def predict_with(job, monkeypatch, draws, **options):
     return find_kind("prediction").run("gel", record, Settings())
 
 
-@pytest.mark.sweep
 def test_a_prediction_follows_a_target_without_spread_between_specimens(job, monkeypatch):
     plain = replace(job, record=job.record.model_copy(update={"specimens": "training only"}))
     found, same, new = (
@@ -187,7 +186,6 @@ def test_a_prediction_follows_a_target_without_spread_between_specimens(job, mon
     assert len({*notes, *sentences}) == len([*notes, *sentences])
 
 
-@pytest.mark.sweep
 def test_an_interval_that_is_useless_for_aiming_is_a_warning(job, monkeypatch):
     wide = [theta(job, bevel_mm=b) for b in np.geomspace(0.01, 0.25, 41)]
     found = predict_with(job, monkeypatch, wide)
@@ -225,7 +223,6 @@ def test_bevels_that_differ_widen_the_needle_s_band(job):
     assert np.std(tips) == pytest.approx(abs(slope) * spread * further, rel=0.15)
 
 
-@pytest.mark.sweep
 def test_a_new_specimen_widens_the_band_and_one_insertion_narrows_it(job):
     (fold,) = job.folds
     unknown = {
@@ -257,7 +254,6 @@ def test_draws_of_a_posterior_are_spread_over_it(job):
     assert np.exp(thetas[:, names.index("bevel_mm")]) == pytest.approx(0.05)
 
 
-@pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
 def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
     job = prepare_small()
@@ -301,7 +297,6 @@ def test_a_run_that_is_named_must_hold_a_posterior(job, tmp_path):
         draw_parameters(job, tmp_path, Settings())
 
 
-@pytest.mark.sweep
 def test_an_interrupted_search_predicts_nothing_and_an_early_end_is_flagged(job, monkeypatch):
     do_not_escalate(monkeypatch)
     assert draw_parameters(job, None, Settings(stop=lambda: True)) is None

@@ -177,7 +177,6 @@ def test_the_same_study_predicts_the_same(job, few_draws):
     assert alone == first[1:]  # an insertion does not depend on the others
 
 
-@pytest.mark.sweep
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
 def test_copies_of_the_process_predict_the_same(job, few_draws, monkeypatch):
     monkeypatch.setattr(tasks, "can_fork", lambda: True)

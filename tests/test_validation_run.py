@@ -144,7 +144,6 @@ def test_there_is_one_fit_where_the_recipe_asks_for_no_second(clean: Run) -> Non
     assert {row["fitted_metric"] for row in arrange_parameters(tabulate_parameters(clean))} == {""}
 
 
-@pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
 def test_a_checkpoint_of_other_work_is_refused(project: Path) -> None:
     kept = project / "other.partial"
@@ -265,7 +264,6 @@ def test_a_fixed_bevel_is_not_tuned_anew_about_the_paper_s_set(project: Path) ->
     )
 
 
-@pytest.mark.sweep
 @pytest.mark.usefixtures("few_draws")
 def test_what_is_tied_to_a_fixed_parameter_is_fixed(project: Path) -> None:
     rewrite(project, "media", "mu1_pa = { bounds = [3e4, 3e6] }", 'mu1_pa = { tie = "0.015 * mu2_pa" }')
@@ -296,7 +294,6 @@ def test_weights_that_are_all_zero_are_refused(project: Path) -> None:
         run("zero", study(), Settings())
 
 
-@pytest.mark.sweep
 def test_a_search_that_ends_early_is_marked(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     do_not_escalate(monkeypatch)
     rewrite(project, "recipes", "evaluations = 250", "evaluations = 4")

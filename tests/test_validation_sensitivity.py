@@ -100,7 +100,6 @@ def test_parts_of_the_advance_along_the_tangent_are_refused_beside_the_path_angl
         VariationRecord(factor="advance", name="both", advance="path_angle", tangent_part=0.5)
 
 
-@pytest.mark.sweep
 def test_a_study_whose_variations_never_keep_the_parameters_has_a_report(tmp_path, monkeypatch):
     file = tmp_path / "varied.toml"
     spacing_alone = SENSITIVITY.split("[[variations]]")
