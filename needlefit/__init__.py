@@ -85,13 +85,6 @@ _HOMES = {
     "validate": "api",
 }
 
-_FORMER_NAMES = {
-    "follow": "simulate_steps",
-    "follow_batches": "simulate_batches",
-    "read_dataset": "load_dataset",
-    "Rules": "ModelOptions",
-}
-
 
 def open_scene(name: str) -> "Scene":
     """Return the scene that `name` means: a path to a TOML file, or a bare name such as `phantom1`.
@@ -111,7 +104,6 @@ def open_scene(name: str) -> "Scene":
 
 
 def __getattr__(name: str) -> object:
-    name = _FORMER_NAMES.get(name, name)
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     home, _, attribute = _HOMES[name].partition(":")
