@@ -24,6 +24,8 @@ from needlefit.studies.planned_insertions import choose_reference_values, simula
 from needlefit.studies.run import Run
 from needlefit.studies.targets import begin_run, prepare_target, target_name
 
+FRAMES: Mapping[str, tuple[str, ...]] = {"identify": ("stage", *IDENTIFICATION_COLUMNS)}
+
 
 def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     """Find what depths, layers, sides, poses and noise of the insertions identify, and a fit to them.
@@ -66,7 +68,7 @@ def _fitted_values(fitted: Run) -> dict[str, float]:
 def stack_stages(stages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Return the rows of each stage under one another; an empty column of one of them has no type."""
     parts = [rows.dropna(axis=1, how="all").assign(stage=stage) for stage, rows in stages.items()]
-    return pd.concat(parts, ignore_index=True).reindex(columns=["stage", *IDENTIFICATION_COLUMNS])
+    return pd.concat(parts, ignore_index=True).reindex(columns=list(FRAMES["identify"]))
 
 
 class _Design(NamedTuple):

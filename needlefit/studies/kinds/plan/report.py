@@ -181,11 +181,10 @@ def _describe_search(result: Run, now: Row) -> str:
 
 
 def _describe_specimen(now: Row) -> str:
-    """Return what the plan takes its specimen for; nothing of earlier results."""
-    treatment = now.get("specimen_treatment")
-    if treatment == "others":
+    """Return what the plan takes its specimen for."""
+    if now["specimen_treatment"] == "others":
         return f"The specimen is a new one: {describe_spread(now)}. "
-    return "The specimen is one that was fitted to. " if treatment else ""
+    return "The specimen is one that was fitted to. "
 
 
 def _record(result: Run) -> PlanRecord:

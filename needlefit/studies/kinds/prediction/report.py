@@ -141,11 +141,8 @@ def summarize(found: Run) -> list[str]:
 
 
 def _name_specimen(found: Run) -> str:
-    """Return the specimen that a prediction is for; earlier results do not have it."""
-    rows = found.frames.get("specimens", pd.DataFrame(columns=["specimen_treatment"]))
-    known = set(rows["specimen_treatment"])
-    if not known:
-        return ""
+    """Return the specimen that a prediction is for."""
+    known = set(found.frames["specimens"]["specimen_treatment"])
     if "training only" in known:
         return ", in a new specimen, without the spread between specimens"
     return ", in a new specimen" if "others" in known else ", in a specimen that was fitted"
@@ -170,27 +167,22 @@ _TREATMENTS = {
 }
 
 
-def lay_out_specimens(found: Run) -> Iterator[TableLayout]:
-    """Yield the table of what is known of the specimen; earlier results have none."""
-    rows = to_records(found.frames.get("specimens", pd.DataFrame()))
-    if rows:
-        named = [row | {"specimen_treatment": _TREATMENTS[str(row["specimen_treatment"])]} for row in rows]
-        caption = "Width of the 95 % interval of the tip, by specimen."
-        columns = ("specimen_treatment", "tip_95_width_mm")
-        yield Table("specimens", caption, named, columns, notes=tuple(describe_specimen(found))).lay_out()
+def lay_out_specimens(found: Run) -> TableLayout:
+    """Return the table of what is known of the specimen."""
+    rows = to_records(found.frames["specimens"])
+    named = [row | {"specimen_treatment": _TREATMENTS[str(row["specimen_treatment"])]} for row in rows]
+    caption = "Width of the 95 % interval of the tip, by specimen."
+    columns = ("specimen_treatment", "tip_95_width_mm")
+    return Table("specimens", caption, named, columns, notes=tuple(describe_specimen(found))).lay_out()
 
 
 def describe_specimen(found: Run) -> Iterator[str]:
     """Yield what a prediction knows of the specimen, and what would narrow it."""
-    rows = {
-        str(row["specimen_treatment"]): row
-        for row in to_records(found.frames.get("specimens", pd.DataFrame()))
-    }
+    rows = {str(row["specimen_treatment"]): row for row in to_records(found.frames["specimens"])}
     if "others" not in rows:
-        if rows:
-            known = next(iter(rows))
-            other = "a new specimen" if known == "same" else "the spread between specimens"
-            yield f"Specimen: {_TREATMENTS[known]}. For {other}, predict with `--specimen new`."
+        known = next(iter(rows))
+        other = "a new specimen" if known == "same" else "the spread between specimens"
+        yield f"Specimen: {_TREATMENTS[known]}. For {other}, predict with `--specimen new`."
         return
     yield (
         f"Specimen: new specimen; {describe_spread(rows['others'])}; from two or three specimens it is "
@@ -212,7 +204,7 @@ def explain(found: Run) -> tuple[list[TableLayout], list[str]]:
 
 def lay_out_tables(found: Run) -> list[TableLayout]:
     """Return the tip's table, and that of the specimen."""
-    return [lay_out_forecast(found), *lay_out_specimens(found)]
+    return [lay_out_forecast(found), lay_out_specimens(found)]
 
 
 def draw_figures(found: Run, folder: Path) -> dict[str, Path]:
@@ -230,7 +222,7 @@ def compose_sections(found: Run, figures: FigurePaths) -> list[Block]:
         document.heading("Prediction"),
         document.table(lay_out_forecast(found)),
         document.figure(figures["forecast"], caption),
-        *(document.table(table) for table in lay_out_specimens(found)),
+        document.table(lay_out_specimens(found)),
     ]
 
 
@@ -248,7 +240,7 @@ _BASIS_KEYS = (
 def forecast_to_json(found: Run) -> dict[str, Any]:
     """Return the tip's row and the basis of the prediction, as JSON values."""
     named = {"target": found.run["name"], "scene": found.run["study"]["scene_name"]}
-    specimens = to_records(found.frames.get("specimens", pd.DataFrame()))
+    specimens = to_records(found.frames["specimens"])
     basis = {key: found.run.get(key) for key in _BASIS_KEYS}
     return {**named, "tip": find_tip(found), "specimens": specimens, **basis}
 

@@ -41,6 +41,8 @@ from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run, posterior_file_names
 from needlefit.studies.targets import begin_run, prepare_target, target_name
 
+FRAMES: Mapping[str, tuple[str, ...]] = {"specimens": SPECIMEN_COLUMNS}
+
 
 def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     """Predict the planned insertion of a record.
@@ -94,7 +96,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
 def _make_frames(found: Forecast, title: str, certified: bool) -> dict[str, pd.DataFrame]:
     """Return the tables of a run; the intervals of draws that are not certified are left out."""
     needle = tabulate_forecast(found)
-    specimens = pd.DataFrame(found.specimens, columns=list(SPECIMEN_COLUMNS))
+    specimens = pd.DataFrame(found.specimens, columns=list(FRAMES["specimens"]))
     if not certified:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
         specimens["tip_95_width_mm"] = np.nan
