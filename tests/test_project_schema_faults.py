@@ -3,7 +3,8 @@
 import pytest
 from pydantic import ValidationError
 
-from needlefit.project.load import schema_faults
+from needlefit.errors import ConfigError
+from needlefit.project.load import load, schema_faults
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
@@ -48,3 +49,14 @@ def test_a_parameter_that_states_nothing_known_names_its_forms(name, parameter):
 def test_an_operator_without_its_keys_names_them(operator):
     (fault,) = faults(MeasurementRecord, operator=operator)
     assert operator in fault.what and operator in fault.expected and fault.fix
+
+
+def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):
+    file, text = tmp_path / "recipe.toml", f"schema = {RecipeRecord.SCHEMA + 1}\n"
+    file.write_text(text)
+    with pytest.raises(ConfigError) as fault:
+        load(file, RecipeRecord)
+    assert fault.value.where == f"{file}:1" and "`schema`" in fault.value.what and file.read_text() == text
+    for schema in range(1, RecipeRecord.SCHEMA + 1):
+        file.write_text(f"schema = {schema}\n")
+        load(file, RecipeRecord)

@@ -62,9 +62,11 @@ def test_damaged_results_are_an_error(damage, tmp_path):
 def test_results_of_another_format_are_refused(tmp_path):
     path = store_run(study(1), tmp_path)
     head, content = gzip.decompress(path.read_bytes()).split(b"\n")
-    path.write_bytes(gzip.compress(json.dumps(json.loads(head) | {"format": 99}).encode() + b"\n" + content))
+    other = gzip.compress(json.dumps(json.loads(head) | {"format": 99}).encode() + b"\n" + content)
+    path.write_bytes(other)
     with pytest.raises(DataError, match="format"):
         restore_run(tmp_path)
+    assert path.read_bytes() == other
 
 
 def test_a_posterior_is_read_from_the_file_beside(tmp_path):
