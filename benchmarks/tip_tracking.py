@@ -120,12 +120,12 @@ def find_equal_angle() -> float:
     """Return the cut angle, rad, by which the scene's own needle has the same tip at `EQUAL_AT_MM`."""
     scene = Scene.from_record(open_target("phantom2").record, "phantom2")
     step = replace(scene.steps[0], depth=EQUAL_AT_MM)
-    wanted = simulate_steps(scene.needle, scene.tissue, (step,), scene.rules).deflection
+    wanted = simulate_steps(scene.needle, scene.tissue, (step,), scene.rules).tip_lateral
     rules = replace(scene.rules, advance="path_angle")
 
     def excess(angle: float) -> float:
         cut = replace(step, bevel=replace(step.bevel, offset=0.0, cut_angle=angle))
-        return simulate_steps(scene.needle, scene.tissue, (cut,), rules).deflection - wanted
+        return simulate_steps(scene.needle, scene.tissue, (cut,), rules).tip_lateral - wanted
 
     return brentq(excess, 1e-4, 0.3)
 

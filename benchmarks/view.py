@@ -270,7 +270,7 @@ def endure(subject: str, minutes: float, seed: int) -> dict:
             "memory": held,
             "faults": page.faults,
             "recorded_steps": ends[0],
-            "recording_ends_there": ends[1] == state["tip"]["deflection_mm"] and ends[0] == state["step"],
+            "recording_ends_there": ends[1] == state["tip"]["lateral_mm"] and ends[0] == state["step"],
             "largest_difference_mm": ends[2],
         }
 
@@ -282,7 +282,7 @@ def replayed(path: Path) -> tuple[int, float, float]:
     worst, last = 0.0, None
     for last in replay(read_recording(path)):
         worst = max(worst, last.tip_offset_mm)
-    return last.recorded.number if last.recorded else 0, last.state.shape.deflection, worst
+    return last.recorded.number if last.recorded else 0, last.state.shape.tip_lateral, worst
 
 
 def main() -> None:

@@ -221,7 +221,7 @@ def record(path: Path) -> None:
             first, number = [], number + 1
             steering.apply(changes)
             time = round(begin + part * seconds, 3)
-            writer.write(RecordedStep(number, time, tuple(changes), steering.now.shape.deflection))
+            writer.write(RecordedStep(number, time, tuple(changes), steering.now.shape.tip_lateral))
         begin, depth, base = begin + seconds, end, target_base
 
 

@@ -29,7 +29,7 @@ def kernel_functions() -> Iterator[Dispatcher]:
 def run_kernel():
     """Simulate a needle by every part of the kernel; what is not compiled yet is compiled."""
     tissue, s = Tissue(mu=np.array([0.2]), alpha=np.array([1.0])), np.array([0.0, DEPTH])
-    assert np.isfinite(simulate(NEEDLE, tissue, BEVEL, DEPTH).deflection)
+    assert np.isfinite(simulate(NEEDLE, tissue, BEVEL, DEPTH).tip_lateral)
     batch = Batch(NEEDLE, tissue, (Step(DEPTH, BEVEL),), mu=np.full((2, 1), 0.2))
     for shapes in simulate_batches([batch], 1):
         compute_batch_positions(shapes, s)

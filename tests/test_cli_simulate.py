@@ -33,26 +33,26 @@ def test_json_has_the_documented_keys(capsys):
     ("scene", "implied_mm"), [("phantom1", 1.2), ("phantom3", 1.0), ("chicken", 0.29)]
 )  # the deflections that the published parameters give in this model
 def test_magnitudes(scene, implied_mm, capsys):
-    assert answer(capsys, scene)["deflection_mm"] == pytest.approx(implied_mm, rel=0.15)
+    assert answer(capsys, scene)["tip_lateral_mm"] == pytest.approx(implied_mm, rel=0.15)
 
 
 def test_without_bevel_the_needle_stays_straight(capsys):
     found = answer(capsys, "phantom1", "--set", "bevel.offset_mm=0", "--depth", "40")
-    assert found["deflection_mm"] == pytest.approx(0, abs=1e-12)
+    assert found["tip_lateral_mm"] == pytest.approx(0, abs=1e-12)
     assert found["tip_mm"] == pytest.approx([40, 0])
 
 
 def test_the_other_side_mirrors(capsys):
     left = answer(capsys, "study3")
     right = answer(capsys, "study3", "--set", "bevel.side=-1")
-    assert right["deflection_mm"] == pytest.approx(-left["deflection_mm"], rel=1e-12)
+    assert right["tip_lateral_mm"] == pytest.approx(-left["tip_lateral_mm"], rel=1e-12)
 
 
 def test_the_entry_moves_the_tip_in_the_world_only(capsys):
     plain = answer(capsys, "phantom1")
     x, y = plain["tip_mm"]
     turned = answer(capsys, "phantom1", "--set", "entry.angle_deg=90", "--set", "entry.x_mm=5")
-    assert turned["deflection_mm"] == plain["deflection_mm"]
+    assert turned["tip_lateral_mm"] == plain["tip_lateral_mm"]
     assert turned["tip_mm"] == pytest.approx([5 - y, x])
 
 
@@ -67,7 +67,7 @@ def test_entry_turns_counter_clockwise():
 def test_layers_are_numbered_from_1(capsys):
     plain = answer(capsys, "chicken")
     stiffer = answer(capsys, "chicken", "--set", "layers.1.mu_pa=3e5")
-    assert stiffer["deflection_mm"] > 1.2 * plain["deflection_mm"]
+    assert stiffer["tip_lateral_mm"] > 1.2 * plain["tip_lateral_mm"]
     assert run("simulate", "chicken", "--set", "layers.0.mu_pa=3e5") == 3
     assert "numbered from 1" in capsys.readouterr().err
 
@@ -77,7 +77,7 @@ def test_an_empty_value_removes_a_key_and_with_it_the_law_is_switched(capsys):
     assert run("simulate", "phantom1", *path_angle) == 3
     assert "bevel.offset_mm" in capsys.readouterr().err
     found = answer(capsys, "phantom1", *path_angle, "--set", "bevel.offset_mm=")
-    assert found["converged"] and abs(found["deflection_mm"]) > 1
+    assert found["converged"] and abs(found["tip_lateral_mm"]) > 1
     needed = run("simulate", "phantom1", "--set", "bevel.offset_mm=")
     assert needed == 3 and "bevel.offset_mm" in capsys.readouterr().err
 
@@ -187,7 +187,7 @@ def test_values_not_computed_are_null(capsys):
     assert run("simulate", "phantom2", "--set", "bevel.offset_mm=60", "--json") == 5
     found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)  # NaN is no JSON
     assert (found["converged"], found["status"]) == (False, "over-compressed")
-    assert found["deflection_mm"] is None and found["tip_slope"] is None
+    assert found["tip_lateral_mm"] is None and found["tip_slope"] is None
     assert found["tip_mm"] == [None, None]
     assert found["depth_mm"] == 38.06 and found["constraints_mm"][-1] == [pytest.approx(38.06), None]
 
@@ -293,12 +293,12 @@ def test_a_scene_of_one_step_prints_the_same(capsys):
 def test_json_has_an_entry_for_every_step(capsys):
     found = answer(capsys, "figure1")
     assert [step["depth_mm"] for step in found["steps"]] == [40, 70, 105]
-    assert {key: found[key] for key in ("deflection_mm", "tip_mm", "status")}.items() <= found["steps"][
+    assert {key: found[key] for key in ("tip_lateral_mm", "tip_mm", "status")}.items() <= found["steps"][
         -1
     ].items()
     assert sum(step["iterations"] for step in found["steps"]) == found["iterations"]
     first = answer(capsys, "figure1", "--set", "steps.2.side=1")["steps"]
-    assert first[0] == found["steps"][0] and first[1]["deflection_mm"] > found["steps"][1]["deflection_mm"]
+    assert first[0] == found["steps"][0] and first[1]["tip_lateral_mm"] > found["steps"][1]["tip_lateral_mm"]
 
 
 def test_every_step_has_its_line(capsys):
@@ -313,7 +313,7 @@ def test_a_failure_names_its_step(capsys):
     captured = capsys.readouterr()
     found = json.loads(captured.out, parse_constant=pytest.fail)
     assert [step["status"] for step in found["steps"]] == ["converged", "over-compressed", "not reached"]
-    assert (found["status"], found["depth_mm"], found["deflection_mm"]) == ("over-compressed", 70, None)
+    assert (found["status"], found["depth_mm"], found["tip_lateral_mm"]) == ("over-compressed", 70, None)
     assert found["steps"][2]["tip_mm"] is None
     assert "step 2 of 3" in captured.err and "over-compressed" in captured.err
 
@@ -328,10 +328,10 @@ def test_the_depth_of_steps_is_set_by_their_keys(capsys):
 def test_guides_and_steps_are_set_by_name_and_number(capsys):
     plain = answer(capsys, "figure1")
     moved = answer(capsys, "figure1", "--set", "steps.1.guides.template.y_mm=1")
-    assert moved["steps"][0]["deflection_mm"] != plain["steps"][0]["deflection_mm"]
+    assert moved["steps"][0]["tip_lateral_mm"] != plain["steps"][0]["tip_lateral_mm"]
     assert moved["steps"][2]["iterations"] > 0
     freed = answer(capsys, "figure1", "--set", "guides.1.turns_freely=true")
-    assert freed["deflection_mm"] != plain["deflection_mm"]
+    assert freed["tip_lateral_mm"] != plain["tip_lateral_mm"]
     assert run("simulate", "figure1", "--set", "steps.2.guides.templat.y_mm=1") == 3
     assert "steps.2.guides.template.y_mm" in capsys.readouterr().err
 

@@ -26,7 +26,7 @@ def answer(capsys, *words):
 def test_a_recording_ends_where_it_ended_bit_for_bit(log, capsys):
     path, found = log
     output = answer(capsys, "--recording", path)
-    assert output["deflection_mm"] == found[-1][-1]
+    assert output["tip_lateral_mm"] == found[-1][-1]
     assert output["replayed"] == {"steps": len(WANDERING), "tip_offset_mm": 0.0}
     assert (output["depth_mm"], output["converged"], len(output["steps"])) == (5.0, True, 1)
     assert output["boundaries_mm"] == [20, 28, 45]
@@ -37,7 +37,7 @@ def test_a_recording_can_be_stopped_after_a_step(log, step, depth, capsys):
     path, found = log
     output = answer(capsys, "--recording", path, "--step", step)
     assert output["depth_mm"] == depth
-    assert output["deflection_mm"] == found[step][-1]
+    assert output["tip_lateral_mm"] == found[step][-1]
 
 
 def test_a_recording_is_printed_as_a_scene_is(log, capsys):

@@ -209,7 +209,7 @@ def test_a_planned_needle_is_predicted_from_runs(project):
     forecast = pd.read_csv(project / "reports/predict-mine-gel-plan/forecast.csv").query("level == 0.95")
     tip = forecast.groupby("quantity").last()
     gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
-    truth = simulate(NEEDLE, gel, Bevel(0.03), 50.0, Controls(guides=(Guide(-20.0),))).deflection
+    truth = simulate(NEEDLE, gel, Bevel(0.03), 50.0, Controls(guides=(Guide(-20.0),))).tip_lateral
     assert tip.loc["needle", "low_mm"] < truth < tip.loc["needle", "high_mm"]
     widths = tip["high_mm"] - tip["low_mm"]
     assert widths["needle"] < widths["measured"]

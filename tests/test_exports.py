@@ -275,7 +275,7 @@ def test_a_picture_of_a_measured_insertion_shows_it_and_is_marked_synthetic(tmp_
     steering.apply([change])
     head = make_head(subject.name, subject.first_cell, subject.record.model_dump(mode="json", by_alias=True))
     RecordingWriter(tmp_path / "log.csv", head).write(
-        RecordedStep(1, 0.5, (change,), steering.now.shape.deflection)
+        RecordedStep(1, 0.5, (change,), steering.now.shape.tip_lateral)
     )
     shown = []
     monkeypatch.setattr(

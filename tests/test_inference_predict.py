@@ -44,7 +44,7 @@ def test_each_of_the_medium_s_rules_moves_the_tip(key: str) -> None:
     """Over 0.1 um in thin tissue; so none can be lost without being seen."""
     planned = insertion(31.3, (12.0,), (1, 2))
     others = [k for k in UNUSUAL if k != key]
-    tips = [predict(TRUTH, unusual(*keys), NEEDLE, planned).deflection for keys in (UNUSUAL, others)]
+    tips = [predict(TRUTH, unusual(*keys), NEEDLE, planned).tip_lateral for keys in (UNUSUAL, others)]
     assert abs(tips[1] - tips[0]) > 1e-4
 
 

@@ -75,7 +75,7 @@ def test_a_clamped_guide_on_the_axis_isolates_the_base() -> None:
 
 def test_a_base_before_a_free_guide_still_bends_the_needle_beyond() -> None:
     ends = [
-        simulate(NEEDLE, TISSUE, BEVEL, 21.4, Controls(y, guides=(Guide(-5.0, 0.0, None),))).deflection
+        simulate(NEEDLE, TISSUE, BEVEL, 21.4, Controls(y, guides=(Guide(-5.0, 0.0, None),))).tip_lateral
         for y in (0.0, 3.0)
     ]
     assert abs(ends[1] - ends[0]) > 1e-2

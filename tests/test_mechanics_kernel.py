@@ -92,7 +92,7 @@ def test_rounding_on_a_fine_mesh_in_soft_tissue_is_no_failure(element: float) ->
         simulate(NEEDLE, soft, Bevel(0.1), 50.0, rules=ModelOptions(1.0, h)) for h in (element, 1.0)
     )
     assert fine.converged
-    assert fine.deflection == pytest.approx(default.deflection, abs=2e-4)
+    assert fine.tip_lateral == pytest.approx(default.tip_lateral, abs=2e-4)
 
 
 def test_large_compression_leaves_the_series_and_still_agrees() -> None:
@@ -116,7 +116,7 @@ def test_over_compression_is_reported_at_any_newton_iteration(offset: float, thi
     tissue = Tissue(mu=[5.0], alpha=[1.0], thickness=[thickness])
     shape = simulate(NEEDLE, tissue, Bevel(offset), 20.0)
     assert shape.status == "over-compressed"
-    assert np.isnan(shape.deflection) and np.isnan(shape.u).all()
+    assert np.isnan(shape.tip_lateral) and np.isnan(shape.u).all()
 
 
 def test_a_solve_that_ends_over_compressed_is_reported() -> None:
@@ -132,7 +132,7 @@ def test_a_solve_that_ends_over_compressed_is_reported() -> None:
 def test_a_tiny_depth_is_a_depth(depth: float) -> None:
     shape = simulate(NEEDLE, Tissue(mu=[5.0], alpha=[1.0]), Bevel(0.1), depth)
     assert shape.converged and shape.depth == pytest.approx(depth, abs=1e-9)
-    assert abs(shape.deflection) <= 0.2 * depth
+    assert abs(shape.tip_lateral) <= 0.2 * depth
 
 
 def test_too_few_iterations_is_not_converged() -> None:
@@ -212,7 +212,7 @@ def test_inserted_points_begin_at_the_entry_and_end_at_the_tip() -> None:
     shape = simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 30.25)
     points = sample_inserted_points(shape, 7)
     assert points.shape == (7, 2)
-    assert points[-1, 1] == pytest.approx(shape.deflection)
+    assert points[-1, 1] == pytest.approx(shape.tip_lateral)
     assert -0.01 < points[0, 0] <= 0.0  # the free span lags by a little too
 
 
@@ -227,7 +227,7 @@ def test_an_over_compressed_guess_is_not_the_solution() -> None:
     """The base moves by more than t before the first cell; the needle finds its place, and stays there."""
     tissue = Tissue(mu=[33.0], alpha=[1.0], thickness=[5.0])
     found = simulate_steps(NEEDLE, tissue, (Step(3.0, Bevel(0.05), Controls(base_y=5.1)),))
-    assert found.converged and 3.0 < found.deflection < 5.0
+    assert found.converged and 3.0 < found.tip_lateral < 5.0
     state = np.column_stack((found.u, found.slope)).ravel()
     again, used = reference.equilibrium(
         NEEDLE,

@@ -24,7 +24,7 @@ def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:
 def tip(depth: float, boundaries: tuple[float, ...] = (20.0, 28.0, 45.0), element: float = 1.0) -> float:
     return simulate(
         NEEDLE, phantom(boundaries), Bevel(0.085), depth, rules=ModelOptions(element=element)
-    ).deflection
+    ).tip_lateral
 
 
 @settings(deadline=None, max_examples=25)
@@ -83,7 +83,8 @@ def test_magnitudes_with_the_papers_parameters(depth: float, expected: float) ->
 
 def test_one_more_modulus_bends_more_in_stiff_tissue() -> None:
     deflections = [
-        simulate(NEEDLE, Tissue(mu=[mu], alpha=[1.0]), Bevel(0.085), 50.0).deflection for mu in (0.01, 0.1, 1)
+        simulate(NEEDLE, Tissue(mu=[mu], alpha=[1.0]), Bevel(0.085), 50.0).tip_lateral
+        for mu in (0.01, 0.1, 1)
     ]
     assert deflections == sorted(deflections)
 
@@ -112,7 +113,7 @@ def test_unknown_law_names_the_known_ones() -> None:
 def test_alpha_hardly_moves_the_tip() -> None:
     """Why shapes cannot tell alpha: over its whole range the tip moves by 0.01 mm at t = 40 mm."""
     ends = [
-        simulate(NEEDLE, Tissue(mu=[0.2, 33], alpha=[a, a], boundaries=[20]), Bevel(0.085), 50.0).deflection
+        simulate(NEEDLE, Tissue(mu=[0.2, 33], alpha=[a, a], boundaries=[20]), Bevel(0.085), 50.0).tip_lateral
         for a in (-3.0, 5.0)
     ]
     assert abs(ends[1] - ends[0]) < 0.015

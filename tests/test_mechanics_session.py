@@ -184,7 +184,7 @@ def test_a_moved_input_sets_the_ray_anew_where_the_tip_then_stands(change: dict)
     before = under_way.step(2.3)
     here = under_way.step(**change)
     np.testing.assert_array_equal(here.constraints, before.constraints)
-    assert abs(here.deflection - before.deflection) > 1e-5
+    assert abs(here.tip_lateral - before.tip_lateral) > 1e-5
     found = under_way.step(0.7)
     assert found.constraints[3, 1] == pytest.approx(ahead(here, 3.0, LEFT), abs=1e-12)
     at_once = session()  # the change may come with the insertion

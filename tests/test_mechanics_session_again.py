@@ -84,7 +84,7 @@ def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
     again = simulate_steps(NEEDLE, SOFT, under_way.input_path(), lattice=Lattice(0.7, 1.0))
     straight = simulate_steps(NEEDLE, SOFT, (Step(15.5, LEFT),), lattice=Lattice(0.7, 1.0))
     assert_near(again, under_way.now.shape)
-    assert abs(straight.deflection - again.deflection) > 1e-4
+    assert abs(straight.tip_lateral - again.tip_lateral) > 1e-4
 
 
 def test_inputs_changed_and_changed_back_at_the_tip_cut_anew_from_there() -> None:
@@ -95,7 +95,7 @@ def test_inputs_changed_and_changed_back_at_the_tip_cut_anew_from_there() -> Non
     retold, untouched = under_way.simulate_again(), Session(NEEDLE, SOFT, LEFT, 0.7)
     untouched.step(insert=10.2)
     assert_near(retold.step(insert=5.3), under_way.step(insert=5.3))
-    assert abs(untouched.step(insert=5.3).deflection - under_way.now.shape.deflection) > 1e-4
+    assert abs(untouched.step(insert=5.3).tip_lateral - under_way.now.shape.tip_lateral) > 1e-4
 
 
 def test_a_path_is_simulated_in_another_tissue() -> None:

@@ -283,7 +283,7 @@ def test_the_keys_of_the_page_work_wherever_they_are_not_needed(page) -> None:
 
 @pytest.mark.sweep
 def test_keys_add_to_the_very_value_also_beyond_the_slider(page) -> None:
-    held = go_to(page, 20)["tip"]["deflection_mm"]
+    held = go_to(page, 20)["tip"]["lateral_mm"]
     field = page.locator("#bevel-fields .number").first
     enter(field, "5")
     until(page, "state => state.bevel.offset_mm === 5")
@@ -293,7 +293,7 @@ def test_keys_add_to_the_very_value_also_beyond_the_slider(page) -> None:
     until(page, "state => Math.abs(state.bevel.offset_mm - 5.01) < 1e-9")
     page.keyboard.press("t")
     tip = until(page, "state => state.tip.held")["tip"]
-    assert tip["deflection_mm"] == pytest.approx(held, abs=1e-12)
+    assert tip["lateral_mm"] == pytest.approx(held, abs=1e-12)
 
 
 @pytest.mark.sweep
@@ -375,7 +375,7 @@ def test_a_killed_server_loses_no_step(tmp_path, chromium) -> None:
     (path,) = server.folder.glob("*.csv")
     *_, last = replay(read_recording(path))
     assert last.recorded.number == state["step"] and last.tip_offset_mm == 0
-    assert last.state.shape.deflection == state["tip"]["deflection_mm"]
+    assert last.state.shape.tip_lateral == state["tip"]["lateral_mm"]
 
 
 @pytest.mark.sweep

@@ -30,7 +30,7 @@ def test_the_file_holds_the_states_of_the_recording(shared) -> None:
     assert len(data["states"]) == len(steps) <= MAX_SHARED_STATES
     for n in (0, 40, -1):
         state, band = data["states"][n]
-        assert state["tip"]["deflection_mm"] == steps[n].state.shape.deflection and band is None
+        assert state["tip"]["lateral_mm"] == steps[n].state.shape.tip_lateral and band is None
     assert "http:" not in re.sub(r"http://www\.w3\.org\S*", "", text) and "https:" not in text
     assert text.encode() == export(RECORDING, "share.html")
 

@@ -171,7 +171,7 @@ def test_needle_and_layers_agree(name):
         planned.depth,
         rules=TRUTH_OPTIONS,
     )
-    assert shape.deflection == pytest.approx(found.shape.deflection, abs=1e-4)
+    assert shape.tip_lateral == pytest.approx(found.shape.tip_lateral, abs=1e-4)
 
 
 def test_crossings_lie_on_plane_and_cylinder():
@@ -210,11 +210,13 @@ def test_the_true_needle_is_not_what_the_fit_assumes(name, friction):
     assert found.tissue.friction == pytest.approx(friction)
     needle, bevel = draw_needle(1), Bevel(bevel_offset(specimen, planned))
     again = simulate(needle, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
-    assert again.deflection == pytest.approx(found.shape.deflection, abs=1e-4)
+    assert again.tip_lateral == pytest.approx(found.shape.tip_lateral, abs=1e-4)
     nominal = simulate(NOMINAL_NEEDLE, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
-    assert abs(nominal.deflection / again.deflection - 1) > 1e-3
+    assert abs(nominal.tip_lateral / again.tip_lateral - 1) > 1e-3
     smooth = dataclasses.replace(found.tissue, friction=np.zeros(found.tissue.layers))
-    assert simulate(needle, smooth, bevel, planned.depth, rules=TRUTH_OPTIONS).deflection != again.deflection
+    assert (
+        simulate(needle, smooth, bevel, planned.depth, rules=TRUTH_OPTIONS).tip_lateral != again.tip_lateral
+    )
 
 
 def test_every_true_needle_leaves_its_plane_by_what_was_drawn():
@@ -223,7 +225,7 @@ def test_every_true_needle_leaves_its_plane_by_what_was_drawn():
         _, _, found = truly_inserted(name)
         drawn = draw_deviations(1, PLAN[name]).out_of_plane
         tip = found.frame.to_local(found.centerline)[-1, 2]
-        assert tip == pytest.approx((0.04 + 0.06 * abs(found.shape.deflection)) * drawn.sum(), rel=1e-6)
+        assert tip == pytest.approx((0.04 + 0.06 * abs(found.shape.tip_lateral)) * drawn.sum(), rel=1e-6)
         assert abs(tip) > 1e-3
 
 

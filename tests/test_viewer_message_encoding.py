@@ -77,7 +77,7 @@ def test_the_cut_that_a_bevel_makes_pulls_the_tip_to_its_side(encode, side) -> N
     state = encode(NEEDLE, {"bevel_side": side, "bevel_offset_mm": 0.2}, {"depth_mm": 30.0})
     assert side * state["forces"]["tip_n"] > 0
     assert side * state["load"]["n_per_mm"][-1] > 0
-    assert side * state["tip"]["deflection_mm"] > 0
+    assert side * state["tip"]["lateral_mm"] > 0
 
 
 def test_constraint_points_are_sent_with_the_needle(encode) -> None:

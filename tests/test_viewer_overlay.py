@@ -164,7 +164,7 @@ def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
     alone = simulate_steps(
         SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules
     )
-    assert found.low[-1] == pytest.approx(alone.deflection, abs=1e-6)
+    assert found.low[-1] == pytest.approx(alone.tip_lateral, abs=1e-6)
     assert compute_band(ParameterDraws(same.mu, same.alpha, same.bevel * np.nan), *args) is None
 
 

@@ -65,7 +65,7 @@ def steered(path: Path) -> None:
     change = Change("depth_mm", None, DEPTH)
     steering.apply([change])
     head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
-    RecordingWriter(path, head).write(RecordedStep(1, 0.5, (change,), steering.now.shape.deflection))
+    RecordingWriter(path, head).write(RecordedStep(1, 0.5, (change,), steering.now.shape.tip_lateral))
 
 
 @pytest.mark.usefixtures("few_draws")

@@ -60,7 +60,7 @@ def recorded(path, changes=WANDERING) -> list[np.ndarray]:
         if n == 2:
             steering.keep()
         given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
-        recorder.write(RecordedStep(n, 0.25 * n, given, steering.now.shape.deflection))
+        recorder.write(RecordedStep(n, 0.25 * n, given, steering.now.shape.tip_lateral))
         found.append(nodes_y(steering.now.shape))
     return found
 
@@ -90,7 +90,7 @@ def test_a_recording_is_a_table_for_others(tmp_path) -> None:
 
     recorded(tmp_path / "log.csv")
     frame = pd.read_csv(tmp_path / "log.csv", comment="#")
-    assert list(frame.columns) == ["step", "time_s", "input", "item", "value", "deflection_mm"]
+    assert list(frame.columns) == ["step", "time_s", "input", "item", "value", "tip_lateral_mm"]
     assert frame.loc[frame.input == "depth_mm", "value"].iloc[0] == 12.34567
 
 
@@ -103,7 +103,7 @@ def test_a_recording_is_a_table_for_others(tmp_path) -> None:
         ("1,0.2500,depth_mm", "1,inf,depth_mm", "line .*: `inf`"),
         ("1,0.2500,depth_mm", "1,-0.1,depth_mm", "line .*: time_s is -0.1"),
         ("2,0.5000,base_slope,,-0.01", "2,0.5000,base_y_mm,,-0.01", "line .*: .*base_y_mm .*step 2"),
-        ("2,0.5000,base_y_mm,,0.1,", "2,0.5000,base_y_mm,,0.1,0.7", "line .*: deflection_mm"),
+        ("2,0.5000,base_y_mm,,0.1,", "2,0.5000,base_y_mm,,0.1,0.7", "line .*: tip_lateral_mm"),
         ("depth_mm,,12.34567", f"depth_mm,{'9' * 5000},12.34567", "line .*: item"),
         ("5,1.2500,", "7,1.2500,", "step 7"),
         ("# first_cell_mm = 1.0", "# first_cell_mm = -1.0", "first_cell_mm"),
@@ -145,8 +145,8 @@ def test_an_insertion_by_hand_is_the_simulated_one() -> None:
     for depth in np.arange(0.37, 38.06, 0.37):
         act(steering, ("depth_mm", float(depth)))
     act(steering, ("depth_mm", 38.06))
-    expected = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules).deflection
-    assert steering.now.shape.deflection == pytest.approx(expected, abs=1e-7)
+    expected = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules).tip_lateral
+    assert steering.now.shape.tip_lateral == pytest.approx(expected, abs=1e-7)
 
 
 def test_a_refused_input_changes_nothing() -> None:

@@ -174,7 +174,7 @@ async def test_what_is_recorded_is_there_at_every_moment_and_replays(tmp_path) -
             state = await page.say("change", insert_mm=3.3, set=[["base_slope", None, 0.001 * n]])
             steps = list(replay(read_recording(path)))
             assert len(steps) == n + 1
-            assert steps[-1].state.shape.deflection == state["tip"]["deflection_mm"]
+            assert steps[-1].state.shape.tip_lateral == state["tip"]["lateral_mm"]
         again = await page.say("replay", times=1000)
         assert again["playing"] and page.scene["recording"] != path.name
         await asyncio.sleep(0.02)
@@ -579,16 +579,16 @@ async def test_a_fit_sends_its_mode_and_its_draws(tmp_path) -> None:
 async def test_aligned_constraint_points_give_the_tip_of_simulate(tmp_path) -> None:
     scene = Scene.from_record(open_target("study2").record)
     step = replace(scene.steps[0], depth=40.0)
-    wanted = simulate_steps(scene.needle, scene.tissue, (step,), scene.rules).deflection
+    wanted = simulate_steps(scene.needle, scene.tissue, (step,), scene.rules).tip_lateral
     async with house(tmp_path) as server:
         page = await server.page()
         await page.say("align")
         assert page.refused  # at the entry
         before = await page.say("change", insert_mm=40.0)
-        assert abs(before["tip"]["deflection_mm"] - wanted) > 1e-3
+        assert abs(before["tip"]["lateral_mm"] - wanted) > 1e-3
         state = await page.say("align")
         assert page.scene["first_cell_mm"] == pytest.approx(1.0) and state["depth_mm"] == 40.0
-        assert state["tip"]["deflection_mm"] == pytest.approx(wanted, abs=1e-9)
+        assert state["tip"]["lateral_mm"] == pytest.approx(wanted, abs=1e-9)
         await page.say("change", set=[["mu_pa", 1, 3e5]])
         await page.say("align")
         assert page.refused  # parameters of the scene alone

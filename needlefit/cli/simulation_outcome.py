@@ -202,7 +202,7 @@ def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement 
 
     slope = float(shape.slope[-1])
     return {
-        "deflection_mm": shape.deflection,
+        "tip_lateral_mm": shape.tip_lateral,
         "tip_slope": slope,
         "tip_mm": (placement or entry).to_world(compute_positions(shape, shape.x[-1:]))[0],
         "tip_angle_deg": math.degrees(entry.angle + slope),
@@ -234,15 +234,16 @@ def describe_outcome(summary: dict[str, Any]) -> str:
         return f"NOT CONVERGED at {depth}: {summary['status']}."
     place = ", ".join(map(_format_length, summary["tip_mm"]))
     valid = "" if summary["valid"] else "; outside what the model assumes"
-    deflection = _format_length(summary["deflection_mm"])
-    return f"Tip deflection {deflection} mm at {depth}; tip at ({place}) mm in the world{valid}."
+    lateral = summary["tip_lateral_mm"]
+    side = f"{_format_length(abs(lateral))} mm to the {'right' if lateral < 0 else 'left'}"
+    return f"Tip {side} of the entry axis at {depth}; tip at ({place}) mm in the world{valid}."
 
 
 def _lay_out_steps(steps: Sequence[Mapping[str, Any]]) -> "TableLayout":
     from needlefit.reporting.table import Table
 
     rows = [_describe_step(number, step) for number, step in enumerate(steps, start=1)]
-    columns = ("step", "inserted_mm", "tip_deflection_mm", "tip_position", "tip_angle_deg", "step_state")
+    columns = ("step", "inserted_mm", "tip_lateral_mm", "tip_position", "tip_angle_deg", "step_state")
     caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
     return Table("steps", caption, rows, columns).lay_out()
 
@@ -251,7 +252,7 @@ def _describe_step(number: int, step: Mapping[str, Any]) -> "Row":
     found = bool(step["converged"])
     state = ("ok" if step["valid"] else "outside the model's limits") if found else str(step["status"])
     place = ", ".join(map(_format_length, step["tip_mm"])) if found else None
-    lengths = {"tip_deflection_mm": step["deflection_mm"] if found else None, "inserted_mm": step["depth_mm"]}
+    lengths = {"tip_lateral_mm": step["tip_lateral_mm"] if found else None, "inserted_mm": step["depth_mm"]}
     angle = step["tip_angle_deg"] if found else None
     return {"step": number, **lengths, "tip_position": place, "tip_angle_deg": angle, "step_state": state}
 

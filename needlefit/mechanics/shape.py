@@ -72,7 +72,7 @@ class NeedleShape:
         return np.column_stack((self.constraints[:, 0], self.tip_track[:, 0]))
 
     @property
-    def deflection(self) -> float:
+    def tip_lateral(self) -> float:
         """The y of the tip in C, mm, where `compute_positions` has it."""
         return float(kernel.compute_positions(self.x, self.u, self.slope, self.x[-1:])[0, 1])
 

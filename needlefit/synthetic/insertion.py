@@ -125,7 +125,7 @@ def needle_points(shape: NeedleShape, frame: Frame, deviations: PlanDeviations, 
 
     In the tissue it is bent out of its plane the more the more it bends within.
     """
-    amplitude = 0.04 + 0.06 * abs(shape.deflection)
+    amplitude = 0.04 + 0.06 * abs(shape.tip_lateral)
     along = np.clip(s, 0.0, None) / shape.depth
     # powers 2 and 3 leave position and slope at the entry unchanged
     aside = amplitude * (deviations.out_of_plane @ np.stack([along**2, along**3]))

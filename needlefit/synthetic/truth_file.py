@@ -59,7 +59,8 @@ SIGNIFICANT_DIGITS = 6
 TRUTH_NOTE = (
     "What the synthetic twin was generated from. Nothing that fits, validates or reads datasets opens this "
     "file. mu_pa of an insertion are the moduli along the needle, of the layers met or of 2 mm slices of a "
-    "heterogeneous piece; deflection_mm is that of the tip from the entry, tip_y_mm from the entry axis. "
+    "heterogeneous piece; deflection_mm is that of the tip from the entry, axis_deflection_mm from the "
+    "entry axis, toward the bevel. "
     "registration_error_mm is the mean over the true needle of how far its markers misplace it, "
     "centerline_error_mm the mean distance of the reconstructed points from the true needle, tip_error_mm "
     "that of the two tips; both with the registration's error."
@@ -147,7 +148,7 @@ def _insertion_table(built: ReconstructedInsertion) -> dict[str, Any]:
     return {
         "id": insertion.planned.id,
         "deflection_mm": _round(true_insertion.deflection),
-        "tip_y_mm": _round(true_insertion.shape.deflection),
+        "axis_deflection_mm": _round(true_insertion.shape.tip_lateral),
         "tip_mm": _round_all(true_insertion.centerline[-1]),
         "out_of_plane_mm": _round(float(true_insertion.frame.to_local(true_insertion.centerline)[-1, 2])),
         "bevel_mm": _round(truth.bevel_offset(insertion.specimen, insertion.planned)),

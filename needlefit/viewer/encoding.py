@@ -95,7 +95,7 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         | {"input_y": controls.base_y, "input_slope": controls.base_slope},
         "guides": [_encode_guide(guide, steering) for guide in controls.guides],
         "tip": _encode_end(needle[-1], shape.slope[-1])
-        | {"deflection_mm": shape.deflection, "held": controls.tip is not None}
+        | {"lateral_mm": shape.tip_lateral, "held": controls.tip is not None}
         | {"input_y": float(shape.u[-1])},
         "bevel": {"side": step.bevel.side, **_encode_strength(step.bevel, steering.scene.rules)},
         **_encode_parameters(now.tissue.mu, now.tissue.alpha),

@@ -1,7 +1,7 @@
 """The recording of an interactive insertion: a CSV file that is complete after every step.
 
 Its first lines begin with `#`; without that they are TOML: the scene, whole, and the model's first cell. Then
-comes one row an input, `step,time_s,input,item,value,deflection_mm`; the rows of one step act together, and
+comes one row an input, `step,time_s,input,item,value,tip_lateral_mm`; the rows of one step act together, and
 its last row says where the tip then stood, so that whoever replays it can tell whether they found the same.
 Numbers are written so that reading gives the same bits.
 """
@@ -25,7 +25,7 @@ from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
 
-COLUMNS = ("step", "time_s", "input", "item", "value", "deflection_mm")
+COLUMNS = ("step", "time_s", "input", "item", "value", "tip_lateral_mm")
 
 MAX_ITEM_DIGITS = 6
 """Digits of the number of a guide or layer; Python refuses to convert thousands of digits."""
@@ -41,7 +41,7 @@ class RecordedStep:
         From 1.
     time : float
         Since the recording began, s.
-    deflection : float
+    tip_lateral : float
         Of the tip after it, mm.
     line : int
         Of the file where it begins.
@@ -50,7 +50,7 @@ class RecordedStep:
     number: int
     time: float
     changes: tuple[Change, ...]
-    deflection: float
+    tip_lateral: float
     line: int = 0
 
 
@@ -126,7 +126,7 @@ def _head_lines(head: RecordingRecord) -> str:
 def _rows(step: RecordedStep) -> Iterator[str]:
     for n, change in enumerate(step.changes, start=1):
         item = "" if change.item is None else str(change.item)
-        last = repr(step.deflection) if n == len(step.changes) else ""
+        last = repr(step.tip_lateral) if n == len(step.changes) else ""
         yield f"{step.number},{step.time:.4f},{change.name},{item},{change.value!r},{last}\n"
 
 
@@ -151,7 +151,7 @@ class _LogRow(NamedTuple):
     name: str
     item: str
     value: str
-    deflection: str
+    tip_lateral: str
 
 
 def _row(text: str, line: int, path: Path) -> _LogRow:
@@ -169,12 +169,14 @@ def _steps(rows: Iterable[_LogRow], path: Path) -> Iterator[RecordedStep]:
         if first.step != str(number):
             raise _line_error(path, first.line, f"step {first.step}", f"step {number}: none left out")
         *before, last = step
-        if open_at or any(row.deflection for row in before):
+        if open_at or any(row.tip_lateral for row in before):
             at = open_at or first.line
-            raise _line_error(path, at, "deflection_mm", "a number in the last row of a step, and only there")
-        if last.deflection:
-            time, deflection = _time(first, path), _number(last.deflection, last.line, path)
-            yield RecordedStep(number, time, _changes(step, path), deflection, first.line)
+            raise _line_error(
+                path, at, "tip_lateral_mm", "a number in the last row of a step, and only there"
+            )
+        if last.tip_lateral:
+            time, tip_lateral = _time(first, path), _number(last.tip_lateral, last.line, path)
+            yield RecordedStep(number, time, _changes(step, path), tip_lateral, first.line)
         else:
             open_at = first.line
 
@@ -261,7 +263,7 @@ class ReplayedStep:
     @property
     def tip_offset_mm(self) -> float:
         """Distance of the tip from its recorded position, mm; 0: the same bits."""
-        return abs(self.state.shape.deflection - self.recorded.deflection) if self.recorded else 0.0
+        return abs(self.state.shape.tip_lateral - self.recorded.tip_lateral) if self.recorded else 0.0
 
 
 def begin_replay(recording: Recording) -> SteeredNeedle:

@@ -182,7 +182,7 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
     for end in (problem.lower[k], problem.upper[k]):
         moved = theta.copy()
         moved[k] = end
-        tips.append([s.deflection if s.converged else math.nan for s in problem.shapes(moved)])
+        tips.append([s.tip_lateral if s.converged else math.nan for s in problem.shapes(moved)])
     low, high = np.array(tips)
     return float(np.max(np.abs(high - low)))
 

@@ -82,7 +82,7 @@ def describe_moment(
         for parts in (position, support_forces)
         for line in textwrap.wrap(_SEPARATOR.join(parts), letters)
     ]
-    tip = f"tip {_replace_minus(f'{moment.shape.deflection:+z.2f}')} mm{frame}"
+    tip = f"tip {_replace_minus(f'{moment.shape.tip_lateral:+z.2f}')} mm{frame}"
     return lines, [tip, f"tip force {_format_force(found.tip_force)}"]
 
 

@@ -125,7 +125,7 @@ def _head_lines(scene: Scene, n: int, past: int | None, shape: NeedleShape) -> l
     back = before is not None and steps[n].depth < before.depth
     number = f"step {n + 1}: " if len(steps) > 1 else ""
     summary = f"{number}{'back ' if back else ''}to {steps[n].depth:g} mm"
-    end = f"tip {shape.deflection:+z.2f} mm{frame}".replace("-", "−") if shape.converged else ""
+    end = f"tip {shape.tip_lateral:+z.2f} mm{frame}".replace("-", "−") if shape.converged else ""
     return [summary, *describe_changes(before, steps[n], frame), end]
 
 

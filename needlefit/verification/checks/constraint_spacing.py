@@ -19,7 +19,7 @@ def tip(spacing: float, offset: float) -> float:
     """Return the tip's deflection, mm."""
     return require_converged(
         simulate(PAPER_NEEDLE, _TISSUE, Bevel(offset), DEPTH, rules=ModelOptions(spacing, spacing))
-    ).deflection
+    ).tip_lateral
 
 
 def _measure(rng: np.random.Generator) -> CheckOutcome:

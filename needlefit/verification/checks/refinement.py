@@ -27,7 +27,7 @@ def measure_error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: 
     """Return how far the tip moves, mm, on elements eight times shorter."""
     fine = ModelOptions(rules.spacing, rules.element / REFINEMENT_FACTOR)
     tips = [
-        require_converged(simulate_steps(needle, tissue, steps, each)).deflection for each in (rules, fine)
+        require_converged(simulate_steps(needle, tissue, steps, each)).tip_lateral for each in (rules, fine)
     ]
     return abs(tips[1] - tips[0])
 

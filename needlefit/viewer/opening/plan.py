@@ -97,7 +97,7 @@ def write_plan(viewed_scene: ViewedScene, plan: SteeringPlan, path: Path) -> Non
         moved = sum(change.value - steering.now.step.depth for change in changes if change.name == "depth_mm")
         time += abs(moved) / SPEED_MM_S
         state = steering.apply(changes)
-        recorder.write(RecordedStep(steering.number, time, changes, state.shape.deflection))
+        recorder.write(RecordedStep(steering.number, time, changes, state.shape.tip_lateral))
 
 
 def list_changes(

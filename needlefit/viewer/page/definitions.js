@@ -3,14 +3,14 @@
 /** One or two sentences each, which `docs/glossary.py` copies; those of error metrics come with the scene. */
 export const DEFINITIONS = {
   "depth": "Inserted arc length: how much of the needle is beyond the entry.",
-  "tip deflection": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
+  "tip y": "Distance of the tip from the entry axis, y; positive to the left of the entry.",
   "tip slope": "Angle of the needle at its tip against the entry axis.",
   "tip force": "Lateral force of the tissue on the part of the shaft at the last constraint point.",
   "base force": "Lateral force that holds the base.",
   "base moment": "Moment that holds the base.",
   "steepest slope": "Largest slope dy/dx of the needle; the model takes it for small.",
   "bevel": "Side to which the bevel turns the cut.",
-  "base y": "Deflection of the base of the needle, as it is set.",
+  "base y": "Lateral displacement of the base of the needle, as it is set; positive to the left.",
   "base slope": "Angle of the base of the needle against the entry axis, as it is set.",
   "guides": "Guides that hold the needle.",
   "b": "Bevel offset: how far the bevel shifts the cut that the needle follows, per constraint spacing.",

@@ -17,7 +17,7 @@ export function inWords() {
   const held = guides.length === 1 ? "1 guide" : `${guides.length} guides`;
   const sentences = [
     `The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,
-    `Its tip is deflected ${signed(tip.deflection_mm, 2)} mm${tip.held ? " and held there" : ""}, at ${angle(tip)}.`,
+    `Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm < 0 ? "right" : "left"}${tip.held ? " and held there" : ""}, at ${angle(tip)}.`,
     `The bevel turns the cut toward ${bevel.side > 0 ? "+y" : "−y"}, ${strength(bevel)}.`,
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
     `Tip force ${signed(state.forces.tip_n, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,

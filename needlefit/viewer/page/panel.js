@@ -62,7 +62,7 @@ function buildBase({ limits }) {
 }
 
 function buildTip() {
-  const y = { of: "tip", name: "deflection", symbol: "tip deflection", unit: "mm", write: asMm, step: 0.1 };
+  const y = { of: "tip", name: "y", symbol: "tip y", unit: "mm", write: asMm, step: 0.1 };
   inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.input_y);
   const angle = { of: "tip", name: "slope", symbol: "tip slope", unit: "°", write: asDegrees, step: 0.1 };
   const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.rotation, ANGLE);

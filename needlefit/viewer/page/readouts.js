@@ -8,7 +8,7 @@ import "./validity.js";
 /** What is read of the needle: a name, a unit, and how it is written from a state. */
 const NEEDLE = [
   ["depth", "mm", (s) => s.depth_mm.toFixed(2)],
-  ["tip deflection", "mm", (s) => signed(s.tip.deflection_mm, 2)],
+  ["tip y", "mm", (s) => signed(s.tip.lateral_mm, 2)],
   ["tip slope", "°", (s) => signed(toDegrees(s.tip.rotation), 2)],
   ["tip force", "N", (s) => signed(s.forces.tip_n, 3)],
   ["base force", "N", (s) => signed(s.forces.base_n, 3)],

@@ -391,7 +391,7 @@ class TrackedTrial:
         if depth < self._deepest + trial.scene.rules.spacing - MIN_INSERTION_MM:
             return False
         # The equations know the deflection at the beam coordinate, a tracker the place of the point.
-        beside = now.shape.deflection - float(now.shape.u[-1])
+        beside = now.shape.tip_lateral - float(now.shape.u[-1])
         self._readings.append((depth, float(known.pose.position[1]) - beside))
         self._deepest = depth
         self._insertion = TrackedNeedle(

@@ -238,7 +238,7 @@ class InteractiveTrial:
             )
         time = self.time()
         moment = self.steering.apply(changes)
-        recorded = RecordedStep(self.steering.number, time, tuple(changes), moment.shape.deflection)
+        recorded = RecordedStep(self.steering.number, time, tuple(changes), moment.shape.tip_lateral)
         # Set before the write and cleared after it: an error of any kind in between leaves it set.
         self._write_failed = True
         self.recorder.write(recorded)

@@ -236,7 +236,7 @@ def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: Pr
     shape = {
         "layers": "-".join(map(str, insertion.sequence)),
         "boundaries_mm": " ".join(f"{x:.2f}" for x in insertion.boundaries),
-        "deflection_mm": float(insertion.planar[-1, 1]),
+        "deflection_mm": insertion.deflection,
     }
     found = {"nats": gain.nats, "nats_se": gain.nats_se, "linear_nats": _estimate_linear_gain(after, problem)}
     worth = {"ess": gain.effective_sample_size, "draws": len(after.known.thetas), "failed_solves": failed}

@@ -146,7 +146,7 @@ def _needle_values(one: Reconstruction) -> Row:
     return {
         "depth_mm": one.depth,
         "depth_sd_mm": one.depth_sd,
-        "deflection_mm": one.local[-1, 1],
+        "deflection_mm": one.scan.side * one.local[-1, 1],
         "tip_along_sd_mm": along_sd,
         "tip_across_sd_mm": across_sd,
         "bevel_probability": one.needle_axis.bevel_probability,
