@@ -260,6 +260,11 @@ def test_a_refused_input_is_announced_and_nothing_moves(page) -> None:
     angle.press("Control+z")
     until(page, "state => state.base.input_slope === 0")
     page.locator("#refusal strong").wait_for(state="hidden")
+    enter(angle, "-1e9")
+    page.locator("#refusal strong").wait_for()
+    page.click("#reset")
+    until(page, "state => state.depth_mm === 0")
+    page.locator("#refusal strong").wait_for(state="hidden")
 
 
 @pytest.mark.sweep

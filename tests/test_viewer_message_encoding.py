@@ -5,6 +5,7 @@ import pytest
 
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.interaction.inputs import Change
+from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.serving.messages import state_message
 from needlefit.viewer.serving.trials import InteractiveTrial
 from needlefit.viewer.viewed_scene import ViewedScene
@@ -29,6 +30,7 @@ def encode(tmp_path):
             }
         )
         trial = InteractiveTrial("a", ViewedScene("even", "even", "", record, 1.0), tmp_path / "log.csv")
+        trial.steering = SteeredNeedle(trial.scene, 1.0)  # beyond the limits, too
         for step in steps:
             changes = [(name.split("@"), value) for name, value in step.items()]
             trial.act([Change(name, int(*item) if item else None, value) for (name, *item), value in changes])

@@ -105,6 +105,38 @@ def visit(test):
 
 
 @visit
+async def test_the_base_stops_before_the_first_guide(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        await page.say("change", set=[["guide_x_mm", 1, -100.0], ["guide_y_mm", 1, 0.0]])
+        stopped = await page.say("change", insert_mm=500)
+        assert stopped["depth_mm"] == pytest.approx(150 - 100 - 5) and stopped["base"]["x"] == pytest.approx(
+            -105
+        )
+        before = await page.say("change", set=[["guide_x_mm", 1, -103.0]])
+        assert page.refused and before["guides"][0]["x"] == -100
+
+
+@visit
+async def test_a_needle_that_leaves_the_validity_stays_as_it_was(tmp_path) -> None:
+    """Two guides hold it; a base moved aside just before them would bend it beyond small slopes."""
+    async with house(tmp_path) as server:
+        page = await server.page()
+        guides = [
+            ["guide_x_mm", 1, -40.0],
+            ["guide_y_mm", 1, 0.0],
+            ["guide_x_mm", 2, -30.0],
+            ["guide_y_mm", 2, 0.0],
+        ]
+        before = await page.say("change", insert_mm=100, set=[["bevel_offset_mm", None, 0.0], *guides])
+        after = await page.say("change", set=[["base_y_mm", None, 5.0]])
+        assert "slope" in page.refused and "limit 0.3" in page.refused
+        assert after["step"] == before["step"] and after["y"] == before["y"]
+        again = await page.say("change", set=[["base_y_mm", None, 0.1]])
+        assert again["step"] == before["step"] + 1 and again["faults"] == []
+
+
+@visit
 async def test_a_window_steers_its_needle(tmp_path) -> None:
     async with house(tmp_path) as server:
         page = await server.page()
@@ -112,12 +144,12 @@ async def test_a_window_steers_its_needle(tmp_path) -> None:
         state = await page.say("change", insert_mm=30, set=[["base_y_mm", None, 0.5]])
         assert (state["depth_mm"], state["base"]["y"], state["step"]) == (30, 0.5, 1)
         assert len(state["x"]) == len(state["y"]) > 50
-        state = await page.say("change", set=[["bevel_side", None, -1]], insert_mm=500)
-        assert state["bevel"]["side"] == -1 and 149 < state["depth_mm"] < 150
+        state = await page.say("change", set=[["bevel_side", None, -1]], insert_mm=30)
+        assert state["bevel"]["side"] == -1 and state["depth_mm"] == 60
         assert (await page.say("undo"))["depth_mm"] == 30
-        assert (await page.say("redo"))["depth_mm"] > 149
+        assert (await page.say("redo"))["depth_mm"] == 60
         assert (await page.say("reset"))["depth_mm"] == 0
-        assert (await page.say("undo"))["depth_mm"] > 149
+        assert (await page.say("undo"))["depth_mm"] == 60
         assert (await page.say("undo"))["redo"]
         assert not (await page.say("change", insert_mm=1))["redo"]  # another way was taken
 

@@ -176,12 +176,18 @@ class Session:
             controls = replace(controls, tip=tip)
         return self.go(Step(0.0 if abs(depth) < SAME_DEPTH_MM else depth, bevel or self.last.bevel, controls))
 
-    def go(self, step: Step) -> NeedleShape:
-        """Move the tip to the depth of `step` under its inputs; returns and raises as `Session.step`."""
+    def go(self, step: Step, *, valid_only: bool = False) -> NeedleShape:
+        """Move the tip to the depth of `step` under its inputs; returns and raises as `Session.step`.
+
+        Parameters
+        ----------
+        valid_only : bool
+            Whether a needle within the model's validity stays as it was where the step leads outside.
+        """
         check_reach(self.needle.length, step.depth, step.controls)
         if step.depth > self._deepest:  # a single step is too large if it is too deep, and only then
             check_size((step.depth,), self.rules)
-        return self._go(step)
+        return self._go(step, valid_only)
 
     def copy(self) -> Self:
         """Return an independent second needle in the same state."""
@@ -259,7 +265,7 @@ class Session:
         self._shape = make_shape(shape, points, iterations, self._find_scales(self.last.depth))
         return True
 
-    def _go(self, step: Step) -> NeedleShape:
+    def _go(self, step: Step, valid_only: bool = False) -> NeedleShape:
         move = Move(step.depth, self._bevels.of(step.bevel), self._controls.of(step.controls))
         position, stops = plan_move(self._position, move, self.lattice)
         self.solved += len(stops)
@@ -275,6 +281,9 @@ class Session:
                 self.failures[shape.status] += 1
                 return shape
             shape = make_shape(nodes, points, iterations, self._find_scales(stops[-1].tip))
+            if valid_only and self._shape.valid and not shape.valid:
+                kernel.return_needle(self._run, len(stops))
+                return shape
         self._position, self.last, self._shape = position, step, shape
         if self._bevels.full or self._controls.full:
             rays = list_rays(position)

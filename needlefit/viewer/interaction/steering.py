@@ -8,15 +8,19 @@ from time import perf_counter
 import numpy as np
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Step
+from needlefit.mechanics.control import Controls, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.session import NeedleState, Session
+from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.viewer.interaction.inputs import PARAMETERS, Change, apply_changes
 
 TRIAL_SECONDS, TRIALS = 0.008, 3
 """Duration of a trial, s, and number of trials; the fastest counts, since other programs can only slow a
 trial down."""
+
+BASE_CLEARANCE_MM = 5.0
+"""The base stops so far before the first guide, mm: a span of less than about four diameters is no beam."""
 
 
 def measure_step_rate(session: Session, depth: float) -> float:
@@ -51,6 +55,8 @@ class SteeredNeedle:
         Its needle, tissue and entry, and what holds the needle as its first step begins.
     first_cell : float
         Depth of the first constraint point, mm.
+    valid_only : bool
+        Whether a step that leads outside the model's validity is refused.
 
     Attributes
     ----------
@@ -62,7 +68,8 @@ class SteeredNeedle:
         Steps that were refused, as no needle was found.
     """
 
-    def __init__(self, scene: Scene, first_cell: float) -> None:
+    def __init__(self, scene: Scene, first_cell: float, *, valid_only: bool = False) -> None:
+        self._valid_only = valid_only
         self.names = list_guide_names(scene)
         self.scene = replace(scene, steps=tuple(_with_guide_names(step) for step in scene.steps))
         self.number, self.solved, self.failed = 0, 0, 0
@@ -90,9 +97,13 @@ class SteeredNeedle:
 
     def reach(self) -> float:
         """Return the greatest depth possible now, mm: the base is then just before guides or tissue."""
-        before = self.now.step.controls.before
+        return self._reach_under(self.now.step.controls)
+
+    def _reach_under(self, controls: Controls) -> float:
+        """Return the greatest depth possible under these controls, mm."""
+        before = controls.before
         # 1e-6 mm less: the base must stay before guides and tissue.
-        return self.scene.needle.length + (before[0].x if before else 0.0) - 1e-6
+        return self.scene.needle.length + (before[0].x - BASE_CLEARANCE_MM if before else 0.0) - 1e-6
 
     def apply(self, changes: Sequence[Change]) -> NeedleState:
         """Carry out one step: all changes at once.
@@ -135,7 +146,9 @@ class SteeredNeedle:
         moved = [change for change in changes if change.name not in PARAMETERS]
         step = apply_changes(session.last, moved, self.names, float(session.now.shape.u[-1]))
         if step != session.last:
-            shape = session.go(step)
+            if self._valid_only:
+                self._require_clearance(step)
+            shape = session.go(step, valid_only=self._valid_only)
             if not shape.converged:
                 self.failed += 1
                 raise ModelError(
@@ -143,6 +156,7 @@ class SteeredNeedle:
                     expected="a load that tissue and needle can bear",
                     fix="move less at a time",
                 )
+            self._require_valid(shape)
         self.solved += session.solved - before
         return session
 
@@ -161,7 +175,28 @@ class SteeredNeedle:
                 expected="a load that tissue and needle can bear",
                 fix="change them less, or retract the needle first",
             )
+        self._require_valid(session.now.shape)
         return session
+
+    def _require_clearance(self, step: Step) -> None:
+        """Raise ModelError where the base would come closer to the first guide than `BASE_CLEARANCE_MM`."""
+        if step.controls.before and step.depth > self._reach_under(step.controls) + 1e-6:
+            gap = step.controls.before[0].x + self.scene.needle.length - step.depth
+            raise ModelError(
+                f"the base would stand {gap:.2f} mm before the first guide",
+                expected=f"at least {BASE_CLEARANCE_MM:g} mm: the base stops at the guide",
+                fix="retract the needle, or move the guide toward the tissue",
+            )
+
+    def _require_valid(self, shape: NeedleShape) -> None:
+        """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""
+        if self._valid_only and not shape.valid and self.now.shape.valid:
+            self.failed += 1
+            raise ModelError(
+                f"the needle would be outside the model's validity: {'; '.join(shape.validity.faults)}",
+                expected="a needle within the limits of small deflections",
+                fix="move less, or bring base, guides and tip nearer to the needle's own shape",
+            )
 
 
 def _check_together(changes: Sequence[Change]) -> None:

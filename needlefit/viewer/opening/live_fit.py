@@ -135,12 +135,33 @@ def draw_about(mode: LiveMode, insertion: Insertion, seed: int) -> LiveDraws:
 
 
 def move_points(original: ShownInsertion, offsets: Sequence[float]) -> ShownInsertion:
-    """Return an insertion whose points are moved along y by so many mm at `KNOTS` places, linear between."""
-    planar = original.insertion.planar
-    s = arc_length(planar)
-    across = np.interp(s / s[-1], np.linspace(0, 1, KNOTS), offsets)
-    moved = original.insertion.with_planar(planar + np.column_stack([np.zeros(len(planar)), across]))
+    """Return an insertion moved along y by so many mm at `KNOTS` places, linear between.
+
+    Cross-sections move with the centreline, so that the fit keeps its likelihood, and the shaft outside with
+    the entry. Without an offset it is the insertion as measured.
+    """
+    if not any(offsets):
+        return original
+    one, knots = original.insertion, np.linspace(0, 1, KNOTS)
+    s = arc_length(one.planar)
+    planar, centerline = (
+        _shift(points, np.interp(s / s[-1], knots, offsets))
+        for points in (one.planar, one.frame.to_local(one.centerline))
+    )
+    sections = one.sections
+    if sections is not None:
+        local = _shift(
+            one.frame.to_local(sections.points), np.interp(sections.s / sections.s[-1], knots, offsets)
+        )
+        sections = replace(sections, points=one.frame.to_world(local))
+    moved = replace(one, planar=planar, centerline=one.frame.to_world(centerline), sections=sections)
     return replace(original, insertion=moved)
+
+
+def _shift(points: Floats, across: Floats) -> Floats:
+    moved = points.copy()
+    moved[:, 1] += across
+    return moved
 
 
 def show_moved(viewed_scene: ViewedScene, moved: ShownInsertion) -> ViewedScene:

@@ -10,6 +10,7 @@ import { now } from "./store.js";
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
 const STEP = { base_mm: 0.1, turn_deg: 0.1 };
 const CLEAR = 2; // mm that a new guide keeps from its neighbours
+const BASE_CLEAR = 5; // mm from the base, which stops so far before a guide
 const REACH = 0.6; // of the needle's length: a new guide stands nearer than that, to let the needle go in
 
 let lastNudge = { what: null, at: -Infinity, gesture: 0 };
@@ -93,7 +94,7 @@ function freeNumber() {
 /** A place before the skin, halfway in the widest gap that guides leave. */
 function freePlace() {
   const taken = now.state.guides.map(({ x }) => x).filter((x) => x < 0);
-  const first = Math.max(now.state.base.x, -REACH * now.scene.length_mm) + CLEAR;
+  const first = Math.max(now.state.base.x + BASE_CLEAR, CLEAR - REACH * now.scene.length_mm);
   const edges = [first, ...taken, -CLEAR].sort((one, other) => one - other);
   const gaps = edges.slice(1).map((edge, i) => [edge - edges[i], (edge + edges[i]) / 2]);
   return Math.round(gaps.reduce((widest, gap) => (gap[0] > widest[0] ? gap : widest))[1] * 10) / 10;

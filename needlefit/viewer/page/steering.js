@@ -1,7 +1,7 @@
 /** Inputs on their way to the server: the newest one counts, and at most one change is in flight. */
 
 import { send } from "./connection.js";
-import { listen, now, publish } from "./store.js";
+import { listen, now } from "./store.js";
 
 const SHORTEST = 4; // ms between two changes: a fast mouse must not flood the line
 
@@ -114,10 +114,7 @@ function forget() {
   asked.clear();
 }
 
-listen("state", (state) => {
-  if (flight !== null && state.answers >= flight) publish("accepted"); // a refused one was heard of before
-  heard(state);
-});
+listen("state", heard);
 listen("refused", heard);
 listen("line", forget);
 addEventListener("blur", letGo);

@@ -133,7 +133,7 @@ class InteractiveTrial:
     ) -> None:
         self.name, self.viewed_scene, self.source = name, viewed_scene, source
         self.scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
-        self.steering = SteeredNeedle(self.scene, viewed_scene.first_cell)
+        self.steering = SteeredNeedle(self.scene, viewed_scene.first_cell, valid_only=True)
         scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
         head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
         self.recorder = RecordingWriter(path, head)
