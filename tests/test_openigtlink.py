@@ -349,12 +349,12 @@ async def test_the_page_shows_the_tracked_needle(tmp_path) -> None:
         while "base" not in status["devices"]:
             status = await page.hear("tracking")
         assert status["frozen"] == "" and status["research_use"]
-        writer.write(pack("Base", transform((-60.0, 0.5))))
+        writer.write(pack("Base", transform((-90.0, 0.5))))
         await until(lambda: "jumped" in server.tracked.find_frozen(time.time()))
         assert (await page.say("frame"))["depth_mm"] == pytest.approx(25.0, abs=1e-3)
         await page.say("release_tracker")
-        writer.write(pack("Base", transform((-60.0, 0.5))))
-        await until(lambda: server.depth == pytest.approx(90.0, abs=1e-3))
+        writer.write(pack("Base", transform((-90.0, 0.5))))
+        await until(lambda: server.depth == pytest.approx(60.0, abs=1e-3))
         await page.say("forget_estimate")
         writer.close()
 
