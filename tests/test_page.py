@@ -1,5 +1,7 @@
 """The page in a real browser, steered by pointer, keys and touch."""
 
+import base64
+import io
 import re
 import shutil
 import signal
@@ -9,6 +11,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pytest
 from test_datasets_markups import markup, point, save
@@ -497,6 +500,26 @@ def test_an_export_is_a_file(page) -> None:
 
 
 @pytest.mark.sweep
+def test_the_saved_picture_is_the_one_shown(page) -> None:
+    go_to(page, 20)
+    settle(page)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="picture, PNG").click()
+    saved = matplotlib.image.imread(download.value.path())
+    behind, before = (
+        matplotlib.image.imread(io.BytesIO(base64.b64decode(data.partition(",")[2])))
+        for data in page.evaluate(
+            "['background', 'canvas'].map((id) => document.getElementById(id).toDataURL())"
+        )
+    )
+    assert saved.shape == behind.shape
+    share = before[..., 3:]
+    np.testing.assert_allclose(
+        saved[..., :3], before[..., :3] * share + behind[..., :3] * (1 - share), atol=0.02
+    )
+
+
+@pytest.mark.sweep
 def test_a_new_page_shows_an_insertion_and_keeps_its_tip_in_sight(server, chromium) -> None:
     with opened(chromium, server, reduced_motion="no-preference") as window:
         page = window
@@ -860,7 +883,9 @@ def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None
     page.click("#goto-scene")
     before = until(page, "state => state.errors?.whole")["errors"]["ipe_mean_mm"]
     page.click("#fit-now")
+    page.locator("#fit[aria-busy]").wait_for()
     page.locator("#ridge").wait_for(state="visible", timeout=60_000)
+    page.locator("#fit:not([aria-busy])").wait_for()
     fitted = until(page, f"state => state.errors?.whole && state.errors.ipe_mean_mm < {before}")["errors"]
     assert fitted["te_mm"] < 0.3
     assert "fitted on this page" in page.inner_text("#note") and page.inner_text("#by-hand") == ""
@@ -882,3 +907,18 @@ def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None
     page.mouse.up()
     until(page, f"state => state.bevel.offset_mm !== {b}", 30)
     assert page.evaluate("import('/page/measured_points.js').then(({ points }) => points.offsets[3])") > 0
+    page.locator("#fit-note", has_text="times the stated errors").wait_for()
+    page.click("#fit-back")
+    until(page, f"state => Math.abs(state.bevel.offset_mm / {b} - 1) < 1e-3", 30)
+
+
+@pytest.mark.sweep
+def test_reset_and_the_game_keep_the_fitted_parameters(page) -> None:
+    page.click("#fit-now")
+    page.locator("#ridge").wait_for(state="visible", timeout=60_000)
+    fitted = page.evaluate("window.needlefit.state.layers.map((one) => one.mu_pa)")
+    for button in ("#reset", "#challenge"):
+        go_to(page, 10)
+        page.click(button)
+        state = until(page, "state => state.depth_mm === 0")
+        assert [one["mu_pa"] for one in state["layers"]] == fitted

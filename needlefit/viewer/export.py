@@ -82,8 +82,6 @@ def recording_duration(recording: Recording) -> float:
 EXPORT_TYPES = {
     "shape.csv": "text/csv",
     "shape.mrk.json": "application/json",
-    "picture.svg": "image/svg+xml",
-    "picture.png": "image/png",
     "animation.gif": "image/gif",
     "share.html": "text/html",
     "inputs.csv": "text/csv",
@@ -149,8 +147,6 @@ def write_share(outcome: RecordingOutcome, path: Path) -> None:
 _WRITERS: dict[str, Callable[[RecordingOutcome, Path], None]] = {
     "shape.csv": write_table,
     "shape.mrk.json": write_curve,
-    "picture.svg": write_picture,
-    "picture.png": write_picture,
     "animation.gif": write_animation,
     "share.html": write_share,
 }

@@ -48,14 +48,27 @@ KNOTS = 6
 MU_BOUNDS_PA, BEVEL_BOUNDS_MM = (1e3, 1e9), (1e-3, 0.5)
 """Bounds of the parameters of a medium that is not described."""
 
+BOUND_TOLERANCE = 1e-3
+"""A parameter this near to a bound, in theta, ends there."""
+
 
 @dataclass(frozen=True)
 class LiveMode:
-    """The fitted values (Pa, mm) of all parameters, and how long they took, s."""
+    """The fitted values (Pa, mm) of all parameters, and how long they took, s.
+
+    Attributes
+    ----------
+    misfit : float
+        Root mean square of the residuals in their standard deviations; about 1 where the model is right.
+    at_bounds : tuple of str
+        Parameters that end at a bound.
+    """
 
     problem: Problem
     minimum: LocalMinimum
     values: Mapping[str, float]
+    misfit: float
+    at_bounds: tuple[str, ...]
     seconds: float
 
 
@@ -110,7 +123,17 @@ def find_mode(shown: ShownInsertion, insertions: Sequence[Insertion]) -> LiveMod
             expected="parameters with which every needle has a solution",
             fix="change them by hand, then fit again",
         )
-    return LiveMode(problem, found, problem.values(found.theta), perf_counter() - began)
+    values, theta = problem.values(found.theta), found.theta
+    count = sum(problem.density.residual_counts)
+    misfit = float(np.sqrt(np.mean(problem.density.residuals(values)[:count] ** 2)))
+    at_bounds = tuple(
+        name
+        for name, one, low, high in zip(
+            problem.parameters.free, theta, problem.lower, problem.upper, strict=True
+        )
+        if min(one - low, high - one) < BOUND_TOLERANCE
+    )
+    return LiveMode(problem, found, values, misfit, at_bounds, perf_counter() - began)
 
 
 def draw_about(mode: LiveMode, insertion: Insertion, seed: int) -> LiveDraws:

@@ -1,11 +1,11 @@
-/** What can be saved: asked of the server, kept by the browser. */
+/** What can be saved: files of the server, and the picture as it is shown. */
 
 import { needle, token } from "./connection.js";
 import { listen, now } from "./store.js";
 
 const FILES = {
   "inputs.csv": "inputs, CSV", "shape.csv": "shape, CSV", "shape.mrk.json": "shape, Slicer markups",
-  "picture.svg": "picture, SVG", "picture.png": "picture, PNG", "animation.gif": "animation, GIF",
+  "picture.png": "picture, PNG", "animation.gif": "animation, GIF",
   "share.html": "share, one HTML file",
 };
 const group = document.getElementById("exports");
@@ -29,7 +29,17 @@ async function save(file, button) {
   }
 }
 
+/** The picture as it is shown, with its band and whatever else is drawn. */
+async function picture() {
+  const [background, foreground] = ["background", "canvas"].map((id) => document.getElementById(id));
+  const both = Object.assign(document.createElement("canvas"), { width: background.width, height: background.height });
+  const context = both.getContext("2d");
+  for (const part of [background, foreground]) context.drawImage(part, 0, 0);
+  return { blob: await new Promise((done) => both.toBlob(done, "image/png")), name: `${stem()}.picture.png` };
+}
+
 async function ask(file) {
+  if (file === "picture.png") return picture();
   const answer = await fetch(`/export/${file}`, {
     method: "POST",
     headers: { Authorization: `Bearer ${token()}`, "Content-Type": "application/json" },

@@ -11,27 +11,57 @@ import { points } from "./measured_points.js";
 
 const SCOPES = { insertion: "this needle", specimen: "its specimen", dataset: "all of its medium" };
 const PAD = 34; // px of the ridge's axes
+const MISFIT = 2; // rms residual, in stated errors, above which a fit is doubted
 const part = (id) => document.getElementById(id);
 let ridge = null;
 let mode = null;
+let asked = null; // id of the fit asked for last
 
-const ask = () => command({ do: "fit", scope: part("fit-scope").value });
+const ask = () => begin({ do: "fit", scope: part("fit-scope").value });
 
 /** Send where the points are now; the server fits to them. */
-points.send = () => command({ do: "points", scope: part("fit-scope").value, offsets: points.offsets });
+points.send = () => begin({ do: "points", scope: part("fit-scope").value, offsets: points.offsets });
+
+/** Ask for a fit; what was found before is not the answer any more. */
+function begin(message) {
+  asked = command(message);
+  if (asked === null) return;
+  part("fit").setAttribute("aria-busy", "true");
+  part("fit-note").textContent = "Fitting …";
+  forgetRidge();
+}
+
+function forgetRidge() {
+  ridge = null;
+  part("ridge").hidden = true;
+  part("ridge-note").textContent = "";
+}
+
+/** A fit that failed, or was refused, leaves no result. */
+function end(words = "") {
+  part("fit").removeAttribute("aria-busy");
+  part("fit-note").textContent = words;
+}
 
 /** The parameters of the fit become inputs like those of a hand, so that a recording holds them. */
 function takeMode(message) {
-  if (message.fault) return publish("notice", message.fault);
+  if (message.fault) {
+    end("The fit failed.");
+    return publish("notice", message.fault);
+  }
   mode = message;
   const { throughout } = strengthOf(now.state.bevel);
   const layers = message.layers.flatMap(([mu, alpha], i) => [["mu_pa", i + 1, mu], ["alpha", i + 1, alpha]]);
   change([...layers, [throughout, null, message.offset_mm]]);
   const needles = message.insertions === 1 ? "1 needle" : `${message.insertions} needles`;
   part("fit-note").textContent = `Fitted to ${needles} in ${message.seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `
-    + `first layer μ ${brief(message.layers[0][0] * 1e-6, 3)} MPa. Drawing …`;
-  part("ridge").classList.add("stale"); // of the fit before
-  part("ridge-note").textContent = "";
+    + `first layer μ ${brief(message.layers[0][0] * 1e-6, 3)} MPa.${describeDoubts(message)} Drawing …`;
+}
+
+/** What a reader must know before these values are used. */
+function describeDoubts({ misfit, at_bounds: bounds }) {
+  const far = misfit > MISFIT ? ` The residuals are ${misfit.toFixed(1)} times the stated errors: the model does not describe these points.` : "";
+  return bounds.length ? `${far} At its bound: ${bounds.join(", ")}.` : far;
 }
 
 function takeRidge(message) {
@@ -41,10 +71,9 @@ function takeRidge(message) {
   const sure = message.certified ? "" : " The weights of these draws cannot be relied on.";
   const words = `95 % of draws: first layer μ ${low} to ${high} MPa, b ${less} to ${more} mm; correlation of their logarithms `
     + `${message.correlation.toFixed(2)}.${sure}`;
-  part("fit-note").textContent = part("fit-note").textContent.replace(" Drawing …", "");
+  end(part("fit-note").textContent.replace(" Drawing …", ""));
   part("ridge-note").textContent = words;
   part("ridge").hidden = false;
-  part("ridge").classList.remove("stale");
   drawRidge();
   say(words);
 }
@@ -92,13 +121,14 @@ part("fit-drag").addEventListener("click", ({ currentTarget }) => {
 part("fit-back").addEventListener("click", () => points.reset());
 part("fit-scope").addEventListener("change", () => mode && ask());
 listen("fit", takeMode);
+listen("refused", ({ answers }) => answers === asked && end());
 listen("ridge", takeRidge);
 listen("scene", ({ fit }) => {
   part("fit").hidden = !fit;
-  ridge = mode = null;
+  mode = null;
   points.begin();
-  part("ridge").hidden = true;
-  for (const id of ["fit-note", "ridge-note"]) part(id).textContent = "";
+  forgetRidge();
+  end();
   part("fit-drag").setAttribute("aria-pressed", "false");
   if (!fit) return;
   const scopes = Object.keys(SCOPES).filter((one) => one === "insertion" || fit[one] > 1);

@@ -3,7 +3,8 @@
 import asyncio
 import json
 import secrets
-from collections.abc import Mapping
+import traceback
+from collections.abc import Coroutine, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from time import monotonic, time
@@ -163,9 +164,10 @@ class Connections:
             return socket
         window = Window(self.trials, self.trials.open(hello.text("needle")))
         await self._take(window.trial, socket)
-        sending = [asyncio.create_task(one(window, socket)) for one in (_send_bands, _send_plans, _send_fits)]
+        work = [_send_bands(window, socket), _send_plans(window, socket), _send_fits(window, socket)]
         if self.tracked is not None:
-            sending.append(asyncio.create_task(_send_tracking(window, socket, self.tracked)))
+            work.append(_send_tracking(window, socket, self.tracked))
+        sending = [asyncio.create_task(_close_if_failed(one, socket)) for one in work]
         try:
             async with window.trial.lock:
                 replies = list(window.answer(hello))
@@ -247,6 +249,15 @@ async def _send(socket: web.WebSocketResponse, replies: list[Reply]) -> None:
             await socket.send_str(json.dumps(reply, allow_nan=False, separators=(",", ":")))
         except ConnectionError:
             return  # it has gone; whatever it did is recorded
+
+
+async def _close_if_failed(work: Coroutine[Any, Any, None], socket: web.WebSocketResponse) -> None:
+    """Do what goes on beside a conversation; if it fails, close the window's socket: the page begins anew."""
+    try:
+        await work
+    except Exception:
+        traceback.print_exc()
+        await socket.close(code=WSCloseCode.INTERNAL_ERROR, message=b"the program failed; see its terminal")
 
 
 async def _send_bands(window: Window, socket: web.WebSocketResponse) -> None:

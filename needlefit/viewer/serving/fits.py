@@ -59,6 +59,8 @@ def mode_message(mode: LiveMode, shown: ShownInsertion) -> dict[str, Any]:
         "layers": layers,
         "offset_mm": mode.values["bevel_mm"],
         "insertions": len(mode.problem.insertions),
+        "misfit": round(mode.misfit, 3),
+        "at_bounds": list(mode.at_bounds),
         "seconds": round(mode.seconds, 3),
     }
 

@@ -14,7 +14,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.studies.kinds.plan.schema import ObstacleRecord
 from needlefit.studies.kinds.plan.search import Goal
 from needlefit.studies.kinds.plan.steering import SteeringPlan
-from needlefit.viewer.interaction.inputs import Change, find_tissue_changes
+from needlefit.viewer.interaction.inputs import Change, find_changes, find_tissue_changes
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.opening.live_fit import FitScope
 from needlefit.viewer.opening.plan import list_changes, shift_entry
@@ -202,8 +202,18 @@ class InteractiveTrial:
         self._go(self._future, self._past)
 
     def reset(self) -> None:
-        """Return to first contact; this can be undone."""
+        """Return to first contact with the present parameters of the model; this can be undone.
+
+        A band and a planner with draws of a fit keep them, and so must the needle.
+        """
+        before = self.steering.now
         self.act((Change("return_to", None, 0.0),))
+        now = self.steering.now
+        bevel = replace(before.step.bevel, side=now.step.bevel.side)
+        changes = find_changes(replace(now.step, bevel=bevel), now.step, self.steering.names)
+        changes = (*find_tissue_changes(before.tissue, now.tissue), *changes)
+        if changes:
+            self._step(changes)
 
     def pin(self) -> None:
         """Store the present state, for a replay that returns to it."""
