@@ -150,7 +150,9 @@ def test_an_interrupted_cohort_resumes_to_the_same_bytes(project, monkeypatch):
     monkeypatch.setattr(columnar, "MIN_GROUP_ROWS", 1)
     study, kept = cohort("specimens/*"), project / "cohort.partial"
     whole = run("cohort", study, Settings())
-    groups = {name: parquet.read_metadata(file).num_row_groups for name, file in whole.frames.files.items()}
+    groups = {
+        name: parquet.read_metadata(file.path).num_row_groups for name, file in whole.frames.files.items()
+    }
     assert groups == {"fits": 3, "errors": 3, "failures": 1}  # of a, d and e; of b
     first = run("cohort", study, Settings(checkpoint=kept, stop=lambda: len(list(kept.glob("*.jsonl"))) >= 2))
     assert first.interrupted and first.frames["fits"]["dataset"].unique().tolist() == ["specimens/a"]

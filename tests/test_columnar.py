@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 from needlefit.errors import ConfigError, DataError
+from needlefit.project.files import sha256
 from needlefit.reporting.table_files import write_csv, write_csv_pieces
-from needlefit.studies import columnar
+from needlefit.studies import columnar, parquet_reader
 from needlefit.studies.columnar import (
     ColumnarFrames,
     iterate_pieces,
@@ -48,9 +49,13 @@ def in_memory():
 def test_row_groups_hold_whole_parts_that_have_rows(monkeypatch, least, groups):
     monkeypatch.setattr(columnar, "MIN_GROUP_ROWS", least)
     frames = make_frames()
-    stored = parquet.ParquetFile(frames.files["fits"]).metadata
+    stored = parquet.ParquetFile(frames.files["fits"].path).metadata
     assert [stored.row_group(n).num_rows for n in range(stored.num_row_groups)] == groups
-    assert [len(piece) for piece in iterate_pieces(frames, "fits")] == groups
+    for size in (1, 1000):
+        monkeypatch.setattr(parquet_reader, "MAX_PIECE_ROWS", size)
+        pieces = [len(piece) for piece in iterate_pieces(frames, "fits")]
+        assert pieces == (groups if size == 1 else [5])
+        assert list(frames["fits"]["dataset"]) == ["a", "a", "c", "c", "c"]
 
 
 def test_a_frame_of_a_file_is_that_in_memory():
@@ -106,9 +111,23 @@ def test_stored_files_are_opened_by_their_digests(tmp_path, monkeypatch):
     with pytest.raises(ConfigError):
         open_files(tmp_path, digests)
     monkeypatch.undo()
-    monkeypatch.setattr(columnar, "MAX_ROWS", 4)
-    with pytest.raises(DataError, match="4"):
-        open_files(tmp_path, digests)
     (tmp_path / "fits.parquet").write_bytes(b"PAR1")
     with pytest.raises(DataError, match=re.escape("fits.parquet")):
         open_files(tmp_path, digests)
+
+
+def test_a_damaged_page_is_an_error_that_names_the_file(tmp_path):
+    """Its digest is right, as that of a file made to be opened here: the page is read in a sandbox."""
+    store_files(make_frames(), tmp_path)
+    path = tmp_path / "fits.parquet"
+    whole = path.read_bytes()
+    refused = 0
+    for begin in range(4, len(whole) - 8, len(whole) // 12):
+        path.write_bytes(whole[:begin] + bytes(24) + whole[begin + 24 :])
+        frames = ColumnarFrames(open_files(tmp_path, {"fits": sha256(path)}))
+        try:
+            assert len(frames["fits"]) <= 5
+        except DataError as error:
+            assert error.where == str(path)
+            refused += 1
+    assert refused >= 6

@@ -59,7 +59,7 @@ def test_failures_are_counted_by_reason() -> None:
 
 
 def test_a_needle_that_fails_at_once_stays_at_the_entry() -> None:
-    tissue = Tissue(mu=[1e308], alpha=[1.0])
+    tissue = Tissue(mu=[1.0], alpha=[1e15])
     under_way = Session(NEEDLE, tissue, LEFT)
     assert under_way.step(3.0).status == "non-finite"
     assert under_way.depth == 0.0 and under_way.step().converged

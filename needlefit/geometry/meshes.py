@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import Surface, make_mesh
@@ -40,7 +40,7 @@ def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> "
     """
     axis = np.asarray(points, dtype=np.float64)
     count = len(axis)
-    if count < 2 or not np.isfinite(axis).all():
+    if count < 2 or not are_bounded(axis):
         raise DataError(f"a tube along {count} points", expected="two finite points or more")
     first, second = _find_cross_sections(axis, toward)
     widths = np.broadcast_to(np.asarray(half_widths, dtype=np.float64), (count, 2))

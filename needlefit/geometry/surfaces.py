@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from needlefit.arrays import are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import Frame, PatientSystem, apply_affine, normalize
@@ -311,8 +312,8 @@ def find_mesh_faults(mesh: "trimesh.Trimesh", kind: SurfaceKind) -> list[str]:
     """Return why `mesh` cannot be a boundary: a "solid" must be closed, a "sheet" without holes."""
     if len(mesh.faces) == 0:
         return ["holds no triangles"]
-    if not np.isfinite(mesh.vertices).all():
-        return ["has coordinates that are not finite"]
+    if not are_bounded(mesh.vertices):
+        return ["has coordinates that are not finite, or too large"]
     edges, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
     faults = []
     if (counts > 2).any():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.sandbox import MEMORY_VARIABLE, stated_memory_bytes
@@ -115,9 +115,9 @@ def check_size(size: tuple[int, int, int], where: str) -> None:
 
 
 def _check_numbers(grid: VoxelGrid, where: str) -> None:
-    if not all(np.isfinite(array).all() for array in (grid.origin, grid.spacing, grid.direction)):
+    if not all(map(are_bounded, (grid.origin, grid.spacing, grid.direction))):
         raise DataError(
-            "its origin, spacing or axes are not finite numbers",
+            "its origin, spacing or axes are not finite, or too large",
             where=where,
             expected="positions of voxels in mm",
             fix="export the volume again",

@@ -7,7 +7,7 @@ from typing import Self
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.kernel.grid import LINEAR_CUT
-from needlefit.mechanics.needle import is_finite
+from needlefit.mechanics.needle import is_bounded
 from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,
     MAX_GUIDES,
@@ -35,7 +35,7 @@ class Bevel:
     cut_angle: float = 0.0
 
     def __post_init__(self) -> None:
-        if not is_finite(self.offset, self.cut_angle) or self.side not in (1, -1):
+        if not is_bounded(self.offset, self.cut_angle) or self.side not in (1, -1):
             raise ModelError(
                 f"bevel has offset {self.offset} mm, angle {self.cut_angle} rad, side {self.side}",
                 expected="offset and angle that are finite numbers, side +1 or -1",
@@ -70,7 +70,7 @@ class Guide:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        if not is_finite(self.x, self.y, self.slope or 0.0):
+        if not is_bounded(self.x, self.y, self.slope or 0.0):
             raise ModelError(
                 f"guide stands at ({self.x}, {self.y}) mm, slope {self.slope}", expected="finite numbers"
             )
@@ -90,7 +90,7 @@ class TrackedTip:
     slope: float | None = None
 
     def __post_init__(self) -> None:
-        if not is_finite(self.y, self.slope or 0.0):
+        if not is_bounded(self.y, self.slope or 0.0):
             raise ModelError(f"tracked tip is at {self.y} mm, slope {self.slope}", expected="finite numbers")
 
 
@@ -114,7 +114,7 @@ class Controls:
     tip: TrackedTip | None = None
 
     def __post_init__(self) -> None:
-        if not is_finite(self.base_y, self.base_slope, self.stage_slope):
+        if not is_bounded(self.base_y, self.base_slope, self.stage_slope):
             raise ModelError(
                 f"base is at {self.base_y} mm, slope {self.base_slope}, on a stage of slope "
                 f"{self.stage_slope}",
@@ -157,7 +157,7 @@ class Step:
     controls: Controls = Controls()
 
     def __post_init__(self) -> None:
-        if not (is_finite(self.depth) and self.depth >= 0):
+        if not (is_bounded(self.depth) and self.depth >= 0):
             raise ModelError(f"depth is {self.depth} mm", expected="a finite number, not negative")
         if self.depth > MAX_NEEDLE_LENGTH_MM:
             raise ModelError(f"depth is {self.depth:g} mm", expected=f"at most {MAX_NEEDLE_LENGTH_MM:g} mm")
@@ -213,7 +213,7 @@ class ModelOptions:
             raise ModelError(
                 f"max_iterations is {self.max_iterations}", expected=f"from 1 to {MAX_ITERATIONS}"
             )
-        if not is_finite(self.spacing, self.element):
+        if not is_bounded(self.spacing, self.element):
             raise ModelError(
                 f"constraint spacing is {self.spacing} mm, element size {self.element} mm",
                 expected="finite numbers",

@@ -1,18 +1,18 @@
-"""The needle as an inextensible Euler-Bernoulli beam, and a check for finite parameters."""
+"""The needle as an inextensible Euler-Bernoulli beam, and a check of parameters."""
 
 import math
 from dataclasses import dataclass
 from typing import Self
 
 from needlefit.errors import ModelError
-from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM
+from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 from needlefit.schemas.scene import NeedleRecord
 
 
-def is_finite(*values: float) -> bool:
-    """Return whether all values are finite numbers; False for anything that is not a number."""
+def is_bounded(*values: float) -> bool:
+    """Return whether all values are numbers of at most `MAX_NUMBER`; False for anything else."""
     try:
-        return all(map(math.isfinite, values))
+        return all(abs(value) <= MAX_NUMBER for value in values)
     except (TypeError, OverflowError):
         return False
 
@@ -35,7 +35,7 @@ class Needle:
     def __post_init__(self) -> None:
         for name in ("length", "flexural_rigidity"):
             value = getattr(self, name)
-            if not (is_finite(value) and value > 0):
+            if not (is_bounded(value) and value > 0):
                 raise ModelError(f"needle {name} is {value}", expected="a positive, finite number")
         if self.length > MAX_NEEDLE_LENGTH_MM:
             raise ModelError(

@@ -1,6 +1,5 @@
 """The tissue: layers that resist the needle's deflection away from its own cut."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError
+from needlefit.mechanics.needle import is_bounded
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.scene import LayerRecord
 
@@ -89,6 +89,6 @@ def _to_layer_array(name: str, value: ArrayLike, size: int) -> Floats:
     array = np.array(value, dtype=np.float64, ndmin=1)  # a copy
     if array.ndim != 1 or (len(array) != size and not (len(array) == 1 and size > 0)):
         raise ModelError(f"tissue {name} has shape {array.shape}", expected=f"({size},)")
-    if not all(map(math.isfinite, array.tolist())):
-        raise ModelError(f"tissue {name} is not finite: {array.tolist()}")
+    if not is_bounded(*array.tolist()):
+        raise ModelError(f"tissue {name} is {array.tolist()}", expected="finite numbers")
     return array if len(array) == size else np.full(size, array[0])

@@ -43,7 +43,7 @@ def _require_unused(folder: Path) -> None:
     place = folder.resolve()
     if folder.exists() and not folder.is_dir():
         what = "exists already, and is a file"
-    elif place == Path.home().resolve():
+    elif _is_home(place):
         what = "is your home folder"
     else:
         held = sorted(folder.iterdir()) if folder.is_dir() else []
@@ -57,3 +57,10 @@ def _require_unused(folder: Path) -> None:
         expected="a new folder, or an empty one",
         fix="choose another folder: nothing is overwritten",
     )
+
+
+def _is_home(place: Path) -> bool:
+    try:
+        return place == Path.home().resolve()
+    except RuntimeError:  # the user has none
+        return False

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from needlefit.errors import DataError
 from needlefit.project.input_files import is_file, read_json
+from needlefit.schemas.names import EXPECTED_FILE_NAME, file_name_fault
 from needlefit.schemas.result_files import RunTable, TimingTable
 
 RUN_FILE, TIMING_FILE = "run.json", "timing.json"
@@ -29,7 +30,14 @@ def read_run(folder: Path) -> dict[str, Any]:
         raise DataError("holds no table", where=str(path), expected="a JSON object", fix="run it again")
     if holds_several_runs(table):
         for name, part in table.items():
-            require_schema(part, RunTable, f"{path}, key {name}")
+            if fault := file_name_fault(name):  # each names the folder of its run
+                raise DataError(
+                    f"names a run {name!r:.40}: {fault}",
+                    where=str(path),
+                    expected=EXPECTED_FILE_NAME,
+                    fix="run it again, or take the file from a copy",
+                )
+            require_schema(part, RunTable, f"{path}, key {name:.40}")
     else:
         require_schema(table, RunTable, str(path))
     return table
@@ -62,7 +70,7 @@ def require_schema(table: object, form: type[BaseModel], where: str) -> None:
         form.model_validate(table)
     except ValidationError as error:
         fault = error.errors(include_url=False, include_input=False, include_context=False)[0]
-        key = ".".join(str(part) for part in fault["loc"][:6])
+        key = ".".join(f"{part!s:.40}" for part in fault["loc"][:6])
         raise DataError(
             f"is damaged: {fault['msg'][:200]}",
             where=f"{where}, key `{key}`" if key else where,

@@ -50,12 +50,13 @@ WALL_SECONDS = 60
 
 MAX_RESULT_JSON_BYTES = 16 * 2**20
 MAX_AXES = 4
-DTYPES = ("float32", "float64")
+DTYPES = ("float32", "float64", "int64", "bool")
 
 _ENVIRONMENT = {
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
     "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS": "1",
     "MALLOC_ARENA_MAX": "1",  # each thread's arena would reserve address space
+    "ARROW_DEFAULT_MEMORY_POOL": "system",  # its own reserves a GiB
 }
 _CHILD = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from needlefit.project import sandbox; "

@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
+from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.schemas.names import file_name_fault, name_fault
 
 
@@ -16,8 +17,26 @@ class Record(BaseModel):
         extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, protected_namespaces=()
     )
 
+    @field_validator("*")
+    @classmethod
+    def _check_numbers(cls, value: object) -> object:
+        _require_bounded(value)
+        return value
+
     FORMS: ClassVar[str] = ""
     """The ways to write the table where its keys exclude or need each other; messages show them."""
+
+
+def _require_bounded(value: object) -> None:
+    """Raise ValueError for a number, alone or in a list or table, whose products may overflow."""
+    if isinstance(value, float):
+        if abs(value) > MAX_NUMBER:
+            raise ValueError(f"{value:.6g} is too large: numbers are at most {MAX_NUMBER:g}")
+    elif isinstance(value, tuple | list):
+        for one in value:
+            _require_bounded(one)
+    elif isinstance(value, dict):
+        _require_bounded(list(value.values()))
 
 
 class FileRecord(Record):

@@ -3,6 +3,9 @@
 `benchmarks/bounds.py` measures the worst inputs that are still accepted.
 """
 
+MAX_NUMBER = 1e15
+"""Of every number in a file or message: products of up to twenty of them stay finite."""
+
 MAX_NEEDLE_LENGTH_MM = 5000.0
 """Needles, catheters and guide wires have up to about 2 m."""
 

@@ -7,6 +7,7 @@ import shutil
 from collections import UserDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import mkdtemp
@@ -14,10 +15,13 @@ from typing import TYPE_CHECKING, Any
 from weakref import finalize
 
 import pandas as pd
+from numpy.typing import NDArray
+from pandas.api.types import union_categoricals
 
 from needlefit.errors import ConfigError
 from needlefit.project.files import sha256
 from needlefit.project.input_files import is_file
+from needlefit.project.sandbox import READER_BYTES, limits_for, read_in_sandbox
 from needlefit.studies.packing import damage_error
 
 if TYPE_CHECKING:  # PyArrow is installed with `needlefit[cluster]` only
@@ -28,25 +32,93 @@ Rows = Sequence[Mapping[str, Any]]
 MIN_GROUP_ROWS = 1000
 """Rows of a row group, but for the last: each costs some kB of memory, whatever it holds."""
 
-MAX_ROWS = 100_000_000
-"""Rows of a file that are read: 100 bytes may stand for as many equal ones."""
+MAX_PIECE_BYTES = 2**30
+"""Arrays of one piece that a stored file is read in."""
+
+
+@dataclass(frozen=True)
+class ColumnarFile:
+    """A frame in a Parquet file; one that this process has not written is read in a sandbox."""
+
+    path: Path
+    own: bool = False
+
+    def read(self, columns: Sequence[str] | None = None) -> Iterator[pd.DataFrame]:
+        """Yield some columns (all by default) in pieces, at least one; texts are categories.
+
+        Raises
+        ------
+        DataError
+            If the file is damaged.
+        """
+        group: int | None = 0
+        while group is not None:
+            wanted: dict[str, Any] = {"path": str(self.path), "columns": columns and list(columns)}
+            wanted["first_group"] = group
+            if self.own:
+                from needlefit.studies.parquet_reader import OwnArrays, read_rows
+
+                arrays: dict[str, NDArray[Any]] = (own := OwnArrays())
+                found = read_rows(own, **wanted)
+            else:
+                found, arrays = read_in_sandbox(_READER, self.path, _LIMITS, wanted)
+            try:
+                columns_read = {one["name"]: _decode(arrays[one["name"]], one) for one in found["columns"]}
+                piece, group = pd.DataFrame(columns_read), found["next"]
+            except (KeyError, TypeError, ValueError) as error:
+                raise damage_error(self.path, type(error).__name__) from None
+            yield piece
+
+
+_READER = "needlefit.studies.parquet_reader:read_rows"
+_LIMITS = limits_for(READER_BYTES, MAX_PIECE_BYTES, cpu_seconds=10.0)
+
+
+def _decode(values: NDArray[Any], described: Mapping[str, Any]) -> "NDArray[Any] | pd.Categorical":
+    words = described["words"]
+    return values.copy() if words is None else pd.Categorical.from_codes(values, words)
 
 
 class ColumnarFrames(UserDict[str, Any]):
-    """Frames by name; of those in Parquet files the values are paths, read whenever they are asked for."""
+    """Frames by name; of those in Parquet files the values are files, read whenever they are asked for."""
 
     def __getitem__(self, name: str) -> pd.DataFrame:
         found = self.data[name]
-        return _read(found) if isinstance(found, Path) else found
+        return _as_texts(_join(found.read())) if isinstance(found, ColumnarFile) else found
 
     def __reduce__(self) -> tuple[type, tuple[dict[str, pd.DataFrame]]]:
         """Another process gets the rows: the files may go with this one."""
         return dict, (dict(self),)
 
     @property
-    def files(self) -> dict[str, Path]:
+    def files(self) -> dict[str, ColumnarFile]:
         """The files, by the names of their frames."""
-        return {name: found for name, found in self.data.items() if isinstance(found, Path)}
+        return {name: found for name, found in self.data.items() if isinstance(found, ColumnarFile)}
+
+
+def _join(pieces: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Return pieces as one frame; texts stay categories."""
+    first, *others = pieces
+    if not others:
+        return first
+    every = [first, *others]
+    parts = {
+        name: union_categoricals([piece[name] for piece in every])
+        if isinstance(first[name].dtype, pd.CategoricalDtype)
+        else pd.concat([piece[name] for piece in every], ignore_index=True)
+        for name in first
+    }
+    return pd.DataFrame(parts)
+
+
+def _as_texts(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a frame with texts in place of categories."""
+    texts = {
+        str(name): pd.Series(column.to_numpy(dtype=object), index=frame.index)
+        for name, column in frame.items()
+        if isinstance(column.dtype, pd.CategoricalDtype)
+    }
+    return frame.assign(**texts) if texts else frame
 
 
 def require_pyarrow() -> None:
@@ -62,44 +134,26 @@ def read_columns(frames: Mapping[str, pd.DataFrame], name: str, columns: Sequenc
     """Return some columns of a frame; texts of one in a file are categories, which take little memory."""
     if (file := _find_file(frames, name)) is None:
         return frames[name][list(columns)]
-    return _read(file, columns, categories=True)
+    return _join(file.read(columns))
 
 
 def list_columns(frames: Mapping[str, pd.DataFrame], name: str) -> list[str]:
     """Return the names of a frame's columns."""
     if (file := _find_file(frames, name)) is None:
         return [str(one) for one in frames[name]]
-    from pyarrow import parquet
-
-    return list(parquet.read_schema(file).names)
+    return [str(one) for one in next(file.read())]
 
 
 def iterate_pieces(frames: Mapping[str, pd.DataFrame], name: str) -> Iterator[pd.DataFrame]:
-    """Yield a frame in pieces, at least one: the row groups of its file, or the frame in memory."""
+    """Yield a frame in pieces, at least one: of its file, or the frame in memory."""
     if (file := _find_file(frames, name)) is None:
         yield frames[name]
-        return
-    from pyarrow import parquet
-
-    with parquet.ParquetFile(file) as stored:
-        groups = range(stored.num_row_groups)
-        for group in groups:
-            yield stored.read_row_group(group).to_pandas()
-        if not groups:
-            yield stored.schema_arrow.empty_table().to_pandas()
+    else:
+        yield from map(_as_texts, file.read())
 
 
-def _find_file(frames: Mapping[str, pd.DataFrame], name: str) -> Path | None:
+def _find_file(frames: Mapping[str, pd.DataFrame], name: str) -> ColumnarFile | None:
     return frames.files.get(name) if isinstance(frames, ColumnarFrames) else None
-
-
-def _read(file: Path, columns: Sequence[str] | None = None, categories: bool = False) -> pd.DataFrame:
-    from pyarrow import parquet, types
-
-    texts = [one.name for one in parquet.read_schema(file) if types.is_string(one.type)]
-    with parquet.ParquetFile(file, read_dictionary=texts if categories else None) as stored:
-        frame: pd.DataFrame = stored.read(columns).to_pandas()
-    return frame
 
 
 def write_frames(
@@ -121,13 +175,13 @@ def write_frames(
     import pyarrow as pa
 
     folder = Path(mkdtemp(prefix="needlefit-"))
-    frames = ColumnarFrames({name: folder / f"{name}.parquet" for name in columns})
+    frames = ColumnarFrames({name: ColumnarFile(folder / f"{name}.parquet", own=True) for name in columns})
     finalize(frames, shutil.rmtree, folder, ignore_errors=True)
     with ExitStack() as opened:
         writers = {}
         for name, names in columns.items():
             schema = pa.schema([(one, pa.type_for_alias(types.get(one, "string"))) for one in names])
-            writers[name] = opened.enter_context(_RowWriter(frames.files[name], schema))
+            writers[name] = opened.enter_context(_RowWriter(frames.files[name].path, schema))
         for part in parts:
             for name, rows in part.items():
                 writers[name].add(rows)
@@ -166,28 +220,26 @@ class _RowWriter(AbstractContextManager["_RowWriter"]):
 def store_files(frames: Mapping[str, pd.DataFrame], folder: Path) -> dict[str, str]:
     """Copy the files of frames to `folder`, each under the name of its frame; return their SHA-256."""
     files = frames.files if isinstance(frames, ColumnarFrames) else {}
-    return {name: sha256(shutil.copyfile(file, folder / f"{name}.parquet")) for name, file in files.items()}
+    return {
+        name: sha256(shutil.copyfile(file.path, folder / f"{name}.parquet")) for name, file in files.items()
+    }
 
 
-def open_files(folder: Path, digests: Mapping[str, str]) -> dict[str, Path]:
+def open_files(folder: Path, digests: Mapping[str, str]) -> dict[str, ColumnarFile]:
     """Return the files of frames in `folder`, by name.
 
     Raises
     ------
     DataError
-        If one is missing, is not the one with the stored digest, or holds more than `MAX_ROWS`.
+        If one is missing, or is not the one with the stored digest.
     ConfigError
         If there are files, and PyArrow is not installed.
     """
     if not digests:
         return {}
     require_pyarrow()
-    from pyarrow import parquet
-
     files = {name: folder / f"{name}.parquet" for name in digests}
     for name, file in files.items():
         if not is_file(file) or sha256(file) != digests[name]:
             raise damage_error(file, "it is missing, or was changed: the digest does not match")
-        if parquet.read_metadata(file).num_rows > MAX_ROWS:
-            raise damage_error(file, f"it holds more than {MAX_ROWS} rows")
-    return files
+    return {name: ColumnarFile(file) for name, file in files.items()}

@@ -21,6 +21,7 @@ from needlefit.mechanics.session import NeedleState
 from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.load import check
 from needlefit.project.toml_text import dumps
+from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
@@ -216,7 +217,7 @@ def _number(text: str, line: int, path: Path) -> float:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not math.isfinite(number):
+    if not abs(number) <= MAX_NUMBER:
         raise _line_error(path, line, f"`{text}`", "a finite number")
     return number
 

@@ -12,7 +12,7 @@ import pydicom
 from pydicom.errors import InvalidDicomError
 from pydicom.uid import UID, ImplicitVRLittleEndian
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.project.input_files import open_regular
 
@@ -267,7 +267,7 @@ def _parse_numbers(
         array = np.array(entries, dtype=np.float64).reshape(shape)
     except (TypeError, ValueError):
         raise _unclear_entry_error(file, " and ".join(names), entries) from None
-    if not np.isfinite(array).all():
+    if not are_bounded(array):
         raise _unclear_entry_error(file, " and ".join(names), entries)
     return array
 

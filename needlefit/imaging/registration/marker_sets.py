@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
 
 MIN_MARKERS = 3
@@ -129,7 +129,7 @@ def _check_points(given: ArrayLike, name: str) -> Floats:
     points = np.asarray(given, dtype=np.float64)
     if points.size == 0:
         points = points.reshape(0, 3)
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+    if points.ndim != 2 or points.shape[1] != 3 or not are_bounded(points):
         raise DataError(
             f"the array of shape {points.shape} is no list of finite points",
             where=name,

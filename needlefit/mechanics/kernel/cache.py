@@ -62,7 +62,14 @@ def find_cache_folder() -> CacheFolder:
 
 def _find_cache_root() -> Path:
     configured = os.environ.get(CACHE_DIR_VARIABLE) or os.environ.get("NUMBA_CACHE_DIR")
-    return Path(configured or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "needlefit")).expanduser()
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    # a relative one is invalid by its specification, and ignored
+    default = (base if base.is_absolute() else Path("~/.cache")) / "needlefit"
+    path = Path(configured) if configured else default
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        return path  # there is no such home folder: `_find_problem` refuses it
 
 
 def _hash_sources() -> str:
@@ -77,12 +84,14 @@ def _hash_sources() -> str:
 
 def _find_problem(path: Path) -> str:
     """Return why compiled functions cannot be kept in `path`; make it if it is missing."""
+    if path.parts[0].startswith("~"):
+        return "cannot be used (there is no such home folder)"
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = path.stat()
         tempfile.TemporaryFile(dir=path).close()
-    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home folder
-        return f"cannot be written to ({getattr(error, 'strerror', None) or error})"
+    except OSError as error:
+        return f"cannot be written to ({error.strerror or error})"
     if not hasattr(os, "geteuid"):  # Windows: a profile's folders are its user's own
         return ""
     if status.st_uid != os.geteuid():

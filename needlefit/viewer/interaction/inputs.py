@@ -13,6 +13,7 @@ from typing import Literal
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.tissue import Tissue
+from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 
 Item = Literal["guide", "layer"]
 
@@ -84,8 +85,9 @@ class Change:
 
     def _check_value(self) -> None:
         expected = ""
-        if not math.isfinite(self.value):
-            expected = "a finite number"
+        most = MAX_NEEDLE_LENGTH_MM if self.name.endswith("_mm") else MAX_NUMBER
+        if not abs(self.value) <= most:
+            expected = f"a finite number, at most {most:g}"
         elif self.name in FLAGS and self.value not in (0, 1):
             expected = "0 or 1"
         elif self.name == "bevel_side" and self.value not in (1, -1):

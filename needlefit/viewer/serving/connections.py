@@ -102,7 +102,10 @@ class AccessControl:
         """Whether a text is the token; the comparison takes the same time for every text."""
         # An ordinary comparison ends at the first difference; its duration would reveal how much of a guess
         # is right.
-        return isinstance(token, str) and secrets.compare_digest(token.encode(), self.token.encode())
+        # Headers that are no UTF-8 come with surrogates.
+        return isinstance(token, str) and secrets.compare_digest(
+            token.encode(errors="surrogatepass"), self.token.encode()
+        )
 
 
 class RateLimit:

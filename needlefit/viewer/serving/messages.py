@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from needlefit.errors import ModelError
+from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.viewer.encoding import encode_scene, encode_state
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.serving.trials import InteractiveTrial
@@ -92,6 +93,22 @@ class Message:
         return value if isinstance(value, int) and not isinstance(value, bool) else None
 
 
+def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - JSON
+    """Return the value in a JSON text.
+
+    Raises
+    ------
+    ValueError
+        If it is none, nests too deeply, or has half of a pair of surrogates, which no text can be made of.
+    """
+    try:
+        content = json.loads(text)
+        json.dumps(content, ensure_ascii=False).encode()
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    return content
+
+
 def read_message(text: str) -> Message:
     """Return the message that a text contains.
 
@@ -99,8 +116,8 @@ def read_message(text: str) -> Message:
     is not finite; the reply names its number where it can be read.
     """
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
+        content = parse_json(text)
+    except ValueError:
         content = None
     if not isinstance(content, dict):
         return Message(
@@ -147,4 +164,4 @@ def _finite(value: object) -> float | None:
         number = float(value)
     except OverflowError:
         return None
-    return number if math.isfinite(number) else None
+    return number if abs(number) <= MAX_NUMBER else None

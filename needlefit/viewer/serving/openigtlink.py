@@ -155,7 +155,9 @@ class OpenIGTLinkServer:
         pace = RateLimit()
         with suppress(OSError, EOFError, TimeoutError, ValueError):
             while True:
-                header = await reader.readexactly(MessageBase.IGTL_HEADER_SIZE)
+                first = await reader.readexactly(1)  # a peer may send nothing, but not half a header
+                async with asyncio.timeout(STALLED_S):
+                    header = first + await reader.readexactly(MessageBase.IGTL_HEADER_SIZE - 1)
                 fields = MessageBase.parse_header(header)
                 size, kind = fields["body_size"], fields["message_type"]
                 if fields["header_version"] not in HEADER_VERSIONS or size > MAX_SKIPPED_BYTES:

@@ -10,6 +10,7 @@ from aiohttp import web
 from needlefit.errors import NeedlefitError
 from needlefit.viewer.scans.session import ScanSession
 from needlefit.viewer.serving.connections import AccessControl
+from needlefit.viewer.serving.messages import parse_json
 
 
 class ScanPage:
@@ -62,7 +63,7 @@ class ScanPage:
 
 async def _read(request: web.Request) -> Any:  # noqa: ANN401 - JSON
     try:
-        return await request.json()
+        return await request.json(loads=parse_json)
     except ValueError:  # no JSON, or of no known charset
         raise web.HTTPBadRequest(text="the request is no JSON") from None
 

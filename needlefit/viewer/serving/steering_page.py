@@ -11,6 +11,7 @@ from needlefit.errors import NeedlefitError
 from needlefit.viewer.export import EXPORT_TYPES, export
 from needlefit.viewer.overlay.slice import read_slice
 from needlefit.viewer.serving.connections import AccessControl, Connections
+from needlefit.viewer.serving.messages import parse_json
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class FileRoutes:
     async def _asked(self, request: web.Request) -> InteractiveTrial:
         """Return the trial that a request is about."""
         try:
-            content = await request.json()
+            content = await request.json(loads=parse_json)
             trial = self.trials.known(content["needle"])
         except (ValueError, LookupError, TypeError):  # no JSON, of no known charset, or about no needle
             trial = None

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, are_bounded
+from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import ConfigError, ModelError, NeedlefitError
 from needlefit.geometry.frames import Frame, Placement, to_lps
 from needlefit.imaging.registration.rigid import fit_kabsch
@@ -135,7 +136,7 @@ def measure_registration_error(record: TrackerRecord, frame: Frame, placement: P
 
 def is_rigid(matrix: Floats) -> bool:
     """Whether a (4, 4) array is a rotation and a shift."""
-    if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
+    if matrix.shape != (4, 4) or not are_bounded(matrix, MAX_COORDINATE):
         return False
     rotation = matrix[:3, :3]
     square = np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_ROTATION_ERROR
