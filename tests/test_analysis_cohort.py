@@ -97,7 +97,7 @@ def test_a_worker_in_an_empty_folder_fits_what_lies_here(project, tmp_path_facto
     assert list(folder.iterdir()) == []
     assert len(found.frames["failures"]) == 1
     for name, file in here.frames.files.items():
-        assert found.frames.files[name].read_bytes() == file.read_bytes()
+        assert found.frames.files[name].path.read_bytes() == file.path.read_bytes()
     assert found.run == here.run
 
 

@@ -3,6 +3,7 @@
 A reader takes the path that a user would name. It is imported late: a worker process reads with few of them.
 """
 
+import json
 import os
 import signal
 from collections.abc import Callable, Sequence
@@ -17,6 +18,9 @@ from fuzzing.seeds import Seed, project_files
 
 QUICK, NATIVE, SLOWEST = 40, 8, 4
 """Mutants of a default test: of a reader in Python, of one with a child process, of one with several."""
+
+MAX_LINES = 40
+"""Messages of a conversation: duplicated lines make it no longer."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +176,14 @@ def _difference(folder: Path) -> object:
     return differences.summarize_differences(found), differences.differences_to_json(found)
 
 
+def _parquet(path: Path) -> object:
+    """Read a table with a right digest, as somebody can make it."""
+    columnar = import_module("needlefit.studies.columnar")
+    digests = {path.stem: _late("project.files.sha256")(path)}
+    frames = columnar.ColumnarFrames(columnar.open_files(path.parent, digests))
+    return [len(piece) for piece in columnar.iterate_pieces(frames, path.stem)]
+
+
 def _manifest(folder: Path) -> object:
     return _late("project.ownership.require_replaceable")(folder)
 
@@ -195,6 +207,41 @@ def _message(path: Path) -> object:
     if found.fault is not None:
         raise found.fault
     return found.text("what"), found.gesture, found.number("to_mm", 0.0)
+
+
+def _conversation(path: Path) -> object:
+    """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
+    opened, shown = import_module("needlefit.viewer.opening"), None
+    trials = import_module("needlefit.viewer.serving.trials")
+    shown = opened.open_target("figure1")
+    registry = trials.TrialRegistry(shown, path.parent / "view", opened.open_target)
+    window = _late("viewer.serving.window.Window")(registry, registry.open(""))
+    read, refused = _late("viewer.serving.messages.read_message"), None
+    for text in _text(path).splitlines()[:MAX_LINES]:
+        for reply in window.answer(read(text)):
+            json.dumps(reply, allow_nan=False).encode()
+            if reply["kind"] == "refused":
+                refused = reply["what"]
+    if refused is not None:
+        raise _late("errors.ModelError")(refused)
+    return window.state()
+
+
+def _share(path: Path) -> object:
+    return _late("viewer.share.compose_share")(_late("viewer.recording.read_recording")(path))
+
+
+def _tracker(path: Path) -> object:
+    """Register a tracker to a scene."""
+    record = _load("tracker.TrackerRecord", path)
+    scene = _late("mechanics.scene.Scene").from_record(
+        _late("project.load.load")(
+            _late("project.locate.find_file")("scene", "figure1"), _late("schemas.scene.SceneRecord")
+        )
+    )
+    tracking = import_module("needlefit.viewer.serving.tracking")
+    frame = tracking.register_tracker(record, scene.entry.placement)
+    return tracking.measure_registration_error(record, frame, scene.entry.placement)
 
 
 def _names(path: Path) -> object:
@@ -279,6 +326,10 @@ READERS: dict[str, Reader] = {
     "run": Reader(_run, seeds.run_files),
     "diff": Reader(_difference, seeds.runs, 20),
     "manifest": Reader(_manifest, seeds.manifests),
+    "parquet": Reader(_parquet, seeds.parquet_tables, NATIVE),
+    "tracker": Reader(_tracker, seeds.trackers),
+    "share": Reader(_share, seeds.recordings, 20),
+    "conversation": Reader(_conversation, seeds.conversations, 20),
     "set": Reader(_assignments, seeds.assignments, 40),
     "message": Reader(_message, seeds.page_messages, 150),
     "command": Reader(_command, seeds.commands, 30),

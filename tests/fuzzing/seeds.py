@@ -581,6 +581,58 @@ def page_messages() -> list[Seed]:
     return [one_file("messages.txt", one) for one in lines]
 
 
+def conversations() -> list[Seed]:
+    """Messages in one window, a line each: steering, goals, undo, and what ends it."""
+    steering = (
+        *('{"do": "hello", "id": 1}', '{"do": "change", "id": 2, "set": [["depth_mm", null, 12.5]]}'),
+        '{"do": "change", "id": 3, "gesture": 4, "insert_mm": 5, "set": [["bevel_side", null, -1]]}',
+        '{"do": "change", "id": 4, "set": [["guide_x_mm", 1, -30.0], ["guide_y_mm", 1, 0.1]]}',
+        '{"do": "change", "id": 5, "set": [["tip_held", null, 1], ["tip_y_mm", null, 0.5]]}',
+        '{"do": "change", "id": 6, "set": [["mu_pa", 1, 3e5], ["alpha", 1, 2.0]]}',
+        '{"do": "change", "id": 7, "set": [["tip_held", null, 0], ["base_y_mm", null, 1.0]]}',
+        *('{"do": "undo", "id": 8}', '{"do": "redo", "id": 9}', '{"do": "align", "id": 10}'),
+        *('{"do": "reset", "id": 11}', '{"do": "frame", "id": 12}'),
+    )
+    aiming = (
+        *('{"do": "hello", "id": 1}', '{"do": "move", "id": 2, "to_mm": 20, "speed_mm_s": 900}'),
+        *('{"do": "frame", "id": 3}', '{"do": "frame", "id": 4}', '{"do": "halt", "id": 5}'),
+        '{"do": "aim", "id": 6, "target": [40, 1.5], "radius": 2, "obstacles": [[20, 0.5, 1, "vessel"]]}',
+        '{"do": "markups", "id": 7, "name": "a.fcsv", "text": "# Markups fiducial file\\n1,2,3,4"}',
+        *('{"do": "plan", "id": 8, "entry_mm": 2}', '{"do": "run", "id": 9, "speed_mm_s": 10}'),
+        *('{"do": "play", "id": 10, "speed_mm_s": 500}', '{"do": "replay", "id": 11, "times": 20}'),
+        *(
+            '{"do": "fit", "id": 12, "scope": "insertion"}',
+            '{"do": "points", "id": 13, "offsets": [0, 0, 0]}',
+        ),
+        *('{"do": "challenge", "id": 14, "radius": 1}', '{"do": "show", "id": 15, "insertion": "a"}'),
+    )
+    return [one_file("messages.txt", "\n".join(lines) + "\n") for lines in (steering, aiming)]
+
+
+def trackers() -> list[Seed]:
+    """Registrations of a tracker: by a matrix, and by markers."""
+    markers = "".join(
+        f'[[markers]]\nname = "m{n}"\ntracker_mm = [{x}.0, {y}.0, 3.0]\nworld_mm = [{y}.0, {x}.0, {n}.0]\n'
+        for n, (x, y) in enumerate(((0, 0), (60, 0), (0, 45), (30, 50)))
+    )
+    matrix = "tracker_to_ras = [[1, 0, 0, 10.5], [0, 1, 0, -3.0], [0, 0, 1, 0.0], [0, 0, 0, 1]]\n"
+    devices = 'max_speed_mm_s = 50.0\n\n[devices]\ntip = "Tip"\nguides = ["Guide", "Ring"]\n'
+    return [one_file("tracker.toml", f"schema = 1\n{text}") for text in (matrix + devices, markers)]
+
+
+def parquet_tables() -> list[Seed]:
+    """A stored table of a cohort: texts, whole numbers, numbers and flags."""
+    from needlefit.studies.columnar import store_files, write_frames
+
+    types = {"insertions": "int64", "value": "float64", "at_bound": "bool"}
+    rows = [
+        {"dataset": f"specimen{n % 3}", "insertions": n, "value": n / 7, "at_bound": n % 2 == 0}
+        for n in range(40)
+    ]
+    frames = write_frames(types, [{"fits": rows}], {"fits": tuple(rows[0])})
+    return [written(lambda folder: store_files(frames, folder), "fits.parquet")]
+
+
 def commands() -> list[Seed]:
     """Whole commands, a word a line, none of which computes for long."""
     commands = (
