@@ -149,13 +149,37 @@ def test_values_not_computed_are_printed_as_dashes(capsys):
         ("layers.2.mu_pa=33", "layers.2.mu_pa"),
         ("layers.2.mu_pa=3e10", "layers.2.mu_pa"),
         ("bevel.offset_mm=2.1", "bevel.offset_mm"),
+        ("layers.1.alpha=0", "layers.1.alpha"),
+        ("layers.1.alpha=-80", "layers.1.alpha"),
     ],
 )
 def test_implausible_values_give_a_warning(setting, key, capsys):
+    assert f"`{key}`" in find_unit_warning(capsys, setting)["what"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "unit", "right"),
+    [
+        ("layers.1.mu_pa=220", "kPa", "220000"),
+        ("layers.1.mu_pa=0.22", "MPa", "220000"),
+        ("bevel.offset_mm=1e-4", "metres", "0.1"),
+    ],
+)
+def test_a_value_in_another_unit_names_it_and_the_right_one(setting, unit, right, capsys):
+    found = find_unit_warning(capsys, setting)
+    assert unit in found["what"] and found["fix"].split() == ["write", right]
+
+
+def test_alpha_of_a_law_without_an_exponent_gives_no_warning(capsys):
+    run("simulate", "phantom2", "--set", "layers.1.alpha=0", "--set", "law=linear", "--json")
+    assert [row for row in json.loads(capsys.readouterr().out)["warnings"] if row["kind"] == "units"] == []
+
+
+def find_unit_warning(capsys, setting):
     run("simulate", "phantom2", "--set", setting, "--json")
     found = json.loads(capsys.readouterr().out)["warnings"]
     (one,) = [row for row in found if row["kind"] == "units"]
-    assert f"`{key}`" in one["what"] and one["fix"]
+    return one
 
 
 def test_strict_turns_a_warning_into_an_exit_code_and_nothing_else(capsys):
@@ -172,7 +196,7 @@ def test_strict_turns_a_warning_into_an_exit_code_and_nothing_else(capsys):
 def test_a_steep_offset_of_a_step_gives_a_warning_per_mm(capsys):
     run("simulate", "figure1", "--set", "steps.2.offset_mm=1.5", "--set", "rules.constraint_spacing_mm=0.5")
     err = capsys.readouterr().err
-    assert "`steps.2.offset_mm`" in err and "1.5 per 0.5 mm" in err
+    assert "`steps.2.offset_mm`" in err and "1.5 mm per 0.5 mm" in err
 
 
 def test_the_mesh_follows_the_constraint_spacing_by_default(capsys):

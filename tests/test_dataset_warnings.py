@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from inference_cases import medium
 from test_cli import run
 from test_datasets import CURVE, SURFACES, X, block, record, row, without_checksums
 
@@ -16,9 +17,19 @@ from needlefit.datasets.read import check, check_all, read
 from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import make_sheet
+from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.project.unit_warnings import GAUGES_MM, format_place, likely_modulus, needle_warnings
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.unit_warnings import (
+    GAUGES_MM,
+    format_place,
+    likely_modulus,
+    medium_warnings,
+    needle_warnings,
+)
 from needlefit.schemas.scene import NeedleRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.studies.job import Settings, prepare
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
 UP = np.array([0.0, 1.0, 0.0])
@@ -240,6 +251,7 @@ def test_a_stated_error_that_cannot_be_right_is_named_with_its_line(tmp_path, li
     [
         *[("pose_shift_sd", 138.0, 1), ("pose_shift_sd", 1.38e-4, 1), ("pose_shift_sd", 1.2, 1)],
         *[("pose_shift_sd", 0.138, 0), ("pose_angle_sd", np.radians(45), 1), ("pose_angle_sd", 0.02, 0)],
+        ("pose_angle_sd", np.radians(0.0024), 1),  # 0.14 degrees, written in radians
         *[("boundary_sd", 118.0, 1), ("depth_sd", 120.9, 1), ("depth_sd", 0.1209, 0)],
     ],
 )
@@ -456,3 +468,32 @@ def test_check_prints_warnings_and_strict_ends_with_5(tmp_path, capsys):
     assert (
         SURFACES and run("check", f"{tmp_path}/block/", "--strict") == 5
     )  # it states no noise of its points
+
+
+@pytest.mark.parametrize(
+    ("changed", "right"),
+    [
+        ({"mu1_pa": {"fixed": 220.0}}, ["write 220000"]),
+        ({"mu1_pa": {"bounds": [1.0, 250.0]}}, ["write 250000"]),
+        ({"bevel_mm": {"fixed": 1e-4}}, ["write 0.1"]),
+        ({"bevel_mm": {"bounds": [1e-6, 5e-4]}}, ["write 0.5"]),
+        ({"alpha1": {"fixed": 0.0}}, ["write a fitted exponent, or 1 if it is not known"]),
+        ({"alpha1": {"bounds": [-3.0, 5.0]}}, []),
+        ({"mu1_pa": {"bounds": [1.0, 1e12]}}, []),
+    ],
+)
+def test_a_parameter_of_a_medium_in_another_unit_is_named(changed, right):
+    found = list(medium_warnings(medium(1, **changed), "medium"))
+    assert [one.fix for one in found] == right
+    assert all(f"`parameters.{next(iter(changed))}`" in one.what for one in found)
+
+
+def test_a_study_names_units_and_bevel_sides_before_it_begins(tmp_path):
+    notes = []
+    file = find_file("fit", "phantom1")
+    dataset = read(find_file("dataset", "twin"))
+    turned = replace(
+        dataset, warnings=(ResultWarning("bevel_side", "all turned"), ResultWarning("noise", "x"))
+    )
+    prepare("phantom1", load(file, FitRecord), Settings(file=file, note=notes.append), turned)
+    assert notes == ["warning: all turned"]

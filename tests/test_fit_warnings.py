@@ -343,7 +343,7 @@ def test_an_error_of_a_study_that_analyses_names_its_file_and_line(flipped, caps
     assert old in study
     (flipped / "mine.toml").write_text(study.replace(old, new))
     assert run("validate", "./mine.toml", "-q") == 3
-    assert capsys.readouterr().err.startswith(f"needlefit: mine.toml:{line}: ")
+    assert f"\nneedlefit: mine.toml:{line}: " in "\n" + capsys.readouterr().err
 
 
 def test_the_warning_about_specimens_names_the_file_and_line_of_the_study(flipped):

@@ -130,11 +130,13 @@ def test_the_folder_belongs_to_the_user(tmp_path, monkeypatch):
     assert stat.S_IMODE(found.path.stat().st_mode) == 0o700
 
 
-@pytest.mark.parametrize("fault", ["unwritable", "a file", "others write", "another user"])
+@pytest.mark.parametrize("fault", ["unwritable", "a file", "others write", "another user", "no such home"])
 def test_where_there_is_none_a_temporary_one_is_used_and_handed_to_children(tmp_path, monkeypatch, fault):
     path = chosen(monkeypatch, tmp_path).path
     place: Path | str = tmp_path
-    if fault == "unwritable":
+    if fault == "no such home":
+        place = "~nosuchuser/cache"
+    elif fault == "unwritable":
         place = "/dev/null/cache"
     elif fault == "a file":
         path.rmdir()
@@ -147,3 +149,10 @@ def test_where_there_is_none_a_temporary_one_is_used_and_handed_to_children(tmp_
     assert found.why_temporary and tmp_path not in found.path.parents
     assert stat.S_IMODE(found.path.stat().st_mode) == 0o700
     assert os.environ[cache.CACHE_DIR_VARIABLE] == str(found.path.parent)
+
+
+def test_a_relative_cache_home_is_ignored(monkeypatch):
+    monkeypatch.delenv(cache.CACHE_DIR_VARIABLE, raising=False)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", "~nosuchuser/c")
+    assert cache._find_cache_root() == Path("~/.cache/needlefit").expanduser()

@@ -273,6 +273,8 @@ def test_a_tracker_is_registered_by_a_matrix_or_by_markers() -> None:
         *(right | {"devices": one} for one in wrong_devices),
         *(right | {"server": one} for one in ("host", "host:x", ":1 2")),
         right | {"max_speed_mm_s": 0},
+        {"markers": [markers[0] | {"tracker_mm": [1e308, 0.0, 0.0]}, *markers[1:]]},
+        right | {"tip_sd_mm": 1e16},
     ):
         with pytest.raises(ValidationError):
             type(record()).model_validate({"schema": 1, **wrong})
@@ -415,6 +417,21 @@ async def test_it_ends_beside_a_peer_without_a_fault(tmp_path) -> None:
 
 
 @pytest.mark.sweep
+@visit
+async def test_half_a_header_is_cut_off_and_a_peer_that_sends_nothing_is_not(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(openigtlink, "STALLED_S", 0.1)
+    async with served(tmp_path) as server:
+        _, silent = await asyncio.open_connection(*server.server.address)
+        _, half = await asyncio.open_connection(*server.server.address)
+        half.write(pack("Base", transform((-130.0, 0.0)))[:20])
+        await until(lambda: server.tracked.peers == 2)
+        await until(lambda: server.tracked.peers == 1)
+        await asyncio.sleep(0.3)
+        assert server.tracked.peers == 1
+        silent.close()
+        half.close()
+
+
 @visit
 async def test_many_messages_and_peers_are_limited(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(openigtlink, "STALLED_S", 0.1)

@@ -21,6 +21,7 @@ from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.opening.plan import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
+from needlefit.viewer.serving import server as server_module
 from needlefit.viewer.serving.connections import (
     MAX_BURST_MESSAGES,
     MAX_MESSAGE_BYTES,
@@ -345,6 +346,10 @@ def test_only_idle_needles_are_dropped(tmp_path) -> None:
         '{"do": "change", "id": 9, "set": 7}',
         '{"do": "change", "id": 9, "set": ' + str([["base_y_mm", 0, 1]] * 65).replace("'", '"') + "}",
         "[" * 5000,
+        "[" * 15_000,
+        '{"do": "markups", "id": 9, "name": "a.fcsv", "text": "\\ud800"}',
+        '{"do": "change", "id": 9, "set": [["tip_held", null, 1], ["tip_y_mm", null, -1e308]]}',
+        '{"do": "change", "id": 9, "set": [["alpha", 1, 1e16]]}',
         '{"do": "change", "id": 9, "set": [["base_y_mm", null, ' + "9" * 400 + "]]}",
     ],
 )
@@ -382,13 +387,14 @@ async def test_strangers_are_kept_out(tmp_path) -> None:
                 await server.connect(**headers)
         async with server.client.get(server.base, headers={"Host": "evil.example"}) as answer:
             assert answer.status == 421
-        for token in ("", "wrong", None, 7, server.access.token[:-1]):
+        for token in ("", "wrong", None, 7, "\ud800", "tök", server.access.token[:-1]):
             socket = await server.connect()
             await socket.send_json({"do": "hello", "id": 0, "token": token})
             assert (await socket.receive()).data == 4401
         right = {"Authorization": f"Bearer {server.access.token}"}
         wrong = {"Authorization": "Bearer wrong", "Origin": server.base}
-        for headers in ({}, wrong, right, right | {"Origin": "http://evil.example"}):
+        foreign = {"Authorization": "Bearer tök"}
+        for headers in ({}, wrong, foreign, right, right | {"Origin": "http://evil.example"}):
             async with server.client.post(f"{server.base}/export/inputs.csv", headers=headers) as answer:
                 assert answer.status == 403 and "Content-Security-Policy" in answer.headers
         for path in ("/page/../server.py", "/page/%2e%2e/server.py", "/page/"):
@@ -442,11 +448,34 @@ async def test_inputs_can_be_taken_away_as_they_were_recorded(tmp_path) -> None:
             assert await answer.read() == (tmp_path / page.scene["recording"]).read_bytes()
         async with server.client.post(f"{url}/shape.exe", headers=headers, json=needle) as answer:
             assert answer.status == 404
-        for body in (b'{"needle": "x"}', b"{}", b"[]", b"7", b"", b"\xff"):
+        deep, half = b"[" * 15_000, b'{"needle": "\\ud800"}'
+        for body in (b'{"needle": "x"}', b"{}", b"[]", b"7", b"", b"\xff", deep, half):
             for kind in ("application/json", "text/plain; charset=nonsense"):
                 sent = headers | {"Content-Type": kind}
                 async with server.client.post(f"{url}/inputs.csv", headers=sent, data=body) as answer:
                     assert answer.status == 404
+
+
+@visit
+async def test_requests_that_are_not_sent_to_their_end_time_out(tmp_path, monkeypatch) -> None:
+    """Half the headers, half a body; a connection that has sent a whole request is kept."""
+    monkeypatch.setattr(server_module, "REQUEST_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(server_module, "CHECK_INTERVAL_S", 0.1)
+    async with house(tmp_path) as server:
+        place = ("127.0.0.1", server.access.port)
+        reader, writer = await asyncio.open_connection(*place)
+        writer.write(b"GET / HTTP/1.1\r\nHo")
+        assert await reader.read() == b""
+        writer.close()
+        reader, writer = await asyncio.open_connection(*place)
+        head = f"POST /export/shape.csv HTTP/1.1\r\nHost: 127.0.0.1:{place[1]}\r\nOrigin: {server.base}\r\n"
+        head += f"Authorization: Bearer {server.access.token}\r\nContent-Length: 100\r\n\r\n"
+        writer.write(head.encode() + b"{")
+        assert (await reader.readline()).split()[1] == b"408"
+        writer.close()
+        page = await server.page()
+        await asyncio.sleep(0.6)
+        assert (await page.say("change", insert_mm=1))["depth_mm"] == 1
 
 
 @visit

@@ -15,7 +15,7 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc, resample_c
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import compute_metrics, list_metrics
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import FormatPlace
+from needlefit.project.unit_warnings import ANGLE_SD_DEG, FormatPlace, range_warnings
 from needlefit.schemas.dataset import DatasetRecord, NoiseRecord
 
 MEAN_NORM_PER_SD = math.sqrt(8 / math.pi)
@@ -108,8 +108,6 @@ MAX_POSE_SD_MM = 5.0
 """Greatest plausible standard deviation of registration and entry pose; beyond it, curves cannot be
 compared."""
 
-MAX_POSE_ANGLE_SD_DEG = 20.0
-
 MAX_NOISE_FRACTION = 0.5
 """Fraction of the largest deflection above which noise hides the deflections."""
 
@@ -120,6 +118,10 @@ def find_stated_warnings(noise: NoiseRecord, length_mm: float, where: FormatPlac
     if 0 < largest < MIN_POINT_SD_MM:
         name = "point_sd_mm" if largest == noise.point_sd_mm else "correlated_sd_mm"
         yield _make_unit_warning(f"noise.{name}", largest, where)
+    for name in ("heading_sd_deg", "slope_sd_deg"):
+        if sd := getattr(noise, name, 0.0):
+            radians = {"radians": math.degrees(1)}
+            yield from range_warnings(sd, ANGLE_SD_DEG, radians, where, f"noise.{name}", "degrees")
     registration, length = noise.registration_mean_mm, noise.correlation_length_mm
     if 0 < registration < MIN_POSE_SD_MM:
         yield _make_unit_warning("noise.registration_mean_mm", registration, where)
@@ -219,8 +221,14 @@ def _make_column_checks(largest: float) -> tuple[_ColumnCheck, ...]:
         _ColumnCheck(
             shift, lambda one: one.pose_shift_sd, lambda _: limit, np.inf, f"{many}: this looks like um"
         ),
+        _ColumnCheck("pose_angle_sd_deg", _angle_deg, lambda _: ANGLE_SD_DEG[1], np.inf, many, "check it"),
         _ColumnCheck(
-            "pose_angle_sd_deg", _angle_deg, lambda _: MAX_POSE_ANGLE_SD_DEG, np.inf, many, "check it"
+            "pose_angle_sd_deg",
+            _angle_deg,
+            lambda _: 0.0,
+            ANGLE_SD_DEG[0],
+            "less than any direction is measured to: this looks like radians",
+            "multiply by 57.3",
         ),
         _ColumnCheck("boundary_sd_mm", lambda one: one.boundary_sd, lambda one: one.depth, np.inf, deeper),
         _ColumnCheck("depth_sd_mm", lambda one: one.depth_sd, lambda one: one.depth, np.inf, deeper),

@@ -13,7 +13,7 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from needlefit.arrays import Floats, are_bounded
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.imaging.header_checks import truncated_voxels_error, unreadable_image_error
 from needlefit.imaging.volume import (
@@ -29,7 +29,6 @@ from needlefit.imaging.volume import (
 )
 from needlefit.project.atomic_write import replace_file
 from needlefit.project.sandbox import SandboxArrays
-from needlefit.schemas.limits import MAX_NUMBER
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
@@ -207,9 +206,9 @@ def _unpacked_size(path: Path, enough: int) -> int:
 
 
 def _check_finite(values: NDArray[np.float32], path: Path) -> None:
-    if not are_bounded([values.min(), values.max()]):
+    if not np.isfinite([values.min(), values.max()]).all():
         raise DataError(
-            f"holds {np.count_nonzero(~(np.abs(values) <= MAX_NUMBER))} voxels that are no finite number",
+            f"holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number",
             where=str(path),
             expected="a number in every voxel",
             fix="give voxels outside the scan the value of air, e.g. -1000",

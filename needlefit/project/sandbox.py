@@ -237,9 +237,7 @@ def _arrays(described: Mapping[str, Any], shared: BinaryIO, allowed: ReaderLimit
     size = os.fstat(shared.fileno()).st_size
     if size > allowed.result_bytes + len(described) * mmap.ALLOCATIONGRANULARITY:
         raise ValueError("more was written than was allowed")
-    if not size:
-        return {}
-    mapped = mmap.mmap(shared.fileno(), size)
+    mapped = mmap.mmap(shared.fileno(), size) if size else mmap.mmap(-1, 1)  # of empty arrays alone
     found = {str(name): _array(mapped, *parts) for name, parts in described.items()}
     return {name: array.copy() for name, array in found.items()} if _WINDOWS else found
 

@@ -5,7 +5,7 @@ same file, so that a small needle is no suspicious one.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,10 +20,21 @@ RIGIDITY_NMM2 = (1.0, 2e6)
 """EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000."""
 MODULUS_GPA = (0.5, 1000.0)
 """Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
-MU_PA = (100.0, 1e10)
-"""Foundation modulus of a tissue, least and most."""
-MAX_OFFSET_TO_SPACING = 2.0
-"""Offset of the cut per mm: a tip that turns by 63 degrees in one."""
+MU_PA = (300.0, 1e10)
+"""Foundation modulus of a tissue, least and most. Among the softest organs are brain, 842 Pa (Miller and
+Chinzei 2002, J Biomech 35, 483), and fat, a Young's modulus of about 1 kPa, a third of which is mu."""
+MU_UNITS = {"kPa": 1e3, "MPa": 1e6}
+"""Pascals in each."""
+ALPHA = (0.05, 60.0)
+"""Size of an Ogden exponent, least and most: W divides by its square, and at 0 the law is of another form.
+The paper has 0.2 to 1; brain has -4.7 (Miller and Chinzei 2002), fat about 20."""
+OFFSET_TO_SPACING = (1e-3, 2.0)
+"""Offset of the cut per mm, least and most: the paper has 0.03 to 0.085; at 2 the tip turns by 63 degrees in
+one. 0 is a needle without a bevel."""
+CUT_ANGLE_DEG = (0.2, 45.0)
+"""Angle of the cut, least and most: an offset of 0.0035 per mm is 0.2 degrees."""
+ANGLE_SD_DEG = (0.02, 20.0)
+"""Standard deviation of a measured direction, least and most: 0.02 mm over 60 mm are 0.02 degrees."""
 BOUNDARY_TO_DEPTH = 2e-3
 """Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
 BOUNDARIES_TO_DEPTH = 0.1
@@ -212,18 +223,15 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
     where = format_place(file)
     yield from needle_warnings(scene.needle, where)
     for n, layer in enumerate(scene.layers, start=1):
-        yield from _mu_warnings(layer.mu_pa, where, f"layers.{n}.mu_pa")
+        yield from range_warnings(layer.mu_pa, MU_PA, MU_UNITS, where, f"layers.{n}.mu_pa", "Pa")
+        yield from _alpha_warnings(layer.alpha, scene.law, where, f"layers.{n}.alpha")
     tops = [layer.top_mm for layer in scene.layers[1:]]
     if tops:
         yield from boundary_warnings(tops[0], _deepest(scene), where, "layers.2.top_mm")
-    offsets = [("bevel", scene.bevel.offset_mm or 0.0)]
-    offsets += [(f"steps.{n}", step.offset_mm or 0.0) for n, step in enumerate(scene.steps, start=1)]
     spacing = scene.rules.constraint_spacing_mm
-    for key, offset in offsets:
-        if offset > MAX_OFFSET_TO_SPACING * spacing:
-            name = f"{key}.offset_mm"
-            what = f"`{name}` is {offset:g} per {spacing:g} mm of depth, a very sharp turn"
-            yield ResultWarning(WARNING_KIND, what, where(name), "write it in mm")
+    yield from _bevel_warnings(scene.bevel.offset_mm, scene.bevel.cut_angle_deg, spacing, where, "bevel")
+    for n, step in enumerate(scene.steps, start=1):
+        yield from _bevel_warnings(step.offset_mm, step.cut_angle_deg, spacing, where, f"steps.{n}")
 
 
 def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
@@ -245,21 +253,77 @@ def _deepest(scene: SceneRecord) -> float:
 
 
 def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWarning]:
-    """Yield a warning for each modulus of a medium that is fixed, or bounded, far from any tissue's."""
-    where = format_place(file)
+    """Yield a warning for each parameter of a medium that is fixed at, or bounded by, what no tissue has."""
+    where, spacing = format_place(file), medium.constraint_spacing_mm
     for name, parameter in medium.parameters.items():
-        if not name.startswith("mu"):
-            continue
-        if parameter.fixed is not None:
-            yield from _mu_warnings(parameter.fixed, where, f"parameters.{name}")
-        elif parameter.bounds is not None and parameter.bounds[1] < MU_PA[0]:
-            yield from _mu_warnings(parameter.bounds[1], where, f"parameters.{name}")
+        key, fixed, bounds = f"parameters.{name}", parameter.fixed, parameter.bounds
+        if name.startswith("mu"):
+            if fixed is not None:
+                yield from range_warnings(fixed, MU_PA, MU_UNITS, where, key, "Pa")
+            elif bounds is not None:  # wide ones are no sign of another unit
+                yield from range_warnings(bounds[1], (MU_PA[0], math.inf), MU_UNITS, where, key, "Pa")
+        elif name.startswith("alpha") and fixed is not None:
+            yield from _alpha_warnings(fixed, medium.law, where, key)
+        elif name == "bevel_mm":
+            yield from _bevel_warnings(fixed or (bounds[1] if bounds else 0.0), 0.0, spacing, where, key)
+        elif name == "cut_angle_deg":
+            yield from _bevel_warnings(0.0, fixed or (bounds[1] if bounds else 0.0), spacing, where, key)
 
 
-def _mu_warnings(mu: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
-    if not MU_PA[0] <= mu <= MU_PA[1]:
-        what = f"`{key}` is {mu:g}, very {'little' if mu < MU_PA[0] else 'much'} for a tissue"
-        yield ResultWarning(WARNING_KIND, what, where(key), "write it in Pa")
+def range_warnings(
+    value: float,
+    plausible: tuple[float, float],
+    units: Mapping[str, float],
+    where: FormatPlace,
+    key: str,
+    unit: str,
+) -> Iterator[ResultWarning]:
+    """Yield a warning if a value is out of a range, with the first of other `units` in which it is not."""
+    low, high = plausible
+    if low <= value <= high:
+        return
+    likely = next((one for one, factor in units.items() if low <= factor * value <= high), "")
+    what = (
+        f"`{key}` is {value:g} {unit}, {'below' if value < low else 'above'} {low if value < low else high:g}"
+    )
+    if likely:
+        what, fix = f"{what}: this looks like {likely}", f"write {units[likely] * value:g}"
+    else:
+        fix = f"check it, in {unit}"
+    yield ResultWarning(WARNING_KIND, what, where(key), fix)
+
+
+def _alpha_warnings(alpha: float, law: str, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
+    if law == "ogden" and not ALPHA[0] <= abs(alpha) <= ALPHA[1]:
+        what = (
+            f"`{key}` is {alpha:g}; Ogden exponents are {ALPHA[0]:g} to {ALPHA[1]:g} in size, of either sign"
+        )
+        yield ResultWarning(
+            WARNING_KIND, what, where(key), "write a fitted exponent, or 1 if it is not known"
+        )
+
+
+def _bevel_warnings(
+    offset: float | None, cut_angle: float | None, spacing: float, where: FormatPlace, key: str
+) -> Iterator[ResultWarning]:
+    """Yield a warning for a bevel's offset, mm per constraint spacing, or angle of the cut, degrees."""
+    in_table = not key.startswith("parameters")
+    if offset:
+        low, high = OFFSET_TO_SPACING
+        name = f"{key}.offset_mm" if in_table else key
+        yield from range_warnings(
+            offset,
+            (low * spacing, high * spacing),
+            {"metres": 1e3},
+            where,
+            name,
+            f"mm per {spacing:g} mm of depth",
+        )
+    if cut_angle:
+        name = f"{key}.cut_angle_deg" if in_table else key
+        yield from range_warnings(
+            cut_angle, CUT_ANGLE_DEG, {"radians": math.degrees(1)}, where, name, "degrees"
+        )
 
 
 def boundary_warnings(first: float, depth: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:

@@ -61,6 +61,10 @@ class Inputs:
     posterior: Posterior | None = None
 
 
+DATA_WARNINGS = ("units", "bevel_side")
+"""Kinds of warnings that are also printed before the work, which takes long and is of no use then."""
+
+
 @dataclass(frozen=True)
 class Settings:
     """How a run is executed; only `seed`, `sample` and `inputs` change its result.
@@ -251,6 +255,9 @@ def prepare(
     _check_reach(job)
     _check_size(job)
     _check_algorithms(job)
+    for one in dict.fromkeys(job.warnings):
+        if one.kind in DATA_WARNINGS:
+            settings.note(f"warning: {one}")
     return job
 
 
