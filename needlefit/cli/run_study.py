@@ -14,7 +14,7 @@ from needlefit.cli import screen
 from needlefit.cli.execution import Execution
 from needlefit.cli.progress import show_progress
 from needlefit.cli.show_results import show_run, show_warnings
-from needlefit.project.checkpoint_folder import release_checkpoint
+from needlefit.project.checkpoint_folder import hold_checkpoint, release_checkpoint
 from needlefit.project.load import load
 from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
 from needlefit.project.tasks import LocalPool, stop_requested, threads_of_task
@@ -101,6 +101,7 @@ def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> Iterable[Run]:
         report(f"{len(todo)} studies side by side", 0, len(todo))
         for n, result in execution.pool.run(sent, todo, execution.stop):
             finished[n] = result
+            hold_checkpoint(execution.checkpoint(result.name))
             report(f"studies: {result.name}", len(finished), len(todo))
     return [finished[n] for n in sorted(finished)]
 
@@ -113,7 +114,7 @@ def _stop_in_process() -> bool:
 
 def _run_in_process(execution: Execution, work: StudyTask) -> Run:
     result = _run_one(replace(execution, jobs=threads_of_task()), work)
-    release_checkpoint(execution.checkpoint(work.name))  # the program that began this process removes it
+    release_checkpoint(execution.checkpoint(work.name))  # the program that began this process takes it
     return result
 
 

@@ -56,6 +56,13 @@ _held: dict[Path, Lock] = {}
 """Locks of this process. A complete run has its lock until its results stand and its folder is gone."""
 
 
+def hold_checkpoint(folder: Path) -> None:
+    """Take the lock of a checkpoint that another process of this program released, until it is removed."""
+    with suppress(ConfigError):  # somebody else was faster, and has it
+        if folder.is_dir() and (lock := _lock(folder)) is not None:
+            _held[folder.resolve()] = lock
+
+
 def release_checkpoint(folder: Path) -> None:
     """Let other processes have the checkpoint in a folder, if this one has it."""
     if (lock := _held.pop(folder.resolve(), None)) is not None:
