@@ -153,6 +153,14 @@ def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named() -
     assert bound.hits and "base" in bound.at_limit
 
 
+def test_an_obstacle_that_is_just_passed_does_not_keep_the_tip_from_the_target() -> None:
+    obstacle = ObstacleRecord(name="vessel", centre_mm=(28.76, -0.45), radius_mm=0.52)
+    found = plan_steering(
+        insertion(), Goal((50.73, 0.17), 2.0, (obstacle,)), PlanLimits(base_mm=20), threads=1
+    )
+    assert found.hits and found.nominal_miss < 0.1
+
+
 def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsys) -> None:
     words = ("plan", "phantom2", "--target", "45,9", "--radius", "0.5", "--base", "2", "--turns", "0")
     path = tmp_path / "plan.csv"

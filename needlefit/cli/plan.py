@@ -271,7 +271,9 @@ def _describe_failure(found: "SteeringPlan", summary: dict[str, Any]) -> str:
     bound = [f"the {one} is at its limit" for one in found.at_limit]
     why = ", ".join([*touched, *bound])
     within = f", {found.goal.radius:g} mm are allowed" if near > found.goal.radius else ""
-    return f"the closest tip ends {near:.2f} mm from it{within}" + (f" ({why})" if why else "")
+    return f"the tip of the plan that comes nearest ends {near:.2f} mm from it{within}" + (
+        f" ({why})" if why else ""
+    )
 
 
 _SPECIMENS = {

@@ -87,8 +87,7 @@ def make_marker_sets(
     ]
     sets = MarkerSets(*places, *covariances)
     if not (
-        np.isfinite(sets.variance_bound).all()
-        and np.linalg.eigvalsh(np.concatenate(covariances)).min() >= -1e-12
+        all(map(are_bounded, covariances)) and np.linalg.eigvalsh(np.concatenate(covariances)).min() >= -1e-12
     ):
         raise DataError(
             "a deviation of a marker is negative or not finite",
@@ -150,9 +149,9 @@ def _to_covariances(given: ArrayLike, count: int) -> Floats:
     sd = np.asarray(given, dtype=np.float64)
     if sd.shape == (count, 3, 3):
         return sd
-    if sd.shape not in ((), (count,), (count, 3)) or not (sd >= 0).all():
+    if sd.shape not in ((), (count,), (count, 3)) or not (are_bounded(sd) and (sd >= 0).all()):
         raise DataError(
-            f"deviations of shape {sd.shape} do not belong to {count} markers, or some are negative",
+            f"deviations of shape {sd.shape} are not those of {count} markers, or negative or not finite",
             where="deviations of the markers",
             expected=f"a number, or an array of shape ({count},), ({count}, 3) or ({count}, 3, 3)",
             fix="state the deviation of a marker's centre per direction, mm",

@@ -259,13 +259,10 @@ def _report_failure(task: asyncio.Task[None]) -> None:
 
 
 async def _skip(reader: asyncio.StreamReader, size: int) -> None:
-    """Read a body without keeping it."""
+    """Read a body without keeping it; each `MAX_BODY_BYTES` of it must come in time."""
     while size > 0:
         async with asyncio.timeout(STALLED_S):
-            part = await reader.read(min(size, MAX_BODY_BYTES))
-        if not part:
-            raise EOFError
-        size -= len(part)
+            size -= len(await reader.readexactly(min(size, MAX_BODY_BYTES)))
 
 
 def read_pose(fields: dict[str, object], body: bytes) -> Floats | None:

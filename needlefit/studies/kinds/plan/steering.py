@@ -52,26 +52,32 @@ NEAREST_TARGET_MM = 0.5
 TURN_PLACES = {0: 0, 1: 5, 2: 4}
 """On how many places along the way so many turns of the bevel are tried."""
 
-REFINED_PLANS = 2
-"""Choices of turns that are optimised after the first step."""
+REFINED_PLANS, EXACT_REFINED_PLANS = 2, 3
+"""Choices of turns that are optimised after the first step; the second of one needle, which costs little."""
 
 EFFORT_MM = 0.05
 """Expected miss, mm, for which the base or the entry is moved over its whole range."""
 
-RISK_WIDTH = 0.15
-"""Smoothing of the risk, as a part of the target's radius."""
+RISK_WIDTH, EXACT_RISK_WIDTH = 0.15, 0.02
+"""Smoothing of the risk, as a part of the target's radius; the second with exact parameters, under which an
+obstacle that is just passed is no risk."""
 
 TURN_RISK, EFFORT_RISK = 0.005, 0.01
 """Risk for which a further turn is taken, and for which base and entry are moved over their ranges."""
 
-MISS_RISK = 0.02
-"""Risk of a tip at the rim of the target beside one in its middle: within the radius the miss counts, too."""
+MISS_RISK, EXACT_MISS_RISK = 0.02, 0.3
+"""Risk of a tip at the rim of the target beside one in its middle: within the radius the miss counts, too.
+With exact parameters it is all that is left to lower."""
+
+RISK_EVALUATIONS, EXACT_RISK_EVALUATIONS = 40, 120
+"""Choices that are tried to lower the risk; the second with exact parameters."""
 
 NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
 """Parts of the base's range that are searched too: a wider range then finds no less than these."""
 
-SURE_RISK = 0.05
-"""A plan of at most this risk leaves little to narrower ranges, which are then not searched."""
+SURE_RISK, EXACT_SURE_RISK = 0.05, 0.01
+"""A plan of at most this risk leaves little to narrower ranges, which are then not searched; the second with
+exact parameters."""
 
 LIMIT_PART = 1e-3
 """A choice this near to the end of its range, as a part of the range, is at its limit."""
@@ -395,11 +401,16 @@ class _Search:
             for some, one in zip(needles, choices, strict=True)
         ]
 
+    @property
+    def exact(self) -> bool:
+        """Whether parameters are taken as exact: there is one needle in place of many draws."""
+        return len(self.insertion.samples[0]) == 1
+
     def risks(self, choices: Sequence[_Choice]) -> list[float]:
         """Return the smoothed risk of each choice over the draws of the search, and what its effort costs."""
         needles = self.needles(self.insertion.samples[0], choices)
         return [
-            _smooth_risk(some, self.goal)
+            _smooth_risk(some, self.goal, self.exact)
             + TURN_RISK * len(one.turns)
             + EFFORT_RISK * float(np.sum(self.effort(one) ** 2))
             for some, one in zip(needles, choices, strict=True)
@@ -426,21 +437,24 @@ class _Search:
         Where all miss the target, it is the one of the least expected miss.
         """
         found = [self._find()]
-        if self.risks(found)[0] > SURE_RISK:
-            found += [replace(self, limits=one)._find() for one in self.limits.list_narrower()]
+        if self.risks(found)[0] > (EXACT_SURE_RISK if self.exact else SURE_RISK):
+            narrower = [replace(self, limits=one)._find() for one in self.limits.list_narrower()]
+            found += [*narrower, self._lower_risk(self._rank(narrower)[0])]
         return self._rank(found)[0]
 
     def _find(self) -> _Choice:
         """Return the best choice of this range alone."""
         tried = self._step_once(self.list_choices())
-        found = [self._optimize(one) for one in self._rank(tried)[:REFINED_PLANS]]
-        best = self._rank(found)[0]
-        return best if self.risks([best])[0] >= CERTAIN_RISK else self._lower_risk(best)
+        count = EXACT_REFINED_PLANS if self.exact else REFINED_PLANS
+        found = self._rank([self._optimize(one) for one in self._rank(tried)[:count]])
+        return self._rank([*map(self._lower_risk, found[: count - 1]), found[0]])[0]
 
     def _rank(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices, the best one first."""
         values = self.risks(choices)
-        if min(values) >= CERTAIN_RISK:  # far from the target the smoothed risk has no slope
+        if (
+            not self.exact and min(values) >= CERTAIN_RISK
+        ):  # far from the target the smoothed risk has no slope
             values = [float(np.sum(one**2)) for one in self.residuals(choices)]
         return [choices[n] for n in np.argsort(values, kind="stable")]
 
@@ -469,7 +483,12 @@ class _Search:
         return replace(choice, at=found)
 
     def _lower_risk(self, choice: _Choice) -> _Choice:
-        """Return a choice of lower risk nearby: the least expected miss is not always it."""
+        """Return a choice of lower risk nearby: the least expected miss is not always it.
+
+        Where the risk is certain it has no slope, and the choice stays.
+        """
+        if not self.exact and self.risks([choice])[0] >= CERTAIN_RISK:
+            return choice
         low, high = self.bounds
         size = 0.05 * (high - low)
 
@@ -478,7 +497,13 @@ class _Search:
 
         simplex = np.vstack([choice.at, choice.at + np.diag(np.where(choice.at + size > high, -size, size))])
         found = minimize(
-            risk, choice.at, method="Nelder-Mead", options={"maxfev": 40, "initial_simplex": simplex}
+            risk,
+            choice.at,
+            method="Nelder-Mead",
+            options={
+                "maxfev": EXACT_RISK_EVALUATIONS if self.exact else RISK_EVALUATIONS,
+                "initial_simplex": simplex,
+            },
         )
         at = np.clip(found.x, low, high)
         return replace(choice, at=at) if found.fun < risk(choice.at) - 1e-3 else choice
@@ -506,15 +531,23 @@ def _spread(stations: Sequence[float], count: int) -> tuple[float, ...]:
     return tuple(dict.fromkeys(stations[round(place)] for place in places))
 
 
-def _smooth_risk(needles: Floats, goal: Goal) -> float:
-    """Return the mean over draws of a smooth step from 1, far outside the target or in an obstacle, to 0."""
+def _smooth_risk(needles: Floats, goal: Goal, exact: bool) -> float:
+    """Return the mean over draws of a smooth step from 1, far outside the target or in an obstacle, to 0.
+
+    With exact parameters how far the needle is outside the target and in obstacles is added, in radii of the
+    target: the smoothed step alone has no slope there.
+    """
+    width, miss_risk = (EXACT_RISK_WIDTH, EXACT_MISS_RISK) if exact else (RISK_WIDTH, MISS_RISK)
     margins = [goal.radius - compute_misses(needles, goal)]
     margins += [compute_clearances(needles, one) for one in goal.obstacles]
     margin = np.nan_to_num(np.min(margins, axis=0), nan=-1e3)
     off = np.minimum(np.nan_to_num(compute_misses(needles, goal), nan=np.inf) / goal.radius, 1.0)
     with np.errstate(over="ignore"):
-        outside = 1 / (1 + np.exp(margin / (RISK_WIDTH * goal.radius)))
-    return float(np.mean(outside + MISS_RISK * off**2))
+        outside = 1 / (1 + np.exp(margin / (width * goal.radius)))
+    beyond = (
+        np.sum(np.maximum(-np.nan_to_num(margins, nan=-1e3), 0.0), axis=0) / goal.radius if exact else 0.0
+    )
+    return float(np.mean(outside + miss_risk * off**2 + beyond))
 
 
 MAX_TRIES = 20
