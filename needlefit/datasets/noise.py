@@ -15,7 +15,7 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc, resample_c
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import compute_metrics, list_metrics
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import ANGLE_SD_DEG, FormatPlace, range_warnings
+from needlefit.project.unit_warnings import ANGLE_SD_DEG, ANGLE_UNITS, FormatPlace, range_warnings
 from needlefit.schemas.dataset import DatasetRecord, NoiseRecord
 
 MEAN_NORM_PER_SD = math.sqrt(8 / math.pi)
@@ -120,8 +120,7 @@ def find_stated_warnings(noise: NoiseRecord, length_mm: float, where: FormatPlac
         yield _make_unit_warning(f"noise.{name}", largest, where)
     for name in ("heading_sd_deg", "slope_sd_deg"):
         if sd := getattr(noise, name, 0.0):
-            radians = {"radians": math.degrees(1)}
-            yield from range_warnings(sd, ANGLE_SD_DEG, radians, where, f"noise.{name}", "degrees")
+            yield from range_warnings(sd, ANGLE_SD_DEG, ANGLE_UNITS, where, f"noise.{name}", "degrees")
     registration, length = noise.registration_mean_mm, noise.correlation_length_mm
     if 0 < registration < MIN_POSE_SD_MM:
         yield _make_unit_warning("noise.registration_mean_mm", registration, where)

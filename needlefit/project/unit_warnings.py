@@ -33,6 +33,8 @@ OFFSET_TO_SPACING = (1e-3, 2.0)
 one. 0 is a needle without a bevel."""
 CUT_ANGLE_DEG = (0.2, 45.0)
 """Angle of the cut, least and most: an offset of 0.0035 per mm is 0.2 degrees."""
+ANGLE_UNITS = {"radians": math.degrees(1)}
+"""Degrees in each."""
 ANGLE_SD_DEG = (0.02, 20.0)
 """Standard deviation of a measured direction, least and most: 0.02 mm over 60 mm are 0.02 degrees."""
 BOUNDARY_TO_DEPTH = 2e-3
@@ -229,9 +231,11 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
     if tops:
         yield from boundary_warnings(tops[0], _deepest(scene), where, "layers.2.top_mm")
     spacing = scene.rules.constraint_spacing_mm
-    yield from _bevel_warnings(scene.bevel.offset_mm, scene.bevel.cut_angle_deg, spacing, where, "bevel")
-    for n, step in enumerate(scene.steps, start=1):
-        yield from _bevel_warnings(step.offset_mm, step.cut_angle_deg, spacing, where, f"steps.{n}")
+    bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
+    bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
+    for key, offset, angle in bevels:
+        yield from _offset_warnings(offset, spacing, where, f"{key}.offset_mm")
+        yield from _cut_angle_warnings(angle, where, f"{key}.cut_angle_deg")
 
 
 def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
@@ -265,9 +269,9 @@ def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWa
         elif name.startswith("alpha") and fixed is not None:
             yield from _alpha_warnings(fixed, medium.law, where, key)
         elif name == "bevel_mm":
-            yield from _bevel_warnings(fixed or (bounds[1] if bounds else 0.0), 0.0, spacing, where, key)
+            yield from _offset_warnings(fixed or (bounds and bounds[1]), spacing, where, key)
         elif name == "cut_angle_deg":
-            yield from _bevel_warnings(0.0, fixed or (bounds[1] if bounds else 0.0), spacing, where, key)
+            yield from _cut_angle_warnings(fixed or (bounds and bounds[1]), where, key)
 
 
 def range_warnings(
@@ -303,27 +307,20 @@ def _alpha_warnings(alpha: float, law: str, where: FormatPlace, key: str) -> Ite
         )
 
 
-def _bevel_warnings(
-    offset: float | None, cut_angle: float | None, spacing: float, where: FormatPlace, key: str
+def _offset_warnings(
+    offset: float | None, spacing: float, where: FormatPlace, key: str
 ) -> Iterator[ResultWarning]:
-    """Yield a warning for a bevel's offset, mm per constraint spacing, or angle of the cut, degrees."""
-    in_table = not key.startswith("parameters")
+    """Yield a warning for a bevel's offset, mm per constraint spacing; 0 is a needle without a bevel."""
     if offset:
-        low, high = OFFSET_TO_SPACING
-        name = f"{key}.offset_mm" if in_table else key
+        low, high = (spacing * each for each in OFFSET_TO_SPACING)
         yield from range_warnings(
-            offset,
-            (low * spacing, high * spacing),
-            {"metres": 1e3},
-            where,
-            name,
-            f"mm per {spacing:g} mm of depth",
+            offset, (low, high), {"metres": 1e3}, where, key, f"mm per {spacing:g} mm of depth"
         )
-    if cut_angle:
-        name = f"{key}.cut_angle_deg" if in_table else key
-        yield from range_warnings(
-            cut_angle, CUT_ANGLE_DEG, {"radians": math.degrees(1)}, where, name, "degrees"
-        )
+
+
+def _cut_angle_warnings(angle: float | None, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
+    if angle:
+        yield from range_warnings(angle, CUT_ANGLE_DEG, ANGLE_UNITS, where, key, "degrees")
 
 
 def boundary_warnings(first: float, depth: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:

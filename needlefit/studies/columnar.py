@@ -53,21 +53,34 @@ class ColumnarFile:
         """
         group: int | None = 0
         while group is not None:
-            wanted: dict[str, Any] = {"path": str(self.path), "columns": columns and list(columns)}
-            wanted["first_group"] = group
-            if self.own:
-                from needlefit.studies.parquet_reader import OwnArrays, read_rows
-
-                arrays: dict[str, NDArray[Any]] = (own := OwnArrays())
-                found = read_rows(own, **wanted)
-            else:
-                found, arrays = read_in_sandbox(_READER, self.path, _LIMITS, wanted)
+            found, arrays = self._read_piece(columns, group)
             try:
                 columns_read = {one["name"]: _decode(arrays[one["name"]], one) for one in found["columns"]}
                 piece, group = pd.DataFrame(columns_read), found["next"]
             except (KeyError, TypeError, ValueError) as error:
                 raise damage_error(self.path, type(error).__name__) from None
             yield piece
+
+    def list_columns(self) -> list[str]:
+        """Return the names of the columns, without reading rows; DataError if the file is damaged."""
+        found, _ = self._read_piece((), 0)
+        return [str(name) for name in found["names"]]
+
+    def _read_piece(
+        self, columns: Sequence[str] | None, group: int
+    ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return what `read_rows` returns of the row groups from `group` on, and its arrays."""
+        wanted: dict[str, Any] = {
+            "path": str(self.path),
+            "columns": None if columns is None else list(columns),
+        }
+        wanted["first_group"] = group
+        if not self.own:
+            return read_in_sandbox(_READER, self.path, _LIMITS, wanted)
+        from needlefit.studies.parquet_reader import OwnArrays, read_rows
+
+        arrays = OwnArrays()
+        return read_rows(arrays, **wanted), arrays
 
 
 _READER = "needlefit.studies.parquet_reader:read_rows"
@@ -141,7 +154,7 @@ def list_columns(frames: Mapping[str, pd.DataFrame], name: str) -> list[str]:
     """Return the names of a frame's columns."""
     if (file := _find_file(frames, name)) is None:
         return [str(one) for one in frames[name]]
-    return [str(one) for one in next(file.read())]
+    return file.list_columns()
 
 
 def iterate_pieces(frames: Mapping[str, pd.DataFrame], name: str) -> Iterator[pd.DataFrame]:

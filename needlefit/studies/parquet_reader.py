@@ -27,8 +27,8 @@ def read_rows(results: NewArrays, path: str, columns: list[str] | None, first_gr
     Returns
     -------
     dict
-        `columns`: of each its name, and of texts the words that its numbers stand for (-1: none); `next`: the
-        group after these, None at the end.
+        `names` of all columns; `columns`: of each read its name, and of texts the words that its numbers
+        stand for (-1: none); `next`: the group after these, None at the end.
     """
     with parquet.ParquetFile(path, memory_map=False) as stored:
         groups = [stored.metadata.row_group(n).num_rows for n in range(stored.num_row_groups)]
@@ -37,13 +37,14 @@ def read_rows(results: NewArrays, path: str, columns: list[str] | None, first_gr
         end = first_group + 1
         while end < len(groups) and sum(groups[first_group : end + 1]) <= MAX_PIECE_ROWS:
             end += 1
-        names = stored.schema_arrow.names if columns is None else columns
+        stored_names = stored.schema_arrow.names
+        names = stored_names if columns is None else columns
         if groups:
             table = stored.read_row_groups(range(first_group, end), names, use_threads=False)
         else:
             table = stored.schema_arrow.empty_table().select(names)
     described = [_fill(results, name, table.column(name)) for name in names]
-    return {"columns": described, "next": end if end < len(groups) else None}
+    return {"names": stored_names, "columns": described, "next": end if end < len(groups) else None}
 
 
 def _fill(results: NewArrays, name: str, column: "pa.ChunkedArray") -> dict[str, Any]:

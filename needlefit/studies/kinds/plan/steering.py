@@ -52,32 +52,51 @@ NEAREST_TARGET_MM = 0.5
 TURN_PLACES = {0: 0, 1: 5, 2: 4}
 """On how many places along the way so many turns of the bevel are tried."""
 
-REFINED_PLANS, EXACT_REFINED_PLANS = 2, 3
-"""Choices of turns that are optimised after the first step; the second of one needle, which costs little."""
-
 EFFORT_MM = 0.05
 """Expected miss, mm, for which the base or the entry is moved over its whole range."""
-
-RISK_WIDTH, EXACT_RISK_WIDTH = 0.15, 0.02
-"""Smoothing of the risk, as a part of the target's radius; the second with exact parameters, under which an
-obstacle that is just passed is no risk."""
 
 TURN_RISK, EFFORT_RISK = 0.005, 0.01
 """Risk for which a further turn is taken, and for which base and entry are moved over their ranges."""
 
-MISS_RISK, EXACT_MISS_RISK = 0.02, 0.3
-"""Risk of a tip at the rim of the target beside one in its middle: within the radius the miss counts, too.
-With exact parameters it is all that is left to lower."""
 
-RISK_EVALUATIONS, EXACT_RISK_EVALUATIONS = 40, 120
-"""Choices that are tried to lower the risk; the second with exact parameters."""
+@dataclass(frozen=True)
+class _RiskRules:
+    """How the risk is smoothed and lowered.
+
+    Attributes
+    ----------
+    width : float
+        Smoothing of the risk, as a part of the target's radius.
+    miss_risk : float
+        Risk of a tip at the rim of the target beside one in its middle: a miss counts there, too.
+    refined : int
+        Choices of turns that are optimised after the first step; the risk of all but the last is lowered.
+    evaluations : int
+        Choices that are tried to lower the risk of one.
+    sure_risk : float
+        A plan of at most this risk leaves little to narrower ranges, which are then not searched.
+    sloped : bool
+        Whether the distance outside the target and in obstacles is added: far from them the smoothed step
+        has no slope.
+    """
+
+    width: float
+    miss_risk: float
+    refined: int
+    evaluations: int
+    sure_risk: float
+    sloped: bool
+
+
+SAMPLED = _RiskRules(width=0.15, miss_risk=0.02, refined=2, evaluations=40, sure_risk=0.05, sloped=False)
+"""Of many draws."""
+
+EXACT = _RiskRules(width=0.02, miss_risk=0.3, refined=3, evaluations=120, sure_risk=0.01, sloped=True)
+"""Of exact parameters, one needle, which costs little: an obstacle that is just passed is no risk, so that
+the miss is all that is left to lower."""
 
 NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
 """Parts of the base's range that are searched too: a wider range then finds no less than these."""
-
-SURE_RISK, EXACT_SURE_RISK = 0.05, 0.01
-"""A plan of at most this risk leaves little to narrower ranges, which are then not searched; the second with
-exact parameters."""
 
 LIMIT_PART = 1e-3
 """A choice this near to the end of its range, as a part of the range, is at its limit."""
@@ -402,15 +421,15 @@ class _Search:
         ]
 
     @property
-    def exact(self) -> bool:
-        """Whether parameters are taken as exact: there is one needle in place of many draws."""
-        return len(self.insertion.samples[0]) == 1
+    def rules(self) -> _RiskRules:
+        """The rules of the risk: those of one needle where parameters are taken as exact."""
+        return EXACT if len(self.insertion.samples[0]) == 1 else SAMPLED
 
     def risks(self, choices: Sequence[_Choice]) -> list[float]:
         """Return the smoothed risk of each choice over the draws of the search, and what its effort costs."""
         needles = self.needles(self.insertion.samples[0], choices)
         return [
-            _smooth_risk(some, self.goal, self.exact)
+            _smooth_risk(some, self.goal, self.rules)
             + TURN_RISK * len(one.turns)
             + EFFORT_RISK * float(np.sum(self.effort(one) ** 2))
             for some, one in zip(needles, choices, strict=True)
@@ -437,7 +456,7 @@ class _Search:
         Where all miss the target, it is the one of the least expected miss.
         """
         found = [self._find()]
-        if self.risks(found)[0] > (EXACT_SURE_RISK if self.exact else SURE_RISK):
+        if self.risks(found)[0] > self.rules.sure_risk:
             narrower = [replace(self, limits=one)._find() for one in self.limits.list_narrower()]
             found += [*narrower, self._lower_risk(self._rank(narrower)[0])]
         return self._rank(found)[0]
@@ -445,16 +464,14 @@ class _Search:
     def _find(self) -> _Choice:
         """Return the best choice of this range alone."""
         tried = self._step_once(self.list_choices())
-        count = EXACT_REFINED_PLANS if self.exact else REFINED_PLANS
+        count = self.rules.refined
         found = self._rank([self._optimize(one) for one in self._rank(tried)[:count]])
         return self._rank([*map(self._lower_risk, found[: count - 1]), found[0]])[0]
 
     def _rank(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices, the best one first."""
         values = self.risks(choices)
-        if (
-            not self.exact and min(values) >= CERTAIN_RISK
-        ):  # far from the target the smoothed risk has no slope
+        if not self.rules.sloped and min(values) >= CERTAIN_RISK:
             values = [float(np.sum(one**2)) for one in self.residuals(choices)]
         return [choices[n] for n in np.argsort(values, kind="stable")]
 
@@ -487,7 +504,7 @@ class _Search:
 
         Where the risk is certain it has no slope, and the choice stays.
         """
-        if not self.exact and self.risks([choice])[0] >= CERTAIN_RISK:
+        if not self.rules.sloped and self.risks([choice])[0] >= CERTAIN_RISK:
             return choice
         low, high = self.bounds
         size = 0.05 * (high - low)
@@ -500,10 +517,7 @@ class _Search:
             risk,
             choice.at,
             method="Nelder-Mead",
-            options={
-                "maxfev": EXACT_RISK_EVALUATIONS if self.exact else RISK_EVALUATIONS,
-                "initial_simplex": simplex,
-            },
+            options={"maxfev": self.rules.evaluations, "initial_simplex": simplex},
         )
         at = np.clip(found.x, low, high)
         return replace(choice, at=at) if found.fun < risk(choice.at) - 1e-3 else choice
@@ -531,23 +545,17 @@ def _spread(stations: Sequence[float], count: int) -> tuple[float, ...]:
     return tuple(dict.fromkeys(stations[round(place)] for place in places))
 
 
-def _smooth_risk(needles: Floats, goal: Goal, exact: bool) -> float:
-    """Return the mean over draws of a smooth step from 1, far outside the target or in an obstacle, to 0.
-
-    With exact parameters how far the needle is outside the target and in obstacles is added, in radii of the
-    target: the smoothed step alone has no slope there.
-    """
-    width, miss_risk = (EXACT_RISK_WIDTH, EXACT_MISS_RISK) if exact else (RISK_WIDTH, MISS_RISK)
-    margins = [goal.radius - compute_misses(needles, goal)]
-    margins += [compute_clearances(needles, one) for one in goal.obstacles]
-    margin = np.nan_to_num(np.min(margins, axis=0), nan=-1e3)
-    off = np.minimum(np.nan_to_num(compute_misses(needles, goal), nan=np.inf) / goal.radius, 1.0)
+def _smooth_risk(needles: Floats, goal: Goal, rules: _RiskRules) -> float:
+    """Return the mean over draws of a smooth step from 1, far outside the target or in an obstacle, to 0."""
+    misses = compute_misses(needles, goal)
+    margins = np.array([goal.radius - misses, *(compute_clearances(needles, one) for one in goal.obstacles)])
+    margins = np.nan_to_num(margins, nan=-1e3)
+    off = np.minimum(np.nan_to_num(misses, nan=np.inf) / goal.radius, 1.0)
     with np.errstate(over="ignore"):
-        outside = 1 / (1 + np.exp(margin / (width * goal.radius)))
-    beyond = (
-        np.sum(np.maximum(-np.nan_to_num(margins, nan=-1e3), 0.0), axis=0) / goal.radius if exact else 0.0
-    )
-    return float(np.mean(outside + miss_risk * off**2 + beyond))
+        risk = 1 / (1 + np.exp(margins.min(axis=0) / (rules.width * goal.radius))) + rules.miss_risk * off**2
+    if rules.sloped:
+        risk = risk + np.maximum(-margins, 0.0).sum(axis=0) / goal.radius
+    return float(np.mean(risk))
 
 
 MAX_TRIES = 20
