@@ -1,0 +1,331 @@
+// The C interface of the kernel: structures of pointers and counts, no state of its own, no memory of its own.
+#include "derivatives.hpp"
+#include "loads.hpp"
+#include "shape.hpp"
+
+using namespace needlefit;
+
+#ifndef NEEDLEFIT_LANES
+#define NEEDLEFIT_LANES 8
+#endif
+constexpr int LANES = NEEDLEFIT_LANES;
+#define EXPORT extern "C" __attribute__((visibility("default")))
+
+// Where shapes go: (S, room) arrays for nodes, (S, cells) for constraint points of the last stop.
+struct Shapes {
+    Index room, points;
+    double *x, *u, *slope;  // (S, room) of the chain's nodes, base first
+    double* constraints;    // (S, points) y
+    double* track;          // (S, points, 2)
+    Index* status;          // (S)
+    Index* passes;          // (S)
+    Index* nodes;           // (1) nodes of the chain
+    double *u_by, *slope_by;           // (S, room, columns); all null where no derivative is asked for
+    double *constraints_by, *track_by;  // (S, points, columns) of y, and of the tip's deflection
+};
+
+template <class Real>
+Index lay_out(Insertion<Real>& insertion, Derivatives<Real>& derivatives, char* memory) {
+    Arena arena{memory};
+    insertion.lay_out_fixed(arena), insertion.lay_out_state(arena), insertion.lay_out_scratch(arena);
+    if (insertion.problem.columns > 0) derivatives.lay_out(arena);
+    return arena.at - memory;
+}
+
+template <class Real>
+void write_shapes(const Insertion<Real>& insertion, const Shapes& out) {
+    const Problem& problem = insertion.problem;
+    Index front = insertion.front, count = insertion.progress->nodes;
+    double nan = __builtin_nan("");
+    *out.nodes = front + count;
+    for (int lane = 0; lane < Traits<Real>::lanes && insertion.set + lane < problem.sets; lane++) {
+        Index set = insertion.set + lane;
+        auto lane_of = [&](const Real& value) { return get_lane(value, lane); };
+        bool good = lane_of(*insertion.status) == 0.0;
+        out.status[set] = Index(lane_of(*insertion.status)), out.passes[set] = Index(lane_of(*insertion.passes));
+        for (Index i = 0; i < front + count; i++) {
+            const Node<Real>& node = i < front ? insertion.fronts[i] : insertion.states[insertion.progress->now][i - front];
+            Index at = set * out.room + i;
+            out.x[at] = i < front ? lane_of(insertion.front_x[i]) : insertion.nodes[i - front];
+            out.u[at] = good ? lane_of(node.u) : nan, out.slope[at] = good ? lane_of(node.slope) : nan;
+        }
+        for (Index m = 0; m < out.points; m++) {
+            Index at = set * out.points + m;
+            out.constraints[at] = lane_of(insertion.y[m]);
+            out.track[2 * at] = lane_of(insertion.track[m].u), out.track[2 * at + 1] = lane_of(insertion.track[m].slope);
+        }
+    }
+}
+
+template <class Real>
+void write_derivatives(const Derivatives<Real>& derivatives, const Shapes& out) {
+    const Insertion<Real>& insertion = derivatives.needle;
+    Index columns = derivatives.columns, count = derivatives.tip_node() + 1;
+    for (int lane = 0; lane < Traits<Real>::lanes && insertion.set + lane < insertion.problem.sets; lane++) {
+        Index set = insertion.set + lane;
+        bool good = get_lane(*insertion.status, lane) == 0.0;
+        auto value = [&](const Real& number) { return good ? get_lane(number, lane) : __builtin_nan(""); };
+        for (Index p = 0; p < columns; p++) {
+            for (Index i = 0; i < count; i++) {
+                Index at = (set * out.room + i) * columns + p;
+                out.u_by[at] = value(derivatives.whole[2 * i * columns + p]);
+                out.slope_by[at] = value(derivatives.whole[(2 * i + 1) * columns + p]);
+            }
+            for (Index m = 0; m < out.points; m++) {
+                Index at = (set * out.points + m) * columns + p;
+                out.constraints_by[at] = value(derivatives.constraints[m * columns + p]);
+                out.track_by[at] = value(derivatives.track[2 * m * columns + p]);
+            }
+        }
+    }
+}
+
+template <class Real>
+void simulate(const Problem& problem, Index first, char* memory, const Shapes& out) {
+    Insertion<Real> insertion(problem);
+    Derivatives<Real> derivatives(insertion);
+    insertion.set = first;
+    lay_out(insertion, derivatives, memory);
+    insertion.prepare(), insertion.begin();
+    if (problem.columns > 0) derivatives.begin();
+    for (Index s = 0; s < problem.stop_count; s++) {
+        if (problem.columns > 0)
+            derivatives.advance(problem.stops[s], s + 1 == problem.stop_count);
+        else
+            insertion.advance(problem.stops[s]);
+    }
+    write_shapes(insertion, out);
+    if (problem.columns > 0) write_derivatives(derivatives, out);
+}
+
+template <class Real>
+Index measure(const Problem& problem) {
+    Insertion<Real> insertion(problem);
+    Derivatives<Real> derivatives(insertion);
+    return lay_out(insertion, derivatives, nullptr);
+}
+
+EXPORT Index nf_abi_version() { return 1; }
+EXPORT Index nf_lanes() { return LANES; }
+
+// ---- many insertions ------------------------------------------------------------------------------------------------
+
+// Bytes that a block of `lanes` sets needs, aligned to 64; and room for the nodes of a chain.
+EXPORT Index nf_memory(const Problem* problem, Index lanes) {
+    return lanes == 1 ? measure<double>(*problem) : measure<LanesOf<LANES>::Vector>(*problem);
+}
+EXPORT Index nf_room(const Problem* problem) { return Insertion<double>(*problem).chain(); }
+
+// Insert the needles of the sets from `first` on: so many as there are lanes, or one.
+EXPORT void nf_simulate(const Problem* problem, Index first, Index lanes, char* memory, const Shapes* out) {
+    if (lanes == 1)
+        simulate<double>(*problem, first, memory, *out);
+    else
+        simulate<LanesOf<LANES>::Vector>(*problem, first, memory, *out);
+}
+
+// ---- one needle, step by step ---------------------------------------------------------------------------------------
+
+// A session keeps three pieces of memory: what never changes, the state of the needle, and room to work in.
+struct Session : Insertion<double> {
+    Session(const Problem& problem, char* fixed, char* state, char* scratch) : Insertion<double>(problem) {
+        Arena arena{fixed};
+        lay_out_fixed(arena);
+        arena.at = state, lay_out_state(arena);
+        arena.at = scratch, lay_out_scratch(arena);
+    }
+};
+EXPORT void nf_session_memory(const Problem* problem, Index* bytes) {
+    Insertion<double> insertion(*problem);
+    Arena arena{nullptr};
+    insertion.lay_out_fixed(arena), bytes[0] = arena.at - static_cast<char*>(nullptr);
+    arena.at = nullptr, insertion.lay_out_state(arena), bytes[1] = arena.at - static_cast<char*>(nullptr);
+    arena.at = nullptr, insertion.lay_out_scratch(arena), bytes[2] = arena.at - static_cast<char*>(nullptr);
+}
+EXPORT void nf_session_begin(const Problem* problem, char* fixed, char* state, char* scratch) {
+    Session session(*problem, fixed, state, scratch);
+    session.prepare(), session.begin();
+}
+// Go through the stops of the problem from the state `from` (bytes of it) to the state `to`.
+EXPORT void nf_session_advance(
+    const Problem* problem, char* fixed, const char* from, Index bytes, char* to, char* scratch, const Shapes* out
+) {
+    __builtin_memcpy(to, from, bytes);
+    Session session(*problem, fixed, to, scratch);
+    session.main.nodes = session.constants->nodes;
+    for (Index s = 0; s < problem->stop_count && *session.status == 0.0; s++) session.advance(problem->stops[s]);
+    write_shapes<double>(session, *out);
+}
+
+// ---- one equilibrium ------------------------------------------------------------------------------------------------
+
+// The equilibrium of a needle with its tip at `depths[cells]` against given constraint points (cells + 1), from the
+// guess `state` (room, 2), which the answer replaces; `x` receives the nodes. `target` (points of quadrature) takes the
+// place of the constraint points' y where it is not null. Returns the number of nodes.
+EXPORT Index nf_equilibrium(
+    const Problem* problem, Index cells, const double* depths, double* y, double* target, double* state, char* memory,
+    double* x, Index* status
+) {
+    Insertion<double> needle(*problem);
+    Arena arena{memory};
+    needle.lay_out_fixed(arena), needle.lay_out_state(arena), needle.lay_out_scratch(arena);
+    needle.prepare(), needle.begin();
+    needle.make_grid(depths[cells], 0, cells, [&](Index m) { return depths[m]; });
+    needle.hold(0, depths[cells]);
+    needle.y = target ? target : y;
+    if (target)
+        for (Index q = 0; q < needle.grid->first[needle.grid->nodes]; q++) {
+            Point& point = needle.own_grid.points[q];
+            point.near = point.other = int(q), point.share = 0.0;
+        }
+    Index size = needle.front + needle.last + 1;
+    auto node_at = [&](Index i) -> Node<double>& {
+        return i < needle.front ? needle.fronts[i] : needle.states[1][i - needle.front];
+    };
+    for (Index i = 0; i < size; i++) {
+        node_at(i) = {state[2 * i], state[2 * i + 1]};
+        x[i] = i < needle.front ? needle.front_x[i] : needle.grid->x[i - needle.front];
+    }
+    needle.constants->friction ? needle.equilibrate<true>(true) : needle.equilibrate<false>(true);
+    for (Index i = 0; i < size; i++) state[2 * i] = node_at(i).u, state[2 * i + 1] = node_at(i).slope;
+    status[0] = Index(*needle.status), status[1] = Index(*needle.passes);
+    return size;
+}
+
+// The quadrature of a needle as it stands: place, weight, layer and constraint point of each point, and the number of
+// points; `nodes` (N) are those in the tissue, `depths` (cells + 1).
+EXPORT Index nf_quadrature(
+    const Problem* problem, Index count, const double* nodes, Index cells, const double* depths, char* memory,
+    double* x, double* weight, Index* layer, Index* near
+) {
+    Arena arena{memory};
+    Grid grid = take_grid(arena, *problem);
+    grid.nodes = count;
+    for (Index i = 0; i < count; i++) grid.x[i] = nodes[i];
+    auto depth_of = [&](Index m) { return depths[m]; };
+    place_points(grid, depth_of, cells, problem->boundaries, problem->layers, problem->part);
+    Index points = grid.first[count];
+    for (Index q = 0; q < points; q++) {
+        const Point& point = grid.points[q];
+        x[q] = point.x, weight[q] = point.weight, layer[q] = point.layer, near[q] = point.near;
+    }
+    return points;
+}
+
+// ---- loads, laws, points, functions -----------------------------------------------------------------------------------
+
+// The tissue's load (K) on a needle at beam coordinates s (K), 0 before the tissue.
+EXPORT void nf_load(
+    const Problem* problem, const BentNeedle* needle, Index wanted, const double* s, char* memory, double* out
+) {
+    Insertion<double> insertion(*problem);
+    Arena arena{memory};
+    insertion.lay_out_fixed(arena), insertion.prepare();
+    for (Index k = 0; k < wanted; k++) {
+        Index layer = count_below(problem->boundaries, problem->layers - 1, s[k]);
+        Index e = find_element(needle->x, needle->nodes, s[k]);
+        double c = find_cut(*needle, s[k], problem->part);
+        out[k] = s[k] < 0.0 ? 0.0 : evaluate_load(*needle, insertion.layers[layer], e, s[k], c);
+    }
+}
+
+// Force and moment (nodes, 2) that hold a needle under the load (points of its quadrature).
+EXPORT void nf_balance(
+    const Problem* problem, const BentNeedle* needle, Index front, const double* depths, const double* load,
+    char* memory, double* out
+) {
+    Arena arena{memory};
+    Grid grid = take_grid(arena, *problem);
+    grid.nodes = needle->nodes - front;
+    for (Index i = 0; i < grid.nodes; i++) grid.x[i] = needle->x[front + i];
+    auto depth_of = [&](Index m) { return depths[m]; };
+    place_points(grid, depth_of, needle->cells, problem->boundaries, problem->layers, problem->part);
+    balance_nodes(*needle, grid, *problem->rigidity, load, out);
+}
+
+// A layer's law at |e| (count) mm as the kernel evaluates it: k, d(k e)/de and, if `by` is not null, dk/dp of a shape
+// parameter. `about` receives the |e| up to which the polynomial holds, the curvature and the polynomial (6).
+EXPORT void nf_law(
+    Index terms, const double* law, const double* by, double mu, double thickness, Index count, const double* size,
+    double* k, double* tangent, double* slope, double* about
+) {
+    Layer<double> layer;
+    layer.set(0, {law, int(terms)}, mu, thickness, 0.0);
+    double series[SERIES_TERMS];
+    if (by) fit_slope_series(series, layer.law[0], by, mu, thickness, layer.limit);
+    Seen<double> seen;
+    for (Index i = 0; i < count; i++) {
+        evaluate_modulus(layer, size[i], k[i], tangent[i], seen);
+        if (by) slope[i] = evaluate_by_shape<double>(layer, series, &by, size[i]);
+    }
+    about[0] = layer.limit, about[1] = layer.curvature;
+    for (int j = 0; j < SERIES_TERMS; j++) about[2 + j] = layer.series[j];
+}
+
+// The compression up to which a polynomial serves for a table: what its second number has to be.
+EXPORT double nf_table_range(const double* table) { return measure_table_range(table); }
+
+// The points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates s (K). `memory` has room for
+// 6 (N + 2) LANES numbers.
+EXPORT void nf_positions(
+    Index needles, Index count, Index wanted, const double* x, const double* u, const double* slope, const double* s,
+    char* memory, double* out
+) {
+    using Lanes = LanesOf<LANES>::Vector;
+    for (Index first = 0; first < needles;) {
+        Index here = needles - first < LANES ? needles - first : LANES, at = first * count;
+        for (Index i = 0; i < here * count; i++)
+            if (x[at + i] != x[at + i % count]) here = 1;
+        Arena arena{memory};
+        if (here == 1)
+            compute_positions<double>(
+                1, count, wanted, x + at, u + at, slope + at, s, arena.take<ShapeNode<double>>(count),
+                out + first * wanted * 2
+            );
+        else
+            compute_positions<Lanes>(
+                here, count, wanted, x + at, u + at, slope + at, s, arena.take<ShapeNode<Lanes>>(count),
+                out + first * wanted * 2
+            );
+        first += here;
+    }
+}
+
+// The deflections (K) of a needle with nodes (N), which are not the y of its points.
+EXPORT void nf_deflections(
+    Index count, Index wanted, const double* x, const double* u, const double* slope, const double* s, double* out
+) {
+    for (Index k = 0; k < wanted; k++) {
+        Index e = find_element(x, count, s[k]);
+        Hermite<double> shape(s[k] - x[e], x[e + 1] - x[e]);
+        const double* n = shape.n;
+        out[k] = n[0] * u[e] + n[1] * slope[e] + n[2] * u[e + 1] + n[3] * slope[e + 1];
+    }
+}
+
+EXPORT void nf_position_derivatives(
+    Index count, Index wanted, Index columns, const double* x, const double* u, const double* slope, const double* s,
+    const double* x_by, const double* u_by, const double* slope_by, double* memory, double* out
+) {
+    compute_position_derivatives(count, wanted, columns, x, u, slope, s, x_by, u_by, slope_by, memory, out);
+}
+
+// Elementary functions, to be tested: 0 exponential, 1 logarithm, 2 ln(1 - x), 3 sine, 4 cosine; 5, 6 in lanes.
+EXPORT void nf_function(Index which, Index count, const double* x, double* out) {
+    using Lanes = LanesOf<LANES>::Vector;
+    for (Index i = 0; i < count; i++) {
+        double sine = 0.0, cosine = 0.0;
+        if (which >= 5) {
+            Lanes sines, cosines;
+            sine_cosine<Lanes>(all_lanes<Lanes>(x[i]), sines, cosines);
+            sine = sines[LANES - 1], cosine = cosines[LANES - 1];
+        } else if (which >= 3) {
+            sine_cosine<double>(x[i], sine, cosine);
+        }
+        out[i] = which == 0   ? exponential(x[i])
+                 : which == 1 ? logarithm(x[i])
+                 : which == 2 ? logarithm_of_1_minus(x[i])
+                 : which % 2  ? sine
+                              : cosine;
+    }
+}

@@ -1,0 +1,478 @@
+// Exact derivatives of an insertion with respect to its parameters (docs/model.md, section 7).
+//
+// The past enters a stop only through the y of the constraint points, and these only through the rays that the tip has
+// cut. So the derivatives of every constraint point and every ray are kept, one column for each parameter. At each
+// stop two adjoint rows, K^T lambda = the tip's deflection and slope, give the derivatives of the tip; full tangent
+// systems are solved at the last stop alone. What is differentiated is the converged residual: one further pass over
+// all elements makes its factor, and takes the state to rounding.
+#pragma once
+
+#include "needle.hpp"
+
+namespace needlefit {
+
+enum ColumnKind { MU, SHAPE, FRICTION, BOUNDARY, RIGIDITY, BEVEL, BASE_Y, BASE_SLOPE, STAGE_SLOPE, COLUMN_KINDS };
+
+template <class Real>
+struct Derivatives {
+    static constexpr int W = Traits<Real>::lanes;
+    Insertion<Real>& needle;
+    const Problem& problem;
+    Index columns;
+
+    Real* slope_series;      // (layers, shapes, SERIES_TERMS) of mu dk/dp
+    const double** law_by;   // (layers, shapes, W)
+
+    // Derivatives so far, all 0 before first contact: the tip defines the frame there, so no parameter moves it.
+    Real* constraints;  // (cells + 1, columns) of the y of the constraint points
+    Real* rays;         // (rays, 2, columns) of where each begins, and of its slope
+    Real* tip;          // (2, columns) of the tip's deflection and slope now
+    Real* track;        // (cells + 1, 2, columns) of the tip as it last stood in each cell
+    Real* cut;          // (columns) of the cut's y at the tip
+    Real* whole;        // (chain, 2, columns) of every node, at the last stop
+
+    // Room to work in.
+    Reaction<Real>* points;
+    Real* by_constraint;  // (cells + 1, 2) adjoint rows times loads
+    Real* by_layer;       // (layers, 2, shapes + 2): of the force, of friction, of each shape parameter
+    Node<Real> (*rows)[2];        // (chain) the adjoint rows, 0 where prescribed
+    Node<Real> (*held_rows)[2];   // the same where something is prescribed: the answer per unit of that
+    struct Entry {
+        Index node, component, column;
+        Real amount;
+    };
+    Entry* entries;  // right-hand sides that touch few nodes
+    Index entry_count;
+
+    explicit Derivatives(Insertion<Real>& given) : needle(given), problem(given.problem), columns(problem.columns) {}
+
+    void lay_out(Arena& arena) {
+        Index cells = problem.cells() + 1, chain = needle.chain();
+        slope_series = arena.take<Real>(problem.layers * problem.shapes * SERIES_TERMS);
+        law_by = arena.take<const double*>(problem.layers * problem.shapes * W);
+        constraints = arena.take<Real>(cells * columns), rays = arena.take<Real>(problem.rays * 2 * columns);
+        tip = arena.take<Real>(2 * columns), track = arena.take<Real>(cells * 2 * columns);
+        cut = arena.take<Real>(columns), whole = arena.take<Real>(chain * 2 * columns);
+        points = arena.take<Reaction<Real>>(problem.points());
+        by_constraint = arena.take<Real>(cells * 2);
+        by_layer = arena.take<Real>(problem.layers * 2 * (problem.shapes + 2));
+        rows = arena.take<Node<Real>[2]>(chain), held_rows = arena.take<Node<Real>[2]>(chain);
+        // The base has 3 entries; a guide 2, and 6 for the three nodes that its x moves; a boundary 4 on two nodes.
+        entries = arena.take<Entry>(3 + 8 * (problem.guides + 1) + 4 * problem.layers);
+    }
+
+    Index column(ColumnKind kind) const { return problem.column_of[kind]; }
+
+    void begin() {
+        Index cells = problem.cells() + 1, shapes = problem.shapes;
+        for (Index i = 0; i < cells * columns; i++) constraints[i] = Real{};
+        for (Index i = 0; i < cells * 2 * columns; i++) track[i] = Real{};
+        for (Index i = 0; i < problem.rays * 2 * columns; i++) rays[i] = Real{};
+        for (Index i = 0; i < columns; i++) tip[i] = tip[columns + i] = cut[i] = Real{};
+        if (column(SHAPE) < 0) return;
+        for (Index i = 0; i < problem.layers; i++)
+            for (Index p = 0; p < shapes; p++)
+                for (int lane = 0; lane < W; lane++) {
+                    const Layer<Real>& layer = needle.layers[i];
+                    Index at = (needle.set_of(lane) * problem.layers + i) * shapes + p;
+                    const double* by = problem.law_by + at * problem.numbers;
+                    double series[SERIES_TERMS];
+                    fit_slope_series(
+                        series, layer.law[lane], by, get_lane(layer.mu, lane), get_lane(layer.thickness, lane),
+                        get_lane(layer.limit, lane)
+                    );
+                    for (int j = 0; j < SERIES_TERMS; j++)
+                        set_lane(slope_series[(i * shapes + p) * SERIES_TERMS + j], lane, series[j]);
+                    law_by[(i * shapes + p) * W + lane] = by;
+                }
+    }
+
+    INLINE Node<Real>& node_at(Index i) const {
+        return i < needle.front ? needle.fronts[i] : needle.state()[i - needle.front];
+    }
+    INLINE Real x_at(Index i) const {
+        return i < needle.front ? needle.front_x[i] : all_lanes<Real>(needle.grid->x[i - needle.front]);
+    }
+    INLINE Index tip_node() const { return needle.front + needle.last; }
+
+    // Bring the needle to a stop, and all derivatives with it; `final`: fill `whole`.
+    void advance(const Stop& stop, bool final) {
+        needle.reach(stop);
+        needle.constants->friction ? linearize<true>() : linearize<false>();
+        needle.record(stop);
+        place_constraint(stop);
+        list_entries(stop);
+        if (final) {
+            differentiate_shape();
+        } else {
+            solve_adjoint();
+            sum_loads(stop);
+            differentiate_tip(stop);
+        }
+        for (Index p = 0; p < columns; p++) {
+            track[(2 * stop.cell) * columns + p] = tip[p], track[(2 * stop.cell + 1) * columns + p] = tip[columns + p];
+            cut[p] = stop.cell > 0 ? constraints[stop.cell * columns + p] : tip[p];
+        }
+    }
+
+    template <bool Friction>
+    void linearize() {
+        Seen<Real> seen;
+        needle.template sweep<Friction>(needle.state(), 0, seen, [&](Index q, const Reaction<Real>& found) {
+            points[q] = found;
+        });
+        needle.substitute_back(0, [&](Index i, const Node<Real>& solved) { node_at(i) = solved; });
+    }
+
+    // c_m = y + (x_m - x)(slope + turn), differentiated.
+    void place_constraint(const Stop& stop) {
+        bool path_angle = problem.part == LINEAR_CUT;
+        Real* ray = rays + stop.ray * 2 * columns;
+        if (stop.flags & STARTS_RAY)
+            for (Index p = 0; p < columns; p++) {
+                ray[p] = path_angle ? cut[p] : tip[p];
+                ray[columns + p] = problem.tangent * tip[columns + p];
+                if (path_angle && get_lane(needle.rays[stop.ray].start, 0) == 0.0) constraints[p] = cut[p];
+                if (path_angle && stop.flags & EXTRAPOLATES)
+                    ray[columns + p] += 0.5 * (tip[columns + p] - track[(2 * (stop.cell - 2) + 1) * columns + p]);
+            }
+        if (stop.cell == 0) return;
+        double ahead = stop.tip - get_lane(needle.rays[stop.ray].start, 0);
+        Real* found = constraints + stop.cell * columns;
+        for (Index p = 0; p < columns; p++) found[p] = ray[p] + ahead * ray[columns + p];
+        if (column(BEVEL) >= 0) found[column(BEVEL)] += ahead * problem.turn_by[stop.bevel];
+    }
+
+    // ---- right-hand sides -------------------------------------------------------------------------------------------
+
+    // The shape functions of element e at a quadrature point; those of element 0 depend on the lane.
+    INLINE Hermite<Real> shape_at(Index e, const Point& point) const {
+        Hermite<Real> found;
+        if (e == 0) {
+            Real start = needle.front_x[needle.front - 1];
+            return Hermite<Real>(point.x - start, needle.grid->x[0] - start);
+        }
+        for (int j = 0; j < 4; j++) {
+            found.n[j] = all_lanes<Real>(point.shape.n[j]), found.m[j] = all_lanes<Real>(point.shape.m[j]);
+        }
+        return found;
+    }
+
+    // Minus the residual's derivatives at one quadrature point, over its shape functions: by the constraint point it
+    // belongs to (`near`, `other`), by the logarithm of mu (`force`), by friction and by the shape parameters.
+    struct PointLoads {
+        Real near, other, force, friction;
+    };
+    INLINE PointLoads find_loads(Index e, Index q, const Hermite<Real>& shape, Real* by_shape) const {
+        const Point& point = needle.grid->points[q];
+        const Layer<Real>& layer = needle.layers[point.layer];
+        const Reaction<Real>& at = points[q];
+        Real g = all_lanes<Real>(1.0);
+        PointLoads found{at.pull, point.share * at.pull, at.force, Real{}};
+        found.near = found.near - found.other;
+        if (needle.constants->friction || column(FRICTION) >= 0) {
+            const Node<Real>&a = node_at(needle.front + e - 1), &b = node_at(needle.front + e);
+            Real slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
+            Real square = slope * slope / (1.0 + slope * slope);
+            g = 1.0 - layer.friction * square;
+            found.friction = -at.force * square / g;
+        }
+        if (column(SHAPE) >= 0)
+            for (Index p = 0; p < problem.shapes; p++) {
+                Index row = point.layer * problem.shapes + p;
+                Real by = evaluate_by_shape(layer, slope_series + row * SERIES_TERMS, law_by + row * W, absolute(at.e));
+                by_shape[p] = point.weight * by * at.e * g;
+            }
+        return found;
+    }
+
+    void add_entry(Index node, Index component, Index where, const Real& amount) {
+        if (where >= 0) entries[entry_count++] = {node, component, where, amount};
+    }
+
+    // List the right-hand sides of base, guides and boundaries.
+    void list_entries(const Stop& stop) {
+        entry_count = 0;
+        Real one = all_lanes<Real>(1.0);
+        add_entry(0, 0, column(BASE_Y), one);
+        add_entry(0, 0, column(STAGE_SLOPE), all_lanes<Real>(stop.tip));
+        add_entry(0, 1, column(BASE_SLOPE), one);
+        Index front = needle.front, before = front - 1, count = before + problem.count_within(stop.inputs);
+        const Index* own = problem.guide_columns + 3 * (problem.before_first[stop.inputs] + problem.within_first[stop.inputs]);
+        for (Index g = 0; g < count; g++, own += 3) {
+            Index node = g + 1;
+            if (node >= front) {
+                double x = problem.first_within(stop.inputs)[g - before].x;
+                node = front + count_below(needle.grid->x, needle.last + 1, x);
+                if (node >= tip_node() || needle.grid->x[node - front] != x) continue;  // the tip has not passed it yet
+            }
+            for (Index component = 0; component < (needle.kinds[node] == CLAMPED ? 2 : 1); component++)
+                add_entry(node, component, own[1 + component], one);
+            if (own[0] >= 0) move_node(node, own[0]);
+        }
+        if (column(BOUNDARY) >= 0)
+            for (Index b = 0; b < problem.layers - 1; b++)
+                if (0.0 <= problem.boundaries[b] && problem.boundaries[b] < stop.tip)
+                    move_boundary(b, problem.boundaries[b], column(BOUNDARY) + b);
+    }
+
+    // List a load on the residual, on nodes from `node` on; what is prescribed has no equation that it could enter.
+    void add_loads(const Node<Real>* load, Index count, Index node, Index where) {
+        for (Index i = 0; i < count; i++) {
+            if (needle.kinds[node + i] == FREE) add_entry(node + i, 0, where, -load[i].u);
+            if (needle.kinds[node + i] != CLAMPED) add_entry(node + i, 1, where, -load[i].slope);
+        }
+    }
+
+    // y of the cut and its slope at a quadrature point.
+    INLINE void find_cut(const Point& point, Real& c, Real& slope) const {
+        Real near = needle.y[point.near], rise = needle.y[point.other] - near;
+        c = near + point.share * rise, slope = point.rate * rise;
+    }
+
+    // d(residual)/dx of a node that moves along the needle: the element that ends there grows, the other one shrinks.
+    void move_node(Index i, Index where) {
+        Node<Real> load[3];
+        const Grid& grid = *needle.grid;
+        for (Index side = 0; side < 2; side++) {
+            Index a = i - 1 + side, e = a + 1 - needle.front;
+            double grows = 1.0 - 2.0 * double(side);
+            Real start = x_at(a), length = x_at(a + 1) - start;
+            grow_beam(load + side, a, length, grows);
+            if (e < 0) continue;
+            for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) {
+                // Only the piece of quadrature that touches a node in the tissue moves with it.
+                double second = double((q - grid.first[e]) % 2), drift = 0.0, gain = 0.0;
+                if (i >= needle.front && side == 0 && q >= grid.first[e + 1] - 2)
+                    drift = 0.5 + (2.0 * second - 1.0) * GAUSS_OFFSET, gain = 0.5;
+                else if (i >= needle.front && side == 1 && q < grid.first[e] + 2)
+                    drift = 0.5 - (2.0 * second - 1.0) * GAUSS_OFFSET, gain = -0.5;
+                const Point& point = grid.points[q];
+                Real c, slope;
+                find_cut(point, c, slope);
+                move_point(
+                    load + side, a, point.layer, c, slope * drift, point.x - start, length, point.weight,
+                    drift - double(side), grows, gain
+                );
+            }
+        }
+        add_loads(load, 3, i - 1, where);
+    }
+
+    // d(K_b u) of the element from node a on, whose length grows so.
+    void grow_beam(Node<Real>* load, Index a, const Real& length, double grows) const {
+        const Node<Real>&p = node_at(a), &q = node_at(a + 1);
+        Real f = -grows * needle.constants->rigidity / (length * length), away = p.u - q.u;
+        Real shear = f * (36.0 * away / (length * length) + 12.0 * (p.slope + q.slope) / length);
+        Real turn = f * 12.0 * away / length;
+        load[0].u += shear, load[1].u -= shear;
+        load[0].slope += turn + f * (4.0 * p.slope + 2.0 * q.slope);
+        load[1].slope += turn + f * (2.0 * p.slope + 4.0 * q.slope);
+    }
+
+    // d(w k e g N) of a point x mm into the element from node a on. Per unit of what moves, x grows by `drift`, the
+    // element's length by `grows`, the weight by `gain`, and the cut's y there, c, by `c_by`.
+    void move_point(
+        Node<Real>* load, Index a, int layer, const Real& c, const Real& c_by, const Real& x, const Real& length,
+        double weight, double drift, double grows, double gain
+    ) const {
+        Hermite<Real> shape(x, length), by = Hermite<Real>::change(x, length, drift, grows);
+        const Node<Real>&p = node_at(a), &q = node_at(a + 1);
+        auto dot = [&](const Real* n) { return n[0] * p.u + n[1] * p.slope + n[2] * q.u + n[3] * q.slope; };
+        Real e = dot(shape.n) - c, slope = dot(shape.m), modulus, tangent, g, g_slope;
+        Seen<Real> ignored;
+        evaluate_modulus(needle.layers[layer], absolute(e), modulus, tangent, ignored);
+        evaluate_friction(needle.layers[layer].friction, slope, g, g_slope);
+        Real force = modulus * e * g;
+        Real force_by = tangent * g * (dot(by.n) - c_by) + modulus * e * g_slope * dot(by.m);
+        Real first = gain * force + weight * force_by, second = weight * force;
+        load[0].u += first * shape.n[0] + second * by.n[0], load[0].slope += first * shape.n[1] + second * by.n[1];
+        load[1].u += first * shape.n[2] + second * by.n[2], load[1].slope += first * shape.n[3] + second * by.n[3];
+    }
+
+    // d(residual)/d(depth) of the boundary between layers b and b + 1. Where it lies on a node or on a change of
+    // constraint, the derivative is that toward greater depth.
+    void move_boundary(Index b, double depth, Index where) {
+        Node<Real> load[3];
+        const Grid& grid = *needle.grid;
+        Index right = 0, e = 0, points_here = grid.first[needle.last + 1];
+        while (right < points_here && grid.points[right].x < depth) right++;  // pieces end at boundaries
+        while (grid.first[e + 1] <= right) e++;
+        Index a = e - 1 + needle.front, left = right - 2;
+        Real start = x_at(a), length = x_at(a + 1) - start, c, slope;
+        const Point& beyond = grid.points[right];
+        find_cut(beyond, c, slope);
+        c = c + slope * (depth - beyond.x);  // at the boundary
+        auto move = [&](Index q, Index layer, double side) {
+            const Point& point = grid.points[q];
+            double drift = 0.5 + side * (2.0 * double((q - right) & 1) - 1.0) * GAUSS_OFFSET;
+            Real here, rate;
+            find_cut(point, here, rate);
+            move_point(
+                load, a, int(layer), here, rate * drift, point.x - start, length, point.weight, drift, 0.0, 0.5 * side
+            );
+        };
+        auto jump = [&](Index layer, double gain) {
+            move_point(load, a, int(layer), c, Real{}, depth - start, length, 0.0, 0.0, 0.0, gain);
+        };
+        if (left >= grid.first[e] && grid.points[left].layer == b && grid.points[left].near == beyond.near)
+            move(left, b, 1.0), move(left + 1, b, 1.0);
+        else
+            jump(b, 1.0);
+        if (beyond.layer == b + 1)
+            move(right, b + 1, -1.0), move(right + 1, b + 1, -1.0);
+        else  // a layer without extent
+            jump(b + 1, -1.0);
+        add_loads(load, 2, a, where);
+    }
+
+    // ---- the tip ------------------------------------------------------------------------------------------------------
+
+    // Solve K^T lambda = load from tip to base, for a load on the tip's deflection and one on its slope. At a prescribed
+    // value, lambda is the derivative of the tip with respect to that value; it multiplies no load.
+    void solve_adjoint() {
+        Node<Real> arriving[2];
+        arriving[0].u = arriving[1].slope = all_lanes<Real>(1.0);
+        for (Index i = tip_node(); i >= 0; i--) {
+            const auto& inverse = needle.factors[i].inverse;
+            for (int r = 0; r < 2; r++) {
+                Node<Real> row{
+                    inverse[0][0] * arriving[r].u + inverse[1][0] * arriving[r].slope,
+                    inverse[0][1] * arriving[r].u + inverse[1][1] * arriving[r].slope
+                };
+                held_rows[i][r] = row;
+                if (needle.kinds[i] != FREE) row.u = Real{};
+                if (needle.kinds[i] == CLAMPED) row.slope = Real{};
+                rows[i][r] = row;
+                if (i == 0) continue;
+                const auto& back = needle.factors[i - 1].back;
+                arriving[r].u = -(back[0][0] * row.u + back[1][0] * row.slope);
+                arriving[r].slope = -(back[0][1] * row.u + back[1][1] * row.slope);
+            }
+        }
+    }
+
+    // Sum adjoint rows times loads over the quadrature points, by constraint point and by layer.
+    void sum_loads(const Stop& stop) {
+        Index shapes = problem.shapes, width = shapes + 2;
+        for (Index m = 0; m < 2 * (stop.cell + 1); m++) by_constraint[m] = Real{};
+        for (Index i = 0; i < problem.layers * 2 * width; i++) by_layer[i] = Real{};
+        const Grid& grid = *needle.grid;
+        Real by_shape[MAX_SHAPES];
+        for (Index e = 0; e <= needle.last; e++) {
+            Index i = e + needle.front - 1;
+            for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) {
+                const Point& point = grid.points[q];
+                Hermite<Real> shape = shape_at(e, point);
+                PointLoads loads = find_loads(e, q, shape, by_shape);
+                for (int r = 0; r < 2; r++) {
+                    const Node<Real>&a = rows[i][r], &b = rows[i + 1][r];
+                    Real at = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
+                    by_constraint[2 * point.near + r] += at * loads.near;
+                    if (point.share != 0.0) by_constraint[2 * point.other + r] += at * loads.other;
+                    Real* sums = by_layer + (2 * point.layer + r) * width;
+                    sums[0] += at * loads.force, sums[1] += at * loads.friction;
+                    if (column(SHAPE) >= 0)
+                        for (Index p = 0; p < shapes; p++) sums[2 + p] += at * by_shape[p];
+                }
+            }
+        }
+    }
+
+    void differentiate_tip(const Stop& stop) {
+        Index shapes = problem.shapes, width = shapes + 2;
+        for (Index p = 0; p < 2 * columns; p++) tip[p] = Real{};
+        for (Index m = 0; m <= stop.cell; m++)
+            for (int r = 0; r < 2; r++)
+                for (Index p = 0; p < columns; p++)
+                    tip[r * columns + p] += by_constraint[2 * m + r] * constraints[m * columns + p];
+        for (Index i = 0; i < problem.layers; i++)
+            for (int r = 0; r < 2; r++) {
+                const Real* sums = by_layer + (2 * i + r) * width;
+                Real* into = tip + r * columns;
+                if (column(MU) >= 0) into[column(MU) + i] -= sums[0] / needle.layers[i].mu;
+                // In equilibrium the beam's own load is minus the tissue's.
+                if (column(RIGIDITY) >= 0) into[column(RIGIDITY)] += sums[0] / needle.constants->rigidity;
+                if (column(FRICTION) >= 0) into[column(FRICTION) + i] -= sums[1];
+                if (column(SHAPE) >= 0)
+                    for (Index p = 0; p < shapes; p++) into[column(SHAPE) + p * problem.layers + i] -= sums[2 + p];
+            }
+        for (Index n = 0; n < entry_count; n++) {
+            const Entry& entry = entries[n];
+            bool held = needle.kinds[entry.node] > entry.component;
+            for (int r = 0; r < 2; r++) {
+                const Node<Real>& row = (held ? held_rows : rows)[entry.node][r];
+                tip[r * columns + entry.column] += entry.amount * (entry.component == 0 ? row.u : row.slope);
+            }
+        }
+    }
+
+    // ---- the whole shape --------------------------------------------------------------------------------------------
+
+    INLINE Real* row_of(Index node, Index component) { return whole + (2 * node + component) * columns; }
+
+    void differentiate_shape() {
+        const Grid& grid = *needle.grid;
+        Index size = tip_node() + 1, shapes = problem.shapes;
+        for (Index i = 0; i < size * 2 * columns; i++) whole[i] = Real{};
+        Real by_shape[MAX_SHAPES];
+        for (Index e = 0; e <= needle.last; e++)
+            for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) {
+                const Point& point = grid.points[q];
+                Hermite<Real> shape = shape_at(e, point);
+                PointLoads loads = find_loads(e, q, shape, by_shape);
+                for (Index j = 0; j < 4; j++) {
+                    Real* into = row_of(e + needle.front - 1 + j / 2, j % 2);
+                    const Real& n = shape.n[j];
+                    const Real *near = constraints + point.near * columns, *other = constraints + point.other * columns;
+                    for (Index p = 0; p < columns; p++) into[p] += n * loads.near * near[p];
+                    if (point.share != 0.0)
+                        for (Index p = 0; p < columns; p++) into[p] += n * loads.other * other[p];
+                    if (column(MU) >= 0)
+                        into[column(MU) + point.layer] -= n * loads.force / needle.layers[point.layer].mu;
+                    if (column(RIGIDITY) >= 0) into[column(RIGIDITY)] += n * loads.force / needle.constants->rigidity;
+                    if (column(FRICTION) >= 0) into[column(FRICTION) + point.layer] -= n * loads.friction;
+                    if (column(SHAPE) >= 0)
+                        for (Index p = 0; p < shapes; p++)
+                            into[column(SHAPE) + p * problem.layers + point.layer] -= n * by_shape[p];
+                }
+            }
+        for (Index i = 0; i < size; i++)  // what is prescribed has no equation that could be loaded
+            for (Index component = 0; component < needle.kinds[i]; component++)
+                for (Index p = 0; p < columns; p++) row_of(i, component)[p] = Real{};
+        for (Index n = 0; n < entry_count; n++)
+            row_of(entries[n].node, entries[n].component)[entries[n].column] += entries[n].amount;
+        solve_tangents(size);
+        for (Index p = 0; p < columns; p++) tip[p] = row_of(size - 1, 0)[p], tip[columns + p] = row_of(size - 1, 1)[p];
+    }
+
+    // Solve K du = load in place, forward and back.
+    void solve_tangents(Index size) {
+        for (Index i = 0; i < size; i++) {
+            const Factor<Real>& factor = needle.factors[i];
+            auto back = [&](int r, int c) {  // the equation of what is prescribed does not know this node
+                return i + 1 < size && needle.kinds[i + 1] > r ? Real{} : factor.back[r][c];
+            };
+            Real b00 = back(0, 0), b01 = back(0, 1), b10 = back(1, 0), b11 = back(1, 1);
+            for (Index p = 0; p < columns; p++) {
+                Real r0 = row_of(i, 0)[p], r1 = row_of(i, 1)[p];
+                Real z0 = factor.inverse[0][0] * r0 + factor.inverse[0][1] * r1;
+                Real z1 = factor.inverse[1][0] * r0 + factor.inverse[1][1] * r1;
+                row_of(i, 0)[p] = z0, row_of(i, 1)[p] = z1;
+                if (i + 1 == size) continue;
+                row_of(i + 1, 0)[p] -= b00 * z0 + b01 * z1;
+                row_of(i + 1, 1)[p] -= b10 * z0 + b11 * z1;
+            }
+        }
+        for (Index i = size - 2; i >= 0; i--) {
+            const auto& g = needle.factors[i].g;
+            for (Index p = 0; p < columns; p++) {
+                Real u = row_of(i + 1, 0)[p], slope = row_of(i + 1, 1)[p];
+                row_of(i, 0)[p] -= g[0][0] * u + g[0][1] * slope;
+                row_of(i, 1)[p] -= g[1][0] * u + g[1][1] * slope;
+            }
+        }
+    }
+};
+
+}  // namespace needlefit

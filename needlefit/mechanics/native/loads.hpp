@@ -1,0 +1,69 @@
+// The tissue's load on a bent needle, and the forces of the supports that balance it (docs/model.md, section 3).
+#pragma once
+
+#include "beam.hpp"
+
+namespace needlefit {
+
+// A needle as it stands: nodes of the chain, and constraint points (depth and y).
+struct BentNeedle {
+    Index nodes, cells;
+    const double *x, *u, *slope;
+    const double* constraints;  // (cells + 1, 2)
+
+    double depth(Index m) const { return constraints[2 * m]; }
+    double y(Index m) const { return constraints[2 * m + 1]; }
+    double sum(const double* n, Index e) const {
+        return n[0] * u[e] + n[1] * slope[e] + n[2] * u[e + 1] + n[3] * slope[e + 1];
+    }
+};
+
+// The load -k e g at a point s mm in the element that begins at node e; c is the y of the cut there.
+inline double evaluate_load(const BentNeedle& needle, const Layer<double>& layer, Index e, double s, double c) {
+    Hermite<double> shape(s - needle.x[e], needle.x[e + 1] - needle.x[e]);
+    double away = needle.sum(shape.n, e) - c, turn = needle.sum(shape.m, e), modulus, tangent, g, by;
+    Seen<double> ignored;
+    evaluate_modulus(layer, absolute(away), modulus, tangent, ignored);
+    evaluate_friction(layer.friction, turn, g, by);
+    return -modulus * away * g;
+}
+
+// The y of the cut at a depth: of the constraint point that it belongs to, or linear between two.
+inline double find_cut(const BentNeedle& needle, double s, double part) {
+    bool linear = part == LINEAR_CUT;
+    Index m = 0;
+    if (!linear) {
+        while (m < needle.cells && (1.0 - part) * needle.depth(m) + part * needle.depth(m + 1) < s) m++;
+        return needle.y(m);
+    }
+    if (needle.cells == 0) return needle.y(0);
+    m = 1;
+    while (m < needle.cells && needle.depth(m) < s) m++;
+    double along = (s - needle.depth(m - 1)) / (needle.depth(m) - needle.depth(m - 1));
+    return needle.y(m - 1) + along * (needle.y(m) - needle.y(m - 1));
+}
+
+// Force and moment (nodes, 2) that must act on each node beside the load: what holds it, where something does;
+// elsewhere nothing but rounding. `grid` is that of the nodes in the tissue, `load` of its points.
+inline void balance_nodes(const BentNeedle& needle, const Grid& grid, double rigidity, const double* load, double* out) {
+    for (Index i = 0; i < 2 * needle.nodes; i++) out[i] = 0.0;
+    Index front = needle.nodes - grid.nodes;
+    for (Index i = 0; i + 1 < needle.nodes; i++) {
+        double length = needle.x[i + 1] - needle.x[i];
+        Element<double> k;
+        k.add_bending(rigidity, length);
+        double u0 = needle.u[i], t0 = needle.slope[i], u1 = needle.u[i + 1], t1 = needle.slope[i + 1];
+        out[2 * i] += k.k00 * (u0 - u1) + k.k01 * t0 + k.k03 * t1;
+        out[2 * i + 1] += k.k01 * (u0 - u1) + k.k11 * t0 + k.k13 * t1;
+        out[2 * i + 2] -= k.k00 * (u0 - u1) + k.k01 * t0 + k.k03 * t1;
+        out[2 * i + 3] += k.k01 * (u0 - u1) + k.k13 * t0 + k.k33 * t1;
+        Index e = i + 1 - front;
+        if (e < 0) continue;
+        for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) {
+            Hermite<double> shape(grid.points[q].x - needle.x[i], length);
+            for (Index j = 0; j < 4; j++) out[2 * i + j] -= grid.points[q].weight * load[q] * shape.n[j];
+        }
+    }
+}
+
+}  // namespace needlefit

@@ -1,0 +1,656 @@
+// A needle that is inserted from stop to stop (docs/model.md, section 4): at each stop the tip cuts a constraint point,
+// and the needle finds its equilibrium against all of them.
+//
+// All lanes are parameter sets of one insertion: depths, meshes and kinds of supports are the same. A lane whose
+// iteration has ended keeps its bits while others go on, so no lane depends on another.
+#pragma once
+
+#include "past.hpp"
+
+namespace needlefit {
+
+// One stop of the tip; `mechanics/plan.py` describes each field. `flags`: 1 permanent, 2 starts a ray, 4 extrapolates.
+struct Stop {
+    double tip;
+    Index cell, ray, bevel, inputs, flags;
+};
+enum StopFlags : Index { PERMANENT = 1, STARTS_RAY = 2, EXTRAPOLATES = 4 };
+
+struct Guide {
+    double x, y, slope;  // a slope that is left free is NaN
+};
+
+// An insertion and its parameter sets, as Python hands them over. Arrays are in C order; S is `sets`.
+struct Problem {
+    Index sets, layers, shapes, terms, numbers, stop_count, rays, guides, columns, max_iterations;
+    double length, first_cell, spacing, element, part, tangent, tolerance, deepest;
+    const double* boundaries;  // (layers - 1) mm
+    const Stop* stops;
+    const double* rigidity;            // (S) EI, N mm^2
+    const double *mu, *thickness, *friction;  // (S, layers)
+    const double* law;                 // (S, layers, numbers): see `Law`
+    const double* law_by;              // (S, layers, shapes, numbers)
+    const double* turn;                // (bevels, S) slope that the bevel adds to the cut
+    const double* base;                // (inputs, S, 3) y, slope, slope of the stage's axis
+    const Index *before_first, *within_first;  // (inputs + 1) into the guides before and in the tissue
+    const Guide *before, *within;
+    const double* held_tip;            // (inputs, 2) y and slope of a tracked tip; NaN where it is free
+    const double* guide_x;             // (S) where the first guide before the tissue stands instead; may be null
+    const double* turn_by;             // (bevels) derivative of `turn` with respect to the bevel's strength
+    const Index* column_of;            // (COLUMN_KINDS) first column of each kind of parameter, -1: not asked for
+    const Index* guide_columns;        // (guides of all inputs, 3) of x, y and slope, those before the tissue first
+
+    Lattice lattice() const { return {first_cell, spacing}; }
+    Index cells() const {
+        Index count = lattice().cell(deepest);
+        return count > 1 ? count : 1;
+    }
+    Index per_cell() const { return Index(spacing / element + 0.5); }
+    // The same for all blocks, so that a set's bytes do not depend on those beside it.
+    bool has_friction() const {
+        for (Index i = 0; i < sets * layers; i++)
+            if (friction[i] > 0.0) return true;
+        return false;
+    }
+    // Room for the nodes in the tissue of any stop.
+    Index nodes() const { return Index(__builtin_ceil((cells() + 1) * spacing / element)) + guides + 4; }
+    Index points() const { return Grid::count_points(nodes(), layers, cells()); }
+    const Guide* first_before(Index inputs) const { return before + before_first[inputs]; }
+    const Guide* first_within(Index inputs) const { return within + within_first[inputs]; }
+    Index count_before(Index inputs) const { return before_first[inputs + 1] - before_first[inputs]; }
+    Index count_within(Index inputs) const { return within_first[inputs + 1] - within_first[inputs]; }
+};
+
+// Memory that the caller owns, handed out piece by piece; from null it only counts.
+struct Arena {
+    char* at;
+
+    template <class T>
+    T* take(Index count) {
+        at = reinterpret_cast<char*>((reinterpret_cast<unsigned long long>(at) + 63) / 64 * 64);
+        T* found = reinterpret_cast<T*>(at);
+        at += count * Index(sizeof(T));
+        return found;
+    }
+};
+
+inline Grid take_grid(Arena& arena, const Problem& problem) {
+    Index nodes = problem.nodes();
+    return {0, arena.take<double>(nodes), arena.take<Index>(nodes + 1), arena.take<Point>(problem.points())};
+}
+
+// The straight path that the tip cuts, in all lanes.
+template <class Real>
+struct Ray {
+    Real y, slope, turn;
+    Real start;  // depth where it begins, mm
+};
+
+enum Status : int { CONVERGED, OVER_COMPRESSED, NOT_CONVERGED, NON_FINITE };
+
+constexpr int LIVE_CELLS = 3;      // linearised anew in every pass
+constexpr int CHORD_PASSES = 2;    // with the tangents that are kept, before all are renewed
+constexpr int RENEWED_NODES = 8;   // after so many nodes all lanes renew their tangents at the same stop
+constexpr double CHORD_ERROR = 4.0;  // a chord step is off by so many times `curvature`, its increment and the distance
+                                     // from where the tangent was taken, since the errors of all stops add up
+constexpr double ROUNDING_MM = 1e-4;  // Newton's last steps square the increment: only rounding keeps one so small alive
+constexpr int MAX_PASSES = 12;        // of the quick scheme; a lane that needs more begins again with Newton's method
+
+template <class Real>
+struct Insertion {
+    static constexpr int W = Traits<Real>::lanes;
+    using M = Mask<Real>;
+
+    const Problem& problem;
+    Index set = 0;  // of lane 0
+
+    // Fixed once the insertion has begun.
+    Grid main;             // of all constraint points that the tip can reach
+    Layer<Real>* layers;
+    struct Constants {
+        Real rigidity, curvature;  // the greatest of all layers
+        Index friction, nodes;     // whether any layer of any set has friction; of the main grid
+    };
+    Constants* constants;
+
+    // What an insertion leaves behind from stop to stop.
+    struct Progress {
+        double tip;                              // mm
+        Index nodes, older_nodes, on_main, now, front, condensed;
+    };
+    Progress* progress;
+    double* nodes;         // of the tissue's nodes now
+    Real* y;               // of the constraint points, mm
+    Node<Real>* track;     // the tip as it stood at each
+    Ray<Real>* rays;
+    Real* cut;             // y of the cut at the tip
+    Node<Real>* states[2];  // of the nodes in the tissue, now and one cell ago
+    Node<Real>* fronts;     // of base and guides before the tissue
+    Real* front_x;
+    Real* status;          // of each lane: a `Status`
+    Real* passes;          // Newton passes so far
+    Real* stale;           // 1: the past has to be linearised anew
+    PastNode<Real>* past;
+    Real* pulls;           // w d(k e)/de of the points of the past
+    Element<Real>* super;
+
+    // Room to work in, for one stop.
+    Grid own_grid;
+    Factor<Real>* factors;
+    Node<Real>* good;
+    Kind* kinds;
+    Node<Real>* values;    // prescribed
+
+    // The stop under way.
+    const Grid* grid;
+    Index last;            // the tip's node
+    Index front;           // base and guides before the tissue
+
+    explicit Insertion(const Problem& given) : problem(given) {}
+
+    Index chain() const { return problem.guides + 1 + problem.nodes(); }
+
+    void lay_out_fixed(Arena& arena) {
+        constants = arena.take<Constants>(1), main = take_grid(arena, problem);
+        layers = arena.take<Layer<Real>>(problem.layers);
+    }
+    void lay_out_state(Arena& arena) {
+        Index count = problem.nodes(), points = problem.cells() + 1;
+        progress = arena.take<Progress>(1);
+        cut = arena.take<Real>(1), status = arena.take<Real>(1), passes = arena.take<Real>(1);
+        stale = arena.take<Real>(1), super = arena.take<Element<Real>>(1);
+        fronts = arena.take<Node<Real>>(problem.guides + 1), front_x = arena.take<Real>(problem.guides + 1);
+        nodes = arena.take<double>(count);
+        y = arena.take<Real>(points), track = arena.take<Node<Real>>(points);
+        for (auto& state : states) state = arena.take<Node<Real>>(count);
+        past = arena.take<PastNode<Real>>(count), pulls = arena.take<Real>(problem.points());
+        rays = arena.take<Ray<Real>>(problem.rays);  // the last: room for more is then but a longer piece
+    }
+    void lay_out_scratch(Arena& arena) {
+        own_grid = take_grid(arena, problem);
+        factors = arena.take<Factor<Real>>(chain()), good = arena.take<Node<Real>>(chain());
+        kinds = arena.take<Kind>(chain()), values = arena.take<Node<Real>>(chain());
+    }
+
+    // The parameters of lane `lane`; lanes to spare repeat the last set.
+    Index set_of(int lane) const { return set + lane < problem.sets ? set + lane : problem.sets - 1; }
+    INLINE Real gather(const double* values, Index stride = 1) const {
+        Real found{};
+        for (int lane = 0; lane < W; lane++) set_lane(found, lane, values[set_of(lane) * stride]);
+        return found;
+    }
+
+    // Read the parameters and place the main grid.
+    void prepare() {
+        constants->rigidity = gather(problem.rigidity), constants->friction = problem.has_friction();
+        Real curvature{};
+        Index n = problem.layers;
+        for (Index i = 0; i < n; i++) {
+            for (int lane = 0; lane < W; lane++) {
+                Index at = set_of(lane) * n + i;
+                Law law{problem.law + at * problem.numbers, int(problem.terms)};
+                layers[i].set(lane, law, problem.mu[at], problem.thickness[at], problem.friction[at]);
+            }
+            curvature = greater_of(layers[i].curvature, curvature);
+        }
+        constants->curvature = curvature;
+        Lattice lattice = problem.lattice();
+        Index cells = problem.cells();
+        double tip = lattice.depth(cells);
+        constants->nodes = main.nodes = place_nodes(main.x, tip, lattice, problem.element, nullptr, 0);
+        place_points(
+            main, [&](Index m) { return lattice.depth(m); }, cells, problem.boundaries, n, problem.part
+        );
+    }
+
+    void begin() {
+        *progress = {};
+        *cut = *status = *passes = Real{}, *stale = all_lanes<Real>(1.0);
+        y[0] = Real{};
+        for (Index m = 1; m <= problem.cells(); m++) y[m] = all_lanes<Real>(__builtin_nan(""));
+        for (Index m = 0; m <= problem.cells(); m++) track[m] = {y[1], y[1]};
+    }
+
+    Node<Real>* state() { return states[progress->now]; }
+
+    // ---- the cut ------------------------------------------------------------------------------------------------
+
+    // Put the constraint point under the tip on its ray: along the tip's tangent, turned by the bevel, or at an angle
+    // to the path.
+    void place_constraint(const Stop& stop) {
+        bool path_angle = problem.part == LINEAR_CUT;
+        if (stop.flags & STARTS_RAY) {
+            Ray<Real>& ray = rays[stop.ray];
+            const Node<Real>& tip = state()[progress->nodes - 1];
+            ray = {tip.u, problem.tangent * tip.slope, gather(problem.turn + stop.bevel * problem.sets),
+                   all_lanes<Real>(progress->tip)};
+            if (path_angle) {
+                ray.y = *cut;
+                if (progress->tip == 0.0) y[0] = *cut;  // it begins where the tip is, under the inputs that hold now
+                // phi_m = 3/2 u'_{m-1} - 1/2 u'_{m-2}
+                if (stop.flags & EXTRAPOLATES) ray.slope += 0.5 * (tip.slope - track[stop.cell - 2].slope);
+            }
+        }
+        if (stop.cell > 0) {
+            const Ray<Real>& ray = rays[stop.ray];
+            y[stop.cell] = ray.y + (stop.tip - ray.start) * (ray.slope + ray.turn);
+        }
+    }
+
+    // y of the cut at a quadrature point.
+    INLINE Real cut_at(const Point& point) const {
+        Real near = y[point.near];
+        return point.share == 0.0 ? near : near + point.share * (y[point.other] - near);
+    }
+
+    // ---- the equations ------------------------------------------------------------------------------------------
+
+    // Choose the grid of a stop: every prefix of the main one is the grid of a stop at a constraint point.
+    void choose_grid(const Stop& stop) {
+        if ((stop.flags & PERMANENT) && stop.cell > 0 && problem.count_within(stop.inputs) == 0) {
+            grid = &main;
+            last = count_below(main.x, main.nodes, stop.tip - SAME_DEPTH_MM);
+            return;
+        }
+        Lattice lattice = problem.lattice();
+        make_grid(stop.tip, stop.inputs, stop.cell, [&](Index m) { return m == stop.cell ? stop.tip : lattice.depth(m); });
+    }
+    // Make the grid of a tip at any depth, with nodes at the guides that hold the needle.
+    template <class DepthOf>
+    void make_grid(double tip, Index inputs, Index cells, DepthOf depth_of) {
+        Index held = count_held(tip, inputs);
+        double* depths = own_grid.x + problem.nodes() - held;  // a place that the nodes do not need yet
+        for (Index i = 0; i < held; i++) depths[i] = problem.first_within(inputs)[i].x;
+        own_grid.nodes = place_nodes(own_grid.x, tip, problem.lattice(), problem.element, depths, held);
+        place_points(own_grid, depth_of, cells, problem.boundaries, problem.layers, problem.part);
+        grid = &own_grid;
+        last = own_grid.nodes - 1;
+    }
+    // How many guides in the tissue the tip has passed.
+    Index count_held(double tip, Index inputs) const {
+        Index held = 0, guides = problem.count_within(inputs);
+        while (held < guides && problem.first_within(inputs)[held].x <= tip - GUIDE_ENGAGEMENT_MM) held++;
+        return held;
+    }
+
+    // Prescribe what the inputs hold.
+    void hold(Index inputs, double tip) {
+        const Guide *before = problem.first_before(inputs), *within = problem.first_within(inputs);
+        front = 1 + problem.count_before(inputs);
+        // The base moves with the stage, whose axis may lie at an angle to the insertion axis.
+        const double* base = problem.base + inputs * problem.sets * 3;
+        front_x[0] = all_lanes<Real>(tip - problem.length);
+        prescribe(0, gather(base, 3) + gather(base + 2, 3) * tip, gather(base + 1, 3), CLAMPED);
+        for (Index i = 1; i < front; i++) {
+            front_x[i] = i == 1 && problem.guide_x ? gather(problem.guide_x) : all_lanes<Real>(before[i - 1].x);
+            prescribe(i, before[i - 1]);
+        }
+        for (Index i = 0; i <= last; i++) kinds[front + i] = FREE;
+        for (Index i = 0; i < count_held(tip, inputs); i++) {
+            Index node = count_below(grid->x, grid->nodes, within[i].x);
+            if (node < last) prescribe(front + node, within[i]);  // none holds the tip itself
+        }
+        const double* tracked = problem.held_tip + 2 * inputs;
+        if (tracked[0] == tracked[0]) prescribe(front + last, Guide{0.0, tracked[0], tracked[1]});
+    }
+    void prescribe(Index node, Real u, Real slope, Kind kind) {
+        values[node] = {u, slope};
+        kinds[node] = kind;
+    }
+    void prescribe(Index node, const Guide& guide) {
+        bool free = guide.slope != guide.slope;
+        prescribe(
+            node, all_lanes<Real>(guide.y), all_lanes<Real>(free ? 0.0 : guide.slope), free ? PINNED : CLAMPED
+        );
+    }
+
+    // Add a quadrature point, linearised about the element's ends `a` and `b`.
+    template <class Shape>
+    INLINE Reaction<Real> add_point(
+        Element<Real>& k, Rubbing<Real>* rubbing, const Hermite<Shape>& shape, const Point& point, const Node<Real>& a,
+        const Node<Real>& b, Seen<Real>& seen
+    ) const {
+        const Layer<Real>& layer = layers[point.layer];
+        Real u = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
+        Real e = u - cut_at(point), modulus, tangent;
+        evaluate_modulus(layer, absolute(e), modulus, tangent, seen);
+        Real pull = point.weight * tangent, force = point.weight * modulus * e, bent{};
+        if (rubbing) {
+            Real slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
+            Real g, by_slope;
+            evaluate_friction(layer.friction, slope, g, by_slope);
+            by_slope = force * by_slope;
+            rubbing->add_point(shape, by_slope);
+            bent = by_slope * slope;
+            pull = pull * g, force = force * g;
+        }
+        k.add_point(shape, pull, pull * u - force + bent);
+        return {e, pull, force};
+    }
+
+    // The equations of element e >= 1; `keep(q, reaction)` receives what its points add.
+    template <class Keep>
+    INLINE Element<Real> linearize(
+        Index e, const Node<Real>* state, Rubbing<Real>* rubbing, Seen<Real>& seen, Keep keep
+    ) const {
+        Element<Real> k;
+        for (Index q = grid->first[e]; q < grid->first[e + 1]; q++) {
+            const Point& point = grid->points[q];
+            keep(q, add_point(k, rubbing, point.shape, point, state[e - 1], state[e], seen));
+        }
+        k.add_bending(constants->rigidity, all_lanes<Real>(grid->x[e] - grid->x[e - 1]));
+        return k;
+    }
+
+    // Eliminate from base to tip; of a condensed past, its super-element stands for the elements up to `condensed`.
+    // `keep` receives the reaction at each point.
+    template <bool Friction, class Keep>
+    INLINE void sweep(const Node<Real>* state, Index condensed, Seen<Real>& seen, Keep keep) {
+        Carried<Real> carried;
+        auto pass = [&](const Element<Real>& k, const Rubbing<Real>* rubbing, Index node) {
+            eliminate(carried, k, rubbing, kinds[node], values[node], factors[node]);
+        };
+        Rubbing<Real> rubbing;
+        for (Index i = 0; i < front; i++) {
+            Element<Real> k;
+            Real begin = front_x[i], length = (i + 1 < front ? front_x[i + 1] : all_lanes<Real>(grid->x[0])) - begin;
+            if constexpr (Friction) rubbing = {};
+            if (i + 1 == front)
+                for (Index q = 0; q < grid->first[1]; q++) {
+                    const Point& point = grid->points[q];
+                    Hermite<Real> shape(point.x - begin, length);
+                    Rubbing<Real>* extra = Friction ? &rubbing : nullptr;
+                    keep(q, add_point(k, extra, shape, point, fronts[i], state[0], seen));
+                }
+            k.add_bending(constants->rigidity, length);
+            pass(k, Friction ? &rubbing : nullptr, i);
+        }
+        if (condensed > 0) pass(*super, nullptr, front);
+        for (Index e = condensed + 1; e <= last; e++) {
+            if constexpr (Friction) rubbing = {};
+            Element<Real> k = linearize(e, state, Friction ? &rubbing : nullptr, seen, keep);
+            pass(k, Friction ? &rubbing : nullptr, front + e - 1);
+        }
+        pass(Element<Real>(), nullptr, front + last);
+    }
+    template <bool Friction>
+    INLINE void sweep(const Node<Real>* state, Index condensed, Seen<Real>& seen) {
+        sweep<Friction>(state, condensed, seen, [](Index, const Reaction<Real>&) {});
+    }
+
+    // Substitute back from tip to base; `put(node, solved)` receives each node of the chain.
+    template <class Put>
+    INLINE void substitute_back(Index condensed, Put put) {
+        Node<Real> next{};
+        for (Index i = last; i >= condensed; i--) put(front + i, next = substitute(factors[front + i], next));
+        if (condensed > 0) {
+            Node<Real> first = substitute(factors[front], next);
+            for (Index i = condensed - 1; i > 0; i--) put(front + i, next = substitute(past[i], next, first));
+            put(front, next = first);
+        }
+        for (Index i = front - 1; i >= 0; i--) put(i, next = substitute(factors[i], next));
+    }
+
+    // ---- the quick scheme -----------------------------------------------------------------------------------------
+
+    // Linearise elements `from` to `to` of the past about `state`, in the chosen lanes.
+    void condense(const Node<Real>* state, Index from, Index to, const M& chosen, Seen<Real>& seen) {
+        for (Index e = from; e <= to; e++) {
+            auto keep = [&](Index q, const Reaction<Real>& found) {
+                pulls[q] = select<Real>(chosen, found.pull, pulls[q]);
+            };
+            Element<Real> k = linearize(e, state, nullptr, seen, keep), found = *super;
+            if (e == 1)
+                found = k;
+            else {
+                PastNode<Real> node = past[e - 1];
+                append(found, k, node);
+                node.reference = state[e - 1].u;
+                replace_chosen<PastNode<Real>, Real>(past[e - 1], node, chosen);
+            }
+            replace_chosen<Element<Real>, Real>(*super, found, chosen);
+        }
+    }
+
+    // Renew the right-hand side of the past at `state`, with the tangents that are kept.
+    INLINE void renew_loads(const Node<Real>* state, Index to, const M& chosen, Seen<Real>& seen) {
+        Real total[4]{};
+        for (Index e = 1; e <= to; e++) {
+            Real f[4]{};
+            const Node<Real>&a = state[e - 1], &b = state[e];
+            for (Index q = grid->first[e]; q < grid->first[e + 1]; q++) {
+                const Point& point = grid->points[q];
+                const double* n = point.shape.n;
+                Real u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
+                Real away = u - cut_at(point);
+                Real modulus = evaluate_modulus(layers[point.layer], absolute(away), seen);
+                Real load = pulls[q] * u - point.weight * (modulus * away);
+                for (int j = 0; j < 4; j++) f[j] += load * n[j];
+            }
+            if (e == 1)
+                for (int j = 0; j < 4; j++) total[j] = f[j];
+            else
+                append_load(total, f, past[e - 1], chosen);
+        }
+        if (to > 0)
+            for (int j = 0; j < 4; j++) super->f[j] = select<Real>(chosen, total[j], super->f[j]);
+    }
+
+    // Guess node i from the last two stops: it moves on as it, or the node one cell behind it, moved. `older_count` is
+    // 0 where there is but one stop; a new node then lies on the tip's tangent.
+    INLINE Node<Real> guess(const Node<Real>* now, const Node<Real>* older, Index i, Index count, Index older_count) {
+        Index growth = last + 1 - count;
+        if (i < count) {
+            if (older_count == 0) return now[i];
+            Index j = i < older_count ? i : i - growth;
+            return {now[i].u + (now[j].u - older[j].u), now[i].slope + (now[j].slope - older[j].slope)};
+        }
+        const Node<Real>& tip = now[count - 1];
+        Node<Real> found{tip.u + (grid->x[i] - nodes[count - 1]) * tip.slope, tip.slope};
+        if (older_count > 0) {  // as far beside the tangent as one cell ago
+            const Node<Real>& before = older[older_count - 1];
+            double ahead = grid->x[i - growth] - nodes[older_count - 1];
+            found.u += now[i - growth].u - (before.u + ahead * before.slope);
+            found.slope += now[i - growth].slope - before.slope;
+        }
+        return found;
+    }
+
+    // Find the equilibrium with the condensed past; return the lanes in which that failed.
+    M equilibrate_quickly(const M& alive) {
+        Node<Real>*now = state(), *next = states[1 - progress->now];
+        Index count = progress->nodes, growth = last + 1 - count, older_count = progress->older_nodes;
+        bool extrapolates = growth > 0 && growth == count - older_count && older_count >= growth && older_count > 0;
+        if (!extrapolates) older_count = 0;
+        Index condensed = last - LIVE_CELLS * problem.per_cell();
+        if (condensed < 0) condensed = 0;
+        M old = *stale > 0.0;
+        Seen<Real> ignored;
+        Index kept = progress->condensed < condensed ? progress->condensed : condensed;
+        if (kept < progress->condensed) old = alive;
+        if (any(old & alive)) condense(now, 1, kept, old & alive, ignored);
+        condense(now, kept + 1, condensed, alive, ignored);
+        progress->condensed = condensed;
+        *stale = select<Real>(alive, Real{}, *stale);
+        // Predict: from the tip back, since `next` holds the stop one cell ago, which is read behind where it is written.
+        for (Index i = last; i >= condensed; i--) next[i] = guess(now, next, i, count, older_count);
+        if (condensed > 0) next[0] = guess(now, next, 0, count, older_count);
+        for (Index i = 0; i < front; i++)
+            if (kinds[i] != FREE) impose(fronts[i], i);
+        for (Index i = condensed; i <= last; i++) impose(next[i], front + i);
+        sweep<false>(next, condensed, ignored);
+        substitute_back(condensed, [&](Index i, const Node<Real>& solved) {
+            Node<Real>& node = i < front ? fronts[i] : next[i - front];
+            node = {select<Real>(alive, solved.u, node.u), select<Real>(alive, solved.slope, node.slope)};
+        });
+        M busy = alive, failed{};
+        Real before = all_lanes<Real>(__builtin_inf());
+        for (int n = 0; n < MAX_PASSES && any(busy); n++) {
+            Seen<Real> seen;
+            bool chord = n < CHORD_PASSES && (n > 0 || last % RENEWED_NODES > 0);
+            if (chord)
+                renew_loads(next, condensed, busy, seen);
+            else if (condensed > 0)
+                condense(next, 1, condensed, busy, seen);
+            sweep<false>(next, condensed, seen);
+            Real change{}, product{};
+            substitute_back(condensed, [&](Index i, const Node<Real>& solved) {
+                Node<Real>& node = i < front ? fronts[i] : next[i - front];
+                Real step = absolute(solved.u - node.u), turn = absolute(solved.slope - node.slope), away = step;
+                if (i > front && i < front + condensed) away = absolute(solved.u - past[i - front].reference);
+                Index e = i < front ? 0 : i - front + (i - front < last);
+                const Real& bend = grid->first[e] < grid->first[e + 1] ? layers[grid->points[grid->first[e]].layer].curvature : constants->curvature;
+                product = greater_of(bend * step * away, product);
+                step = select<Real>(turn <= step, step, turn);  // written so that a NaN remains
+                change = select<Real>(step <= change, change, step);
+                node = {select<Real>(busy, solved.u, node.u), select<Real>(busy, solved.slope, node.slope)};
+            });
+            *passes = select<Real>(busy, *passes + 1.0, *passes);
+            Real ahead = chord ? CHORD_ERROR * product : constants->curvature * (change * change);
+            ahead = select<Real>(seen.exact, change, ahead);
+            M done = (change < problem.tolerance) | (ahead < problem.tolerance);
+            if (n > 1) done = done | ((change < ROUNDING_MM) & (change > 0.5 * before));
+            M lost = busy & ((seen.crushed) | !(change < 1e300));
+            failed = failed | lost;
+            busy = busy & !(done | lost);
+            before = change;
+        }
+        return failed | busy;
+    }
+
+    INLINE void impose(Node<Real>& node, Index i) {
+        if (kinds[i] == FREE) return;
+        node.u = values[i].u;
+        if (kinds[i] == CLAMPED) node.slope = values[i].slope;
+    }
+
+    // ---- Newton's method --------------------------------------------------------------------------------------------
+
+    // Guess that the shape stays as it is, and goes straight on beyond its ends.
+    void extend_straight() {
+        const Node<Real>* now = state();
+        Node<Real>* next = states[1 - progress->now];
+        Index count = progress->nodes;
+        for (Index i = 0; i <= last; i++) {
+            double x = grid->x[i];
+            if (count == 0) {
+                next[i] = {};
+            } else if (x <= nodes[0] || x >= nodes[count - 1]) {
+                Index at = x <= nodes[0] ? 0 : count - 1;
+                next[i] = {now[at].u + (x - nodes[at]) * now[at].slope, now[at].slope};
+            } else {
+                Index e = count_below(nodes, count, x) - 1;
+                Hermite<double> shape(x - nodes[e], nodes[e + 1] - nodes[e]);
+                const Node<Real>&a = now[e], &b = now[e + 1];
+                const double *n = shape.n, *m = shape.m;
+                next[i] = {
+                    n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope,
+                    m[0] * a.u + m[1] * a.slope + m[2] * b.u + m[3] * b.slope
+                };
+            }
+        }
+    }
+
+    // Find the equilibrium from the guess in `next`, all elements linearised in every pass, in the chosen lanes.
+    template <bool Friction>
+    void equilibrate(const M& chosen) {
+        Node<Real>* next = states[1 - progress->now];
+        Index size = front + last + 1;
+        auto node_at = [&](Index i) -> Node<Real>& { return i < front ? fronts[i] : next[i - front]; };
+        for (Index i = 0; i < size; i++) {
+            Node<Real>& node = node_at(i);
+            Node<Real> held = node;
+            impose(held, i);
+            replace_chosen<Node<Real>, Real>(node, held, chosen);
+            good[i] = node;
+        }
+        M busy = chosen, borne{}, compressed{};
+        Real before = all_lanes<Real>(__builtin_inf()), ended = all_lanes<Real>(NOT_CONVERGED);
+        for (Index n = 0; n < problem.max_iterations && any(busy); n++) {
+            Seen<Real> seen;
+            sweep<Friction>(next, 0, seen);
+            // A guess may lie beyond what the tissue bears, and the answer not: go on. Later, go half the way back to
+            // the last state that some tissue bore.
+            M back = seen.crushed & borne, onward = busy & !seen.crushed;
+            Real change{};
+            substitute_back(0, [&](Index i, const Node<Real>& solved) {
+                Node<Real>&node = node_at(i), &kept = good[i];
+                Real step = absolute(solved.u - node.u), turn = absolute(solved.slope - node.slope);
+                step = select<Real>(turn <= step, step, turn);
+                change = select<Real>(step <= change, change, step);
+                Node<Real> found{
+                    select<Real>(back, 0.5 * (node.u + kept.u), solved.u),
+                    select<Real>(back, 0.5 * (node.slope + kept.slope), solved.slope)
+                };
+                replace_chosen<Node<Real>, Real>(kept, node, onward);
+                replace_chosen<Node<Real>, Real>(node, found, busy);
+            });
+            *passes = select<Real>(busy, *passes + 1.0, *passes);
+            borne = borne | !seen.crushed, compressed = compressed | back;
+            Real ahead = Friction ? change : select<Real>(seen.exact, change, constants->curvature * change * change);
+            M done = (change < problem.tolerance) | (ahead < problem.tolerance);
+            done = done | ((change < ROUNDING_MM) & (change > 0.5 * before));
+            M lost = busy & !back & !(change < 1e300);
+            done = onward & done & !lost;
+            ended = select<Real>(lost, all_lanes<Real>(NON_FINITE), ended);
+            ended = select<Real>(done, all_lanes<Real>(CONVERGED), ended);
+            busy = busy & !(done | lost);
+            before = select<Real>(onward, change, before);
+        }
+        M crushed = busy & (compressed | !borne);
+        ended = select<Real>(crushed, all_lanes<Real>(OVER_COMPRESSED), ended);
+        *status = select<Real>(chosen, ended, *status);
+        *stale = select<Real>(chosen, all_lanes<Real>(1.0), *stale);
+    }
+
+    // ---- from stop to stop --------------------------------------------------------------------------------------------
+
+    // Bring the needle to a stop; a lane that fails keeps its status, and the rest of it is of no use.
+    void reach(const Stop& stop) {
+        place_constraint(stop);
+        Index old_front = progress->front;
+        choose_grid(stop);
+        hold(stop.inputs, stop.tip);
+        if (front != old_front)
+            for (Index i = 0; i < front; i++) fronts[i] = {};
+        bool on_main = grid == &main;
+        M alive = *status == 0.0;
+        Index count = progress->nodes;
+        bool quick = on_main && progress->on_main && last + 1 >= count && !constants->friction;
+        M failed = alive;
+        if (quick) failed = equilibrate_quickly(alive);
+        failed = failed & alive;
+        if (any(failed)) {
+            Node<Real>* next = states[1 - progress->now];
+            if (any(alive & !failed)) {  // the others keep what they have found
+                for (Index i = 0; i <= last; i++) good[i] = next[i];
+                extend_straight();
+                for (Index i = 0; i <= last; i++) {
+                    Node<Real> guess = next[i];
+                    next[i] = good[i];
+                    replace_chosen<Node<Real>, Real>(next[i], guess, failed);
+                }
+            } else
+                extend_straight();
+            constants->friction ? equilibrate<true>(failed) : equilibrate<false>(failed);
+        }
+        progress->older_nodes = quick && last + 1 > count ? count : 0;
+        if (!quick) *stale = all_lanes<Real>(1.0), progress->condensed = 0;
+        progress->now = 1 - progress->now, progress->nodes = last + 1, progress->on_main = on_main;
+        progress->front = front, progress->tip = stop.tip;
+        for (Index i = 0; i <= last; i++) nodes[i] = grid->x[i];
+    }
+
+    // Note where the tip stands.
+    void record(const Stop& stop) {
+        track[stop.cell] = state()[last];
+        *cut = stop.cell > 0 ? y[stop.cell] : track[stop.cell].u;
+    }
+
+    void advance(const Stop& stop) {
+        reach(stop);
+        record(stop);
+    }
+};
+
+}  // namespace needlefit
