@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from needlefit.mechanics.kernel.grid import GAUSS_OFFSET
 from numpy.typing import NDArray
 
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.kernel.grid import GAUSS_OFFSET
 from needlefit.mechanics.simulate import compile_tissue
 
 jax.config.update("jax_enable_x64", True)

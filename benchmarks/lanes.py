@@ -47,14 +47,14 @@ from pathlib import Path
 
 import numba
 import numpy as np
+from needlefit.mechanics.kernel.lanes import passes
+from needlefit.mechanics.kernel.lanes.passes import chord_regular, full_regular
+from needlefit.mechanics.kernel.lanes.tables import LANES, LAYER_ROWS, NODE_ROWS, POINT_COLUMNS
 from numpy.typing import NDArray
 from reference_problem import BEVEL, DEPTH, batch
 
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.control import Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.kernel.lanes import passes
-from needlefit.mechanics.kernel.lanes.passes import chord_regular, full_regular
-from needlefit.mechanics.kernel.lanes.tables import LANES, LAYER_ROWS, NODE_ROWS, POINT_COLUMNS
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.simulate import simulate_steps
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from full_needle import FullNeedle
+from needlefit.mechanics.kernel.lanes import insertion as kernel
 
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks
@@ -32,7 +33,6 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import sample as sampler
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.kernel.lanes import insertion as kernel
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream

@@ -26,8 +26,6 @@ pytest.register_assert_rewrite("made_again")
 
 from world import World, open_world  # noqa: E402
 
-from needlefit.mechanics.precompile import KERNEL_PARTS, precompile  # noqa: E402
-
 TWIN = Path(__file__).parents[1] / "data" / "twin"
 
 settings.register_profile("busy cores", deadline=None)  # the first example of a test also loads what it needs
@@ -41,10 +39,6 @@ SWEEP_PARTS = 16
 def pytest_addoption(parser: pytest.Parser) -> None:
     about = f"the part of the sweeps to run, from 0 to {SWEEP_PARTS - 1} (default: by the commit)"
     parser.addoption("--sweep-part", type=int, help=about)
-
-
-def pytest_sessionstart() -> None:
-    precompile(*KERNEL_PARTS)
 
 
 @cache

@@ -60,7 +60,7 @@ def test_help_loads_nothing_heavy():
         "import sys, needlefit.cli\n"
         "try: needlefit.cli.main(['--help'])\n"
         "except SystemExit: pass\n"
-        "heavy = {'numpy', 'pandas', 'numba', 'pydantic', 'rich', 'scipy', 'matplotlib'}\n"
+        "heavy = {'numpy', 'pandas', 'pydantic', 'rich', 'scipy', 'matplotlib'}\n"
         "sys.exit(','.join(sorted(heavy & set(sys.modules))) or 0)"
     )
     done = python(code)

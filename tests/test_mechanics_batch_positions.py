@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from needlefit.mechanics.kernel.beam import compute_batch_positions, compute_positions
+from needlefit.mechanics.native import compute_positions
 
 
 def make_needles(count):
@@ -13,8 +13,8 @@ def make_needles(count):
 
 
 def compare(x, u, slope, s):
-    single = [compute_positions(*needle, s) for needle in zip(x, u, slope, strict=True)]
-    assert np.array_equal(compute_batch_positions(x, u, slope, s), single, equal_nan=True)
+    single = [compute_positions(*(part[i : i + 1] for part in (x, u, slope)), s)[0] for i in range(len(x))]
+    assert np.array_equal(compute_positions(x, u, slope, s), single, equal_nan=True)
 
 
 def test_a_block_and_a_part_of_one():

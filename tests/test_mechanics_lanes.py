@@ -1,21 +1,16 @@
 """Many parameter sets at once are as many single ones: to rounding, and whatever stands beside them."""
 
-import inspect
-import re
 from collections import Counter
 from dataclasses import fields, replace
 
-import numba
 import numpy as np
 import pytest
-from llvmlite import binding
 from mechanics_cases import random_batch, random_steps
 
 from needlefit.errors import ModelError
-from needlefit.mechanics import lanes, reference
+from needlefit.mechanics import native, reference
 from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.kernel.lanes import newton, passes
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
@@ -74,18 +69,19 @@ def assert_close(found: NeedleShape, expected: NeedleShape, atol: float = 1e-7) 
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_every_set_is_what_the_scalar_kernel_gives(seed: int) -> None:
+def test_every_set_is_what_newtons_method_gives(seed: int) -> None:
     batch = random_batch(np.random.default_rng(seed), 6)
-    shapes = one(batch)
+    shapes, exact = one(batch), replace(batch, rules=replace(batch.rules, tolerance=1e-11))
     assert shapes.converged.all()
     for i in range(len(batch)):
-        assert_close(shapes[i], simulate_steps(*batch.pick(i)))
+        assert_close(shapes[i], simulate_steps(*exact.pick(i)))
+        assert_same_bits(shapes[i], simulate_steps(*batch.pick(i)))
 
 
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 @pytest.mark.parametrize("advance", ["tangent", "path_angle"])
 @pytest.mark.parametrize("seed", range(200, 230))
-def test_guides_in_the_tissue_tracked_tips_and_friction_are_those_of_the_scalar_kernel(
+def test_guides_in_the_tissue_tracked_tips_and_friction_are_those_of_single_needles(
     seed: int, advance: str, friction: float
 ) -> None:
     batch = random_batch(np.random.default_rng(seed), 6, within=True, friction=friction)
@@ -120,24 +116,6 @@ def test_each_set_may_have_its_guide_elsewhere_wherever_the_first_nodes_lie(firs
     for i in range(4):
         assert_close(shapes[i], simulate_steps(*batch.pick(i)))
         assert shapes[i].x[1] == x[i] and shapes[i].u[1] == pytest.approx(0.1, abs=1e-14)
-
-
-@pytest.mark.parametrize("controls", [Controls(), *HELD])
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_ordinary_sets_never_call_the_scalar_kernel(
-    controls: Controls, friction: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr(lanes, "simulate_steps", refuse)
-    rng = np.random.default_rng(0)
-    mu = 10 ** rng.uniform(-1.5, 1.5, (50, 2))
-    steps = (*THERE_AND_BACK, replace(TURN, controls=controls))
-    batch = Batch(
-        NEEDLE, replace(TISSUE, friction=[friction] * 2), steps, mu=mu, offset=rng.uniform(0, 0.1, 50)
-    )
-    assert one(batch).converged.all()
 
 
 @pytest.mark.parametrize("controls", HELD)
@@ -272,7 +250,7 @@ def test_a_set_that_leaves_the_series_is_solved_alone_and_exactly() -> None:
     assert_same_bits(one(thin([0.05, 0.05], 1.0))[1], shapes[0])  # also where everybody leaves
 
 
-def test_a_free_guide_before_a_short_first_element_has_no_lane() -> None:
+def test_a_free_guide_before_a_short_first_element() -> None:
     controls = Controls(guides=(Guide(-4.0, 0.1, None), Guide(0.3, 0.05, in_tissue=True)))
     batch = Batch(NEEDLE, TISSUE, (Step(9.6, Bevel(0.1), controls),), mu=[[0.3, 3.0], [2.0, 20.0]])
     shapes = one(batch)
@@ -280,13 +258,13 @@ def test_a_free_guide_before_a_short_first_element_has_no_lane() -> None:
         assert_same_bits(shapes[i], simulate_steps(*batch.pick(i)))
 
 
-def test_strong_friction_is_left_to_the_scalar_kernel() -> None:
+def test_strong_friction_converges() -> None:
     batch = Batch(
         NEEDLE, replace(TISSUE, friction=[60.0, 60.0]), (Step(25.0, Bevel(0.2)),), offset=[0.2, 0.02]
     )
-    shapes = one(batch)
-    assert_same_bits(shapes[0], simulate_steps(*batch.pick(0)))
-    assert_close(shapes[1], simulate_steps(*batch.pick(1)))
+    shapes, exact = one(batch), replace(batch, rules=ModelOptions(tolerance=1e-11))
+    for i in range(2):
+        assert_close(shapes[i], simulate_steps(*exact.pick(i)))
 
 
 def test_different_insertions_come_back_in_their_order() -> None:
@@ -342,19 +320,16 @@ def test_a_guide_that_the_base_would_reach_is_the_failure_of_its_set_alone() -> 
     np.testing.assert_array_equal(shapes.u[[0, 3]], alone.u)
 
 
-def test_what_a_workspace_held_before_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    held = replace(WIDE, depth=40.2, controls=HELD[-1])
+def test_what_the_memory_held_before_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, make = replace(WIDE, depth=40.2, controls=HELD[-1]), native.make_memory
 
     def fill(value: float) -> NeedleShapes:
-        def make(nodes: int, points: int) -> newton.LaneWorkspace:
-            workspace = newton.make_workspace(nodes, points)
-            for part in workspace[:-1]:
-                if part is not workspace.rigid:
-                    part[:] = value
-            workspace.counted[0] = 3
-            return workspace
+        def make_filled(size: int) -> np.ndarray:
+            memory = make(size)
+            memory[:] = value
+            return memory
 
-        monkeypatch.setattr(lanes, "make_workspace", make)
+        monkeypatch.setattr(native, "make_memory", make_filled)
         return one(broad(40, steps=(WIDE, replace(WIDE, depth=30.2), held), tissue=RUBBING))
 
     assert_same_bits(fill(np.nan), fill(0.0))
@@ -403,37 +378,3 @@ def test_a_guide_may_take_the_node_of_a_constraint_point() -> None:
     assert not np.isin([5.0], shapes.x[0]).any()
     for i in range(2):
         assert_close(shapes[i], simulate_steps(*batch.pick(i)))
-
-
-PACKED = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
-          "solve_tip", "substitute_back", "shift_load", "add_compliance", "friction_point")  # fmt: skip
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("name", PACKED)
-def test_loops_over_lanes_are_packed(name: str) -> None:
-    """Every fused multiply-add stands in a loop of whole vectors; single ones only where rows overlap."""
-    if not all(binding.get_host_cpu_features().get(feature) for feature in ("avx2", "fma")):
-        pytest.skip("this processor has no AVX2 with FMA")
-    lines = assembly(getattr(passes, name)).splitlines()
-    fused = [line for line in lines if re.match(r"\s*vfn?m(add|sub)\w*pd\s", line)]
-    wide = [line for line in fused if "%ymm" in line or "%zmm" in line]
-    single = [line for line in lines if re.match(r"\s*vfn?m(add|sub)\w*sd\s", line)]
-    assert wide and len(wide) >= len(single)
-
-
-def assembly(loop: numba.core.dispatcher.Dispatcher) -> str:
-    """Compile a loop anew, with its own options: one that comes from a cache has no text."""
-    given = {
-        name: v for name, v in loop.targetoptions.items() if name in ("nogil", "error_model", "fastmath")
-    }
-    named = inspect.signature(loop.py_func).parameters.items()
-    kinds = dict.fromkeys(("table", "bending", "shapes"), numba.float64[:, ::1])
-    kinds |= dict.fromkeys(("share", "weight"), numba.float64)
-    signature = tuple(
-        numba.uint64 if of.annotation is passes.Offset else kinds.get(name, numba.float64[::1])
-        for name, of in named
-    )
-    compiled = numba.njit(**given)(loop.py_func)
-    compiled.compile(signature)
-    return compiled.inspect_asm(signature)

@@ -9,11 +9,11 @@ from plugin_cases import install, plugin_folder
 from needlefit.errors import ConfigError, ModelError
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, Controls, Guide
-from needlefit.mechanics.kernel.foundation import evaluate_table, make_foundation
-from needlefit.mechanics.law_form import compile_law, differentiate_law
+from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import compile_tissue, simulate
+from needlefit.mechanics.packing import evaluate_layer
+from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -21,6 +21,10 @@ BASE = Controls(base_y=0.4)
 
 
 CLOSED_FORMS = ("linear", "fung", "neo_hookean", "ogden")
+
+
+def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = np.zeros(1)):
+    return evaluate_layer(tissue, layer, e)
 
 
 def modulus(law: str, alpha: float, stretch: np.ndarray) -> np.ndarray:
@@ -41,10 +45,10 @@ def modulus(law: str, alpha: float, stretch: np.ndarray) -> np.ndarray:
 def test_the_polynomial_is_the_law_as_far_as_it_is_used(law: str, thickness: float) -> None:
     """To 1e-9 of k, and its tangent d(k e)/de to 1e-7, over the widest prior."""
     for alpha in LAWS[law].into_range(np.linspace(-10, 10, 41)):
-        layer = compile_tissue(Tissue(mu=[0.7], alpha=[alpha], thickness=[thickness], law=law))
-        e = np.linspace(0.0, layer.limit[0], 50)
-        assert 0.004 * thickness < layer.limit[0] <= 0.2 * thickness
-        found = np.polynomial.Polynomial(layer.series[0])
+        layer = evaluated(Tissue(mu=[0.7], alpha=[alpha], thickness=[thickness], law=law))
+        e = np.linspace(0.0, layer.limit, 50)
+        assert 0.004 * thickness < layer.limit <= 0.2 * thickness
+        found = np.polynomial.Polynomial(layer.series)
         exact = 0.7 * modulus(law, alpha, 1 - e / thickness)
         np.testing.assert_allclose(found(e), exact, rtol=1e-9)
         tangent = (found * np.polynomial.Polynomial([0.0, 1.0])).deriv()
@@ -56,25 +60,22 @@ def test_the_polynomial_is_the_law_as_far_as_it_is_used(law: str, thickness: flo
 @pytest.mark.parametrize("alpha", [-3.0, 1.0, 2.0, 5.0])
 def test_how_tissue_hardens_at_first(alpha: float) -> None:
     """Ogden: dk/de = 3 mu (1 - alpha / 2) / t at rest; it hardens below alpha = 2 and softens above."""
-    layer = compile_tissue(Tissue(mu=[0.7], alpha=[alpha], thickness=[40.0]))
-    assert layer.series[0, 0] == pytest.approx(3 * 0.7, rel=1e-9)
-    assert layer.series[0, 1] == pytest.approx(3 * 0.7 * (1 - alpha / 2) / 40.0, abs=1e-8)
+    layer = evaluated(Tissue(mu=[0.7], alpha=[alpha], thickness=[40.0]))
+    assert layer.series[0] == pytest.approx(3 * 0.7, rel=1e-9)
+    assert layer.series[1] == pytest.approx(3 * 0.7 * (1 - alpha / 2) / 40.0, abs=1e-8)
 
 
 def test_the_linear_law_is_a_number() -> None:
-    layer = compile_tissue(Tissue(mu=[0.7], alpha=[5.0], law="linear"))
-    np.testing.assert_allclose(layer.series[0], [2.1, 0, 0, 0, 0, 0], atol=1e-12)
-    assert layer.curvature[0] < 1e-9
+    layer = evaluated(Tissue(mu=[0.7], alpha=[5.0], law="linear"))
+    np.testing.assert_allclose(layer.series, [2.1, 0, 0, 0, 0, 0], atol=1e-12)
+    assert layer.curvature < 1e-9
 
 
 def test_layers_are_independent() -> None:
-    def layers(mu: list, alpha: list, thickness: list):
-        terms = compile_law("ogden", np.array(alpha))
-        return make_foundation(np.array(mu), *terms, np.array(thickness), np.zeros(len(mu)))
-
-    both, second = layers([0.2, 3.0], [-7.0, 4.0], [5.0, 60.0]), layers([3.0], [4.0], [60.0])
-    np.testing.assert_array_equal(both.series[1], second.series[0])
-    assert both.limit[1] == second.limit[0] and both.curvature[1] == second.curvature[0]
+    both = Tissue(mu=[0.2, 3.0], alpha=[-7.0, 4.0], boundaries=[9.0], thickness=[5.0, 60.0])
+    second = Tissue(mu=[3.0], alpha=[4.0], thickness=[60.0])
+    for found, expected in zip(evaluated(both, 1), evaluated(second), strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 def deflection(law: str, alpha: float, thickness: float = 4.0) -> float:
@@ -127,9 +128,9 @@ def test_a_law_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         case = (NEEDLE, tissue, Bevel(0.1), 9.0, BASE)
         fast, slow = simulate(*case), reference.simulate(*case)
         np.testing.assert_allclose(fast.u, slow.u, atol=1e-8)
-        assert compile_tissue(tissue).series[0, 0] == pytest.approx(0.5 * 3.5, rel=1e-9)
+        assert evaluated(tissue).series[0] == pytest.approx(0.5 * 3.5, rel=1e-9)
     with pytest.raises(ConfigError, match=r"law .*`sister`"):
-        compile_tissue(Tissue(mu=[0.5], alpha=[4.0], law="sister"))
+        evaluated(Tissue(mu=[0.5], alpha=[4.0], law="sister"))
 
 
 def test_which_laws_use_alpha() -> None:
@@ -140,19 +141,19 @@ def test_which_laws_use_alpha() -> None:
 def test_a_table_is_its_law_as_far_as_it_reaches(alpha: float) -> None:
     """k, dk/dlambda and dk/dalpha of the table against those of the law, over k."""
     law, (table, _) = LAWS["fung"], compile_law("fung", np.array([alpha]))
-    by_alpha, _ = differentiate_law("fung", np.array([alpha]))
     reach = table[0, 0]
     assert 0.4 < reach < 0.8
-    d = np.linspace(0, reach, 500)
-    k = law.k(1 - d, np.full(500, alpha))
-    found = np.array([evaluate_table(table, 0, x) for x in d])
-    np.testing.assert_allclose(found[:, 0], k, rtol=2e-11)
-    np.testing.assert_allclose(-found[:, 1] / k, law.dk_dstretch(1 - d, np.full(500, alpha)) / k, atol=1e-8)
-    slope = np.array([evaluate_table(by_alpha, 0, x)[0] for x in d])
+    tissue, d = Tissue(mu=[1.0], alpha=[alpha], thickness=[1.0], law="fung"), np.linspace(0, reach, 500)
+    found = evaluated(tissue, 0, d)
+    k, slope = law.k(1 - d, np.full(500, alpha)), law.dk_dstretch(1 - d, np.full(500, alpha))
+    beyond = d > found.limit
+    np.testing.assert_allclose(found.k[beyond], k[beyond], rtol=2e-11)
+    np.testing.assert_allclose((found.tangent / k)[beyond], (1 - d * slope / k)[beyond], atol=1e-8)
     strain = (1 - d) ** 2 + 2 / (1 - d) - 3
     bend = 2 * (1 - d) * (1 - d - (1 - d) ** -2) ** 2
     by_hand = strain * k + np.exp(alpha * strain) * bend
-    np.testing.assert_allclose(slope / k, by_hand / k, atol=1e-9)
+    np.testing.assert_allclose((found.by_shape / k)[beyond], (by_hand / k)[beyond], atol=1e-9)
+    np.testing.assert_allclose(found.by_shape / k, by_hand / k, atol=1e-7)
 
 
 def test_fung_is_neo_hookean_at_zero() -> None:

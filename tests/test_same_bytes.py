@@ -15,7 +15,6 @@ import pytest
 from made_again import read_files
 from world import COMMANDS, build_project, find_words
 
-from needlefit.mechanics.kernel.cache import CACHE_DIR_VARIABLE, find_cache_folder
 from needlefit.project.threads import THREAD_VARIABLES as THREADS
 from tests.cluster_processes import start_scheduler, start_worker
 
@@ -47,9 +46,9 @@ def one_core() -> str:
 def begin(
     program: str, words: Sequence[str], place: Path, cores: str = "all", **settings: str
 ) -> "subprocess.Popen[str]":
-    """Start a program in a folder, with the compiled functions of this process and no limit of threads."""
+    """Start a program in a folder, with no limit of threads."""
     environment = {name: value for name, value in os.environ.items() if name not in THREADS}
-    environment |= {CACHE_DIR_VARIABLE: str(find_cache_folder().path.parent), **HERE, **settings}
+    environment |= {**HERE, **settings}
     return subprocess.Popen(
         (sys.executable, "-c", program, cores, *words),
         cwd=place, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -92,16 +91,6 @@ def test_a_run_is_the_same_on_one_core_in_other_surroundings(world, kind, new_pr
         codes=COMMANDS[kind].codes,
     )
     assert_same(place / "out" / expected.name, expected)
-
-
-@pytest.mark.sweep
-def test_two_first_starts_at_once_are_as_a_later_one(world, new_project, tmp_path):
-    expected, places = world.find("cross_validation"), [new_project(name) for name in ("one", "two")]
-    cold = {CACHE_DIR_VARIABLE: str(tmp_path / "cache")}
-    words = find_words("cross_validation", Path("out"))
-    outputs(*(begin(COMMAND, words, place, **cold) for place in places))
-    for place in places:
-        assert_same(place / "out" / expected.name, expected)
 
 
 def wait_for(running: "subprocess.Popen[str]", pattern: str, place: Path) -> None:

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needlefit.mechanics import reference
-from needlefit.mechanics import simulate as simulate_module
+from needlefit.mechanics import load, packing, reference
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.simulate import equilibrium, simulate_steps
-from needlefit.verification import clamped_needle as clamped_module
 from needlefit.verification.cases import PAPER_NEEDLE, RandomCase, make_tissue
 from needlefit.verification.check import (
     AcceptanceBound,
@@ -199,9 +197,9 @@ def test_the_stress_of_every_law_has_its_k_as_derivative(law):
 
 
 def fault(monkeypatch, change):
-    """Make a fault of the tissue that the compiled solver reads."""
-    true = simulate_module.list_layers
-    monkeypatch.setattr(simulate_module, "list_layers", lambda tissue: true(change(tissue)))
+    """Make a fault of the tissue that the kernel reads."""
+    true = packing.pack_layers
+    monkeypatch.setattr(packing, "pack_layers", lambda tissue, *rest: true(change(tissue), *rest))
 
 
 def stiffer(tissue):
@@ -244,39 +242,6 @@ def test_friction_left_out_is_noticed(monkeypatch):
     assert "The same with friction" in failing(manufactured)
 
 
-@pytest.mark.sweep
-def test_wrong_weights_are_noticed(monkeypatch):
-    """Quadrature that loses a fiftieth of every element's second half."""
-    true = clamped_module.build_grid
-
-    def wrong(*arguments):
-        grid = true(*arguments)
-        weight = grid.weight.copy()
-        weight[1::2] *= 0.98
-        return grid._replace(weight=weight)
-
-    monkeypatch.setattr(clamped_module, "build_grid", wrong)
-    monkeypatch.setattr(simulate_module, "build_grid", wrong)
-    assert failing(cantilever, elastic_foundation) == titles(cantilever) | titles(elastic_foundation)
-    assert failing(manufactured) == titles(manufactured)
-    assert failing(tangent) == titles(tangent)
-
-
-def test_one_gauss_point_for_two_costs_orders(monkeypatch):
-    """The midpoint rule is consistent, so errors still fall: with order 2, which is seen."""
-    true = clamped_module.build_grid
-
-    def wrong(*arguments):
-        grid = true(*arguments)
-        pairs = grid.x.reshape(-1, 2).mean(axis=1).repeat(2)
-        shapes = grid.shapes.reshape(-1, 2, 8).mean(axis=1).repeat(2, axis=0)  # of a nearby rule
-        return grid._replace(x=pairs, shapes=shapes)
-
-    monkeypatch.setattr(clamped_module, "build_grid", wrong)
-    rows = verify(1, manufactured.CHECKS[:1]).rows
-    assert rows[0].verdict == "FAILS" and rows[0].measured == pytest.approx(2, abs=0.5)
-
-
 def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
     """Elements four times too long: what the refinement study and the closed forms bound."""
 
@@ -295,8 +260,10 @@ def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
 
 
 def test_a_load_that_the_shape_does_not_bear_is_noticed(monkeypatch):
-    true = simulate_module.compile_tissue
-    monkeypatch.setattr("needlefit.mechanics.load.compile_tissue", lambda tissue: true(stiffer(tissue)))
+    true = load.pack_equilibrium
+    monkeypatch.setattr(
+        load, "pack_equilibrium", lambda needle, tissue, *rest: true(needle, stiffer(tissue), *rest)
+    )
     assert failing(balance) == titles(balance)
 
 

@@ -61,7 +61,6 @@ class Execution:
                     where=str(self.folder(name)),
                     fix="sample again with --sample, write elsewhere with --out, or remove it",
                 )
-        screen.compile_ahead("lanes", "sensitivity", quiet=self.invocation.quiet)
 
     def folder(self, name: str) -> Path:
         """Return where the results of one study or fit go."""

@@ -94,7 +94,6 @@ def plan(
         require_output_files({"--recording": recording}, [] if markups is None else [markups])
     shown = open_target(name, specimen=specimen or "planned")
     aim = _make_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
-    screen.compile_ahead("lanes", quiet=quiet)
     limits = PlanLimits(entry, base, base_angle, turns)
     insertion = begin_insertion(shown)
     found = plan_steering(insertion, aim.goal, limits, jobs)

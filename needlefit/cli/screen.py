@@ -60,26 +60,6 @@ def print_note(text: str) -> None:
     print(_wrap(without_controls(text), sys.stderr), file=sys.stderr)
 
 
-def compile_ahead(*kernel_parts: str, quiet: bool = False) -> None:
-    """Compile the model, or further parts of its kernel, where they are not; say so, as it takes a while."""
-    from needlefit.mechanics.kernel.cache import CACHE_DIR_VARIABLE, find_cache_folder, is_complete
-
-    wanted = ("kernel", *kernel_parts)
-    if all(is_complete(part) for part in wanted):
-        return
-    if not quiet:
-        why = find_cache_folder().why_temporary
-        names = {"kernel": "solver", "lanes": "solver for many parameter sets", "sensitivity": "derivatives"}
-        pieces = ", ".join(names[part] for part in wanted if not is_complete(part))
-        once = "only once: the compiled model is kept for this version and processor"
-        if why:
-            once = f"in every run: {why}; set {CACHE_DIR_VARIABLE} to another folder"
-        print_note(f"needlefit: compiling the model ({pieces}); this takes some seconds, {once}")
-    from needlefit.mechanics.precompile import precompile
-
-    precompile(*wanted)
-
-
 def show_json(value: object) -> None:
     """Print a value as JSON; numbers that JSON has not (NaN, infinity) become null.
 

@@ -108,7 +108,6 @@ def simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOu
     from needlefit.mechanics.scene import Scene, simulate_scene
     from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
 
-    screen.compile_ahead()
     scene = Scene.from_record(record, where)
     done = SimulatedScene(record.title or name, scene, simulate_scene(scene), record.needle.outer_diameter_mm)
     files: dict[str, Write] = {
@@ -140,7 +139,6 @@ def replay_recording(path: Path, upto: int | None, outputs: Mapping[str, Path]) 
         if upto > len(recording.steps):
             raise typer.BadParameter(f"the recording has {len(recording.steps)} steps", param_hint="--step")
         recording = replace(recording, steps=recording.steps[:upto])
-    screen.compile_ahead()
     done = replay_to_end(recording)
     files: dict[str, Write] = {
         "plot": partial(export.write_picture, done),

@@ -37,7 +37,6 @@ def twin_build(
     from needlefit.synthetic.insertion import TWIN_SEED
 
     seed = TWIN_SEED if seed is None else seed
-    screen.compile_ahead(quiet=quiet)
     with (
         replace_folder(out) as fresh,
         show_progress(context.find_root().obj.quiet) as report,
@@ -73,7 +72,6 @@ def twin_ct(
     from needlefit.synthetic.scans import write_scans
 
     seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
-    screen.compile_ahead(quiet=quiet)
     with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
         write_scans(fresh, plan, seed, form, LocalPool(jobs or count_cores()), report)
     screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

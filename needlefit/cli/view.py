@@ -113,7 +113,6 @@ def view(
     record = _read_tracker(openigtlink, tracker)
     require_writable(out / "view")
     serve = _server()
-    screen.compile_ahead("lanes", quiet=quiet)
     trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
     from needlefit.viewer.serving.steering_page import SteeringPage
 

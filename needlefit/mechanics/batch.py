@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
+from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.insertion_limits import count_element_solves
-from needlefit.mechanics.kernel import beam as kernel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.simulate import STATUS_NAMES
@@ -204,5 +204,5 @@ class NeedleShapes:
 
 def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
     """Return the points (B, K, 2) in C of every needle at `s` (K,), mm; see `compute_positions`."""
-    parts = (shapes.x, shapes.u, shapes.slope, s)  # contiguous: each layout is compiled anew
-    return kernel.compute_batch_positions(*(np.ascontiguousarray(part, dtype=np.float64) for part in parts))
+    parts = (np.ascontiguousarray(part, dtype=np.float64) for part in (shapes.x, shapes.u, shapes.slope, s))
+    return native.compute_positions(*parts)

@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Self
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.kernel.grid import LINEAR_CUT
+from needlefit.mechanics.native import LINEAR_CUT
 from needlefit.mechanics.needle import is_bounded
 from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,

@@ -12,15 +12,15 @@ from numpy.polynomial import chebyshev
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError
-from needlefit.mechanics.kernel.foundation import (
+from needlefit.mechanics.laws import LAWS, PowerLaw
+from needlefit.mechanics.native import (
     MAX_SERIES_COMPRESSION,
     SERIES_TOLERANCE,
     TABLE_COMPRESSION,
     TABLE_PIECES,
     TABLE_TERMS,
-    find_table_range,
+    measure_table_range,
 )
-from needlefit.mechanics.laws import LAWS, PowerLaw
 
 LEAST_COMPRESSION = MAX_SERIES_COMPRESSION
 """|e| / t that every table must reach: the kernel's series may go so far."""
@@ -41,7 +41,7 @@ _STRETCH = 1 - _PIECE * (np.arange(TABLE_PIECES)[:, None] + 0.5 * (1 + np.concat
 def compile_law(name: str, alpha: Floats) -> tuple[Floats, Floats]:
     """Return a law at the alphas of some layers (n,): coefficients and exponents, (n, P) each, or a table.
 
-    A table is (n, 2 + TABLE_PIECES TABLE_TERMS), with exponents (n, 0): see `kernel.foundation.Foundation`.
+    A table is (n, 2 + TABLE_PIECES TABLE_TERMS), with exponents (n, 0): see `native/law.hpp`.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def differentiate_law(name: str, alpha: Floats) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=1024)  # a fit simulates many insertions with the same parameters
 def _make_table(name: str, alpha: float) -> Floats:
-    """Return the table of one layer: see `kernel.foundation.Foundation`."""
+    """Return the table of one layer: see `native/law.hpp`."""
     low, high = LAWS[name].alpha_range
     with np.errstate(all="ignore"):
         k = LAWS[name].k(_STRETCH, np.full_like(_STRETCH, alpha))
@@ -85,7 +85,7 @@ def _make_table(name: str, alpha: float) -> Floats:
             fix="choose another alpha, or narrower bounds for it",
         )
     whole = np.concatenate(([covered, 0.0], np.nan_to_num(table).ravel()))
-    whole[1] = find_table_range(whole[None], 0)
+    whole[1] = measure_table_range(whole)
     return whole
 
 

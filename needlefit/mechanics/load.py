@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.mechanics import native
 from needlefit.mechanics.control import Controls, ModelOptions
-from needlefit.mechanics.kernel import load as kernel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import compile_tissue
+from needlefit.mechanics.simulate import pack_equilibrium
 from needlefit.mechanics.tissue import Tissue
 
 _DEFAULT_OPTIONS = ModelOptions()
@@ -101,10 +101,14 @@ def compute_loads(
     Loads
         NaN where the shape is, if it did not converge.
     """
-    s, weight, load, last, nodal_forces = kernel.balance_forces(
-        shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
-        rules.cut_switch, needle.flexural_rigidity,
-    )  # fmt: skip
+    depths = np.ascontiguousarray(shape.constraints[:, 0])
+    problem = pack_equilibrium(needle, tissue, depths, controls, rules)
+    front = int(np.searchsorted(shape.x, 0.0))  # base and guides before the tissue
+    s, weight, _, near = native.list_quadrature(problem, shape.x[front:].copy(), depths)
+    bent = shape.x, shape.u, shape.slope, shape.constraints
+    load = native.compute_load(problem, bent, s)
+    last = int(np.searchsorted(near, len(depths) - 1))  # the first that belongs to the last constraint point
+    nodal_forces = native.balance_nodes(problem, bent, front, load)
     # Supports have nodes at exactly their x, so a node is found by its coordinate.
     reactions = dict(zip(shape.x.tolist(), nodal_forces.tolist(), strict=True))
     base, tip = float(shape.x[0]), controls.tip
@@ -128,10 +132,11 @@ def compute_lateral_load(
 
     Where the load jumps, that of the side nearer to the base.
     """
-    return kernel.compute_load(
-        shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
-        rules.cut_switch, np.ascontiguousarray(s, dtype=np.float64),
-    )  # fmt: skip
+    needle = Needle(shape.x[-1] - shape.x[0], 1.0)
+    depths = np.ascontiguousarray(shape.constraints[:, 0])
+    problem = pack_equilibrium(needle, tissue, depths, Controls(), rules)
+    bent = shape.x, shape.u, shape.slope, shape.constraints
+    return native.compute_load(problem, bent, np.ascontiguousarray(s, dtype=np.float64))
 
 
 def _read_reaction(reactions: Mapping[float, Sequence[float]], x: float, clamped: bool) -> SupportReaction:

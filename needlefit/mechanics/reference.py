@@ -1,7 +1,7 @@
 """The model of docs/model.md, line by line: slow, dense, to be read beside the equations.
 
-Section numbers are those of docs/model.md. `mechanics.simulate` is the same model, compiled; a test compares
-the two.
+Section numbers are those of docs/model.md. `mechanics.simulate` is the same model by the kernel; a test
+compares the two.
 """
 
 import math
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Bools, Floats
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.kernel.grid import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.native import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, plan_stops
 from needlefit.mechanics.shape import NeedleShape

@@ -11,13 +11,20 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats
 from needlefit.errors import ModelError
+from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.insertion_limits import check_reach, check_size
-from needlefit.mechanics.kernel import insertion as kernel
-from needlefit.mechanics.kernel.scalar import CONVERGED
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.packing import (
+    PackedStops,
+    compute_turn,
+    find_flags,
+    list_tip,
+    pack_plan,
+    pack_problem,
+)
 from needlefit.mechanics.plan import (
     SAME_DEPTH_MM,
     Lattice,
@@ -30,20 +37,10 @@ from needlefit.mechanics.plan import (
     plan_moves,
 )
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import (
-    begin_run,
-    compile_controls,
-    compute_turn,
-    group_stops,
-    list_base,
-    list_tip,
-    make_shape,
-    make_stop_arrays,
-    read_shape,
-)
+from needlefit.mechanics.simulate import list_depths, read_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import compute_scales
-from needlefit.schemas.limits import MAX_ELEMENTS, MAX_STEPS
+from needlefit.schemas.limits import MAX_ELEMENTS, MAX_GUIDES, MAX_STEPS
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
@@ -91,10 +88,10 @@ class Session:
         Equilibria asked of the solver so far.
     """
 
-    # The arrays that the kernel reads, and the controls that they hold; `_set_inputs` makes them.
-    _stops: kernel.TipStops
-    _conditions: kernel.BoundaryConditions
+    # What the kernel reads, and the controls that it holds; `_hold` makes them.
+    _problem: native.Problem
     _held: Controls
+    _memory: native.SessionMemory
 
     def __init__(
         self,
@@ -118,9 +115,9 @@ class Session:
         self._position = Position()
         self._bevels, self._controls = _InputIds[Bevel](), _InputIds[Controls]()
         self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)
-        self._guides, self._rays = 4, math.ceil(self._deepest / rules.spacing)
-        self._run = self._begin()
-        self._set_inputs(controls, 8)
+        self._guides, self._rays = MAX_GUIDES, math.ceil(self._deepest / rules.spacing)
+        self._hold(controls)
+        self._memory = native.SessionMemory(self._problem)
         self._shape = self.go(self.last)
 
     @property
@@ -194,11 +191,8 @@ class Session:
         other = copy.copy(self)
         other.failures = self.failures.copy()
         other._bevels, other._controls = self._bevels.copy(), self._controls.copy()
-        # New arrays of the same sizes: the kernel writes into its arrays.
-        other._run = self._begin()
-        for part, ours in zip(_list_arrays(other._run), _list_arrays(self._run), strict=True):
-            part[...] = ours
-        other._set_inputs(self._held, len(self._stops.tip))
+        other._memory = self._memory.copy()
+        other._hold(self._held)
         return other
 
     def input_path(self) -> tuple[Step, ...]:
@@ -245,24 +239,27 @@ class Session:
         is kept: a hand on a slider simulates the same one again and again.
         """
         moves = tuple(Move(s.depth, self._bevels.of(s.bevel), self._controls.of(s.controls)) for s in steps)
-        position, stops, groups = _plan_path(moves, self.lattice)
-        self._run = self._begin()  # the plan begins with the stop at the entry
-        self._grow_arrays(
-            max(len(step.controls.guides) for step in steps), 1 + max(stop.ray for stop in stops)
-        )
+        position, packed = _plan_path(moves, self.lattice)
+        self._make_room(packed.rays)
         bevels, controls = self._bevels.values(), self._controls.values()
-        turns = {number: compute_turn(bevel, self.rules) for number, bevel in bevels.items()}
-        self.solved = len(stops)
-        for controls_id, packed, bevel_ids in groups:
-            packed = packed._replace(turn=np.array([turns[number] for number in bevel_ids.tolist()]))
-            conditions = compile_controls(controls[controls_id])
-            kernel.set_inputs(self._run, conditions, packed)
-            status, iterations, shape, points = kernel.advance_needle(self._run, len(bevel_ids))
-            if status != CONVERGED:
-                return False
-        self._position, self.last = position, steps[-1]
-        self._set_inputs(self.last.controls, len(self._stops.tip))
-        self._shape = make_shape(shape, points, iterations, self._find_scales(self.last.depth))
+        # the numbers of inputs in the plan are those of this session, and not of steps
+        deepest = Step(self._deepest, self.last.bevel, self.last.controls)
+        inputs = [Step(0.0, bevels[i], self.last.controls) for i in packed.bevels]
+        inputs += [Step(0.0, self.last.bevel, controls[i]) for i in packed.controls]
+        own = packed._replace(
+            bevels=tuple(range(len(packed.bevels))), controls=tuple(range(len(packed.bevels), len(inputs)))
+        )
+        problem = self._pack((*inputs, deepest), own)
+        memory = native.SessionMemory(problem)  # the plan begins with the stop at the entry
+        shapes = native.make_shapes(problem, packed.last.cell + 1)
+        self.solved = len(packed.stops)
+        memory.advance(problem, shapes)
+        if shapes.arrays["status"][0] != native.CONVERGED:
+            return False
+        memory.accept()
+        self._memory, self._position, self.last = memory, position, steps[-1]
+        self._hold(self.last.controls)
+        self._shape = self._read(shapes, packed.last)
         return True
 
     def _go(self, step: Step, valid_only: bool = False) -> NeedleShape:
@@ -272,18 +269,15 @@ class Session:
         if not stops:  # only the bevel was turned
             shape = replace(self._shape, iterations=0)
         else:
-            self._prepare_run(stops, step)
-            status, iterations, nodes, points = kernel.advance_needle(self._run, len(stops))
-            if status != CONVERGED:
-                arrays = kernel.get_insertion(self._run)
-                shape = read_shape(arrays, self.tissue, stops[-1], step.controls, status, iterations)
-                kernel.return_needle(self._run, len(stops))
+            shapes = self._prepare(stops, step)
+            self._memory.advance(self._problem, shapes)
+            shape = self._read(shapes, stops[-1])
+            if not shape.converged:
                 self.failures[shape.status] += 1
                 return shape
-            shape = make_shape(nodes, points, iterations, self._find_scales(stops[-1].tip))
             if valid_only and self._shape.valid and not shape.valid:
-                kernel.return_needle(self._run, len(stops))
                 return shape
+            self._memory.accept()
         self._position, self.last, self._shape = position, step, shape
         if self._bevels.full or self._controls.full:
             rays = list_rays(position)
@@ -294,53 +288,56 @@ class Session:
     def _find_scales(self, depth: float) -> Floats:
         return self._scales[bisect_left(self._boundaries, depth)]
 
-    def _prepare_run(self, stops: Sequence[TipStop], step: Step) -> None:
-        """Write the stops and inputs of a step into the arrays that the kernel reads."""
-        controls, rays, room = step.controls, stops[-1].ray + 1, len(self._stops.tip)
+    def _read(self, shapes: native.Shapes, stop: TipStop) -> NeedleShape:
+        return read_shape(shapes, list_depths(stop, self.lattice), self._find_scales(stop.tip))
+
+    def _prepare(self, stops: Sequence[TipStop], step: Step) -> native.Shapes:
+        """Write the stops and inputs of a step into the arrays that the kernel reads; return room for shapes."""
+        controls, rays = step.controls, stops[-1].ray + 1
         _check_rays(rays)
-        grown = self._grow_arrays(len(controls.guides), rays)
-        if grown or len(stops) > room or controls.guides != self._held.guides:
-            self._set_inputs(controls, max(len(stops), room))
+        self._make_room(rays)
+        arrays = self._problem.arrays
+        if controls.guides != self._held.guides or len(stops) > len(arrays["stops"]):
+            self._hold(controls, len(stops))
+            arrays = self._problem.arrays
         elif controls is not self._held:
             self._held = controls
-            self._conditions.base[:], self._conditions.tip[:] = list_base(controls), list_tip(controls)
-        now, turn = self._stops, compute_turn(step.bevel, self.rules)
+            arrays["base"][0, 0] = controls.base_y, controls.base_slope, controls.stage_slope
+            arrays["held_tip"][0] = list_tip(controls)
+        # rays that open now are cut by this bevel; the kernel does not read the turn of the others
+        arrays["turn"][0, 0] = compute_turn(step.bevel, self.rules)
         for n, stop in enumerate(stops):
-            now.tip[n], now.cell[n], now.permanent[n], now.ray[n] = stop[:4]
-            now.starts_ray[n], now.extrapolates[n] = stop.starts_ray, stop.extrapolates
-            # rays that open now are cut by this bevel; the kernel does not read the turn of the others
-            now.turn[n] = turn
+            arrays["stops"][n] = stop.tip, stop.cell, max(stop.ray, 0), 0, 0, find_flags(stop)
+        self._problem.stop_count = len(stops)
+        return native.make_shapes(self._problem, stops[-1].cell + 1)
 
-    def _grow_arrays(self, guides: int, rays: int) -> bool:
-        """Make room in the kernel's arrays for so many guides and rays; return whether it was needed."""
-        if guides <= self._guides and rays <= self._rays:
-            return False
-        # Doubled, so that a session that adds rays one by one copies its arrays only a few times.
-        self._guides, self._rays = max(2 * guides, self._guides), max(2 * rays, self._rays)
-        before, self._run = self._run, self._begin()
-        for part, old in zip(_list_arrays(self._run), _list_arrays(before), strict=True):
-            part[tuple(slice(n) for n in old.shape)] = old
-        return True
+    def _make_room(self, rays: int) -> None:
+        """Make room in the kernel's state for so many rays."""
+        if rays > self._rays:
+            # Doubled, so that a session that adds rays one by one copies its state only a few times.
+            self._rays = max(2 * rays, self._rays)
+            self._problem.rays = self._rays
+            self._memory.grow(self._problem)
 
-    def _begin(self) -> kernel.InsertionRun:
-        size = self._deepest, self._guides, self._rays
-        return begin_run(self.needle, self.tissue, self.lattice, self.rules, size, self.rules.tolerance)
-
-    def _set_inputs(self, controls: Controls, stops: int) -> None:
-        """Hold the needle by these controls, and let the kernel's arrays hold so many stops."""
+    def _hold(self, controls: Controls, stops: int = 8) -> None:
+        """Hold the needle by these controls, with room for so many stops."""
         self._held = controls
-        self._conditions = kernel.BoundaryConditions(*(part.copy() for part in compile_controls(controls)))
-        self._stops = make_stop_arrays(stops)
-        kernel.set_inputs(self._run, self._conditions, self._stops)
+        packed = PackedStops(
+            np.zeros(stops, native.STOP), (0,), (0,), TipStop(0.0, 0, False, 0, False, 0, 0), 1
+        )
+        self._problem = self._pack((Step(self._deepest, self.last.bevel, controls),), packed)
+
+    def _pack(self, steps: tuple[Step, ...], packed: PackedStops) -> native.Problem:
+        problem = pack_problem(self.needle, self.tissue, steps, self.lattice, self.rules, packed)
+        problem.rays, problem.guides = self._rays, self._guides
+        return problem
 
 
 @lru_cache(maxsize=4)  # the last paths alone: of a long one the plan takes megabytes
-def _plan_path(
-    moves: tuple[Move, ...], lattice: Lattice
-) -> tuple[Position, tuple[TipStop, ...], tuple[tuple[int, kernel.TipStops, Ints], ...]]:
-    """Return the position after a path, its stops, and these in the form that the kernel reads."""
+def _plan_path(moves: tuple[Move, ...], lattice: Lattice) -> tuple[Position, PackedStops]:
+    """Return the position after a path, and its stops in the form that the kernel reads."""
     position, stops = plan_moves(moves, lattice)
-    return position, stops, group_stops(stops)
+    return position, pack_plan(stops)
 
 
 def _check_rays(count: int) -> None:
@@ -351,12 +348,6 @@ def _check_rays(count: int) -> None:
             expected=f"at most {MAX_STEPS + MAX_ELEMENTS} times",
             fix="retract it, or begin anew",
         )
-
-
-def _list_arrays(run: kernel.InsertionRun) -> tuple[np.ndarray, ...]:
-    """Return what an insertion under way has left behind."""
-    now = kernel.get_insertion(run)
-    return now.y, now.track, now.rays, now.tip, now.nodes, now.states, now.size
 
 
 class _InputIds(Generic[T]):

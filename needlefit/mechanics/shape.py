@@ -8,7 +8,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError
-from needlefit.mechanics.kernel import beam as kernel
+from needlefit.mechanics import native
 from needlefit.mechanics.validity import Validity, compute_validity, make_unknown_scales
 
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
@@ -74,7 +74,7 @@ class NeedleShape:
     @property
     def tip_lateral(self) -> float:
         """The y of the tip in C, mm, where `compute_positions` has it."""
-        return float(kernel.compute_positions(self.x, self.u, self.slope, self.x[-1:])[0, 1])
+        return float(compute_positions(self, self.x[-1:])[0, 1])
 
 
 def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
@@ -107,7 +107,8 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
             f"beam coordinates {wanted.min():g} ... {wanted.max():g} mm leave the needle",
             expected=f"{shape.x[0]:g} ... {shape.x[-1]:g} mm",
         )
-    return kernel.compute_positions(shape.x, shape.u, shape.slope, wanted)
+    parts = (np.ascontiguousarray(part)[None] for part in (shape.x, shape.u, shape.slope))
+    return native.compute_positions(*parts, wanted)[0]
 
 
 def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
@@ -118,7 +119,7 @@ def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
     y, is then the e of the model.
     """
     s = np.ascontiguousarray(points[:, 0])
-    beside = points[:, 1] - kernel.compute_deflections(shape.x, shape.u, shape.slope, s)
+    beside = points[:, 1] - native.compute_deflections(shape.x, shape.u, shape.slope, s)
     return compute_positions(shape, s) + np.column_stack((np.zeros(len(s)), beside))
 
 

@@ -239,7 +239,7 @@ def compute_batch_scales(
     thinnest, entered = _find_entered_layers(tissue, depth, spacing)
     found = np.empty((len(batch_mu), 3))
     found[:, 0], found[:, 1] = thinnest, tissue.thickness[:entered].min()
-    found[:, 2] = (4 * rigidity / (3 * batch_mu[:, :entered].min(axis=1))) ** 0.25
+    found[:, 2] = np.sqrt(np.sqrt(4 * rigidity / (3 * batch_mu[:, :entered].min(axis=1))))
     return found
 
 

@@ -51,7 +51,7 @@ COUNT_WORKERS_S = 1.0
 TASKS_PER_WORKER = 2
 """Tasks at the scheduler for each worker: one that runs, and one that follows it at once."""
 
-CHECKED_PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "trimesh")
+CHECKED_PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "trimesh")
 """Packages that results depend on; their versions are equal everywhere."""
 
 SLURM_PREFIX = "slurm:"

@@ -23,7 +23,6 @@ from needlefit.inference.likelihood.nodes import find_bevel_factors, shift_depth
 from needlefit.inference.likelihood.quadrature import make_spline_weights
 from needlefit.inference.simulated_points import read_batch_points, read_points
 from needlefit.inference.ties import BEVEL_PARAMETERS, BEVEL_SPREAD
-from needlefit.mechanics.kernel.lanes.tables import LANES
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.planned_insertions import with_planned_layers
@@ -52,10 +51,10 @@ NODE_PLACES, NODE_SD = (-1.0, 1.0), 1.2
 MIN_NODE_MM = 0.05
 """Least distance of the depths at which needles are simulated, mm."""
 
-NODE_DRAWS = 3 * LANES
-"""Draws, at most, that are simulated with other depths than the middle: whole blocks of the lanes."""
+NODE_DRAWS = 96
+"""Draws, at most, that are simulated with other depths than the middle."""
 
-FAR_DRAWS = LANES
+FAR_DRAWS = 32
 """Draws of these that are chosen because they lie farthest from the others: nothing is extrapolated far."""
 
 SAME_DRAW = 1e-6

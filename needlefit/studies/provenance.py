@@ -22,7 +22,7 @@ from needlefit.studies.kinds.cross_validation.result_rows import ResultRows
 from needlefit.studies.summary import count_reasons
 from needlefit.studies.validity import VALIDITY_KEY
 
-PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
+PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
 """Whose versions decide the result of a study."""
 
 

@@ -1,19 +1,15 @@
-"""Solve a clamped needle with the compiled solver, for any constraint points and any first guess."""
+"""Solve a clamped needle with the kernel, for any constraint points and any first guess."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.mechanics.control import ModelOptions
-from needlefit.mechanics.kernel.foundation import Foundation
-from needlefit.mechanics.kernel.grid import NodeGrid, build_grid
-from needlefit.mechanics.kernel.scalar import CLAMPED, FACTOR_COLUMNS, Chain, NewtonOptions, find_equilibrium
+from needlefit.mechanics import native
+from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import STATUS_NAMES, compile_tissue, equilibrium
+from needlefit.mechanics.simulate import STATUS_NAMES, equilibrium, pack_equilibrium
 from needlefit.mechanics.tissue import Tissue
-
-SINGLE_NEWTON_STEP = NewtonOptions(np.inf, 1)
 
 
 @dataclass(frozen=True)
@@ -24,15 +20,22 @@ class ClampedNeedle:
     ----------
     x : (N,) array
         Nodes from base to tip, mm: those that the model itself would take.
-    y : (M + 1,) array
-        y of the constraint points that `grid` refers to, mm.
+    points : (Q,) array
+        Quadrature points, mm.
+    depths, y : (M + 1,) arrays
+        Constraint points, mm.
+    target : (Q,) array or None
+        y of the cut at each quadrature point, in place of the constraint points'.
     """
 
+    needle: Needle
+    tissue: Tissue
+    rules: ModelOptions
     x: Floats
-    chain: Chain
-    grid: NodeGrid
-    foundation: Foundation
+    points: Floats
+    depths: Floats
     y: Floats
+    target: Floats | None = None
 
 
 def make_clamped_needle(
@@ -41,26 +44,26 @@ def make_clamped_needle(
     """Return the clamped needle with these constraint points (M + 1, 2)."""
     x = equilibrium(needle, tissue, constraints, rules=rules).x
     depths, y = np.ascontiguousarray(constraints.T)
-    held = Chain(needle.flexural_rigidity, x[:1].copy(), np.zeros(len(x), np.int64), np.zeros((len(x), 2)))
-    held.kind[0] = CLAMPED
-    grid = build_grid(depths, tissue.boundaries, x[1:].copy(), rules.cut_switch)
-    return ClampedNeedle(x, held, grid, compile_tissue(tissue), y)
+    problem = pack_equilibrium(needle, tissue, depths, Controls(), rules)
+    points, *_ = native.list_quadrature(problem, x[1:].copy(), depths)
+    return ClampedNeedle(needle, tissue, rules, x, points, depths, y)
 
 
-def solve_newton(clamped: ClampedNeedle, guess: Floats, newton: NewtonOptions) -> Floats:
-    """Return the state (N, 2) that Newton's method reaches from a guess.
+def solve_newton(
+    clamped: ClampedNeedle, guess: Floats, tolerance: float = 1e-12, max_iterations: int = 60
+) -> Floats:
+    """Return the state (N, 2) that Newton's method reaches from a guess; a step with an infinite tolerance.
 
     Raises
     ------
     ArithmeticError
         If it does not converge.
     """
-    state = guess.copy()
-    workspace = np.empty_like(state), np.empty((len(state), FACTOR_COLUMNS))
-    last = len(clamped.grid.nodes) - 1
-    status, _ = find_equilibrium(
-        state, clamped.chain, clamped.foundation, clamped.grid, clamped.y, last, newton, *workspace
+    problem = pack_equilibrium(clamped.needle, clamped.tissue, clamped.depths, Controls(), clamped.rules)
+    problem.tolerance, problem.max_iterations = tolerance, max_iterations
+    _, state, status, _ = native.find_equilibrium(
+        problem, clamped.depths, clamped.y, np.ascontiguousarray(guess), clamped.target
     )
-    if STATUS_NAMES[status] != "converged":
+    if status != native.CONVERGED:
         raise ArithmeticError(f"the solver failed: {STATUS_NAMES[status]}")
     return state

@@ -66,13 +66,6 @@ def warm() -> None:
             importlib.import_module(module.name)
     for name in ("matplotlib.pyplot", "typst", "h5netcdf", "xarray", "emcee", "nlopt", "trimesh", "jinja2"):
         importlib.import_module(name)
-    from kernel_functions import run_kernel
-
-    from needlefit.mechanics.precompile import KERNEL_PARTS
-    from needlefit.mechanics.precompile import precompile as compile_ahead
-
-    compile_ahead(*KERNEL_PARTS)
-    run_kernel()
     _predict_by_few_draws()
     if not os.environ.get("NEEDLEFIT_FAULTS_DRAW"):
         _draw_nothing()

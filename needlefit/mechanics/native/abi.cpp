@@ -1,6 +1,7 @@
 // The C interface of the kernel: structures of pointers and counts, no state of its own, no memory of its own.
 #include "derivatives.hpp"
 #include "loads.hpp"
+#include "processor.hpp"
 #include "shape.hpp"
 
 using namespace needlefit;
@@ -107,6 +108,7 @@ Index measure(const Problem& problem) {
 
 EXPORT Index nf_abi_version() { return 1; }
 EXPORT Index nf_lanes() { return LANES; }
+EXPORT Index nf_processor_level() { return find_processor_level(); }
 
 // ---- many insertions ------------------------------------------------------------------------------------------------
 
@@ -153,7 +155,7 @@ EXPORT void nf_session_advance(
     __builtin_memcpy(to, from, bytes);
     Session session(*problem, fixed, to, scratch);
     session.main.nodes = session.constants->nodes;
-    for (Index s = 0; s < problem->stop_count && *session.status == 0.0; s++) session.advance(problem->stops[s]);
+    for (Index s = 0; s < problem->stop_count; s++) session.advance(problem->stops[s]);
     write_shapes<double>(session, *out);
 }
 

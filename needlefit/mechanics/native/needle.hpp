@@ -233,7 +233,8 @@ struct Insertion {
         }
         if (stop.cell > 0) {
             const Ray<Real>& ray = rays[stop.ray];
-            y[stop.cell] = ray.y + (stop.tip - ray.start) * (ray.slope + ray.turn);
+            Real found = ray.y + (stop.tip - ray.start) * (ray.slope + ray.turn);
+            y[stop.cell] = select<Real>(*status == 0.0, found, y[stop.cell]);  // what is never reached stays NaN
         }
     }
 
@@ -618,7 +619,7 @@ struct Insertion {
         Index count = progress->nodes;
         bool quick = on_main && progress->on_main && last + 1 >= count && !constants->friction;
         M failed = alive;
-        if (quick) failed = equilibrate_quickly(alive);
+        if (quick && any(alive)) failed = equilibrate_quickly(alive);
         failed = failed & alive;
         if (any(failed)) {
             Node<Real>* next = states[1 - progress->now];
@@ -643,7 +644,7 @@ struct Insertion {
 
     // Note where the tip stands.
     void record(const Stop& stop) {
-        track[stop.cell] = state()[last];
+        replace_chosen<Node<Real>, Real>(track[stop.cell], state()[last], *status == 0.0);
         *cut = stop.cell > 0 ? y[stop.cell] : track[stop.cell].u;
     }
 

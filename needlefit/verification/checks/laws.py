@@ -6,15 +6,9 @@ from functools import partial
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.mechanics.kernel.foundation import (
-    Foundation,
-    evaluate_stiffness,
-    make_alpha_derivative,
-    stiffness_alpha_derivative,
-)
-from needlefit.mechanics.law_form import differentiate_law
+from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.simulate import compile_tissue
+from needlefit.mechanics.packing import evaluate_layer
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 from needlefit.verification.law import differentiate_stress
@@ -37,14 +31,10 @@ def measure_law(name: str, rng: np.random.Generator) -> CheckOutcome:
     law = LAWS[name]
     alphas = law.into_range(rng.uniform(-10, 10, ALPHAS))
     tissue = Tissue(np.ones(ALPHAS), alphas, np.arange(1.0, ALPHAS), np.array([THICKNESS_MM]), law=name)
-    foundation = compile_tissue(tissue)
-    by_alpha = make_alpha_derivative(foundation, *differentiate_law(name, alphas))
-    d = rng.uniform(0, _find_reach(foundation), STRETCHES)
+    d = rng.uniform(0, _find_reach(name, alphas), STRETCHES)
     errors = []
     for layer, alpha in enumerate(np.repeat(alphas[:, None], STRETCHES, axis=1)):
-        k, tangent = _evaluate(foundation, layer, d)
-        sizes = d * THICKNESS_MM
-        slope = np.array([stiffness_alpha_derivative(foundation, by_alpha, layer, size) for size in sizes])
+        k, tangent, slope, *_ = evaluate_layer(tissue, layer, d * THICKNESS_MM)
         by_d, by_a = -_differences(law.k, (1 - d, alpha), 0), _differences(law.k, (1 - d, alpha), 1)
         errors.append(
             [
@@ -56,10 +46,10 @@ def measure_law(name: str, rng: np.random.Generator) -> CheckOutcome:
     return CheckOutcome(tuple(map(float, np.max(errors, axis=0))))
 
 
-def _find_reach(foundation: Foundation) -> float:
+def _find_reach(name: str, alphas: Floats) -> float:
     """Return the largest |e| / t to compare at; tables may end before."""
-    is_table = foundation.exponents.shape[1] == 0
-    return min(MAX_COMPRESSION, foundation.coefficients[:, 0].min()) if is_table else MAX_COMPRESSION
+    table, exponents = compile_law(name, alphas)
+    return MAX_COMPRESSION if exponents.shape[1] else min(MAX_COMPRESSION, table[:, 0].min())
 
 
 def _differences(function: Callable[..., Floats], arguments: tuple[Floats, Floats], which: int) -> Floats:
@@ -70,16 +60,6 @@ def _differences(function: Callable[..., Floats], arguments: tuple[Floats, Float
 
     near, far = (at(h) - at(-h) for h in (DIFFERENCE_STEP, 2 * DIFFERENCE_STEP))
     return (8 * near - far) / (12 * DIFFERENCE_STEP)
-
-
-def _evaluate(foundation: Foundation, layer: int, d: Floats) -> tuple[Floats, Floats]:
-    """Return k and d(k e)/de from the series as far as the kernel uses it, and from the exact law beyond."""
-    exact = np.array([evaluate_stiffness(foundation, layer, x) for x in d])
-    series = np.polynomial.Polynomial(foundation.series[layer])
-    tangent = (series * np.polynomial.Polynomial([0.0, 1.0])).deriv()
-    near = (d * THICKNESS_MM <= foundation.limit[layer])[:, None]
-    whole = np.where(near, np.stack((series(d * THICKNESS_MM), tangent(d * THICKNESS_MM)), axis=1), exact)
-    return whole[:, 0], whole[:, 1]
 
 
 CHECKS = tuple(

@@ -19,7 +19,6 @@ from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats
 from needlefit.mechanics.control import ModelOptions
-from needlefit.mechanics.kernel.scalar import NewtonOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import make_tissue, sample_between
@@ -87,18 +86,17 @@ def make_deflection(boundaries: Floats) -> ManufacturedDeflection:
 def solve_manufactured(
     tissue: Tissue, chosen: ManufacturedDeflection, h: float, first_cell: float
 ) -> tuple[Floats, CubicHermiteSpline]:
-    """Return the nodes, mm, and the compiled solver's solution on elements of h (mm)."""
+    """Return the nodes, mm, and the kernel's solution on elements of h (mm)."""
     depths = np.array([0.0, *np.arange(first_cell, DEPTH_MM - 1e-9, h), DEPTH_MM])
     straight = np.column_stack((depths, np.zeros(len(depths))))
     clamped = make_clamped_needle(Needle(FREE_LENGTH_MM + DEPTH_MM, EI), tissue, straight, ModelOptions(h, h))
-    x = clamped.grid.x  # of the quadrature points
+    x = clamped.points
     layer = np.searchsorted(tissue.boundaries, x)
     e = ReferenceLaw.of(tissue).deflection_of(layer, -EI * chosen.at(x, 4), chosen.at(x, 1))
     # every quadrature point gets a constraint point of its own, which makes the chosen deflection exact
-    grid = clamped.grid._replace(constraint=np.arange(len(x)))
-    clamped = replace(clamped, grid=grid, y=chosen.at(x) - e)
+    clamped = replace(clamped, target=chosen.at(x) - e)
     guess = 0.9 * np.column_stack((chosen.at(clamped.x), chosen.at(clamped.x, 1)))  # not the answer itself
-    state = solve_newton(clamped, guess, NewtonOptions(1e-12, 60))
+    state = solve_newton(clamped, guess)
     return clamped.x, CubicHermiteSpline(clamped.x, *state.T)
 
 

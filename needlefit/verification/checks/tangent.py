@@ -1,4 +1,4 @@
-"""Check Newton's tangent of the compiled solver, against the residual of the readable reference.
+"""Check Newton's tangent of the kernel, against the residual of the readable reference.
 
 At a state u the solver steps by d = -K_T^-1 R(u). If K_T is the derivative of R, then R'(u) d = -R(u), with
 R put together from the reference and its derivative by a complex step; and near the solution each step
@@ -14,17 +14,11 @@ from numpy.typing import NDArray
 from needlefit.arrays import Floats
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, ModelOptions
-from needlefit.mechanics.kernel.scalar import NewtonOptions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import PAPER_NEEDLE, make_tissue, require_converged
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, within, worst
-from needlefit.verification.clamped_needle import (
-    SINGLE_NEWTON_STEP,
-    ClampedNeedle,
-    make_clamped_needle,
-    solve_newton,
-)
+from needlefit.verification.clamped_needle import ClampedNeedle, make_clamped_needle, solve_newton
 
 Numbers = NDArray[Any]  # real or complex
 
@@ -62,17 +56,16 @@ def measure(friction: float) -> tuple[float, float]:
     clamped = make_clamped_needle(PAPER_NEEDLE, tissue, constraints, ModelOptions())
     s = (clamped.x - clamped.x[0]) / PAPER_NEEDLE.length
     sway = np.column_stack((s**2 * np.cos(9 * s), (2 * s * np.cos(9 * s) - 9 * s**2 * np.sin(9 * s)) / 150))
-    found = solve_newton(clamped, np.zeros_like(sway), NewtonOptions(1e-12, 60))
+    found = solve_newton(clamped, np.zeros_like(sway))
     start = found + _STARTS[0] * sway
-    step = solve_newton(clamped, start, SINGLE_NEWTON_STEP) - start
+    step = solve_newton(clamped, start, np.inf, 1) - start
     R = residual(clamped, tissue, constraints)
     force = R(start.ravel())
     # complex step: a derivative without subtraction, so 1e-30 loses no digit
     along = R(start.ravel() + 1e-30j * step.ravel()).imag / 1e-30
     defect = np.linalg.norm(along + force) / np.linalg.norm(force)
     errors = [
-        worst(np.abs(solve_newton(clamped, found + a * sway, SINGLE_NEWTON_STEP)[:, 0] - found[:, 0]))
-        for a in _STARTS
+        worst(np.abs(solve_newton(clamped, found + a * sway, np.inf, 1)[:, 0] - found[:, 0])) for a in _STARTS
     ]
     return float(defect), float(np.polyfit(np.log(_STARTS), np.log(errors), 1)[0])
 

@@ -98,14 +98,14 @@ def _iterate_sentences(results: Run, run: Mapping[str, Any]) -> Iterator[CitedSe
         yield _describe_held_out(run, "least-error" if by_metric else "posterior-mode")
     yield from _describe_alignment(results)
     yield from _describe_predictions(results, recipe)
-    named = ("python", "numpy", "scipy", "numba", "nlopt")
+    named = ("python", "numpy", "scipy", "nlopt")
     listed = ", ".join(f"{_PACKAGE_NAMES[name]} {versions[name]}" for name in named if name in versions)
     yield CitedSentence(
-        f"Computed with needlefit {versions['needlefit']} ({listed}).", ("numpy", "scipy", "numba", "nlopt")
+        f"Computed with needlefit {versions['needlefit']} ({listed}).", ("numpy", "scipy", "nlopt")
     )
 
 
-_PACKAGE_NAMES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "numba": "Numba", "nlopt": "NLopt"}
+_PACKAGE_NAMES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "nlopt": "NLopt"}
 
 
 def _describe_data(results: Run, run: Mapping[str, Any]) -> Iterator[CitedSentence]:

@@ -16,7 +16,7 @@ from needlefit.studies.provenance import package_versions
 from needlefit.studies.run import Run
 from needlefit.verification.run import Verification, verify
 
-_PACKAGES = ("numpy", "scipy", "numba")
+_PACKAGES = ("numpy", "scipy")
 _ROW_COLUMNS = (
     *("group", "check", "quantity", "measured", "bound_low", "bound_high", "unit", "verdict", "note"),
 )

@@ -1,0 +1,472 @@
+"""The C++ kernel (`mechanics/native/`): its library, and its structures as Python fills them.
+
+The kernel has no memory of its own. Every array that it reads or writes is made here or by the caller, checked, and
+kept alive by the structure that points to it: a wrong array is an error in Python.
+"""
+
+import ctypes
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Mapping
+from ctypes import byref, c_double, c_int64, c_void_p
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from needlefit.arrays import Floats, Ints
+from needlefit.errors import NeedlefitError
+
+FOLDER = Path(__file__).parent / "native"
+ABI_VERSION = 1
+LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
+"""Environment variable: a library to use instead of the package's own, such as one with sanitizers."""
+
+_FIX = "install needlefit again; of a checkout: pip install -e ."
+
+SAME_DEPTH_MM = 1e-9
+"""Two depths that differ by less than this, mm, are the same."""
+GUIDE_ENGAGEMENT_MM = 0.05
+"""A guide in the tissue holds the needle once the tip is this far past it: a length of the model, not of the mesh."""
+LINEAR_CUT = -1.0
+"""In place of a `switch`: the cut is linear between its constraint points."""
+TABLE_PIECES, TABLE_TERMS, TABLE_COMPRESSION = 16, 20, 0.8
+"""Of a law's table: Chebyshev series on pieces of equal length, the terms of each, |e| / t at the end of the last."""
+SERIES_TERMS, SERIES_TOLERANCE, MAX_SERIES_COMPRESSION = 6, 1e-10, 0.2
+"""Of the polynomial fitted to a law: its terms, its relative error, and |e| / t at the end of the longest."""
+
+CONVERGED, NON_FINITE = 0, 3
+PERMANENT, STARTS_RAY, EXTRAPOLATES = 1, 2, 4
+STOP = np.dtype(
+    [("tip", "f8"), ("cell", "i8"), ("ray", "i8"), ("bevel", "i8"), ("inputs", "i8"), ("flags", "i8")]
+)
+"""A stop of the tip; `flags` is a sum of the three above."""
+
+_SIZES = [
+    "sets",
+    "layers",
+    "shapes",
+    "terms",
+    "numbers",
+    "stop_count",
+    "rays",
+    "guides",
+    "columns",
+    "max_iterations",
+]
+_NUMBERS = ["length", "first_cell", "spacing", "element", "part", "tangent", "tolerance", "deepest"]
+_ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
+    "boundaries": (float, ("layers-1",)),
+    "stops": (STOP, ("stop_count+",)),
+    "rigidity": (float, ("sets",)),
+    "mu": (float, ("sets", "layers")),
+    "thickness": (float, ("sets", "layers")),
+    "friction": (float, ("sets", "layers")),
+    "law": (float, ("sets", "layers", "numbers")),
+    "law_by": (float, ("sets", "layers", "shapes", "numbers")),
+    "turn": (float, ("bevels", "sets")),
+    "base": (float, ("inputs", "sets", 3)),
+    "before_first": (np.int64, ("inputs+1",)),
+    "within_first": (np.int64, ("inputs+1",)),
+    "before": (float, ("any", 3)),
+    "within": (float, ("any", 3)),
+    "held_tip": (float, ("inputs", 2)),
+    "guide_x": (float, ("sets",)),
+    "turn_by": (float, ("bevels",)),
+    "column_of": (np.int64, (9,)),
+    "guide_columns": (np.int64, ("any", 3)),
+}
+
+
+class Problem(ctypes.Structure):
+    """An insertion and its parameter sets: `struct Problem` of `native/needle.hpp`, which describes each field."""
+
+    _fields_ = [
+        *((name, c_int64) for name in _SIZES),
+        *((name, c_double) for name in _NUMBERS),
+        *((name, c_void_p) for name in _ARRAYS),
+    ]
+    arrays: dict[str, np.ndarray]
+
+    @classmethod
+    def make(cls, numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> "Problem":
+        """Return the structure of these numbers and arrays, which it keeps alive.
+
+        Raises
+        ------
+        TypeError
+            If an array has not the type, shape or layout that the kernel reads, or an index points outside.
+        """
+        problem = cls(**numbers)
+        problem.arrays = {}
+        sizes = {name: getattr(problem, name) for name in _SIZES}
+        sizes |= {"any": -1, "layers-1": problem.layers - 1, "inputs": len(arrays["held_tip"])}
+        sizes |= {"inputs+1": sizes["inputs"] + 1, "bevels": len(arrays["turn"]), "stop_count+": -1}
+        for name, array in arrays.items():
+            dtype, shape = _ARRAYS[name]
+            check_array(name, array, dtype, tuple(sizes[n] if isinstance(n, str) else n for n in shape))
+            setattr(problem, name, array.ctypes.data)
+            problem.arrays[name] = array
+        problem.check_stops()
+        for name in ("before", "within"):
+            first = arrays[f"{name}_first"]
+            if first[0] != 0 or first[-1] != len(arrays[name]) or np.any(np.diff(first) < 0):
+                raise TypeError(f"{name}_first does not divide the {len(arrays[name])} guides")
+        return problem
+
+    def check_stops(self) -> None:
+        """Raise TypeError where a stop points outside the arrays."""
+        stops, inputs = self.arrays["stops"], len(self.arrays["held_tip"])
+        if self.stop_count > len(stops):
+            raise TypeError(f"{self.stop_count} stops in an array of {len(stops)}")
+        stops = stops[: self.stop_count]
+        limits = {"ray": self.rays, "bevel": len(self.arrays["turn"]), "inputs": inputs}
+        for name, limit in limits.items():
+            if len(stops) and not (stops[name].min() >= 0 and stops[name].max() < limit):
+                raise TypeError(f"a stop has {name} {stops[name].max()} of {limit}")
+        if len(stops) and not (
+            stops["tip"].min() >= 0 and stops["tip"].max() <= self.deepest + SAME_DEPTH_MM
+        ):
+            raise TypeError(f"a stop lies outside of 0 ... {self.deepest} mm")
+
+
+def check_array(name: str, array: np.ndarray, dtype: Any, shape: tuple[int, ...]) -> None:  # noqa: ANN401
+    """Raise TypeError unless an array is one that the kernel can read; -1 in `shape`: any length."""
+    fits = isinstance(array, np.ndarray) and array.dtype == dtype and array.flags.c_contiguous
+    fits = fits and len(array.shape) == len(shape)
+    if not (fits and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))):
+        found = (array.dtype, array.shape) if isinstance(array, np.ndarray) else type(array)
+        raise TypeError(f"{name} is {found}; the kernel reads a contiguous {np.dtype(dtype)} array {shape}")
+
+
+class Shapes(ctypes.Structure):
+    """Where the kernel writes shapes and derivatives: `struct Shapes` of `native/abi.cpp`."""
+
+    _fields_ = [
+        ("room", c_int64),
+        ("points", c_int64),
+        *(
+            (name, c_void_p)
+            for name in [
+                "x",
+                "u",
+                "slope",
+                "constraints",
+                "track",
+                "status",
+                "passes",
+                "nodes",
+                "u_by",
+                "slope_by",
+                "constraints_by",
+                "track_by",
+            ]
+        ),
+    ]
+    arrays: dict[str, np.ndarray]
+
+    @classmethod
+    def make(cls, sets: int, room: int, points: int, columns: int = 0) -> "Shapes":
+        """Return room for the shapes of so many sets, nodes, constraint points and columns of derivatives."""
+        arrays: dict[str, np.ndarray] = {name: np.empty((sets, room)) for name in ("x", "u", "slope")}
+        arrays |= {"constraints": np.empty((sets, points)), "track": np.empty((sets, points, 2))}
+        arrays |= {name: np.zeros(sets, np.int64) for name in ("status", "passes")} | {
+            "nodes": np.zeros(1, np.int64)
+        }
+        if columns:
+            arrays |= {name: np.empty((sets, room, columns)) for name in ("u_by", "slope_by")}
+            arrays |= {name: np.empty((sets, points, columns)) for name in ("constraints_by", "track_by")}
+        made = cls(room=room, points=points, **{name: array.ctypes.data for name, array in arrays.items()})
+        made.arrays = arrays
+        return made
+
+
+def make_memory(size: int) -> Floats:
+    """Return memory of at least `size` bytes that begins at a multiple of 64."""
+    memory = np.empty(size // 8 + 9)
+    return memory[-(memory.ctypes.data // 8) % 8 :]
+
+
+@cache
+def load_library() -> ctypes.CDLL:
+    """Return the kernel's library for this processor.
+
+    Raises
+    ------
+    NeedlefitError
+        If it is missing, damaged, of another version, or older than the sources beside it.
+    """
+    given = os.environ.get(LIBRARY_VARIABLE)
+    library = ctypes.CDLL(given) if given else _load_own()
+    library.nf_abi_version.restype = c_int64
+    if library.nf_abi_version() != ABI_VERSION:
+        raise NeedlefitError("the library of the kernel is of another version", fix=_FIX)
+    for name in ("nf_lanes", "nf_memory", "nf_room", "nf_equilibrium", "nf_quadrature"):
+        getattr(library, name).restype = c_int64
+    library.nf_table_range.restype = c_double
+    return library
+
+
+def _load_own() -> ctypes.CDLL:
+    try:
+        index = json.loads((FOLDER / "libraries.json").read_text())
+        contents = {name: (FOLDER / name).read_bytes() for name in index["files"]}
+    except (OSError, ValueError, KeyError) as error:
+        raise NeedlefitError(f"the library of the kernel is missing ({error})", fix=_FIX) from error
+    damaged = [
+        name for name, one in contents.items() if hashlib.sha256(one).hexdigest() != index["files"][name]
+    ]
+    if damaged:
+        raise NeedlefitError(f"{FOLDER / damaged[0]} is damaged", fix=_FIX)
+    sources = sorted(path for path in FOLDER.iterdir() if path.suffix in (".hpp", ".cpp"))
+    digest = hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in sources)).hexdigest()
+    if sources and digest != index["made_from"]["sources"]:
+        raise NeedlefitError("the sources of the kernel are newer than its library", fix=_FIX)
+    suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+    names = sorted(name for name in contents if name.endswith(suffix))
+    library = ctypes.CDLL(str(FOLDER / names[0]))  # of several the one that every processor runs
+    if len(names) > 1:
+        level = library.nf_processor_level()
+        library = ctypes.CDLL(str(FOLDER / max(n for n in names if n <= f"kernel-v{level}{suffix}")))
+    return library
+
+
+def count_lanes() -> int:
+    """Return how many sets the kernel computes side by side."""
+    return int(load_library().nf_lanes())
+
+
+def simulate(problem: Problem, shapes: Shapes, first: int, lanes: int, memory: Floats | None = None) -> None:
+    """Insert the needles of the sets from `first` on, `lanes` (as `count_lanes`, or 1) of them."""
+    library = load_library()
+    if memory is None:
+        memory = make_memory(measure_memory(problem, lanes))
+    library.nf_simulate(byref(problem), c_int64(first), c_int64(lanes), _at(memory), byref(shapes))
+
+
+def measure_memory(problem: Problem, lanes: int) -> int:
+    """Return the bytes that `simulate` needs to work in."""
+    return int(load_library().nf_memory(byref(problem), c_int64(lanes)))
+
+
+def make_shapes(problem: Problem, points: int) -> Shapes:
+    """Return room for the shapes of a problem, with so many constraint points behind the tip and under it."""
+    room = int(load_library().nf_room(byref(problem)))
+    return Shapes.make(problem.sets, room, points, problem.columns)
+
+
+class SessionMemory:
+    """The state of one needle that goes on from step to step; each step reads one copy and writes the other."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._library, self._laws = load_library(), problem.arrays["law"]  # the state points to them
+        self._sizes = np.zeros(3, np.int64)
+        self._library.nf_session_memory(byref(problem), _at(self._sizes))
+        self._fixed, self._now, self._scratch = (make_memory(int(size)) for size in self._sizes)
+        self._next = make_memory(int(self._sizes[1]))
+        self._library.nf_session_begin(byref(problem), _at(self._fixed), _at(self._now), _at(self._scratch))
+        self._list_arguments()
+
+    def _list_arguments(self) -> None:
+        self._bytes = c_int64(int(self._sizes[1]))
+        self._at = [_at(part) for part in (self._fixed, self._now, self._next, self._scratch)]
+
+    def advance(self, problem: Problem, shapes: Shapes) -> None:
+        """Go through the stops of the problem; the needle stays where it was until `accept`."""
+        fixed, now, after, scratch = self._at
+        self._library.nf_session_advance(
+            byref(problem), fixed, now, self._bytes, after, scratch, byref(shapes)
+        )
+
+    def accept(self) -> None:
+        """Let the needle stand where the last `advance` has brought it."""
+        self._now, self._next = self._next, self._now
+        self._at[1], self._at[2] = self._at[2], self._at[1]
+
+    def copy(self) -> "SessionMemory":
+        """Return an independent copy."""
+        other = object.__new__(SessionMemory)
+        other._library, other._laws = self._library, self._laws
+        other._sizes, other._fixed = self._sizes, self._fixed  # these never change
+        other._now, other._next, other._scratch = (
+            _copy(part) for part in (self._now, self._next, self._scratch)
+        )
+        other._list_arguments()
+        return other
+
+    def grow(self, problem: Problem) -> None:
+        """Make room for the rays that the problem now has."""
+        before = self._now
+        self.__init__(problem)  # type: ignore[misc]
+        count = min(len(before), len(self._now))
+        self._now[:count] = before[:count]
+
+
+def find_equilibrium(
+    problem: Problem, depths: Floats, y: Floats, state: Floats | None = None, target: Floats | None = None
+) -> tuple[Floats, Floats, int, int]:
+    """Solve for one equilibrium against given constraint points.
+
+    Parameters
+    ----------
+    depths, y : (M + 1,) arrays
+        Constraint points, mm.
+    state : (N, 2) array, optional
+        A guess of deflection and slope; by default straight.
+    target : (Q,) array, optional
+        y of the cut at each quadrature point instead.
+
+    Returns
+    -------
+    x : (N,) array
+    state : (N, 2) array
+    status, passes : int
+    """
+    library = load_library()
+    room = int(library.nf_room(byref(problem)))
+    found, x, ended = np.zeros((room, 2)), np.empty(room), np.zeros(2, np.int64)
+    if state is not None:
+        found[: len(state)] = state
+    for name, array in (("depths", depths), ("y", y)):
+        check_array(name, array, float, (len(depths),))
+    memory = make_memory(measure_memory(problem, 1))
+    count = library.nf_equilibrium(
+        byref(problem), c_int64(len(depths) - 1), _at(depths), _at(y), None if target is None else _at(target),
+        _at(found), _at(memory), _at(x), _at(ended),
+    )  # fmt: skip
+    return x[:count].copy(), found[:count].copy(), int(ended[0]), int(ended[1])
+
+
+def list_quadrature(problem: Problem, nodes: Floats, depths: Floats) -> tuple[Floats, Floats, Ints, Ints]:
+    """Return place, weight, layer and constraint point of the quadrature points, for nodes in the tissue."""
+    library, room = load_library(), 2 * (len(nodes) + problem.layers + 2 * len(depths) + 2)
+    x, weight, layer, near = (
+        np.empty(room),
+        np.empty(room),
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+    )
+    memory = make_memory(measure_memory(problem, 1))
+    check_array("nodes", nodes, float, (-1,))
+    check_array("depths", depths, float, (-1,))
+    count = library.nf_quadrature(
+        byref(problem), c_int64(len(nodes)), _at(nodes), c_int64(len(depths) - 1), _at(depths), _at(memory),
+        *map(_at, (x, weight, layer, near)),
+    )  # fmt: skip
+    return x[:count], weight[:count], layer[:count], near[:count]
+
+
+class _BentNeedle(ctypes.Structure):
+    _fields_ = [
+        ("nodes", c_int64),
+        ("cells", c_int64),
+        *((name, c_void_p) for name in ("x", "u", "slope", "points")),
+    ]
+
+
+def _bend(shape: tuple[Floats, Floats, Floats, Floats]) -> tuple[_BentNeedle, list[Floats]]:
+    kept = [np.ascontiguousarray(part, dtype=np.float64) for part in shape]
+    return _BentNeedle(len(kept[0]), len(kept[3]) - 1, *(part.ctypes.data for part in kept)), kept
+
+
+def compute_load(problem: Problem, shape: tuple[Floats, Floats, Floats, Floats], s: Floats) -> Floats:
+    """Return the tissue's load (K,), N/mm, on a needle (x, u, slope, constraint points) at `s` (K,)."""
+    needle, kept = _bend(shape)
+    found, memory = np.empty(len(s)), make_memory(measure_memory(problem, 1))
+    check_array("s", s, float, (-1,))
+    load_library().nf_load(byref(problem), byref(needle), c_int64(len(s)), _at(s), _at(memory), _at(found))
+    del kept
+    return found
+
+
+def balance_nodes(
+    problem: Problem, shape: tuple[Floats, Floats, Floats, Floats], front: int, load: Floats
+) -> Floats:
+    """Return force and moment (N, 2) at each node that the load at the quadrature points leaves over."""
+    needle, kept = _bend(shape)
+    found, memory = np.empty((len(kept[0]), 2)), make_memory(measure_memory(problem, 1))
+    depths = np.ascontiguousarray(kept[3][:, 0])
+    load_library().nf_balance(
+        byref(problem), byref(needle), c_int64(front), _at(depths), _at(load), _at(memory), _at(found)
+    )
+    return found
+
+
+def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
+    """Return the points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates (K,)."""
+    library = load_library()
+    count, nodes = x.shape
+    for name, array in (("x", x), ("u", u), ("slope", slope)):
+        check_array(name, array, float, (count, nodes))
+    check_array("s", s, float, (-1,))
+    found, memory = np.empty((count, len(s), 2)), make_memory(48 * (nodes + 2) * count_lanes())
+    library.nf_positions(*map(c_int64, (count, nodes, len(s))), *map(_at, (x, u, slope, s, memory, found)))
+    return found
+
+
+def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
+    """Return the deflections u (K,) of the beam, mm, at beam coordinates: not the y of its points."""
+    parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s)]
+    found = np.empty(len(parts[3]))
+    load_library().nf_deflections(c_int64(len(parts[0])), c_int64(len(found)), *map(_at, (*parts, found)))
+    return found
+
+
+def compute_position_derivatives(
+    x: Floats, u: Floats, slope: Floats, s: Floats, x_by: Floats, u_by: Floats, slope_by: Floats
+) -> Floats:
+    """Return the derivatives (K, 2, P) of a needle's points, from those of its nodes, (N, P) each."""
+    parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
+    nodes, wanted, columns = len(parts[0]), len(parts[3]), parts[5].shape[1]
+    for name, array in zip(("x_by", "u_by", "slope_by"), parts[4:], strict=True):
+        check_array(name, array, float, (nodes, columns))
+    room, found = np.empty((nodes, 2, columns)), np.empty((wanted, 2, columns))
+    load_library().nf_position_derivatives(
+        *map(c_int64, (nodes, wanted, columns)), *map(_at, (*parts, room, found))
+    )
+    return found
+
+
+class EvaluatedLaw(NamedTuple):
+    """A layer's law at |e| (K,) mm, as the kernel evaluates it; MPa and mm."""
+
+    k: Floats
+    tangent: Floats  # d(k e)/de
+    by_shape: Floats  # dk/dp of a shape parameter
+    limit: float  # the |e| up to which the polynomial holds
+    curvature: float  # a Newton step leaves at most about this times its increment squared, 1 / mm
+    series: Floats  # (SERIES_TERMS,) of k in |e|
+
+
+def evaluate_law(
+    numbers: Floats, terms: int, mu: float, thickness: float, size: Floats, by: Floats | None = None
+) -> EvaluatedLaw:
+    """Return a law at |e| = `size` (K,), mm; `numbers` and `by` (its derivatives) as in `native/law.hpp`."""
+    found, about = np.zeros((3, len(size))), np.empty(2 + SERIES_TERMS)
+    for name, array in (("numbers", numbers), ("by", numbers if by is None else by)):
+        check_array(name, array, float, (2 * terms if terms else 2 + TABLE_PIECES * TABLE_TERMS,))
+    check_array("size", size, float, (-1,))
+    load_library().nf_law(
+        c_int64(terms), _at(numbers), None if by is None else _at(by), c_double(mu), c_double(thickness),
+        c_int64(len(size)), _at(size), *map(_at, (*found, about)),
+    )  # fmt: skip
+    return EvaluatedLaw(*found, float(about[0]), float(about[1]), about[2:])
+
+
+def measure_table_range(table: Floats) -> float:
+    """Return the compression up to which a polynomial serves for a law's table (see `law_form`)."""
+    check_array("table", table, float, (2 + TABLE_PIECES * TABLE_TERMS,))
+    return float(load_library().nf_table_range(_at(table)))
+
+
+def _at(array: np.ndarray) -> c_void_p:
+    return c_void_p(array.ctypes.data)
+
+
+def _copy(memory: Floats) -> Floats:
+    copied = make_memory(memory.nbytes)[: len(memory)]
+    copied[:] = memory
+    return copied

@@ -1,0 +1,219 @@
+"""Bring insertions into the form that the kernel reads: stops, inputs, layers, and what differs between sets."""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from needlefit.arrays import Floats, Ints
+from needlefit.mechanics import native
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.insertion_limits import check_size
+from needlefit.mechanics.law_form import compile_law, differentiate_law
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice, Move, TipStop, make_lattice, make_moves, make_stops
+from needlefit.mechanics.tissue import Tissue
+
+
+class Columns(NamedTuple):
+    """Columns of derivatives: how many, the first of each kind (-1: not asked for), and those of each guide."""
+
+    total: int
+    first: Ints  # (9,) of `ColumnKind` in `native/derivatives.hpp`
+    guides: Mapping[float, Sequence[int]]  # by a guide's x: of its x, y and slope
+
+
+class PackedStops(NamedTuple):
+    """Stops of the tip, and the numbers of the steps whose bevels and controls they name."""
+
+    stops: np.ndarray  # (S,) of native.STOP
+    bevels: tuple[int, ...]
+    controls: tuple[int, ...]
+    last: TipStop
+    rays: int
+
+
+def plan_insertion(
+    steps: Sequence[Step], length: float, rules: ModelOptions, lattice: Lattice | None = None
+) -> tuple[Lattice, PackedStops]:
+    """Return the lattice of constraint points of a needle of `length` (mm), by default the usual one, and its stops.
+
+    Raises
+    ------
+    ModelError
+        If there are no steps, they are too many or too deep, or the needle is too short for one of them.
+    """
+    moves = make_moves(steps, length)
+    check_size(tuple(step.depth for step in steps), rules)
+    lattice = lattice or make_lattice(steps, rules)
+    return lattice, _pack_moves(moves, lattice)
+
+
+@lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
+def _pack_moves(moves: tuple[Move, ...], lattice: Lattice) -> PackedStops:
+    return pack_plan(make_stops(moves, lattice))
+
+
+def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
+    """Return stops in the form that the kernel reads."""
+    bevels = tuple(dict.fromkeys(stop.bevel_id for stop in stops))
+    controls = tuple(dict.fromkeys(stop.controls_id for stop in stops))
+    packed = np.empty(len(stops), native.STOP)
+    for n, stop in enumerate(stops):
+        packed[n] = (
+            stop.tip, stop.cell, max(stop.ray, 0), bevels.index(stop.bevel_id),
+            controls.index(stop.controls_id), find_flags(stop),
+        )  # fmt: skip
+    return PackedStops(packed, bevels, controls, stops[-1], 1 + max(0, *(stop.ray for stop in stops)))
+
+
+def find_flags(stop: TipStop) -> int:
+    """Return the flags of a stop."""
+    return (
+        native.PERMANENT * stop.permanent
+        + native.STARTS_RAY * stop.starts_ray
+        + native.EXTRAPOLATES * stop.extrapolates
+    )
+
+
+def compute_turn(bevel: Bevel, rules: ModelOptions) -> float:
+    """Return the slope that a bevel adds to the cut."""
+    strength, length = rules.bevel_strength(bevel)
+    return bevel.side * strength / length
+
+
+def list_guides(guides: Sequence[Guide]) -> Floats:
+    """Return x, y and slope (NaN: free) of guides, (G, 3)."""
+    rows = [(guide.x, guide.y, math.nan if guide.slope is None else guide.slope) for guide in guides]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def list_tip(controls: Controls) -> tuple[float, float]:
+    """Return y and slope of a tracked tip; NaN where it is free."""
+    tip = controls.tip
+    return (math.nan, math.nan) if tip is None else (tip.y, math.nan if tip.slope is None else tip.slope)
+
+
+def pack_layers(
+    tissue: Tissue, sets: int, values: Mapping[str, Floats]
+) -> tuple[dict[str, int], dict[str, Floats]]:
+    """Return sizes and arrays of the layers; `values` (sets, n) replace those of the tissue."""
+
+    def repeat(name: str) -> Floats:
+        given = values.get(name)
+        return np.ascontiguousarray(np.broadcast_to(getattr(tissue, name) if given is None else given, shape))
+
+    shape = (sets, tissue.layers)
+    coefficients, exponents = compile_law(tissue.law, repeat("alpha").ravel())
+    law = np.concatenate((coefficients, exponents), axis=1).reshape(*shape, -1)
+    sizes = {"layers": tissue.layers, "shapes": 1, "terms": exponents.shape[1], "numbers": law.shape[2]}
+    arrays = {name: repeat(name) for name in ("mu", "thickness", "friction")}
+    return sizes, arrays | {"law": law, "boundaries": tissue.boundaries}
+
+
+def evaluate_layer(tissue: Tissue, layer: int, size: Floats) -> native.EvaluatedLaw:
+    """Return the law of one layer, with its derivative by alpha, at |e| = `size` (K,), mm, as the kernel has it."""
+    alpha = tissue.alpha[layer : layer + 1]
+    parts, slopes = compile_law(tissue.law, alpha), differentiate_law(tissue.law, alpha)
+    law, by = (np.concatenate(both, axis=1)[0] for both in (parts, slopes))
+    mu, thickness = float(tissue.mu[layer]), float(tissue.thickness[layer])
+    return native.evaluate_law(
+        law, parts[1].shape[1], mu, thickness, np.ascontiguousarray(size, dtype=np.float64), by
+    )
+
+
+def pack_problem(
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    lattice: Lattice,
+    rules: ModelOptions,
+    packed: PackedStops,
+    *,
+    sets: int = 1,
+    values: Mapping[str, Floats] | None = None,
+    columns: Columns | None = None,
+) -> native.Problem:
+    """Return an insertion as the kernel reads it.
+
+    Parameters
+    ----------
+    packed : PackedStops
+        Of the steps on the lattice.
+    sets : int
+    values : mapping of arrays, optional
+        What differs between sets, by the names of `batch.Batch`: (sets,), or (sets, n) of layers.
+    columns : Columns, optional
+        Of the derivatives that are asked for.
+
+    Raises
+    ------
+    ModelError
+        If a law cannot be interpolated at its alpha.
+    """
+    values = values or {}
+    bevels = [steps[i].bevel for i in packed.bevels]
+    controls = [steps[i].controls for i in packed.controls]
+    strength = values.get("cut_angle" if rules.path_angle else "offset")
+    turn_by = np.array([bevel.side / rules.bevel_strength(bevel)[1] for bevel in bevels])
+    turn = [np.full(sets, compute_turn(bevel, rules)) for bevel in bevels]
+    if strength is not None:
+        turn = list(turn_by[:, None] * strength)
+    base = np.empty((len(controls), sets, 3))
+    for i, one in enumerate(controls):
+        base[i, :, 0] = values.get("base_y", one.base_y)
+        base[i, :, 1] = values.get("base_slope", one.base_slope)
+        base[i, :, 2] = one.stage_slope
+    sizes, arrays = pack_layers(tissue, sets, values)
+    before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
+    rigidity = values.get("rigidity")
+    arrays |= {
+        "stops": packed.stops,
+        "rigidity": np.full(sets, needle.flexural_rigidity) if rigidity is None else rigidity,
+        "turn": np.ascontiguousarray(turn),
+        "base": base,
+        "before_first": np.cumsum([0, *map(len, before)]),
+        "within_first": np.cumsum([0, *map(len, within)]),
+        "before": list_guides([guide for some in before for guide in some]),
+        "within": list_guides([guide for some in within for guide in some]),
+        "held_tip": np.array([list_tip(one) for one in controls]),
+    }
+    if "guide_x" in values:
+        arrays["guide_x"] = values["guide_x"]
+    if columns is not None and columns.total:
+        arrays |= _pack_columns(columns, tissue, sets, values, controls, arrays["law"].shape) | {
+            "turn_by": turn_by
+        }
+    sizes |= {
+        "sets": sets, "stop_count": len(packed.stops), "rays": packed.rays,
+        "guides": max(len(one.guides) for one in controls), "columns": columns.total if columns else 0,
+        "max_iterations": rules.max_iterations,
+    }  # fmt: skip
+    numbers = {
+        "length": needle.length, "first_cell": lattice.first_cell, "spacing": lattice.spacing,
+        "element": rules.element, "part": rules.cut_switch, "tangent": rules.tangent,
+        "tolerance": rules.tolerance, "deepest": max(step.depth for step in steps),
+    }  # fmt: skip
+    return native.Problem.make(sizes | numbers, arrays)
+
+
+def _pack_columns(
+    columns: Columns,
+    tissue: Tissue,
+    sets: int,
+    values: Mapping[str, Floats],
+    controls: Sequence[Controls],
+    law: tuple[int, ...],
+) -> dict[str, np.ndarray]:
+    alpha = np.broadcast_to(values.get("alpha", tissue.alpha), (sets, tissue.layers))
+    by = np.concatenate(differentiate_law(tissue.law, alpha.ravel()), axis=1)
+    rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
+    return {
+        "law_by": np.ascontiguousarray(np.broadcast_to(by, (sets * law[1], law[2]))).reshape(
+            sets, law[1], 1, law[2]
+        ),
+        "column_of": columns.first,
+        "guide_columns": np.array(rows, dtype=np.int64).reshape(-1, 3),
+    }
