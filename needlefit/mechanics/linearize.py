@@ -30,11 +30,7 @@ _DEFAULT_OPTIONS = ModelOptions()
 _DEFAULT_WRT = ("mu", "alpha", "offset")
 
 MAX_TOLERANCE_MM = 1e-9
-"""Newton tolerance, mm, at which `simulate_steps` gives the shape of `linearize_steps`: the kernel refines each
-state once more before it differentiates it."""
-
-MAX_ERROR_MM = 1e-8
-"""Of the state that is differentiated, mm: the derivatives are then off by as much, relatively."""
+"""Newton tolerance of the shape that is differentiated, mm; at this, `simulate_steps` gives the same shape."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +114,7 @@ def linearize_steps(
         sorted({guide.x for step in steps for guide in step.controls.guides})
     )  # from the base on
     names, columns = _make_columns(tuple(wrt), tissue.layers, guide_depths, rules.path_angle)
-    rules = replace(rules, tolerance=min(rules.tolerance, MAX_ERROR_MM))
+    rules = replace(rules, tolerance=min(rules.tolerance, MAX_TOLERANCE_MM))
     problem = pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
     shapes = native.make_shapes(problem, packed.last.cell + 1)
     native.simulate(problem, shapes, 0, 1)

@@ -4,7 +4,8 @@
 // cut. So the derivatives of every constraint point and every ray are kept, one column for each parameter. At each
 // stop two adjoint rows, K^T lambda = the tip's deflection and slope, give the derivatives of the tip; full tangent
 // systems are solved at the last stop alone. What is differentiated is the converged residual: one further pass over
-// all elements makes its factor, and takes the state to rounding.
+// all elements makes its factor, and leaves the state as it is, so that a shape has the same bytes with and without
+// its derivatives.
 #pragma once
 
 #include "needle.hpp"
@@ -121,7 +122,6 @@ struct Derivatives {
         needle.template sweep<Friction>(needle.state(), 0, seen, [&](Index q, const Reaction<Real>& found) {
             points[q] = found;
         });
-        needle.substitute_back(0, [&](Index i, const Node<Real>& solved) { node_at(i) = solved; });
     }
 
     // c_m = y + (x_m - x)(slope + turn), differentiated.
