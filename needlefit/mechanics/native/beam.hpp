@@ -1,5 +1,10 @@
 // The beam: equations of an element, and their elimination node by node from base to tip.
 //
+// An element's stiffness is written for the nodes b = (u_b, u'_b) and d = a - T b, where T = [1 -h; 0 1] carries node a
+// along with b as if the element were rigid. Bending then enters the block of d alone, so the elimination of d never
+// subtracts bending stiffnesses (12 EI / h^3) to find the small stiffness of a long span: errors stay at rounding,
+// however fine the mesh. Loads are those on the nodes themselves.
+//
 // K_T u = t is solved for the whole u, not for its change: the beam's own residual then needs no evaluation.
 #pragma once
 
@@ -14,7 +19,7 @@ struct Node {
     Real u{}, slope{};
 };
 
-// The equations of the element from node a to node b, for (u_a, u'_a, u_b, u'_b).
+// The equations of the element from node a to node b: stiffness for (d, b), loads f on (a, b).
 template <class Real>
 struct Element {
     Real k00{}, k01{}, k02{}, k03{}, k11{}, k12{}, k13{}, k22{}, k23{}, k33{};  // symmetric
@@ -22,87 +27,104 @@ struct Element {
 
     // The bending stiffness int EI N_i'' N_j'' dx of a cubic element.
     INLINE void add_bending(const Real& rigidity, const Real& length) {
-        Real scaled = rigidity / (length * length * length);
-        Real a = 12.0 * scaled, b = 6.0 * scaled * length;
-        Real c = 4.0 * scaled * length * length, d = 2.0 * scaled * length * length;
-        k00 += a, k01 += b, k02 -= a, k03 += b, k11 += c, k12 -= b, k13 += d, k22 += a, k23 -= b, k33 += c;
+        Real scaled = rigidity / length;
+        k11 += 4.0 * scaled, k01 += 6.0 * (scaled / length), k00 += 12.0 * (scaled / (length * length));
     }
 
-    // What the tissue adds at a point: `pull` = w d(k e g)/de, `load` = what stands on the right-hand side.
+    // What the tissue adds at a point `behind` mm after node b (below 0): `pull` = w d(k e g)/de, `load` = what stands on
+    // the right-hand side.
     template <class Shape>
-    INLINE void add_point(const Hermite<Shape>& shape, const Real& pull, const Real& load) {
-        const Shape* n = shape.n;
-        Real p0 = pull * n[0], p1 = pull * n[1], p2 = pull * n[2], p3 = pull * n[3];
-        k00 += p0 * n[0], k01 += p0 * n[1], k02 += p0 * n[2], k03 += p0 * n[3];
-        k11 += p1 * n[1], k12 += p1 * n[2], k13 += p1 * n[3];
-        k22 += p2 * n[2], k23 += p2 * n[3], k33 += p3 * n[3];
-        add_load(shape, load);
-    }
-    template <class Shape>
-    INLINE void add_load(const Hermite<Shape>& shape, const Real& load) {
-        for (int j = 0; j < 4; j++) f[j] += load * shape.n[j];
+    INLINE void add_point(const Hermite<Shape>& shape, const Shape& behind, const Real& pull, const Real& load) {
+        const Shape *n = shape.n, moved[4] = {n[0], n[1], Shape() + 1.0, behind};
+        Real p0 = pull * moved[0], p1 = pull * moved[1], p3 = pull * moved[3];
+        k00 += p0 * moved[0], k01 += p0 * moved[1], k02 += p0, k03 += p0 * moved[3];
+        k11 += p1 * moved[1], k12 += p1, k13 += p1 * moved[3];
+        k22 += pull, k23 += p3, k33 += p3 * moved[3];
+        for (int j = 0; j < 4; j++) f[j] += load * n[j];
     }
 };
 
-// What friction adds to an element's equations, which is not symmetric.
+// What friction adds to an element's stiffness, which is not symmetric.
 template <class Real>
 struct Rubbing {
     Real k[4][4]{};
 
     template <class Shape>
-    INLINE void add_point(const Hermite<Shape>& shape, const Real& by_slope) {
+    INLINE void add_point(const Hermite<Shape>& shape, const Shape& behind, const Real& by_slope) {
+        Shape one = Shape() + 1.0, n[4] = {shape.n[0], shape.n[1], one, behind}, m[4] = {shape.m[0], shape.m[1], Shape(), one};
         for (int i = 0; i < 4; i++)
-            for (int j = 0; j < 4; j++) k[i][j] += by_slope * shape.n[i] * shape.m[j];
+            for (int j = 0; j < 4; j++) k[i][j] += by_slope * n[i] * m[j];
     }
 };
 
 enum Kind : int { FREE, PINNED, CLAMPED };  // a node: its deflection is prescribed, or its slope too
 
-// What the elimination of a node leaves: G = S^-1 K_ab, z = S^-1 r, S^-1 and K_ba.
+// What the elimination of a node leaves: a = z - G b with z = S^-1 r, and the load M r that it hands on to node b.
 template <class Real>
 struct Factor {
-    Real g[2][2], z[2], inverse[2][2], back[2][2];
+    Real g[2][2], z[2], inverse[2][2], onward[2][2];
 };
 
-// What is handed on to the next node: its S and r.
+// What is handed on to the next node: its stiffness and its load.
 template <class Real>
 struct Carried {
     Real s[2][2]{}, r[2]{};
 };
 
-// Eliminate the first node of an element; what is prescribed there replaces its equation.
+// Eliminate the first node of an element of length h; what is prescribed there replaces its equation.
+//
+// With the blocks dd, db, bd, bb of the element and the stiffness s carried to node a:
+//
+//     (dd + s) G = db - dd T,    M (dd + s) = T^T dd - bd,    s_b = bb - bd T - (bd + T^T s) G
+//
+// in which no difference is small beside its terms, whether s is much softer or much stiffer than the element.
 template <class Real>
 INLINE void eliminate(
-    Carried<Real>& carried, const Element<Real>& k, const Rubbing<Real>* rubbing, Kind kind, const Node<Real>& value,
-    Factor<Real>& factor
+    Carried<Real>& carried, const Element<Real>& k, const Rubbing<Real>* rubbing, const Real& h, Kind kind,
+    const Node<Real>& value, Factor<Real>& factor
 ) {
-    Real s00 = carried.s[0][0] + k.k00, s01 = carried.s[0][1] + k.k01;
-    Real s10 = carried.s[1][0] + k.k01, s11 = carried.s[1][1] + k.k11;
-    Real a02 = k.k02, a03 = k.k03, a12 = k.k12, a13 = k.k13;  // K_ab
-    Real b20 = k.k02, b21 = k.k12, b30 = k.k03, b31 = k.k13;  // K_ba
-    Real n22 = k.k22, n23 = k.k23, n32 = k.k23, n33 = k.k33;
-    if (rubbing) {
-        const auto& x = rubbing->k;
-        s00 += x[0][0], s01 += x[0][1], s10 += x[1][0], s11 += x[1][1];
-        a02 += x[0][2], a03 += x[0][3], a12 += x[1][2], a13 += x[1][3];
-        b20 += x[2][0], b21 += x[2][1], b30 += x[3][0], b31 += x[3][1];
-        n22 += x[2][2], n23 += x[2][3], n32 += x[3][2], n33 += x[3][3];
+    Real dd[2][2] = {{k.k00, k.k01}, {k.k01, k.k11}}, db[2][2] = {{k.k02, k.k03}, {k.k12, k.k13}};
+    Real bd[2][2] = {{k.k02, k.k12}, {k.k03, k.k13}}, bb[2][2] = {{k.k22, k.k23}, {k.k23, k.k33}};
+    if (rubbing)
+        for (int i = 0; i < 2; i++)
+            for (int j = 0; j < 2; j++) {
+                dd[i][j] += rubbing->k[i][j], db[i][j] += rubbing->k[i][j + 2];
+                bd[i][j] += rubbing->k[i + 2][j], bb[i][j] += rubbing->k[i + 2][j + 2];
+            }
+    Real d[2][2], e[2][2], f[2][2], r[2];
+    auto& s = carried.s;
+    for (int i = 0; i < 2; i++) {
+        r[i] = carried.r[i] + k.f[i];
+        bb[i][1] += h * bd[i][0], bb[i][0] -= bd[i][0], bb[i][1] -= bd[i][1];
+        e[i][0] = db[i][0] - dd[i][0], e[i][1] = db[i][1] - (dd[i][1] - h * dd[i][0]);
+        f[0][i] = dd[0][i] - bd[0][i], f[1][i] = (dd[1][i] - h * dd[0][i]) - bd[1][i];
     }
-    Real r0 = carried.r[0] + k.f[0], r1 = carried.r[1] + k.f[1];
-    if (kind != FREE) {
-        s00 = all_lanes<Real>(1.0), s01 = a02 = a03 = Real{}, r0 = value.u;
-        if (kind == CLAMPED) s11 = all_lanes<Real>(1.0), s10 = a12 = a13 = Real{}, r1 = value.slope;
+    for (int i = 0; i < 2; i++) {
+        bool held = i == 0 ? kind != FREE : kind == CLAMPED;
+        for (int j = 0; j < 2; j++) {
+            // Node a does not take part in the motions of b where it is held.
+            Real lost = held ? dd[i][j] : -s[i][j], gone = held ? e[i][j] : Real{};
+            bd[i][j] -= lost, bb[i][j] -= gone;
+            if (i == 0) bd[1][j] += h * lost, bb[1][j] += h * gone;
+            d[i][j] = held ? Real{} : dd[i][j] + s[i][j];
+            if (held) e[i][j] = Real{};
+        }
+        if (held) d[i][i] = all_lanes<Real>(1.0), r[i] = i == 0 ? value.u : value.slope;
     }
-    // No pivoting: without friction S is positive definite as long as the tangent modulus is positive.
-    Real inverse = 1.0 / (s00 * s11 - s01 * s10);
-    Real i00 = s11 * inverse, i01 = -s01 * inverse, i10 = -s10 * inverse, i11 = s00 * inverse;
-    Real g00 = i00 * a02 + i01 * a12, g01 = i00 * a03 + i01 * a13;
-    Real g10 = i10 * a02 + i11 * a12, g11 = i10 * a03 + i11 * a13;
-    Real z0 = i00 * r0 + i01 * r1, z1 = i10 * r0 + i11 * r1;
-    factor = {{{g00, g01}, {g10, g11}}, {z0, z1}, {{i00, i01}, {i10, i11}}, {{b20, b21}, {b30, b31}}};
-    carried.s[0][0] = n22 - b20 * g00 - b21 * g10, carried.s[0][1] = n23 - b20 * g01 - b21 * g11;
-    carried.s[1][0] = n32 - b30 * g00 - b31 * g10, carried.s[1][1] = n33 - b30 * g01 - b31 * g11;
-    carried.r[0] = k.f[2] - b20 * z0 - b21 * z1, carried.r[1] = k.f[3] - b30 * z0 - b31 * z1;
+    // No pivoting: without friction d is positive definite as long as the tangent modulus is positive.
+    Real inverse = 1.0 / (d[0][0] * d[1][1] - d[0][1] * d[1][0]);
+    Real i00 = d[1][1] * inverse, i01 = -d[0][1] * inverse, i10 = -d[1][0] * inverse, i11 = d[0][0] * inverse;
+    if (kind != FREE) i00 = all_lanes<Real>(1.0);  // to the last bit
+    factor.inverse[0][0] = i00, factor.inverse[0][1] = i01, factor.inverse[1][0] = i10, factor.inverse[1][1] = i11;
+    factor.z[0] = i00 * r[0] + i01 * r[1], factor.z[1] = i10 * r[0] + i11 * r[1];
+    for (int i = 0; i < 2; i++) {
+        factor.g[0][i] = i00 * e[0][i] + i01 * e[1][i], factor.g[1][i] = i10 * e[0][i] + i11 * e[1][i];
+        factor.onward[i][0] = f[i][0] * i00 + f[i][1] * i10, factor.onward[i][1] = f[i][0] * i01 + f[i][1] * i11;
+    }
+    for (int i = 0; i < 2; i++) {
+        for (int j = 0; j < 2; j++) s[i][j] = bb[i][j] - (bd[i][0] * factor.g[0][j] + bd[i][1] * factor.g[1][j]);
+        carried.r[i] = k.f[2 + i] + (factor.onward[i][0] * r[0] + factor.onward[i][1] * r[1]);
+    }
 }
 
 // A node from the one after it.

@@ -331,25 +331,18 @@ struct Derivatives {
     // Solve K^T lambda = load from tip to base, for a load on the tip's deflection and one on its slope. At a prescribed
     // value, lambda is the derivative of the tip with respect to that value; it multiplies no load.
     void solve_adjoint() {
-        Node<Real> arriving[2];
-        arriving[0].u = arriving[1].slope = all_lanes<Real>(1.0);
-        for (Index i = tip_node(); i >= 0; i--) {
-            const auto& inverse = needle.factors[i].inverse;
+        const auto& inverse = needle.factors[tip_node()].inverse;
+        Node<Real> arriving[2] = {{inverse[0][0], inverse[0][1]}, {inverse[1][0], inverse[1][1]}};
+        for (Index i = tip_node(); i >= 0; i--)
             for (int r = 0; r < 2; r++) {
-                Node<Real> row{
-                    inverse[0][0] * arriving[r].u + inverse[1][0] * arriving[r].slope,
-                    inverse[0][1] * arriving[r].u + inverse[1][1] * arriving[r].slope
-                };
-                held_rows[i][r] = row;
+                Node<Real> row = held_rows[i][r] = arriving[r];
                 if (needle.kinds[i] != FREE) row.u = Real{};
                 if (needle.kinds[i] == CLAMPED) row.slope = Real{};
                 rows[i][r] = row;
                 if (i == 0) continue;
-                const auto& back = needle.factors[i - 1].back;
-                arriving[r].u = -(back[0][0] * row.u + back[1][0] * row.slope);
-                arriving[r].slope = -(back[0][1] * row.u + back[1][1] * row.slope);
+                const auto& m = needle.factors[i - 1].onward;
+                arriving[r] = {m[0][0] * row.u + m[1][0] * row.slope, m[0][1] * row.u + m[1][1] * row.slope};
             }
-        }
     }
 
     // Sum adjoint rows times loads over the quadrature points, by constraint point and by layer.
@@ -450,18 +443,18 @@ struct Derivatives {
     void solve_tangents(Index size) {
         for (Index i = 0; i < size; i++) {
             const Factor<Real>& factor = needle.factors[i];
-            auto back = [&](int r, int c) {  // the equation of what is prescribed does not know this node
-                return i + 1 < size && needle.kinds[i + 1] > r ? Real{} : factor.back[r][c];
+            auto onward = [&](int r, int c) {  // the equation of what is prescribed does not know this node
+                return i + 1 < size && needle.kinds[i + 1] > r ? Real{} : factor.onward[r][c];
             };
-            Real b00 = back(0, 0), b01 = back(0, 1), b10 = back(1, 0), b11 = back(1, 1);
+            Real m00 = onward(0, 0), m01 = onward(0, 1), m10 = onward(1, 0), m11 = onward(1, 1);
             for (Index p = 0; p < columns; p++) {
                 Real r0 = row_of(i, 0)[p], r1 = row_of(i, 1)[p];
                 Real z0 = factor.inverse[0][0] * r0 + factor.inverse[0][1] * r1;
                 Real z1 = factor.inverse[1][0] * r0 + factor.inverse[1][1] * r1;
                 row_of(i, 0)[p] = z0, row_of(i, 1)[p] = z1;
                 if (i + 1 == size) continue;
-                row_of(i + 1, 0)[p] -= b00 * z0 + b01 * z1;
-                row_of(i + 1, 1)[p] -= b10 * z0 + b11 * z1;
+                row_of(i + 1, 0)[p] += m00 * r0 + m01 * r1;
+                row_of(i + 1, 1)[p] += m10 * r0 + m11 * r1;
             }
         }
         for (Index i = size - 2; i >= 0; i--) {

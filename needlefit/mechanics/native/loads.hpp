@@ -53,10 +53,10 @@ inline void balance_nodes(const BentNeedle& needle, const Grid& grid, double rig
         Element<double> k;
         k.add_bending(rigidity, length);
         double u0 = needle.u[i], t0 = needle.slope[i], u1 = needle.u[i + 1], t1 = needle.slope[i + 1];
-        out[2 * i] += k.k00 * (u0 - u1) + k.k01 * t0 + k.k03 * t1;
-        out[2 * i + 1] += k.k01 * (u0 - u1) + k.k11 * t0 + k.k13 * t1;
-        out[2 * i + 2] -= k.k00 * (u0 - u1) + k.k01 * t0 + k.k03 * t1;
-        out[2 * i + 3] += k.k01 * (u0 - u1) + k.k13 * t0 + k.k33 * t1;
+        double away = u0 - u1 + length * t1, turn = t0 - t1;
+        double force = k.k00 * away + k.k01 * turn, moment = k.k01 * away + k.k11 * turn;
+        out[2 * i] += force, out[2 * i + 1] += moment;
+        out[2 * i + 2] -= force, out[2 * i + 3] += length * force - moment;
         Index e = i + 1 - front;
         if (e < 0) continue;
         for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) {

@@ -308,8 +308,8 @@ struct Insertion {
     // Add a quadrature point, linearised about the element's ends `a` and `b`.
     template <class Shape>
     INLINE Reaction<Real> add_point(
-        Element<Real>& k, Rubbing<Real>* rubbing, const Hermite<Shape>& shape, const Point& point, const Node<Real>& a,
-        const Node<Real>& b, Seen<Real>& seen
+        Element<Real>& k, Rubbing<Real>* rubbing, const Hermite<Shape>& shape, const Shape& behind, const Point& point,
+        const Node<Real>& a, const Node<Real>& b, Seen<Real>& seen
     ) const {
         const Layer<Real>& layer = layers[point.layer];
         Real u = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
@@ -321,11 +321,11 @@ struct Insertion {
             Real g, by_slope;
             evaluate_friction(layer.friction, slope, g, by_slope);
             by_slope = force * by_slope;
-            rubbing->add_point(shape, by_slope);
+            rubbing->add_point(shape, behind, by_slope);
             bent = by_slope * slope;
             pull = pull * g, force = force * g;
         }
-        k.add_point(shape, pull, pull * u - force + bent);
+        k.add_point(shape, behind, pull, pull * u - force + bent);
         return {e, pull, force};
     }
 
@@ -337,7 +337,8 @@ struct Insertion {
         Element<Real> k;
         for (Index q = grid->first[e]; q < grid->first[e + 1]; q++) {
             const Point& point = grid->points[q];
-            keep(q, add_point(k, rubbing, point.shape, point, state[e - 1], state[e], seen));
+            double behind = point.x - grid->x[e];
+            keep(q, add_point(k, rubbing, point.shape, behind, point, state[e - 1], state[e], seen));
         }
         k.add_bending(constants->rigidity, all_lanes<Real>(grid->x[e] - grid->x[e - 1]));
         return k;
@@ -348,8 +349,8 @@ struct Insertion {
     template <bool Friction, class Keep>
     INLINE void sweep(const Node<Real>* state, Index condensed, Seen<Real>& seen, Keep keep) {
         Carried<Real> carried;
-        auto pass = [&](const Element<Real>& k, const Rubbing<Real>* rubbing, Index node) {
-            eliminate(carried, k, rubbing, kinds[node], values[node], factors[node]);
+        auto pass = [&](const Element<Real>& k, const Rubbing<Real>* rubbing, const Real& length, Index node) {
+            eliminate(carried, k, rubbing, length, kinds[node], values[node], factors[node]);
         };
         Rubbing<Real> rubbing;
         for (Index i = 0; i < front; i++) {
@@ -361,18 +362,18 @@ struct Insertion {
                     const Point& point = grid->points[q];
                     Hermite<Real> shape(point.x - begin, length);
                     Rubbing<Real>* extra = Friction ? &rubbing : nullptr;
-                    keep(q, add_point(k, extra, shape, point, fronts[i], state[0], seen));
+                    keep(q, add_point(k, extra, shape, point.x - grid->x[0] + Real{}, point, fronts[i], state[0], seen));
                 }
             k.add_bending(constants->rigidity, length);
-            pass(k, Friction ? &rubbing : nullptr, i);
+            pass(k, Friction ? &rubbing : nullptr, length, i);
         }
-        if (condensed > 0) pass(*super, nullptr, front);
+        if (condensed > 0) pass(*super, nullptr, all_lanes<Real>(grid->x[condensed] - grid->x[0]), front);
         for (Index e = condensed + 1; e <= last; e++) {
             if constexpr (Friction) rubbing = {};
             Element<Real> k = linearize(e, state, Friction ? &rubbing : nullptr, seen, keep);
-            pass(k, Friction ? &rubbing : nullptr, front + e - 1);
+            pass(k, Friction ? &rubbing : nullptr, all_lanes<Real>(grid->x[e] - grid->x[e - 1]), front + e - 1);
         }
-        pass(Element<Real>(), nullptr, front + last);
+        pass(Element<Real>(), nullptr, Real{}, front + last);
     }
     template <bool Friction>
     INLINE void sweep(const Node<Real>* state, Index condensed, Seen<Real>& seen) {
@@ -401,12 +402,13 @@ struct Insertion {
                 pulls[q] = select<Real>(chosen, found.pull, pulls[q]);
             };
             Element<Real> k = linearize(e, state, nullptr, seen, keep), found = *super;
-            if (e == 1)
+            past[e].reference = select<Real>(chosen, state[e].u, past[e].reference);
+            if (e == 1) {
+                past[0].reference = select<Real>(chosen, state[0].u, past[0].reference);
                 found = k;
-            else {
+            } else {
                 PastNode<Real> node = past[e - 1];
-                append(found, k, node);
-                node.reference = state[e - 1].u;
+                append(found, k, grid->x[e - 1] - grid->x[0], grid->x[e] - grid->x[e - 1], node);
                 replace_chosen<PastNode<Real>, Real>(past[e - 1], node, chosen);
             }
             replace_chosen<Element<Real>, Real>(*super, found, chosen);
@@ -498,7 +500,8 @@ struct Insertion {
             substitute_back(condensed, [&](Index i, const Node<Real>& solved) {
                 Node<Real>& node = i < front ? fronts[i] : next[i - front];
                 Real step = absolute(solved.u - node.u), turn = absolute(solved.slope - node.slope), away = step;
-                if (i > front && i < front + condensed) away = absolute(solved.u - past[i - front].reference);
+                if (condensed > 0 && i >= front && i <= front + condensed)
+                    away = absolute(solved.u - past[i - front].reference);
                 Index e = i < front ? 0 : i - front + (i - front < last);
                 const Real& bend = grid->first[e] < grid->first[e + 1] ? layers[grid->points[grid->first[e]].layer].curvature : constants->curvature;
                 product = greater_of(bend * step * away, product);

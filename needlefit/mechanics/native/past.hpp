@@ -14,7 +14,7 @@ namespace needlefit {
 template <class Real>
 struct PastNode {
     Real g00, g01, g10, g11, h00, h01, h10, h11, i00, i01, i11, z0, z1;
-    Real reference;  // its deflection when its elements were linearised
+    Real reference;  // its deflection when the element that ends there was linearised
 };
 
 // `kept` where a lane is not chosen.
@@ -26,29 +26,39 @@ INLINE void replace_chosen(T& kept, const T& found, const Mask<Real>& chosen) {
     for (int i = 0; i < count; i++) into[i] = select<Real>(chosen, from[i], into[i]);
 }
 
-// Append an element to the super-element, and eliminate its first node, the interface so far.
+// Append an element of length h to the super-element, of length `span` so far, and eliminate its first node, the
+// interface so far. The super-element is written as an element is, for (d, b): node 0 relative to the interface, and the
+// interface. For the new interface, d changes by T d_i, where T belongs to `span` and d_i is the old one's own.
 template <class Real>
-INLINE void append(Element<Real>& super, const Element<Real>& k, PastNode<Real>& node) {
-    Real s00 = super.k22 + k.k00, s01 = super.k23 + k.k01, s11 = super.k33 + k.k11;
+INLINE void append(Element<Real>& super, const Element<Real>& k, double span, double h, PastNode<Real>& node) {
+    // W couples node 0 to d_i, V couples d_i to the old interface; s = V - W^T T is the stiffness of d_i.
+    Real w00 = super.k02 - super.k00, w01 = super.k03 - (super.k01 - span * super.k00);
+    Real w10 = super.k12 - super.k01, w11 = super.k13 - (super.k11 - span * super.k01);
+    Real v00 = super.k22 - super.k02, v01 = super.k23 - super.k03;
+    Real v10 = super.k23 - (super.k12 - span * super.k02), v11 = super.k33 - (super.k13 - span * super.k03);
+    Real s00 = k.k00 + (v00 - w00), s01 = k.k01 + (v01 - (w10 - span * w00)), s11 = k.k11 + (v11 - (w11 - span * w01));
     Real inverse = 1.0 / (s00 * s11 - s01 * s01);
     Real i00 = s11 * inverse, i01 = -s01 * inverse, i11 = s00 * inverse;
-    Real c00 = super.k02, c01 = super.k03, c10 = super.k12, c11 = super.k13;  // node 0 to the interface
-    Real g00 = i00 * k.k02 + i01 * k.k12, g01 = i00 * k.k03 + i01 * k.k13;
-    Real g10 = i01 * k.k02 + i11 * k.k12, g11 = i01 * k.k03 + i11 * k.k13;
-    Real h00 = i00 * c00 + i01 * c01, h01 = i00 * c10 + i01 * c11;
-    Real h10 = i01 * c00 + i11 * c01, h11 = i01 * c10 + i11 * c11;
-    Real r0 = super.f[2] + k.f[0], r1 = super.f[3] + k.f[1];
-    node.g00 = g00, node.g01 = g01, node.g10 = g10, node.g11 = g11;
-    node.h00 = h00, node.h01 = h01, node.h10 = h10, node.h11 = h11;
+    Real a00 = k.k02 + v00, a01 = k.k03 + (v01 - h * v00), a10 = k.k12 + v10, a11 = k.k13 + (v11 - h * v10);
+    Real g00 = i00 * a00 + i01 * a10, g01 = i00 * a01 + i01 * a11;
+    Real g10 = i01 * a00 + i11 * a10, g11 = i01 * a01 + i11 * a11;
+    Real h00 = i00 * w00 + i01 * w01, h01 = i00 * w10 + i01 * w11;
+    Real h10 = i01 * w00 + i11 * w01, h11 = i01 * w10 + i11 * w11;
     node.i00 = i00, node.i01 = i01, node.i11 = i11;
+    node.h00 = h00, node.h01 = h01, node.h10 = h10, node.h11 = h11;
+    Real e00 = k.k02 - k.k00, e01 = k.k03 - (k.k01 - h * k.k00), e10 = k.k12 - k.k01, e11 = k.k13 - (k.k11 - h * k.k01);
+    node.g00 = i00 * e00 + i01 * e10, node.g01 = i00 * e01 + i01 * e11;  // as in `eliminate`, for the nodes themselves
+    node.g10 = i01 * e00 + i11 * e10, node.g11 = i01 * e01 + i11 * e11;
+    Real r0 = super.f[2] + k.f[0], r1 = super.f[3] + k.f[1];
     node.z0 = i00 * r0 + i01 * r1, node.z1 = i01 * r0 + i11 * r1;
-    super.k00 -= c00 * h00 + c01 * h10, super.k01 -= c00 * h01 + c01 * h11, super.k11 -= c10 * h01 + c11 * h11;
-    super.k02 = -(c00 * g00 + c01 * g10), super.k03 = -(c00 * g01 + c01 * g11);
-    super.k12 = -(c10 * g00 + c11 * g10), super.k13 = -(c10 * g01 + c11 * g11);
-    super.k22 = k.k22 - k.k02 * g00 - k.k12 * g10, super.k23 = k.k23 - k.k02 * g01 - k.k12 * g11;
-    super.k33 = k.k33 - k.k03 * g01 - k.k13 * g11;
     super.f[0] -= h00 * r0 + h10 * r1, super.f[1] -= h01 * r0 + h11 * r1;
-    super.f[2] = k.f[2] - g00 * r0 - g10 * r1, super.f[3] = k.f[3] - g01 * r0 - g11 * r1;
+    super.f[2] = k.f[2] - (node.g00 * r0 + node.g10 * r1), super.f[3] = k.f[3] - (node.g01 * r0 + node.g11 * r1);
+    Real c01 = super.k03 - h * super.k02, c11 = super.k13 - h * super.k12, n01 = super.k23 - h * super.k22;
+    super.k33 = k.k33 + ((super.k33 - h * super.k23) - h * n01) - (a01 * g01 + a11 * g11);
+    super.k23 = k.k23 + n01 - (a00 * g01 + a10 * g11), super.k22 += k.k22 - (a00 * g00 + a10 * g10);
+    super.k00 -= w00 * h00 + w01 * h10, super.k01 -= w00 * h01 + w01 * h11, super.k11 -= w10 * h01 + w11 * h11;
+    super.k02 -= w00 * g00 + w01 * g10, super.k03 = c01 - (w00 * g01 + w01 * g11);
+    super.k12 -= w10 * g00 + w11 * g10, super.k13 = c11 - (w10 * g01 + w11 * g11);
 }
 
 // The same of the right-hand side alone: `total` of the super-element so far, `f` of the element.
