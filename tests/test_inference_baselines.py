@@ -8,7 +8,7 @@ from inference_cases import insertion
 
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import integrate_curvature
-from needlefit.inference.baselines import fit_baseline, fit_baselines
+from needlefit.inference.baseline_fit import fit_baseline, fit_baselines
 from needlefit.inference.compared_points import compare_points
 
 AT = np.linspace(0, 100, 21)

@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.inference.baselines import BASELINES, Baseline, FittedBaseline, fit_baseline
+from needlefit.inference.baseline_fit import FittedBaseline, fit_baseline
+from needlefit.inference.baselines import BASELINES, Baseline
 from needlefit.inference.likelihood.marginal import log_marginals
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.likelihood.observation import Observation, make_observation, whiten_residuals

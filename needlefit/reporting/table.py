@@ -2,15 +2,15 @@
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from needlefit.metrics import METRICS
 from needlefit.reporting.columns import METRIC_UNIT, Column, find_column, format_value
 from needlefit.reporting.number_format import MISSING
-from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import Align, TableColumn, TableLayout, drop_empty_columns
+
+if TYPE_CHECKING:
+    from needlefit.reporting.table_files import Row
 
 _PARTS = "parts"
 """Key of the rows that were merged into one."""
@@ -21,10 +21,10 @@ class Cells:
     """A printed column: its head, and the cell of a row."""
 
     head: TableColumn
-    cell: Callable[[Row], str]
+    cell: "Callable[[Row], str]"
 
 
-def _find_cells(key: str, rows: Sequence[Row]) -> Cells:
+def _find_cells(key: str, rows: "Sequence[Row]") -> Cells:
     column = find_column(key)
     unit = _find_unit(column, {row.get("metric") for row in rows})
     align: Align = "left" if column.is_text else "right"
@@ -37,13 +37,13 @@ def _find_unit(column: Column, metrics: Iterable[object]) -> str:
     return column.unit.replace(METRIC_UNIT, units.pop() if len(units) == 1 else "")
 
 
-def pivot(rows: pd.DataFrame | Iterable[Row], index: Sequence[str], by: Sequence[str]) -> list[Row]:
+def pivot(rows: "Iterable[Row]", index: Sequence[str], by: Sequence[str]) -> "list[Row]":
     """Return one row per entry of the columns `index`; `part` prints columns of the rows that it was made of.
 
     It has the values of the first of these; they differ in the columns `by`.
     """
-    merged: dict[tuple[Hashable, ...], Row] = {}
-    for row in _list_rows(rows):
+    merged: "dict[tuple[Hashable, ...], Row]" = {}
+    for row in rows:
         whole = merged.setdefault(tuple(row[name] for name in index), {**row, _PARTS: {}})
         whole[_PARTS][frozenset((name, row[name]) for name in by)] = row
     return list(merged.values())
@@ -59,14 +59,10 @@ def part(key: str, **place: object) -> Cells:
     unit = _find_unit(column, [place.get("metric")])
     head = TableColumn(label, ", ".join(words for words in (column.heading, unit) if words))
 
-    def cell(row: Row) -> str:
+    def cell(row: "Row") -> str:
         return column.format_cell(row[_PARTS][where]) if where in row[_PARTS] else MISSING
 
     return Cells(head, cell)
-
-
-def _list_rows(rows: pd.DataFrame | Iterable[Row]) -> list[Row]:
-    return to_records(rows) if isinstance(rows, pd.DataFrame) else list(rows)
 
 
 @dataclass(frozen=True)
@@ -79,7 +75,8 @@ class Table:
         Of its file and label.
     caption : str
         What it shows.
-    rows : DataFrame or rows
+    rows : iterable of Row
+        Values by key; `to_records` returns those of a DataFrame.
     columns : sequence
         Keys of the registry, or a `part` of rows that are pivoted.
     groups : sequence of str
@@ -97,7 +94,7 @@ class Table:
 
     name: str
     caption: str
-    rows: pd.DataFrame | Iterable[Row]
+    rows: "Iterable[Row]"
     columns: Sequence[Any]  # str or Cells: a tuple of both is one of objects to mypy
     groups: Sequence[str] = ()
     heads: int = 0
@@ -107,7 +104,7 @@ class Table:
 
     def lay_out(self, drop_empty: bool = False) -> TableLayout:
         """Return the table as text, without columns that are empty if wanted."""
-        rows = _list_rows(self.rows)
+        rows = list(self.rows)
         columns = [_find_cells(one, rows) if isinstance(one, str) else one for one in self.columns]
         begins = [k for k, row in enumerate(rows) if not k or self._key(row) != self._key(rows[k - 1])]
         cells = tuple(
@@ -123,10 +120,10 @@ class Table:
         found = TableLayout(self.name, self.caption, heads, cells, breaks, strong, self.notes)
         return drop_empty_columns(found) if drop_empty else found
 
-    def _key(self, row: Row) -> list[Any]:
+    def _key(self, row: "Row") -> list[Any]:
         return [row[name] for name in self.groups]
 
-    def _find_strong(self, rows: Sequence[Row], begins: Sequence[int]) -> tuple[int, ...]:
+    def _find_strong(self, rows: "Sequence[Row]", begins: Sequence[int]) -> tuple[int, ...]:
         if self.strong in ("", "first", "groups"):
             return {"": (), "first": (0,), "groups": tuple(begins)}[self.strong]
         return tuple(k for k, row in enumerate(rows) if row[self.strong])

@@ -23,6 +23,7 @@ from needlefit.reporting.number_format import (
     join_metrics,
 )
 from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.columnar import read_columns
 from needlefit.studies.report import FigurePaths, StudyReport
@@ -119,7 +120,7 @@ def _lay_out_failures(result: Run) -> list[TableLayout]:
     if failures.empty:
         return []
     caption = f"What could not be fitted ({min(len(failures), MAX_LISTED)} of {len(failures)})."
-    rows = failures.head(MAX_LISTED)
+    rows = to_records(failures.head(MAX_LISTED))
     return [Table("failures", caption, rows, ("dataset", "specimen", "note")).lay_out()]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.inference.baselines import fit_baselines
+from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.draws import Draws
 from needlefit.inference.evaluation_checks import explain_failure, find_outside_validity
 from needlefit.inference.fit import Fit, Start

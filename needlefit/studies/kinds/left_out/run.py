@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from needlefit.inference.baselines import fit_baselines
+from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.metrics import headline_metrics
 from needlefit.project.load import load
 from needlefit.project.locate import find_file

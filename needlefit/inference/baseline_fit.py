@@ -1,0 +1,77 @@
+"""Fit baselines to insertions by least squares on the points that the model is scored at."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion, Pose
+from needlefit.errors import ConfigError
+from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
+from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, select_points
+
+
+@dataclass(frozen=True)
+class FittedBaseline:
+    """A baseline with its coefficients; `rms` is the root mean square distance to the points, mm."""
+
+    baseline: Baseline
+    coefficients: tuple[float, ...]
+    rms: float
+
+    def curve(self, insertion: Insertion) -> Curve:
+        """Return the curve of an insertion: arc lengths (K,) from the entry -> points (K, 2) in C, mm."""
+        with BASELINES.plugin_error_context(self.baseline.name):
+            return self.baseline.curve(self.coefficients, insertion)
+
+
+def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insertion]) -> FittedBaseline:
+    """Return the baseline `name` that lies closest (least squares) to the scored points of `insertions`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such baseline, or no insertion, or one of a plugin fails.
+    """
+    baseline = BASELINES[name]
+    if not insertions:
+        raise ConfigError("no insertion is selected to fit a baseline to", expected="at least one")
+    pairs = [(insertion, select_points(pose, drop, insertion)) for insertion in insertions]
+    with BASELINES.plugin_error_context(name):
+        if baseline.fit is not None:
+            found = np.array(baseline.fit(pose, drop, insertions), dtype=np.float64)
+        else:
+            found = _fit_least_squares(baseline, pairs)
+        # twice the mean over coordinates: x and y of a point add up to its squared distance
+        rms = float(np.sqrt(2 * np.mean(_residuals(baseline, found, pairs) ** 2)))
+    return FittedBaseline(baseline, tuple(found.tolist()), rms)
+
+
+def fit_baselines(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Mapping[str, FittedBaseline]:
+    """Return every baseline, fitted, by name."""
+    return {one.name: fit_baseline(one.name, pose, drop, insertions) for one in list_baselines()}
+
+
+def _fit_least_squares(baseline: Baseline, pairs: Sequence[tuple[Insertion, ComparedPoints]]) -> Floats:
+    if not baseline.scales:
+        return np.empty(0)
+    scales = np.array(baseline.scales)
+
+    def residuals(scaled: Floats) -> Floats:
+        return _residuals(baseline, scales * scaled, pairs)
+
+    found: Floats = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
+    return found
+
+
+def _residuals(
+    baseline: Baseline, coefficients: Floats, pairs: Sequence[tuple[Insertion, ComparedPoints]]
+) -> Floats:
+    """Return all coordinates' differences, mm."""
+    differences = []
+    for insertion, goal in pairs:
+        simulated, measured = align_points(goal, baseline.curve(coefficients.tolist(), insertion))
+        differences.append((simulated - measured).ravel())
+    return np.concatenate(differences)
