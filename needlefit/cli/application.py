@@ -1,71 +1,74 @@
-"""The table of commands, and what every command has in common: how it fails."""
+"""The table of commands, and what every command has in common: how it fails.
+
+A command is imported when it is run or its help is printed, so that none waits for the others.
+"""
 
 import inspect
-from collections.abc import Callable, Mapping
-from functools import wraps
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, wraps
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from needlefit.cli import exit_codes, options
-from needlefit.cli.calibrate import calibrate
-from needlefit.cli.check import check
-from needlefit.cli.credibility import credibility
-from needlefit.cli.diff import diff
-from needlefit.cli.explain import explain
-from needlefit.cli.identify import identify
-from needlefit.cli.import_data import import_data
-from needlefit.cli.material import material
-from needlefit.cli.paper import paper
-from needlefit.cli.plan import plan
-from needlefit.cli.predict import predict
-from needlefit.cli.reconstruct import MultiFileCommand, reconstruct
-from needlefit.cli.report import report
-from needlefit.cli.simulate import simulate
-from needlefit.cli.start import init, new_dataset
-from needlefit.cli.tune import tune
-from needlefit.cli.twin import twin_build, twin_ct
-from needlefit.cli.validate import validate
-from needlefit.cli.verify import verify
-from needlefit.cli.view import view
+from needlefit.cli.multi_file_command import MultiFileCommand
 
-_NEW, _TWIN = "new", "twin"
-
-_COMMANDS: Mapping[str, Mapping[Callable[..., None] | str, str]] = {
+_COMMANDS: Mapping[str, Mapping[str, str]] = {
     "Data": {
-        init: "init myproject",
-        _NEW: "new dataset data/mine --from curves.csv",
-        import_data: "import curves.xlsx --out data/mine",
-        check: "check data/mine/dataset.toml",
-        reconstruct: "reconstruct scans.csv --out data/mine",
-        material: "material compression.csv --foundation 4 1.5",
-        _TWIN: "twin build --out data/twin2 --seed 2",
+        "init": "myproject",
+        "new dataset": "data/mine --from curves.csv",
+        "import": "curves.xlsx --out data/mine",
+        "check": "data/mine/dataset.toml",
+        "reconstruct": "scans.csv --out data/mine",
+        "material": "compression.csv --foundation 4 1.5",
+        "twin build": "--out data/twin2 --seed 2",
+        "twin ct": "phantom2-14 --out twin_ct",
     },
     "Simulate": {
-        simulate: "simulate figure1 --depth 60",
-        view: "view figure1",
-        plan: "plan phantom2 --target 45,2 --obstacle 25,0.5,1",
+        "simulate": "figure1 --depth 60",
+        "view": "figure1",
+        "plan": "phantom2 --target 45,2 --obstacle 25,0.5,1",
     },
     "Fit": {
-        tune: "tune phantom1",
-        identify: "identify study3 --fit",
-        calibrate: "calibrate phantom1 --replicates 100",
+        "tune": "phantom1",
+        "identify": "study3 --fit",
+        "calibrate": "phantom1 --replicates 100",
     },
     "Validate": {
-        validate: "validate study3",
-        predict: "predict study3 --scene study3",
-        verify: "verify",
-        credibility: "credibility study3",
+        "validate": "study3",
+        "predict": "study3 --scene study3",
+        "verify": "",
+        "credibility": "study3",
     },
     "Report": {
-        report: "report study3 --explain",
-        explain: "explain coverage",
-        diff: "diff reports/study3 old/study3",
-        paper: "paper",
+        "report": "study3 --explain",
+        "explain": "coverage",
+        "diff": "reports/study3 old/study3",
+        "paper": "",
     },
 }
-"""By heading of `--help`: commands in the order of the work, each with an example."""
+"""By heading of `--help`: commands in the order of the work, each with the words of an example."""
+
+_GROUPS = {
+    "new": "Write example files to edit.",
+    "twin": "Build the synthetic dataset, or render its CT volumes.",
+}
+"""First words that several commands may share, with their help."""
+
+_FUNCTIONS = {
+    "init": "start.init",
+    "new dataset": "start.new_dataset",
+    "import": "import_data.import_data",
+    "twin build": "twin.twin_build",
+    "twin ct": "twin.twin_ct",
+}
+"""The function of a command in `needlefit.cli`, where it is not `name.name`."""
+
+_MULTI_FILE_COMMANDS = ("reconstruct", "view")
+
+_STYLE: Mapping[str, Any] = {"rich_markup_mode": None, "no_args_is_help": True}
 
 _EPILOG = (
     "TARGET, STUDY, SCENE and DATASET are paths (with / or .toml) or names, which are looked up in the "
@@ -75,7 +78,33 @@ _EPILOG = (
 )
 
 
-class _Guarded(TyperGroup):
+class _Commands(Mapping[str, Any]):
+    """The commands whose names begin with `prefix`, by the next word; each is built when it is looked up."""
+
+    def __init__(self, prefix: str) -> None:
+        names = [name for words in _COMMANDS.values() for name in words if name.startswith(prefix)]
+        words = [name.removeprefix(prefix).split()[0] for name in names]
+        self._names = {word: f"{prefix}{word}" for word in words}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, word: str) -> Any:  # noqa: ANN401 - a command of typer's own click
+        return _build_command(self._names[word])
+
+
+class _Group(TyperGroup):
+    """A group of commands."""
+
+    def __init__(self, **kwargs: Any) -> None:  # noqa: ANN401 - as the base class takes it
+        super().__init__(**kwargs)
+        self.commands = _Commands(f"{self.name} " if self.name else "")  # type: ignore[assignment]
+
+
+class _Guarded(_Group):
     """Turns what a command raises into a message and an exit code; usage errors stay typer's."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - as the base class takes it
@@ -88,10 +117,10 @@ class _Guarded(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - as the base class takes it
         """Write the commands below the headings of `_COMMANDS`."""
         for heading, members in _COMMANDS.items():
-            names = [_name(one) for one in members]
+            words = dict.fromkeys(name.split()[0] for name in members)
             with formatter.section(heading):
                 limit = formatter.width - 6 - max(map(len, self.commands))
-                formatter.write_dl([(name, self.commands[name].get_short_help_str(limit)) for name in names])
+                formatter.write_dl([(word, self.commands[word].get_short_help_str(limit)) for word in words])
 
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
         try:
@@ -109,35 +138,33 @@ class _Guarded(TyperGroup):
 
 
 def build() -> typer.Typer:
-    """Return the application with all its commands."""
-    plain = {"rich_markup_mode": None, "no_args_is_help": True}
-    app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **plain)  # type: ignore[arg-type]
+    """Return the application."""
+    app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **_STYLE)
     app.callback()(_needlefit)
-    for command, example in (pair for group in _COMMANDS.values() for pair in group.items()):
-        if not isinstance(command, str):
-            form = MultiFileCommand if command in (reconstruct, view) else None
-            epilog = f"Example: needlefit {example}"
-            app.command(_name(command), cls=form, epilog=epilog)(_with_plugins(command))
-    about = "Build the synthetic dataset, or render its CT volumes."
-    twin = typer.Typer(help=about, epilog=_example(_TWIN), **plain)  # type: ignore[arg-type]
-    twin.callback()(_group)
-    twin.command("build", epilog=_example(_TWIN))(_with_plugins(twin_build))
-    twin.command("ct", epilog="Example: needlefit twin ct phantom2-14 --out twin_ct")(_with_plugins(twin_ct))
-    new = typer.Typer(help="Write example files to edit.", epilog=_example(_NEW), **plain)  # type: ignore[arg-type]
-    new.callback()(_group)
-    new.command("dataset", epilog=_example(_NEW))(_with_plugins(new_dataset))
-    app.add_typer(twin, name=_TWIN)
-    app.add_typer(new, name=_NEW)
     return app
 
 
-def _name(command: Callable[..., None] | str) -> str:
-    """Return the name of a command; `import` is a word of Python's."""
-    return command if isinstance(command, str) else command.__name__.removesuffix("_data")
+@cache
+def _build_command(name: str) -> Any:  # noqa: ANN401 - a command of typer's own click
+    """Return a command, or a group, of `_COMMANDS`."""
+    if name in _GROUPS:
+        first = next(one for words in _COMMANDS.values() for one in words if one.startswith(f"{name} "))
+        group = typer.Typer(
+            name=name, cls=_Group, help=_GROUPS[name], epilog=_example(first), add_completion=False, **_STYLE
+        )
+        group.callback()(_no_options)
+        return typer.main.get_command(group)
+    module, _, function = _FUNCTIONS.get(name, f"{name}.{name}").partition(".")
+    app = typer.Typer(rich_markup_mode=None, add_completion=False)
+    form = MultiFileCommand if name in _MULTI_FILE_COMMANDS else None
+    run = _with_plugins(getattr(import_module(f"needlefit.cli.{module}"), function))
+    app.command(name.split()[-1], cls=form, epilog=_example(name))(run)
+    return typer.main.get_command(app)
 
 
-def _example(group: str) -> str:
-    return f"Example: needlefit {next(found[group] for found in _COMMANDS.values() if group in found)}"
+def _example(name: str) -> str:
+    words = next(found[name] for found in _COMMANDS.values() if name in found)
+    return f"Example: needlefit {name} {words}".rstrip()
 
 
 def _with_plugins(command: Callable[..., None]) -> Callable[..., None]:
@@ -175,5 +202,5 @@ def _needlefit(
     """Fit and cross-validate bevel-tip needle models on measured insertions."""
 
 
-def _group() -> None:
-    pass
+def _no_options() -> None:
+    """Read the options of a group: it has none."""

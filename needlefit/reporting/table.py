@@ -42,7 +42,7 @@ def pivot(rows: "Iterable[Row]", index: Sequence[str], by: Sequence[str]) -> "li
 
     It has the values of the first of these; they differ in the columns `by`.
     """
-    merged: "dict[tuple[Hashable, ...], Row]" = {}
+    merged: dict[tuple[Hashable, ...], Row] = {}
     for row in rows:
         whole = merged.setdefault(tuple(row[name] for name in index), {**row, _PARTS: {}})
         whole[_PARTS][frozenset((name, row[name]) for name in by)] = row

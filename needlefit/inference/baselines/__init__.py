@@ -5,7 +5,7 @@ differs between insertions only by their depth and bevel side. `inference/baseli
 posterior. Tables and figures look up names and colours here, so that this module imports no optimizer.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
