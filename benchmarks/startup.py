@@ -1,107 +1,80 @@
-"""From a new process to the first result: what is imported, compiled or fetched from the cache.
+"""Seconds that new processes take: Python alone, `import needlefit`, `--help`, `simulate phantom1`.
 
-    python benchmarks/startup.py [--json] [--rounds N]
+    python benchmarks/startup.py [--json] [--rounds N] [--beside-python PYTHON]
 
-`cold` gives numba an empty folder, as after a fresh install; `warm` then runs in the same folder (median of
-the rounds, in turns). Each way is a process of its own: `scalar` wants one insertion from `simulate`,
-`everything` also derivatives, a session and the lanes. Seconds on the wall of each phase; processor time
-of the whole process stands beside them, as other programs stretch the wall.
+`--beside-python` measures the needlefit of another interpreter too, in turns; PYTHONPATH holds for this one
+alone. Medians of the rounds, of the wall and of the processor, after one round that is not counted: it writes
+bytecode and whatever else the first use keeps.
 """
 
 import argparse
 import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 
-BEGIN = """
-import json, sys, time
-times = {}
-def note(name, since=[time.perf_counter()]):
-    now = time.perf_counter()
-    times[name], since[0] = now - since[0], now
-import numpy as np
-note("import numpy")
-from needlefit.mechanics.kernel import insertion
-note("import kernel")
-from needlefit.mechanics.control import Bevel, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import simulate
-from needlefit.mechanics.tissue import Tissue
-needle, bevel = Needle.from_tube(150.0, 1.27, 80e3), Bevel(0.085)
-mu, alpha = np.array([0.2, 33.0, 0.2, 33.0]), np.array([1.0, -1.0, 1.0, -1.0])
-tissue = Tissue(mu, alpha, np.array([20.0, 28.0, 45.0]))
-note("import the rest")
-simulate(needle, tissue, bevel, 55.0)
-note("first simulate")
-"""
-MORE = """
-from needlefit.mechanics.linearize import linearize
-linearize(needle, tissue, bevel, 55.0)
-note("first linearize")
-from needlefit.mechanics.session import Session
-session = Session(needle, tissue, bevel)
-session.step(10.0), session.step(0.5), session.step(-3.0)
-note("first Session")
-from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.lanes import simulate_batches
-simulate_batches([Batch(needle, tissue, (Step(55.0, bevel),), offset=np.linspace(0.05, 0.1, 64))])
-note("first lanes")
-"""
-END = """
-times["processor"] = time.process_time()
-json.dump(times, sys.stdout)
-"""
-WAYS = {"scalar": BEGIN + END, "everything": BEGIN + MORE + END}
-GOALS = {("scalar", "warm"): 1.0, ("scalar", "cold"): 15.0, ("everything", "cold"): 60.0}  # s
+WAYS = {
+    "python": ("-c", "pass"),
+    "import needlefit": ("-c", "import needlefit"),
+    "--help": ("-m", "needlefit", "--help"),
+    "simulate": ("-m", "needlefit", "simulate", "phantom1"),
+}
+HERE, BESIDE = "", "beside "
+NOT_PASSED_ON = {HERE: {"PYTHONDONTWRITEBYTECODE"}, BESIDE: {"PYTHONDONTWRITEBYTECODE", "PYTHONPATH"}}
 
 
-def run(code: str, cache: str) -> dict[str, float]:
-    """Run code in a new process; return its phases and how long all of it took, s."""
-    begin = time.perf_counter()
-    environment = {**os.environ, "NEEDLEFIT_CACHE_DIR": cache}
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # else each process compiles every file of Python again
-    found = subprocess.run(
-        [sys.executable, "-c", code], env=environment, check=True, stdout=subprocess.PIPE
+def run(python: str, side: str, words: tuple[str, ...], folder: str) -> tuple[float, float]:
+    """Return the wall's and the processor's time of a new process, s."""
+    environment = {name: value for name, value in os.environ.items() if name not in NOT_PASSED_ON[side]}
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run(
+        [python, *words], env=environment, cwd=folder, check=True, stdout=subprocess.DEVNULL
     )  # fmt: skip
-    times = json.loads(found.stdout)
-    return {**times, "process": time.perf_counter() - begin}
+    wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def measure(rounds: int) -> dict[str, dict[str, float]]:
-    """Return the phases of each way, cold and warm."""
-    figures: dict[str, dict[str, float]] = {}
+def measure(pythons: dict[str, str], rounds: int) -> dict[str, dict[str, float]]:
+    """Return the medians by side and way."""
+    found: dict[str, list[tuple[float, float]]] = {side + way: [] for way in WAYS for side in pythons}
     with tempfile.TemporaryDirectory() as folder:
-        for way, code in WAYS.items():
-            figures[f"{way}, cold"] = run(code, f"{folder}/{way}")
-        warm: dict[str, list[dict[str, float]]] = {way: [] for way in WAYS}
-        for _ in range(rounds):
-            for way, code in WAYS.items():
-                warm[way].append(run(code, f"{folder}/{way}"))
-    for way, found in warm.items():
-        figures[f"{way}, warm"] = {key: statistics.median(one[key] for one in found) for key in found[0]}
-    return figures
+        for _ in range(rounds + 1):
+            for way, words in WAYS.items():
+                for side, python in pythons.items():
+                    found[side + way].append(run(python, side, words, folder))
+    counted = {name: zip(*times[1:], strict=True) for name, times in found.items()}
+    return {
+        name: dict(zip(("wall", "processor"), map(statistics.median, times), strict=True))
+        for name, times in counted.items()
+    }
 
 
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--rounds", type=int, default=11)
+    parser.add_argument("--beside-python", metavar="PYTHON", help="Interpreter of the other installation.")
     arguments = parser.parse_args()
-    figures = measure(arguments.rounds)
+    beside = {BESIDE: arguments.beside_python} if arguments.beside_python else {}
+    figures = measure({HERE: sys.executable, **beside}, arguments.rounds)
     if arguments.json:
         print(json.dumps(figures, indent=2))
         return
-    print(f"seconds; load average {os.getloadavg()[0]:.1f}")
-    for name, phases in figures.items():
-        way, state = name.split(", ")
-        goal = GOALS.get((way, state))
-        print(f"{name}: {phases['process']:.2f} s" + (f" (aim <= {goal:g} s)" if goal else ""))
-        print("   " + ", ".join(f"{key} {value:.2f}" for key, value in phases.items() if key != "process"))
+    print(f"medians, s; load average {os.getloadavg()[0]:.1f}")
+    for way in WAYS:
+        here = figures[way]
+        text = ", ".join(f"{key} {value:.3f}" for key, value in here.items())
+        if beside:
+            other = figures[BESIDE + way]
+            text += "; beside " + ", ".join(
+                f"{key} {value:.3f} (ratio {here[key] / value:.2f})" for key, value in other.items()
+            )
+        print(f"{way}: {text}")
 
 
 if __name__ == "__main__":
