@@ -55,7 +55,7 @@ _GROUPS = {
     "new": "Write example files to edit.",
     "twin": "Build the synthetic dataset, or render its CT volumes.",
 }
-"""First words that several commands may share, with their help."""
+"""First words of commands that form a group, with its help."""
 
 _FUNCTIONS = {
     "init": "start.init",
