@@ -252,9 +252,11 @@ EXPORT void nf_law(
     double* k, double* tangent, double* slope, double* about
 ) {
     Layer<double> layer;
-    layer.set(0, {law, int(terms)}, mu, thickness, 0.0);
+    layer.law = {{law}, int(terms)};
+    layer.mu = mu, layer.thickness = thickness, layer.friction = 0.0;
+    layer.prepare();
     double series[SERIES_TERMS];
-    if (by) fit_slope_series(series, layer.law[0], by, mu, thickness, layer.limit);
+    if (by) fit_slope_series(series, layer.law, &by, mu, thickness, layer.limit);
     Seen<double> seen;
     for (Index i = 0; i < count; i++) {
         evaluate_modulus(layer, size[i], k[i], tangent[i], seen);

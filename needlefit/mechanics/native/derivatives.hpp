@@ -72,20 +72,14 @@ struct Derivatives {
         for (Index i = 0; i < columns; i++) tip[i] = tip[columns + i] = cut[i] = Real{};
         if (column(SHAPE) < 0) return;
         for (Index i = 0; i < problem.layers; i++)
-            for (Index p = 0; p < shapes; p++)
-                for (int lane = 0; lane < W; lane++) {
-                    const Layer<Real>& layer = needle.layers[i];
-                    Index at = (needle.set_of(lane) * problem.layers + i) * shapes + p;
-                    const double* by = problem.law_by + at * problem.numbers;
-                    double series[SERIES_TERMS];
-                    fit_slope_series(
-                        series, layer.law[lane], by, get_lane(layer.mu, lane), get_lane(layer.thickness, lane),
-                        get_lane(layer.limit, lane)
-                    );
-                    for (int j = 0; j < SERIES_TERMS; j++)
-                        set_lane(slope_series[(i * shapes + p) * SERIES_TERMS + j], lane, series[j]);
-                    law_by[(i * shapes + p) * W + lane] = by;
-                }
+            for (Index p = 0; p < shapes; p++) {
+                const Layer<Real>& layer = needle.layers[i];
+                const double** by = law_by + (i * shapes + p) * W;
+                for (int lane = 0; lane < W; lane++)
+                    by[lane] = problem.law_by + ((needle.set_of(lane) * problem.layers + i) * shapes + p) * problem.numbers;
+                Real* series = slope_series + (i * shapes + p) * SERIES_TERMS;
+                fit_slope_series(series, layer.law, by, layer.mu, layer.thickness, layer.limit);
+            }
     }
 
     INLINE Node<Real>& node_at(Index i) const {

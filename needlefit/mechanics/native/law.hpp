@@ -21,19 +21,29 @@ constexpr double CHEBYSHEV[SERIES_TERMS] = {0.9659258262890683,  0.7071067811865
                                             -0.2588190451025207, -0.7071067811865476, -0.9659258262890683};
 constexpr double BETWEEN[SERIES_TERMS + 1] = {1.0, 0.8660254037844387, 0.5, 0.0, -0.5, -0.8660254037844387, -1.0};
 
-// A law in numbers. Powers (terms > 0): coefficients c_p, then exponents q_p. A table (terms = 0): the greatest d
-// that it covers, that up to which a polynomial serves, and its coefficients, piece by piece.
+// A law in numbers, of each lane. Powers (terms > 0): coefficients c_p, then exponents q_p. A table (terms = 0): the
+// greatest d that it covers, that up to which a polynomial serves, and its coefficients, piece by piece.
+template <class Real>
 struct Law {
-    const double* numbers;
+    static constexpr int W = Traits<Real>::lanes;
+    const double* numbers[W];
     int terms;
+
+    INLINE Real gather(Index i) const { return gather(numbers, i); }
+    static INLINE Real gather(const double* const* numbers, Index i) {
+        Real found{};
+        for (int lane = 0; lane < W; lane++) set_lane(found, lane, numbers[lane][i]);
+        return found;
+    }
 };
 
 // k over mu, and its derivative with respect to d.
+template <class Real>
 struct Modulus {
-    double value, slope;
+    Real value, slope;
 };
 
-INLINE Modulus evaluate_table(const double* table, double d) {
+inline Modulus<double> evaluate_table(const double* table, double d) {
     double place = d / TABLE_PIECE;
     int piece = place < TABLE_PIECES - 1 ? int(place) : TABLE_PIECES - 1;
     const double* c = table + 2 + piece * TABLE_TERMS;
@@ -47,35 +57,48 @@ INLINE Modulus evaluate_table(const double* table, double d) {
     }
     return {z * value - value_before + c[0], (value + z * slope - slope_before) * (2.0 / TABLE_PIECE)};
 }
+template <class Real>
+inline Modulus<Real> evaluate_tables(const double* const* tables, const Real& d) {
+    Modulus<Real> found{};
+    for (int lane = 0; lane < Traits<Real>::lanes; lane++) {
+        Modulus<double> one = evaluate_table(tables[lane], get_lane(d, lane));
+        set_lane(found.value, lane, one.value), set_lane(found.slope, lane, one.slope);
+    }
+    return found;
+}
 
 // k = sum c lambda^q with lambda = 1 - d, or the table.
-INLINE Modulus evaluate_law(const Law& law, double d) {
-    if (law.terms == 0) return evaluate_table(law.numbers, d);
-    const double *c = law.numbers, *q = c + law.terms;
-    double logarithm = logarithm_of_1_minus(d), k = 0.0, slope = 0.0;
+template <class Real>
+inline Modulus<Real> evaluate_law(const Law<Real>& law, const Real& d) {
+    if (law.terms == 0) return evaluate_tables(law.numbers, d);
+    Real logarithm = logarithm_of_1_minus(d), stretch = 1.0 - d;
+    Modulus<Real> found{};
     for (int p = 0; p < law.terms; p++) {
-        double part = c[p] * exponential(q[p] * logarithm);
-        k += part;
-        slope -= part * q[p] / (1.0 - d);
+        Real q = law.gather(law.terms + p), part = law.gather(p) * exponential<Real>(q * logarithm);
+        found.value += part, found.slope -= part * q / stretch;
     }
-    return {k, slope};
+    return found;
 }
 
 // The derivative of k over mu with respect to a shape parameter, by which c and q, or the table, change as `by`.
-INLINE double evaluate_by_shape(const Law& law, const double* by, double d) {
-    if (law.terms == 0) return evaluate_table(by, d).value;
-    const double *c = law.numbers, *q = c + law.terms;
-    double logarithm = logarithm_of_1_minus(d), found = 0.0;
-    for (int p = 0; p < law.terms; p++)
-        found += (by[p] + c[p] * by[law.terms + p] * logarithm) * exponential(q[p] * logarithm);
+template <class Real>
+inline Real evaluate_by_shape(const Law<Real>& law, const double* const* by, const Real& d) {
+    if (law.terms == 0) return evaluate_tables(by, d).value;
+    Real logarithm = logarithm_of_1_minus(d), found{};
+    for (int p = 0; p < law.terms; p++) {
+        Real c = law.gather(p), q = law.gather(law.terms + p);
+        Real c_by = Law<Real>::gather(by, p), q_by = Law<Real>::gather(by, law.terms + p);
+        found += (c_by + c * q_by * logarithm) * exponential<Real>(q * logarithm);
+    }
     return found;
 }
 
 // Fill `series` with the polynomial in |e| through `value` at Chebyshev's points `at`; `value` is overwritten.
-inline void interpolate(double* series, const double* at, double* value) {
+template <class Real>
+inline void interpolate(Real* series, const Real* at, Real* value) {
     for (int j = 1; j < SERIES_TERMS; j++)  // Newton's divided differences
         for (int i = SERIES_TERMS - 1; i >= j; i--) value[i] = (value[i] - value[i - 1]) / (at[i] - at[i - j]);
-    for (int i = 0; i < SERIES_TERMS; i++) series[i] = 0.0;
+    for (int i = 0; i < SERIES_TERMS; i++) series[i] = Real{};
     for (int j = SERIES_TERMS - 1; j >= 0; j--) {  // to powers of |e|
         for (int i = SERIES_TERMS - 1; i > 0; i--) series[i] = series[i - 1] - at[j] * series[i];
         series[0] = value[j] - at[j] * series[0];
@@ -83,56 +106,57 @@ inline void interpolate(double* series, const double* at, double* value) {
 }
 
 // The polynomial of mu k in |e| on 0 <= |e| <= limit, through its values at Chebyshev's points.
-inline void fit_series(double* series, const Law& law, double mu, double thickness, double limit) {
-    double at[SERIES_TERMS], value[SERIES_TERMS];
+template <class Real>
+inline void fit_series(Real* series, const Law<Real>& law, const Real& mu, const Real& thickness, const Real& limit) {
+    Real at[SERIES_TERMS], value[SERIES_TERMS];
     for (int j = 0; j < SERIES_TERMS; j++) {
         at[j] = 0.5 * limit * (1.0 - CHEBYSHEV[j]);
-        value[j] = mu * evaluate_law(law, at[j] / thickness).value;
+        value[j] = mu * evaluate_law<Real>(law, at[j] / thickness).value;
     }
     interpolate(series, at, value);
 }
 
 // The polynomial of mu dk/dp, p a shape parameter. It vanishes at e = 0, as k does not depend on p there: so it is
 // |e| times a polynomial, of which `series` has the coefficients.
+template <class Real>
 inline void fit_slope_series(
-    double* series, const Law& law, const double* by, double mu, double thickness, double limit
+    Real* series, const Law<Real>& law, const double* const* by, const Real& mu, const Real& thickness, const Real& limit
 ) {
-    double at[SERIES_TERMS], value[SERIES_TERMS];
+    Real at[SERIES_TERMS], value[SERIES_TERMS];
     for (int j = 0; j < SERIES_TERMS; j++) {
         at[j] = 0.5 * limit * (1.0 - CHEBYSHEV[j]);
-        value[j] = mu * evaluate_by_shape(law, by, at[j] / thickness) / at[j];
+        value[j] = mu * evaluate_by_shape<Real>(law, by, at[j] / thickness) / at[j];
     }
     interpolate(series, at, value);
 }
 
 // The d up to which a polynomial fitted on 0 ... d is within SERIES_TOLERANCE of k. Of a table Python has measured it.
-inline double find_series_range(const Law& law) {
-    if (law.terms == 0) return law.numbers[1];
+template <class Real>
+inline Real find_series_range(const Law<Real>& law) {
+    if (law.terms == 0) return law.gather(1);
     constexpr double interval = 4.0;  // Chebyshev's points serve four times as far as Taylor's series
-    double left_out = 0.0, value = 0.0, steepest = 0.0;
+    Real left_out{}, value{}, steepest{}, longest = all_lanes<Real>(MAX_SERIES_COMPRESSION);
     for (int p = 0; p < law.terms; p++) {
-        double term = law.numbers[p], q = law.numbers[law.terms + p];
+        Real term = law.gather(p), q = law.gather(law.terms + p);
         value += term;
-        for (int j = 0; j < SERIES_TERMS; j++) term *= (j - q) / (j + 1);
+        for (int j = 0; j < SERIES_TERMS; j++) term *= (j - q) / (j + 1.0);
         left_out += absolute(term);
-        steepest = greater_of(steepest, SERIES_TERMS - q);
+        steepest = greater_of<Real>(steepest, SERIES_TERMS - q);
     }
-    if (left_out == 0.0) return MAX_SERIES_COMPRESSION;  // the series ends: the polynomial is exact
-    double at_rest = exponential(logarithm(SERIES_TOLERANCE * value / (2.0 * left_out)) / SERIES_TERMS);
-    double reach = at_rest;
-    for (int repeat = 0; repeat < 8; repeat++) {  // the term left out grows along the interval
-        double end = interval * reach < MAX_SERIES_COMPRESSION ? interval * reach : MAX_SERIES_COMPRESSION;
-        reach = at_rest * exponential(logarithm_of_1_minus(end) * steepest / SERIES_TERMS);
-    }
-    return interval * reach < MAX_SERIES_COMPRESSION ? interval * reach : MAX_SERIES_COMPRESSION;
+    auto end = [&](const Real& reach) { return select<Real>(interval * reach < longest, interval * reach, longest); };
+    Real at_rest = exponential<Real>(logarithm<Real>(SERIES_TOLERANCE * value / (2.0 * left_out)) / double(SERIES_TERMS));
+    Real reach = at_rest;
+    for (int repeat = 0; repeat < 4; repeat++)  // the term left out grows along the interval
+        reach = at_rest * exponential<Real>(logarithm_of_1_minus<Real>(end(reach)) * steepest / double(SERIES_TERMS));
+    return select<Real>(left_out == 0.0, longest, end(reach));  // a series that ends is exact
 }
 
 // The same for a table that has no range yet, found by trial: what Python stores as its second number.
 inline double measure_table_range(const double* table) {
-    Law law{table, 0};
+    Law<double> law{{table}, 0};
     double series[SERIES_TERMS], end = MAX_SERIES_COMPRESSION;
     for (int repeat = 0; repeat < 32; repeat++) {
-        fit_series(series, law, 1.0, 1.0, end);
+        fit_series<double>(series, law, 1.0, 1.0, end);
         double error = 0.0;
         for (int j = 0; j <= SERIES_TERMS; j++) {
             double d = 0.5 * end * (1.0 - BETWEEN[j]), found = 0.0;

@@ -186,11 +186,12 @@ struct Insertion {
         Real curvature{};
         Index n = problem.layers;
         for (Index i = 0; i < n; i++) {
-            for (int lane = 0; lane < W; lane++) {
-                Index at = set_of(lane) * n + i;
-                Law law{problem.law + at * problem.numbers, int(problem.terms)};
-                layers[i].set(lane, law, problem.mu[at], problem.thickness[at], problem.friction[at]);
-            }
+            layers[i].law.terms = int(problem.terms);
+            for (int lane = 0; lane < W; lane++)
+                layers[i].law.numbers[lane] = problem.law + (set_of(lane) * n + i) * problem.numbers;
+            layers[i].mu = gather(problem.mu + i, n), layers[i].thickness = gather(problem.thickness + i, n);
+            layers[i].friction = gather(problem.friction + i, n);
+            layers[i].prepare();
             curvature = greater_of(layers[i].curvature, curvature);
         }
         constants->curvature = curvature;

@@ -18,27 +18,23 @@ struct Layer {
     Real mu;                    // MPa
     Real thickness;             // mm
     Real friction;              // gamma
-    Law law[Traits<Real>::lanes];
+    Law<Real> law;
 
-    void set(int lane, const Law& exact, double mu_value, double thickness_value, double gamma) {
-        double reach = find_series_range(exact) * thickness_value, terms[SERIES_TERMS];
-        fit_series(terms, exact, mu_value, thickness_value, reach);
+    void prepare() {  // the polynomial, from law, mu and thickness
+        limit = find_series_range(law) * thickness;
+        fit_series(series, law, mu, thickness, limit);
         // Half the second derivative of k e over its first, as far as the polynomial goes; doubled, for the lever of
         // a needle that reaches beyond its stiffest layer.
-        double bend = 0.0, tangent = 0.0, step = 1.0;
+        Real bend{}, tangent{}, step = all_lanes<Real>(1.0);
         for (int j = 0; j < SERIES_TERMS; j++) {
-            tangent += (j + 1) * terms[j] * step;
-            if (j > 0) bend += 0.5 * j * (j + 1) * absolute(terms[j]) * step / reach;
-            step *= reach;
-            set_lane(series[j], lane, terms[j]);
+            tangent += (j + 1.0) * series[j] * step;
+            if (j > 0) bend += 0.5 * j * (j + 1) * absolute(series[j]) * step / limit;
+            step *= limit;
         }
         // The least tangent is at an end of the interval. One that is not positive makes the curvature infinite, and
         // every step is then iterated to the tolerance.
-        double least = tangent > 0.0 ? tangent : 0.0;
-        set_lane(curvature, lane, 2.0 * bend / (terms[0] < least ? terms[0] : least));
-        set_lane(limit, lane, reach), set_lane(mu, lane, mu_value);
-        set_lane(thickness, lane, thickness_value), set_lane(friction, lane, gamma);
-        law[lane] = exact;
+        Real least = select<Real>(tangent > 0.0, tangent, Real{});
+        curvature = 2.0 * bend / select<Real>(series[0] < least, series[0], least);
     }
 };
 
@@ -62,23 +58,17 @@ template <class Real>
 __attribute__((noinline)) void evaluate_exactly(
     const Layer<Real>& layer, const Real& size, Real& k, Real& tangent, Seen<Real>& seen
 ) {
-    Mask<Real> beyond = size > layer.limit, crushed{};
-    for (int lane = 0; lane < Traits<Real>::lanes; lane++) {
-        if (!get_lane(beyond, lane)) continue;
-        const Law& law = layer.law[lane];
-        double d = get_lane(size, lane) / get_lane(layer.thickness, lane), mu = get_lane(layer.mu, lane);
-        double end = law.terms > 0 ? 1.0 : law.numbers[0];
-        bool over = law.terms > 0 ? d >= end : d > end;
-        if (over) d = end < MAX_FACTORED_COMPRESSION ? end : MAX_FACTORED_COMPRESSION;
-        Modulus found = evaluate_law(law, d);
-        set_lane(k, lane, mu * found.value);
-        set_lane(tangent, lane, mu * (over ? found.value : found.value + d * found.slope));
-        if constexpr (Traits<Real>::lanes == 1)
-            crushed = over;
-        else
-            crushed[lane] = over ? -1 : 0;
-    }
-    seen.crushed = seen.crushed | crushed;
+    Mask<Real> beyond = size > layer.limit;
+    const Law<Real>& law = layer.law;
+    Real d = size / layer.thickness, end = law.terms > 0 ? all_lanes<Real>(1.0) : law.gather(0);
+    Mask<Real> over = law.terms > 0 ? d >= end : d > end;
+    Real most = select<Real>(end < MAX_FACTORED_COMPRESSION, end, all_lanes<Real>(MAX_FACTORED_COMPRESSION));
+    d = select<Real>(over, most, d);
+    Modulus<Real> found = evaluate_law(law, d);
+    k = select<Real>(beyond, layer.mu * found.value, k);
+    Real risen = select<Real>(over, found.value, found.value + d * found.slope);
+    tangent = select<Real>(beyond, layer.mu * risen, tangent);
+    seen.crushed = seen.crushed | (beyond & over);
     seen.exact = seen.exact | beyond;
 }
 
@@ -111,12 +101,10 @@ INLINE Real evaluate_by_shape(const Layer<Real>& layer, const Real* series, cons
     for (int j = SERIES_TERMS - 2; j >= 0; j--) found = found * size + series[j];
     found = found * size;
     Mask<Real> beyond = size > layer.limit;
-    if (__builtin_expect(any(beyond), 0))
-        for (int lane = 0; lane < Traits<Real>::lanes; lane++)
-            if (get_lane(beyond, lane)) {
-                double d = get_lane(size, lane) / get_lane(layer.thickness, lane);
-                set_lane(found, lane, get_lane(layer.mu, lane) * evaluate_by_shape(layer.law[lane], by[lane], d));
-            }
+    if (__builtin_expect(any(beyond), 0)) {
+        Real exact = layer.mu * evaluate_by_shape<Real>(layer.law, by, size / layer.thickness);
+        found = select<Real>(beyond, exact, found);
+    }
     return found;
 }
 

@@ -30,6 +30,18 @@ struct Traits {
 template <class Real>
 using Mask = typename Traits<Real>::Mask;
 
+// 64-bit integers, as many as there are lanes.
+template <class Real>
+struct IntegersOf {
+    using Type = Mask<Real>;
+};
+template <>
+struct IntegersOf<double> {
+    using Type = Index;
+};
+template <class Real>
+using Integers = typename IntegersOf<Real>::Type;
+
 template <class Real>
 INLINE Real all_lanes(double value) {
     return Real() + value;  // -0.0 becomes 0.0
