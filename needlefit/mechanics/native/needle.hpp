@@ -91,7 +91,7 @@ enum Status : int { CONVERGED, OVER_COMPRESSED, NOT_CONVERGED, NON_FINITE };
 constexpr int LIVE_CELLS = 3;      // linearised anew in every pass
 constexpr int CHORD_PASSES = 2;    // with the tangents that are kept, before all are renewed
 constexpr int RENEWED_NODES = 8;   // after so many nodes all lanes renew their tangents at the same stop
-constexpr double CHORD_ERROR = 4.0;  // a chord step is off by so many times `curvature`, its increment and the distance
+constexpr double CHORD_ERROR = 2.0;  // a chord step is off by so many times `curvature`, its increment and the distance
                                      // from where the tangent was taken, since the errors of all stops add up
 constexpr double ROUNDING_MM = 1e-4;  // Newton's last steps square the increment: only rounding keeps one so small alive
 constexpr int MAX_PASSES = 12;        // of the quick scheme; a lane that needs more begins again with Newton's method

@@ -74,8 +74,9 @@ INLINE void append_load(Real* total, const Real* f, PastNode<Real>& node, const 
 template <class Real>
 INLINE Node<Real> substitute(const PastNode<Real>& node, const Node<Real>& next, const Node<Real>& first) {
     return {
-        node.z0 - node.g00 * next.u - node.g01 * next.slope - node.h00 * first.u - node.h01 * first.slope,
-        node.z1 - node.g10 * next.u - node.g11 * next.slope - node.h10 * first.u - node.h11 * first.slope
+        // grouped so that only one product and two sums wait for the next node
+        (node.z0 - (node.h00 * first.u + node.h01 * first.slope)) - (node.g00 * next.u + node.g01 * next.slope),
+        (node.z1 - (node.h10 * first.u + node.h11 * first.slope)) - (node.g10 * next.u + node.g11 * next.slope)
     };
 }
 
