@@ -1,7 +1,8 @@
 """The C++ kernel (`mechanics/native/`): its library, and its structures as Python fills them.
 
-The kernel has no memory of its own. Every array that it reads or writes is made here or by the caller, checked, and
-kept alive by the structure that points to it: a wrong array is an error in Python.
+The kernel has no memory of its own. Every array that it reads or writes is made here or by the caller, and
+kept alive by the structure that points to it. A wrong array is a TypeError: types and lengths are compared
+with the sizes here, and what the numbers mean is checked by `native/checks.hpp`.
 """
 
 import ctypes
@@ -30,11 +31,11 @@ _FIX = "install needlefit again; of a checkout: pip install -e ."
 SAME_DEPTH_MM = 1e-9
 """Two depths that differ by less than this, mm, are the same."""
 GUIDE_ENGAGEMENT_MM = 0.05
-"""A guide in the tissue holds the needle once the tip is this far past it: a length of the model, not of the mesh."""
+"""A guide in the tissue holds the needle once the tip is this far past it: a length of the model."""
 LINEAR_CUT = -1.0
 """In place of a `switch`: the cut is linear between its constraint points."""
 TABLE_PIECES, TABLE_TERMS, TABLE_COMPRESSION = 16, 20, 0.8
-"""Of a law's table: Chebyshev series on pieces of equal length, the terms of each, |e| / t at the end of the last."""
+"""Of a law's table: its pieces of equal length, the Chebyshev terms of each, |e| / t at its end."""
 SERIES_TERMS, SERIES_TOLERANCE, MAX_SERIES_COMPRESSION = 6, 1e-10, 0.2
 """Of the polynomial fitted to a law: its terms, its relative error, and |e| / t at the end of the longest."""
 
@@ -52,6 +53,8 @@ _SIZES = [
     "terms",
     "numbers",
     "stop_count",
+    "bevels",
+    "inputs",
     "rays",
     "guides",
     "columns",
@@ -59,8 +62,8 @@ _SIZES = [
 ]
 _NUMBERS = ["length", "first_cell", "spacing", "element", "part", "tangent", "tolerance", "deepest"]
 _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
-    "boundaries": (float, ("layers-1",)),
-    "stops": (STOP, ("stop_count+",)),
+    "boundaries": (float, ("layers - 1",)),
+    "stops": (STOP, ("any",)),
     "rigidity": (float, ("sets",)),
     "mu": (float, ("sets", "layers")),
     "thickness": (float, ("sets", "layers")),
@@ -69,8 +72,8 @@ _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
     "law_by": (float, ("sets", "layers", "shapes", "numbers")),
     "turn": (float, ("bevels", "sets")),
     "base": (float, ("inputs", "sets", 3)),
-    "before_first": (np.int64, ("inputs+1",)),
-    "within_first": (np.int64, ("inputs+1",)),
+    "before_first": (np.int64, ("inputs + 1",)),
+    "within_first": (np.int64, ("inputs + 1",)),
     "before": (float, ("any", 3)),
     "within": (float, ("any", 3)),
     "held_tip": (float, ("inputs", 2)),
@@ -79,10 +82,36 @@ _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
     "column_of": (np.int64, (9,)),
     "guide_columns": (np.int64, ("any", 3)),
 }
+"""Type and shape of each array."""
+_DERIVATIVES = {"law_by", "turn_by", "column_of", "guide_columns"}
+
+FAULTS = (
+    "",
+    "a size is not positive, or too large",
+    "the mesh has sizes that are not above 0 or too many nodes, or its elements do not divide a cell",
+    "a stop lies outside of the depths, rays, bevels or inputs",
+    "the guides of an input are more than there is room for",
+    "a column of a derivative lies outside of the Jacobian",
+    "the arrays for shapes are too small",
+    "points or nodes do not increase, or lie too deep",
+)
+"""By the numbers that the kernel returns: `Fault` of `native/checks.hpp`."""
+BAD_POINTS = 7
+
+
+_RETURN_NUMBERS = (
+    "lanes", "check", "memory", "simulate", "session_advance", "equilibrium", "quadrature", "balance",
+)  # fmt: skip
+
+
+def check_fault(fault: int) -> None:
+    """Raise TypeError for a fault that the kernel has found."""
+    if fault:
+        raise TypeError(FAULTS[fault])
 
 
 class Problem(ctypes.Structure):
-    """An insertion and its parameter sets: `struct Problem` of `native/needle.hpp`, which describes each field."""
+    """An insertion and its parameter sets: `struct Problem` of `native/needle.hpp` describes each field."""
 
     _fields_ = [
         *((name, c_int64) for name in _SIZES),
@@ -90,6 +119,9 @@ class Problem(ctypes.Structure):
         *((name, c_void_p) for name in _ARRAYS),
     ]
     arrays: dict[str, np.ndarray]
+    room: int  # for the nodes of a shape
+    max_points: int  # constraint points of a shape
+    max_quadrature: int  # quadrature points of a shape
 
     @classmethod
     def make(cls, numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> "Problem":
@@ -98,39 +130,34 @@ class Problem(ctypes.Structure):
         Raises
         ------
         TypeError
-            If an array has not the type, shape or layout that the kernel reads, or an index points outside.
+            If an array is missing, has not the type, shape or layout that the kernel reads, or refers to a
+            place outside of another one.
         """
         problem = cls(**numbers)
         problem.arrays = {}
         sizes = {name: getattr(problem, name) for name in _SIZES}
-        sizes |= {"any": -1, "layers-1": problem.layers - 1, "inputs": len(arrays["held_tip"])}
-        sizes |= {"inputs+1": sizes["inputs"] + 1, "bevels": len(arrays["turn"]), "stop_count+": -1}
+        if max(sizes.values()) > 1 << 48 or min(sizes.values()) < 0:  # beyond, a C integer has wrapped around
+            raise TypeError(f"the sizes of a problem are {sizes}")
+        sizes |= {"any": -1, "layers - 1": problem.layers - 1, "inputs + 1": problem.inputs + 1}
+        needed = _ARRAYS.keys() - {"guide_x"} - (set() if problem.columns else _DERIVATIVES)
+        if missing := needed - arrays.keys():
+            raise TypeError(f"a problem without {sorted(missing)}")
         for name, array in arrays.items():
             dtype, shape = _ARRAYS[name]
             check_array(name, array, dtype, tuple(sizes[n] if isinstance(n, str) else n for n in shape))
             setattr(problem, name, array.ctypes.data)
             problem.arrays[name] = array
-        problem.check_stops()
-        for name in ("before", "within"):
-            first = arrays[f"{name}_first"]
-            if first[0] != 0 or first[-1] != len(arrays[name]) or np.any(np.diff(first) < 0):
-                raise TypeError(f"{name}_first does not divide the {len(arrays[name])} guides")
-        return problem
-
-    def check_stops(self) -> None:
-        """Raise TypeError where a stop points outside the arrays."""
-        stops, inputs = self.arrays["stops"], len(self.arrays["held_tip"])
-        if self.stop_count > len(stops):
-            raise TypeError(f"{self.stop_count} stops in an array of {len(stops)}")
-        stops = stops[: self.stop_count]
-        limits = {"ray": self.rays, "bevel": len(self.arrays["turn"]), "inputs": inputs}
-        for name, limit in limits.items():
-            if len(stops) and not (stops[name].min() >= 0 and stops[name].max() < limit):
-                raise TypeError(f"a stop has {name} {stops[name].max()} of {limit}")
-        if len(stops) and not (
-            stops["tip"].min() >= 0 and stops["tip"].max() <= self.deepest + SAME_DEPTH_MM
+        guides = len(arrays["before"]) + len(arrays["within"])
+        if (
+            len(arrays["stops"]) < problem.stop_count
+            or any(arrays[f"{name}_first"][-1] != len(arrays[name]) for name in ("before", "within"))
+            or (problem.columns and len(arrays["guide_columns"]) != guides)
         ):
-            raise TypeError(f"a stop lies outside of 0 ... {self.deepest} mm")
+            raise TypeError("stops, guides or their columns are not as many as the problem says")
+        found = (c_int64 * 3)()
+        check_fault(load_library().nf_check(byref(problem), found))
+        problem.room, problem.max_points, problem.max_quadrature = found
+        return problem
 
 
 def check_array(name: str, array: np.ndarray, dtype: Any, shape: tuple[int, ...]) -> None:  # noqa: ANN401
@@ -167,6 +194,8 @@ class Shapes(ctypes.Structure):
         ),
     ]
     arrays: dict[str, np.ndarray]
+    sets: int
+    columns: int
 
     @classmethod
     def make(cls, sets: int, room: int, points: int, columns: int = 0) -> "Shapes":
@@ -180,7 +209,7 @@ class Shapes(ctypes.Structure):
             arrays |= {name: np.empty((sets, room, columns)) for name in ("u_by", "slope_by")}
             arrays |= {name: np.empty((sets, points, columns)) for name in ("constraints_by", "track_by")}
         made = cls(room=room, points=points, **{name: array.ctypes.data for name, array in arrays.items()})
-        made.arrays = arrays
+        made.arrays, made.sets, made.columns = arrays, sets, columns
         return made
 
 
@@ -204,9 +233,8 @@ def load_library() -> ctypes.CDLL:
     library.nf_abi_version.restype = c_int64
     if library.nf_abi_version() != ABI_VERSION:
         raise NeedlefitError("the library of the kernel is of another version", fix=_FIX)
-    for name in ("nf_lanes", "nf_memory", "nf_room", "nf_equilibrium", "nf_quadrature"):
-        getattr(library, name).restype = c_int64
-    library.nf_table_range.restype = c_double
+    for name in _RETURN_NUMBERS:
+        getattr(library, f"nf_{name}").restype = c_int64
     return library
 
 
@@ -240,26 +268,43 @@ def count_lanes() -> int:
 
 
 def simulate(problem: Problem, shapes: Shapes, first: int, lanes: int, memory: Floats | None = None) -> None:
-    """Insert the needles of the sets from `first` on, `lanes` (as `count_lanes`, or 1) of them."""
-    library = load_library()
+    """Insert the needles of the sets from `first` on, `lanes` (as `count_lanes`, or 1) of them.
+
+    Raises
+    ------
+    TypeError
+        If there are no such sets or lanes, or `shapes` or `memory` (`measure_memory`) are too small.
+    """
+    library, needed = load_library(), measure_memory(problem, lanes)
     if memory is None:
-        memory = make_memory(measure_memory(problem, lanes))
-    library.nf_simulate(byref(problem), c_int64(first), c_int64(lanes), _at(memory), byref(shapes))
+        memory = make_memory(needed)
+    check_array("memory", memory, float, (-1,))
+    fits = memory.nbytes >= needed and memory.ctypes.data % 64 == 0 and 0 <= first < problem.sets
+    if not fits or shapes.sets < problem.sets or shapes.columns != problem.columns:
+        raise TypeError(
+            f"set {first} of {problem.sets}, shapes of {shapes.sets}, {memory.nbytes} bytes to work in"
+        )
+    check_fault(
+        library.nf_simulate(byref(problem), c_int64(first), c_int64(lanes), _at(memory), byref(shapes))
+    )
 
 
 def measure_memory(problem: Problem, lanes: int) -> int:
     """Return the bytes that `simulate` needs to work in."""
+    if lanes not in (1, count_lanes()):
+        raise TypeError(f"{lanes} lanes; the kernel has {count_lanes()}, or 1")
     return int(load_library().nf_memory(byref(problem), c_int64(lanes)))
 
 
 def make_shapes(problem: Problem, points: int) -> Shapes:
     """Return room for the shapes of a problem, with so many constraint points behind the tip and under it."""
-    room = int(load_library().nf_room(byref(problem)))
-    return Shapes.make(problem.sets, room, points, problem.columns)
+    if not 0 <= points <= problem.max_points:
+        raise TypeError(f"{points} constraint points; the problem has {problem.max_points}")
+    return Shapes.make(problem.sets, problem.room, points, problem.columns)
 
 
 class SessionMemory:
-    """The state of one needle that goes on from step to step; each step reads one copy and writes the other."""
+    """The state of one needle from step to step; each step reads one copy and writes the other."""
 
     def __init__(self, problem: Problem) -> None:
         self._library, self._laws = load_library(), problem.arrays["law"]  # the state points to them
@@ -267,6 +312,7 @@ class SessionMemory:
         self._library.nf_session_memory(byref(problem), _at(self._sizes))
         self._fixed, self._now, self._scratch = (make_memory(int(size)) for size in self._sizes)
         self._next = make_memory(int(self._sizes[1]))
+        self._fits = problem
         self._library.nf_session_begin(byref(problem), _at(self._fixed), _at(self._now), _at(self._scratch))
         self._list_arguments()
 
@@ -275,11 +321,28 @@ class SessionMemory:
         self._at = [_at(part) for part in (self._fixed, self._now, self._next, self._scratch)]
 
     def advance(self, problem: Problem, shapes: Shapes) -> None:
-        """Go through the stops of the problem; the needle stays where it was until `accept`."""
+        """Go through the stops of the problem; the needle stays where it was until `accept`.
+
+        Raises
+        ------
+        TypeError
+            If a stop lies outside, or the problem is larger than the one that the session began with.
+        """
+        if problem is not self._fits:
+            self._check(problem)
         fixed, now, after, scratch = self._at
-        self._library.nf_session_advance(
+        fault = self._library.nf_session_advance(
             byref(problem), fixed, now, self._bytes, after, scratch, byref(shapes)
         )
+        if fault:
+            check_fault(fault)
+
+    def _check(self, problem: Problem) -> None:
+        sizes = np.zeros(3, np.int64)
+        self._library.nf_session_memory(byref(problem), _at(sizes))
+        if problem.sets != 1 or not np.array_equal(sizes, self._sizes):
+            raise TypeError("the problem has other sizes than the one that the session began with")
+        self._fits = problem
 
     def accept(self) -> None:
         """Let the needle stand where the last `advance` has brought it."""
@@ -290,7 +353,7 @@ class SessionMemory:
         """Return an independent copy."""
         other = object.__new__(SessionMemory)
         other._library, other._laws = self._library, self._laws
-        other._sizes, other._fixed = self._sizes, self._fixed  # these never change
+        other._sizes, other._fixed, other._fits = self._sizes, self._fixed, self._fits  # these never change
         other._now, other._next, other._scratch = (
             _copy(part) for part in (self._now, self._next, self._scratch)
         )
@@ -324,25 +387,36 @@ def find_equilibrium(
     x : (N,) array
     state : (N, 2) array
     status, passes : int
+
+    Raises
+    ------
+    TypeError
+        If an array is none that the kernel can read, or depths do not increase.
     """
-    library = load_library()
-    room = int(library.nf_room(byref(problem)))
+    library, room = load_library(), problem.room
     found, x, ended = np.zeros((room, 2)), np.empty(room), np.zeros(2, np.int64)
     if state is not None:
+        if len(state) > room:
+            raise TypeError(f"{len(state)} nodes; there is room for {room}")
         found[: len(state)] = state
     for name, array in (("depths", depths), ("y", y)):
         check_array(name, array, float, (len(depths),))
+    if target is not None:
+        check_array("target", target, float, (-1,))
     memory = make_memory(measure_memory(problem, 1))
+    targets = (c_int64(0), None) if target is None else (c_int64(len(target)), _at(target))
     count = library.nf_equilibrium(
-        byref(problem), c_int64(len(depths) - 1), _at(depths), _at(y), None if target is None else _at(target),
-        _at(found), _at(memory), _at(x), _at(ended),
+        byref(problem), c_int64(len(depths) - 1), _at(depths), _at(y), *targets, _at(found), _at(memory),
+        _at(x), _at(ended),
     )  # fmt: skip
+    if count < 0:
+        check_fault(BAD_POINTS)
     return x[:count].copy(), found[:count].copy(), int(ended[0]), int(ended[1])
 
 
 def list_quadrature(problem: Problem, nodes: Floats, depths: Floats) -> tuple[Floats, Floats, Ints, Ints]:
     """Return place, weight, layer and constraint point of the quadrature points, for nodes in the tissue."""
-    library, room = load_library(), 2 * (len(nodes) + problem.layers + 2 * len(depths) + 2)
+    library, room = load_library(), problem.max_quadrature
     x, weight, layer, near = (
         np.empty(room),
         np.empty(room),
@@ -356,6 +430,8 @@ def list_quadrature(problem: Problem, nodes: Floats, depths: Floats) -> tuple[Fl
         byref(problem), c_int64(len(nodes)), _at(nodes), c_int64(len(depths) - 1), _at(depths), _at(memory),
         *map(_at, (x, weight, layer, near)),
     )  # fmt: skip
+    if count < 0:
+        check_fault(BAD_POINTS)
     return x[:count], weight[:count], layer[:count], near[:count]
 
 
@@ -369,7 +445,14 @@ class _BentNeedle(ctypes.Structure):
 
 def _bend(shape: tuple[Floats, Floats, Floats, Floats]) -> tuple[_BentNeedle, list[Floats]]:
     kept = [np.ascontiguousarray(part, dtype=np.float64) for part in shape]
+    _check_shape(*kept[:3])
+    check_array("constraint points", kept[3], float, (max(len(kept[3]), 1), 2))
     return _BentNeedle(len(kept[0]), len(kept[3]) - 1, *(part.ctypes.data for part in kept)), kept
+
+
+def _check_shape(x: Floats, u: Floats, slope: Floats) -> None:
+    for name, array in (("x", x), ("u", u), ("slope", slope)):
+        check_array(name, array, float, (max(len(x), 2),))
 
 
 def compute_load(problem: Problem, shape: tuple[Floats, Floats, Floats, Floats], s: Floats) -> Floats:
@@ -388,17 +471,18 @@ def balance_nodes(
     """Return force and moment (N, 2) at each node that the load at the quadrature points leaves over."""
     needle, kept = _bend(shape)
     found, memory = np.empty((len(kept[0]), 2)), make_memory(measure_memory(problem, 1))
-    depths = np.ascontiguousarray(kept[3][:, 0])
-    load_library().nf_balance(
-        byref(problem), byref(needle), c_int64(front), _at(depths), _at(load), _at(memory), _at(found)
+    check_array("load", load, float, (-1,))
+    fault = load_library().nf_balance(
+        byref(problem), byref(needle), c_int64(front), c_int64(len(load)), *map(_at, (load, memory, found))
     )
+    check_fault(fault)
     return found
 
 
 def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     """Return the points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates (K,)."""
     library = load_library()
-    count, nodes = x.shape
+    count, nodes = len(x), max(x.shape[-1], 2)
     for name, array in (("x", x), ("u", u), ("slope", slope)):
         check_array(name, array, float, (count, nodes))
     check_array("s", s, float, (-1,))
@@ -410,6 +494,7 @@ def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
 def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     """Return the deflections u (K,) of the beam, mm, at beam coordinates: not the y of its points."""
     parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s)]
+    _check_shape(*parts[:3])
     found = np.empty(len(parts[3]))
     load_library().nf_deflections(c_int64(len(parts[0])), c_int64(len(found)), *map(_at, (*parts, found)))
     return found
@@ -420,7 +505,8 @@ def compute_position_derivatives(
 ) -> Floats:
     """Return the derivatives (K, 2, P) of a needle's points, from those of its nodes, (N, P) each."""
     parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
-    nodes, wanted, columns = len(parts[0]), len(parts[3]), parts[5].shape[1]
+    _check_shape(*parts[:3])
+    nodes, wanted, columns = len(parts[0]), len(parts[3]), parts[5].shape[-1]
     for name, array in zip(("x_by", "u_by", "slope_by"), parts[4:], strict=True):
         check_array(name, array, float, (nodes, columns))
     room, found = np.empty((nodes, 2, columns)), np.empty((wanted, 2, columns))
@@ -453,13 +539,16 @@ def evaluate_law(
         c_int64(terms), _at(numbers), None if by is None else _at(by), c_double(mu), c_double(thickness),
         c_int64(len(size)), _at(size), *map(_at, (*found, about)),
     )  # fmt: skip
-    return EvaluatedLaw(*found, float(about[0]), float(about[1]), about[2:])
+    k, tangent, by_shape = found
+    return EvaluatedLaw(k, tangent, by_shape, float(about[0]), float(about[1]), about[2:])
 
 
 def measure_table_range(table: Floats) -> float:
     """Return the compression up to which a polynomial serves for a law's table (see `law_form`)."""
     check_array("table", table, float, (2 + TABLE_PIECES * TABLE_TERMS,))
-    return float(load_library().nf_table_range(_at(table)))
+    found = np.empty(1)
+    load_library().nf_table_range(_at(table), _at(found))
+    return float(found[0])
 
 
 def _at(array: np.ndarray) -> c_void_p:

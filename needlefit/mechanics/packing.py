@@ -135,6 +135,7 @@ def pack_problem(
     sets: int = 1,
     values: Mapping[str, Floats] | None = None,
     columns: Columns | None = None,
+    **sizes: float,
 ) -> native.Problem:
     """Return an insertion as the kernel reads it.
 
@@ -147,6 +148,8 @@ def pack_problem(
         What differs between sets, by the names of `batch.Batch`: (sets,), or (sets, n) of layers.
     columns : Columns, optional
         Of the derivatives that are asked for.
+    **sizes : float
+        Fields of `native.Problem` that are to have other values than the insertion gives them.
 
     Raises
     ------
@@ -166,7 +169,7 @@ def pack_problem(
         base[i, :, 0] = values.get("base_y", one.base_y)
         base[i, :, 1] = values.get("base_slope", one.base_slope)
         base[i, :, 2] = one.stage_slope
-    sizes, arrays = pack_layers(tissue, sets, values)
+    of_layers, arrays = pack_layers(tissue, sets, values)
     before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
     rigidity = values.get("rigidity")
     arrays |= {
@@ -186,8 +189,9 @@ def pack_problem(
         arrays |= _pack_columns(columns, tissue, sets, values, controls, arrays["law"].shape) | {
             "turn_by": turn_by
         }
-    sizes |= {
+    counts = of_layers | {
         "sets": sets, "stop_count": len(packed.stops), "rays": packed.rays,
+        "bevels": len(bevels), "inputs": len(controls),
         "guides": max(len(one.guides) for one in controls), "columns": columns.total if columns else 0,
         "max_iterations": rules.max_iterations,
     }  # fmt: skip
@@ -196,7 +200,7 @@ def pack_problem(
         "element": rules.element, "part": rules.cut_switch, "tangent": rules.tangent,
         "tolerance": rules.tolerance, "deepest": max(step.depth for step in steps),
     }  # fmt: skip
-    return native.Problem.make(sizes | numbers, arrays)
+    return native.Problem.make(counts | numbers | sizes, arrays)
 
 
 def _pack_columns(

@@ -328,9 +328,10 @@ class Session:
         self._problem = self._pack((Step(self._deepest, self.last.bevel, controls),), packed)
 
     def _pack(self, steps: tuple[Step, ...], packed: PackedStops) -> native.Problem:
-        problem = pack_problem(self.needle, self.tissue, steps, self.lattice, self.rules, packed)
-        problem.rays, problem.guides = self._rays, self._guides
-        return problem
+        return pack_problem(
+            self.needle, self.tissue, steps, self.lattice, self.rules, packed,
+            rays=self._rays, guides=self._guides,
+        )  # fmt: skip
 
 
 @lru_cache(maxsize=4)  # the last paths alone: of a long one the plan takes megabytes

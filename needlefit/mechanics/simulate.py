@@ -113,13 +113,11 @@ def pack_equilibrium(
     spacing, depth = rules.spacing, float(depths[-1])
     stop = TipStop(depth, 1, False, 0, False, 0, 0)
     step = Step(max(depth, spacing), Bevel(), controls)
-    problem = pack_problem(needle, tissue, (step,), Lattice(spacing, spacing), rules, pack_plan([stop]))
-    if len(depths) > 1:
-        problem.first_cell = float(depths[1])
-    problem.deepest = (
-        max(len(depths) * spacing, depth) + problem.first_cell + 2 * spacing
-    )  # room for the points
-    return problem
+    first_cell = float(depths[1]) if len(depths) > 1 else spacing
+    return pack_problem(
+        needle, tissue, (step,), Lattice(spacing, spacing), rules, pack_plan([stop]),
+        first_cell=first_cell, deepest=max(len(depths) * spacing, depth) + first_cell + 2 * spacing,
+    )  # fmt: skip
 
 
 def read_shape(shapes: native.Shapes, depths: Floats, scales: Floats, i: int = 0) -> NeedleShape:

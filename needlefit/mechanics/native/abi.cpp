@@ -1,5 +1,7 @@
-// The C interface of the kernel: structures of pointers and counts, no state of its own, no memory of its own.
-#include "derivatives.hpp"
+// The C interface of the kernel: structures of pointers and counts, no state of its own, no memory of its own. What
+// computes begins with a `DefaultArithmetic`, and every NaN that it writes is canonical.
+#include "checks.hpp"
+#include "environment.hpp"
 #include "loads.hpp"
 #include "processor.hpp"
 #include "shape.hpp"
@@ -37,18 +39,18 @@ template <class Real>
 void write_shapes(const Insertion<Real>& insertion, const Shapes& out) {
     const Problem& problem = insertion.problem;
     Index front = insertion.front, count = insertion.progress->nodes;
-    double nan = __builtin_nan("");
     *out.nodes = front + count;
     for (int lane = 0; lane < Traits<Real>::lanes && insertion.set + lane < problem.sets; lane++) {
         Index set = insertion.set + lane;
-        auto lane_of = [&](const Real& value) { return get_lane(value, lane); };
+        auto lane_of = [&](const Real& value) { return canonical(get_lane(value, lane)); };
         bool good = lane_of(*insertion.status) == 0.0;
+        auto value = [&](const Real& number) { return good ? lane_of(number) : NOT_A_NUMBER; };
         out.status[set] = Index(lane_of(*insertion.status)), out.passes[set] = Index(lane_of(*insertion.passes));
         for (Index i = 0; i < front + count; i++) {
             const Node<Real>& node = i < front ? insertion.fronts[i] : insertion.states[insertion.progress->now][i - front];
             Index at = set * out.room + i;
             out.x[at] = i < front ? lane_of(insertion.front_x[i]) : insertion.nodes[i - front];
-            out.u[at] = good ? lane_of(node.u) : nan, out.slope[at] = good ? lane_of(node.slope) : nan;
+            out.u[at] = value(node.u), out.slope[at] = value(node.slope);
         }
         for (Index m = 0; m < out.points; m++) {
             Index at = set * out.points + m;
@@ -65,7 +67,7 @@ void write_derivatives(const Derivatives<Real>& derivatives, const Shapes& out) 
     for (int lane = 0; lane < Traits<Real>::lanes && insertion.set + lane < insertion.problem.sets; lane++) {
         Index set = insertion.set + lane;
         bool good = get_lane(*insertion.status, lane) == 0.0;
-        auto value = [&](const Real& number) { return good ? get_lane(number, lane) : __builtin_nan(""); };
+        auto value = [&](const Real& number) { return good ? canonical(get_lane(number, lane)) : NOT_A_NUMBER; };
         for (Index p = 0; p < columns; p++) {
             for (Index i = 0; i < count; i++) {
                 Index at = (set * out.room + i) * columns + p;
@@ -106,24 +108,41 @@ Index measure(const Problem& problem) {
     return lay_out(insertion, derivatives, nullptr);
 }
 
+inline Fault check_output(const Problem& problem, const Shapes& out) {
+    bool good = out.room >= Insertion<double>(problem).chain() && within(out.points, 0, problem.cells() + 1) &&
+                (problem.columns == 0 || out.u_by);
+    return good ? SOUND : BAD_OUTPUT;
+}
+
 EXPORT Index nf_abi_version() { return 1; }
 EXPORT Index nf_lanes() { return LANES; }
 EXPORT Index nf_processor_level() { return find_processor_level(); }
 
 // ---- many insertions ------------------------------------------------------------------------------------------------
 
-// Bytes that a block of `lanes` sets needs, aligned to 64; and room for the nodes of a chain.
+// What is wrong with a problem (0: nothing), and its sizes: nodes of a chain, constraint points, quadrature points.
+EXPORT Index nf_check(const Problem* problem, Index* sizes) {
+    DefaultArithmetic arithmetic;
+    if (Fault fault = check_problem(*problem)) return fault;
+    sizes[0] = Insertion<double>(*problem).chain(), sizes[1] = problem->cells() + 1, sizes[2] = problem->points();
+    return SOUND;
+}
+
+// Bytes that a block of `lanes` sets needs, aligned to 64.
 EXPORT Index nf_memory(const Problem* problem, Index lanes) {
+    DefaultArithmetic arithmetic;
     return lanes == 1 ? measure<double>(*problem) : measure<LanesOf<LANES>::Vector>(*problem);
 }
-EXPORT Index nf_room(const Problem* problem) { return Insertion<double>(*problem).chain(); }
 
-// Insert the needles of the sets from `first` on: so many as there are lanes, or one.
-EXPORT void nf_simulate(const Problem* problem, Index first, Index lanes, char* memory, const Shapes* out) {
+// Insert the needles of the sets from `first` on: so many as there are lanes, or one. Returns what is wrong.
+EXPORT Index nf_simulate(const Problem* problem, Index first, Index lanes, char* memory, const Shapes* out) {
+    DefaultArithmetic arithmetic;
+    if (Fault fault = check_output(*problem, *out)) return fault;
     if (lanes == 1)
         simulate<double>(*problem, first, memory, *out);
     else
         simulate<LanesOf<LANES>::Vector>(*problem, first, memory, *out);
+    return SOUND;
 }
 
 // ---- one needle, step by step ---------------------------------------------------------------------------------------
@@ -138,6 +157,7 @@ struct Session : Insertion<double> {
     }
 };
 EXPORT void nf_session_memory(const Problem* problem, Index* bytes) {
+    DefaultArithmetic arithmetic;
     Insertion<double> insertion(*problem);
     Arena arena{nullptr};
     insertion.lay_out_fixed(arena), bytes[0] = arena.at - static_cast<char*>(nullptr);
@@ -145,29 +165,41 @@ EXPORT void nf_session_memory(const Problem* problem, Index* bytes) {
     arena.at = nullptr, insertion.lay_out_scratch(arena), bytes[2] = arena.at - static_cast<char*>(nullptr);
 }
 EXPORT void nf_session_begin(const Problem* problem, char* fixed, char* state, char* scratch) {
+    DefaultArithmetic arithmetic;
     Session session(*problem, fixed, state, scratch);
     session.prepare(), session.begin();
 }
-// Go through the stops of the problem from the state `from` (bytes of it) to the state `to`.
-EXPORT void nf_session_advance(
+// Go through the stops of the problem from the state `from` (bytes of it) to the state `to`. Returns what is wrong.
+EXPORT Index nf_session_advance(
     const Problem* problem, char* fixed, const char* from, Index bytes, char* to, char* scratch, const Shapes* out
 ) {
+    DefaultArithmetic arithmetic;
+    if (Fault fault = check_stops(*problem)) return fault;
+    if (Fault fault = check_output(*problem, *out)) return fault;
     __builtin_memcpy(to, from, bytes);
     Session session(*problem, fixed, to, scratch);
     session.main.nodes = session.constants->nodes;
     for (Index s = 0; s < problem->stop_count; s++) session.advance(problem->stops[s]);
     write_shapes<double>(session, *out);
+    return SOUND;
 }
 
 // ---- one equilibrium ------------------------------------------------------------------------------------------------
 
+// Nodes in the tissue, which a grid of the problem has room for.
+inline bool are_nodes(const Problem& problem, const double* nodes, Index count) {
+    return within(count, 1, problem.nodes()) && increase(nodes, count);
+}
+
 // The equilibrium of a needle with its tip at `depths[cells]` against given constraint points (cells + 1), from the
 // guess `state` (room, 2), which the answer replaces; `x` receives the nodes. `target` (points of quadrature) takes the
-// place of the constraint points' y where it is not null. Returns the number of nodes.
+// place of the constraint points' y where it is not null. Returns the number of nodes, or -1 for points that are none.
 EXPORT Index nf_equilibrium(
-    const Problem* problem, Index cells, const double* depths, double* y, double* target, double* state, char* memory,
-    double* x, Index* status
+    const Problem* problem, Index cells, const double* depths, double* y, Index targets, double* target, double* state,
+    char* memory, double* x, Index* status
 ) {
+    DefaultArithmetic arithmetic;
+    if (check_depths(*problem, depths, cells)) return -1;
     Insertion<double> needle(*problem);
     Arena arena{memory};
     needle.lay_out_fixed(arena), needle.lay_out_state(arena), needle.lay_out_scratch(arena);
@@ -175,8 +207,10 @@ EXPORT Index nf_equilibrium(
     needle.make_grid(depths[cells], 0, cells, [&](Index m) { return depths[m]; });
     needle.hold(0, depths[cells]);
     needle.y = target ? target : y;
+    Index points = needle.grid->first[needle.grid->nodes];
+    if (target && targets != points) return -1;
     if (target)
-        for (Index q = 0; q < needle.grid->first[needle.grid->nodes]; q++) {
+        for (Index q = 0; q < points; q++) {
             Point& point = needle.own_grid.points[q];
             point.near = point.other = int(q), point.share = 0.0;
         }
@@ -190,16 +224,19 @@ EXPORT Index nf_equilibrium(
     }
     needle.constants->friction ? needle.equilibrate<true>(true) : needle.equilibrate<false>(true);
     for (Index i = 0; i < size; i++) state[2 * i] = node_at(i).u, state[2 * i + 1] = node_at(i).slope;
+    make_canonical(state, 2 * size);
     status[0] = Index(*needle.status), status[1] = Index(*needle.passes);
     return size;
 }
 
 // The quadrature of a needle as it stands: place, weight, layer and constraint point of each point, and the number of
-// points; `nodes` (N) are those in the tissue, `depths` (cells + 1).
+// points, -1 where nodes or points are none; `nodes` (N) are those in the tissue, `depths` (cells + 1).
 EXPORT Index nf_quadrature(
     const Problem* problem, Index count, const double* nodes, Index cells, const double* depths, char* memory,
     double* x, double* weight, Index* layer, Index* near
 ) {
+    DefaultArithmetic arithmetic;
+    if (check_depths(*problem, depths, cells) || !are_nodes(*problem, nodes, count)) return -1;
     Arena arena{memory};
     Grid grid = take_grid(arena, *problem);
     grid.nodes = count;
@@ -220,6 +257,7 @@ EXPORT Index nf_quadrature(
 EXPORT void nf_load(
     const Problem* problem, const BentNeedle* needle, Index wanted, const double* s, char* memory, double* out
 ) {
+    DefaultArithmetic arithmetic;
     Insertion<double> insertion(*problem);
     Arena arena{memory};
     insertion.lay_out_fixed(arena), insertion.prepare();
@@ -227,22 +265,30 @@ EXPORT void nf_load(
         Index layer = count_below(problem->boundaries, problem->layers - 1, s[k]);
         Index e = find_element(needle->x, needle->nodes, s[k]);
         double c = find_cut(*needle, s[k], problem->part);
-        out[k] = s[k] < 0.0 ? 0.0 : evaluate_load(*needle, insertion.layers[layer], e, s[k], c);
+        out[k] = s[k] < 0.0 ? 0.0 : canonical(evaluate_load(*needle, insertion.layers[layer], e, s[k], c));
     }
 }
 
-// Force and moment (nodes, 2) that hold a needle under the load (points of its quadrature).
-EXPORT void nf_balance(
-    const Problem* problem, const BentNeedle* needle, Index front, const double* depths, const double* load,
-    char* memory, double* out
+// Force and moment (nodes, 2) that hold a needle under the load (at the `points` of its quadrature), of which `front`
+// nodes stand before the tissue. Returns what is wrong.
+EXPORT Index nf_balance(
+    const Problem* problem, const BentNeedle* needle, Index front, Index points, const double* load, char* memory,
+    double* out
 ) {
+    DefaultArithmetic arithmetic;
+    if (!within(front, 1, needle->nodes - 1) || !are_nodes(*problem, needle->x + front, needle->nodes - front) ||
+        check_depths(*problem, needle->constraints, needle->cells, 2))
+        return BAD_POINTS;
     Arena arena{memory};
     Grid grid = take_grid(arena, *problem);
     grid.nodes = needle->nodes - front;
     for (Index i = 0; i < grid.nodes; i++) grid.x[i] = needle->x[front + i];
-    auto depth_of = [&](Index m) { return depths[m]; };
+    auto depth_of = [&](Index m) { return needle->depth(m); };
     place_points(grid, depth_of, needle->cells, problem->boundaries, problem->layers, problem->part);
+    if (grid.first[grid.nodes] != points) return BAD_POINTS;
     balance_nodes(*needle, grid, *problem->rigidity, load, out);
+    make_canonical(out, 2 * needle->nodes);
+    return SOUND;
 }
 
 // A layer's law at |e| (count) mm as the kernel evaluates it: k, d(k e)/de and, if `by` is not null, dk/dp of a shape
@@ -251,6 +297,7 @@ EXPORT void nf_law(
     Index terms, const double* law, const double* by, double mu, double thickness, Index count, const double* size,
     double* k, double* tangent, double* slope, double* about
 ) {
+    DefaultArithmetic arithmetic;
     Layer<double> layer;
     layer.law = {{law}, int(terms)};
     layer.mu = mu, layer.thickness = thickness, layer.friction = 0.0;
@@ -264,10 +311,15 @@ EXPORT void nf_law(
     }
     about[0] = layer.limit, about[1] = layer.curvature;
     for (int j = 0; j < SERIES_TERMS; j++) about[2 + j] = layer.series[j];
+    make_canonical(k, count), make_canonical(tangent, count), make_canonical(about, 2 + SERIES_TERMS);
+    if (by) make_canonical(slope, count);
 }
 
 // The compression up to which a polynomial serves for a table: what its second number has to be.
-EXPORT double nf_table_range(const double* table) { return measure_table_range(table); }
+EXPORT void nf_table_range(const double* table, double* range) {
+    DefaultArithmetic arithmetic;
+    *range = canonical(measure_table_range(table));
+}
 
 // The points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates s (K). `memory` has room for
 // 6 (N + 2) LANES numbers.
@@ -276,6 +328,7 @@ EXPORT void nf_positions(
     char* memory, double* out
 ) {
     using Lanes = LanesOf<LANES>::Vector;
+    DefaultArithmetic arithmetic;
     for (Index first = 0; first < needles;) {
         Index here = needles - first < LANES ? needles - first : LANES, at = first * count;
         for (Index i = 0; i < here * count; i++)
@@ -293,17 +346,19 @@ EXPORT void nf_positions(
             );
         first += here;
     }
+    make_canonical(out, needles * wanted * 2);
 }
 
 // The deflections (K) of a needle with nodes (N), which are not the y of its points.
 EXPORT void nf_deflections(
     Index count, Index wanted, const double* x, const double* u, const double* slope, const double* s, double* out
 ) {
+    DefaultArithmetic arithmetic;
     for (Index k = 0; k < wanted; k++) {
         Index e = find_element(x, count, s[k]);
         Hermite<double> shape(s[k] - x[e], x[e + 1] - x[e]);
         const double* n = shape.n;
-        out[k] = n[0] * u[e] + n[1] * slope[e] + n[2] * u[e + 1] + n[3] * slope[e + 1];
+        out[k] = canonical(n[0] * u[e] + n[1] * slope[e] + n[2] * u[e + 1] + n[3] * slope[e + 1]);
     }
 }
 
@@ -311,11 +366,14 @@ EXPORT void nf_position_derivatives(
     Index count, Index wanted, Index columns, const double* x, const double* u, const double* slope, const double* s,
     const double* x_by, const double* u_by, const double* slope_by, double* memory, double* out
 ) {
+    DefaultArithmetic arithmetic;
     compute_position_derivatives(count, wanted, columns, x, u, slope, s, x_by, u_by, slope_by, memory, out);
+    make_canonical(out, 2 * wanted * columns);
 }
 
 // Elementary functions, to be tested: 0 exponential, 1 logarithm, 2 ln(1 - x), 3 sine, 4 cosine; 5, 6 in lanes.
 EXPORT void nf_function(Index which, Index count, const double* x, double* out) {
+    DefaultArithmetic arithmetic;
     using Lanes = LanesOf<LANES>::Vector;
     for (Index i = 0; i < count; i++) {
         double sine = 0.0, cosine = 0.0;

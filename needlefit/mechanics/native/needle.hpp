@@ -22,7 +22,7 @@ struct Guide {
 
 // An insertion and its parameter sets, as Python hands them over. Arrays are in C order; S is `sets`.
 struct Problem {
-    Index sets, layers, shapes, terms, numbers, stop_count, rays, guides, columns, max_iterations;
+    Index sets, layers, shapes, terms, numbers, stop_count, bevels, inputs, rays, guides, columns, max_iterations;
     double length, first_cell, spacing, element, part, tangent, tolerance, deepest;
     const double* boundaries;  // (layers - 1) mm
     const Stop* stops;
@@ -53,7 +53,9 @@ struct Problem {
         return false;
     }
     // Room for the nodes in the tissue of any stop.
-    Index nodes() const { return Index(__builtin_ceil((cells() + 1) * spacing / element)) + guides + 4; }
+    Index nodes() const {
+        return Index(__builtin_ceil((first_cell + (cells() + 1) * spacing) / element)) + guides + 4;
+    }
     Index points() const { return Grid::count_points(nodes(), layers, cells()); }
     const Guide* first_before(Index inputs) const { return before + before_first[inputs]; }
     const Guide* first_within(Index inputs) const { return within + within_first[inputs]; }
@@ -222,7 +224,7 @@ struct Insertion {
         bool path_angle = problem.part == LINEAR_CUT;
         if (stop.flags & STARTS_RAY) {
             Ray<Real>& ray = rays[stop.ray];
-            const Node<Real>& tip = state()[progress->nodes - 1];
+            const Node<Real> tip = progress->nodes > 0 ? state()[progress->nodes - 1] : Node<Real>();
             ray = {tip.u, problem.tangent * tip.slope, gather(problem.turn + stop.bevel * problem.sets),
                    all_lanes<Real>(progress->tip)};
             if (path_angle) {
@@ -251,7 +253,7 @@ struct Insertion {
     void choose_grid(const Stop& stop) {
         if ((stop.flags & PERMANENT) && stop.cell > 0 && problem.count_within(stop.inputs) == 0) {
             grid = &main;
-            last = count_below(main.x, main.nodes, stop.tip - SAME_DEPTH_MM);
+            last = count_below(main.x, main.nodes - 1, stop.tip - SAME_DEPTH_MM);
             return;
         }
         Lattice lattice = problem.lattice();
