@@ -66,6 +66,7 @@ def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
             stop.tip, stop.cell, max(stop.ray, 0), bevels.index(stop.bevel_id),
             controls.index(stop.controls_id), find_flags(stop),
         )  # fmt: skip
+    packed.flags.writeable = False  # kept for the next insertion of the same steps
     return PackedStops(packed, bevels, controls, stops[-1], 1 + max(0, *(stop.ray for stop in stops)))
 
 

@@ -44,7 +44,7 @@ inline Fault check_problem(const Problem& p) {
     bool sizes = p.sets > 0 && within(p.layers, 1, MAX_COUNT) && within(p.shapes, 0, MAX_SHAPES) &&
                  within(p.terms, 0, MAX_COUNT) && p.numbers == (p.terms > 0 ? 2 * p.terms : TABLE_NUMBERS) &&
                  p.stop_count > 0 && within(p.rays, 1, MAX_COUNT) && within(p.guides, 0, MAX_COUNT) &&
-                 within(p.columns, 0, MAX_COUNT) && p.bevels > 0 && p.inputs > 0;
+                 within(p.columns, 0, MAX_COUNT) && within(p.max_iterations, 0, MAX_COUNT) && p.bevels > 0 && p.inputs > 0;
     if (!sizes) return BAD_SIZE;
     bool mesh = p.element > 0.0 && p.spacing >= 0.5 * p.element && p.first_cell > 0.0 && p.deepest >= 0.0 &&
                 (p.deepest + p.first_cell + 2.0 * p.spacing) / p.element < MAX_COUNT && is_finite(p.length) &&

@@ -1,0 +1,314 @@
+"""The native kernel beneath the model: its functions, its bytes, and what it does with wrong arrays."""
+
+import ctypes
+import shutil
+import subprocess
+from collections.abc import Callable
+
+import mpmath
+import numpy as np
+import pytest
+from native_cases import compute, make_problem, read_numbers, to_bytes
+
+from needlefit.mechanics import native
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.packing import pack_problem, plan_insertion
+from needlefit.mechanics.simulate import pack_equilibrium
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
+CANONICAL_NAN = 0x7FF8000000000000
+
+
+# ---- elementary functions
+
+
+def evaluate(which: int, x: np.ndarray) -> np.ndarray:
+    found = np.empty_like(x)
+    native.load_library().nf_function(
+        ctypes.c_int64(which), ctypes.c_int64(len(x)), native._at(x), native._at(found)
+    )
+    return found
+
+
+def spread(low: float, high: float, count: int = 4000) -> np.ndarray:
+    return np.random.default_rng(0).uniform(low, high, count)
+
+
+def near(at: float) -> np.ndarray:
+    """Return numbers on both sides of a place, to the last digit."""
+    away = 10 ** np.random.default_rng(1).uniform(-15, -1, 500)
+    return np.concatenate((at + away, at - away))
+
+
+@pytest.mark.parametrize(
+    ("which", "exact", "x", "ulp"),
+    [
+        (0, mpmath.exp, np.concatenate((spread(-708, 709.7), spread(-2, 2), near(0.0))), 1.0),
+        (1, mpmath.log, np.concatenate((10 ** spread(-300, 300), spread(0.5, 2), near(1.0))), 1.0),
+        (2, lambda x: mpmath.log1p(-x), np.concatenate((spread(0, 0.99), near(0.0), near(0.25))), 2.5),
+        (3, mpmath.sin, np.concatenate((spread(-1, 1), spread(-100, 100), near(0.0), near(np.pi))), 1.5),
+        (4, mpmath.cos, np.concatenate((spread(-1, 1), spread(-100, 100), near(0.0), near(np.pi / 2))), 1.5),
+        (3, mpmath.sin, spread(-1e5, 1e5), 2.5),
+        (4, mpmath.cos, spread(-1e5, 1e5), 2.5),
+    ],
+)
+def test_functions_are_exact_to_units_in_the_last_place(which, exact, x, ulp) -> None:
+    found = evaluate(which, x)
+    with mpmath.workprec(200):
+        true = [exact(mpmath.mpf(value)) for value in x.tolist()]
+        errors = [
+            abs(mpmath.mpf(value) - expected) / float(np.spacing(abs(float(expected))))
+            for value, expected in zip(found.tolist(), true, strict=True)
+        ]
+    assert max(errors) < ulp
+
+
+def test_functions_at_the_ends_of_their_range() -> None:
+    x = np.array([-np.inf, -746.0, 0.0, 710.0, np.inf, np.nan])
+    np.testing.assert_array_equal(evaluate(0, x), [0.0, 0.0, 1.0, np.inf, np.inf, np.nan])
+    x = np.array([-1.0, 0.0, 1.0, np.inf, np.nan])
+    np.testing.assert_array_equal(evaluate(1, x), [np.nan, -np.inf, 0.0, np.inf, np.nan])
+
+
+def test_lanes_have_the_sine_and_cosine_of_one_number() -> None:
+    x = np.concatenate((spread(-1, 1), spread(-1e5, 1e5)))
+    for one, lane in ((3, 5), (4, 6)):
+        assert evaluate(one, x).tobytes() == evaluate(lane, x).tobytes()
+
+
+# ---- the same bytes
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_set_is_the_same_alone_and_in_lanes(seed: int) -> None:
+    problem = make_problem(np.random.default_rng(seed))
+    assert to_bytes(compute(problem)) == to_bytes(compute(problem, 1))
+
+
+def list_nans(arrays: dict[str, np.ndarray]) -> list[int]:
+    floats = [array for array in arrays.values() if array.dtype == np.float64]
+    return [int(bits) for array in floats for bits in array[np.isnan(array)].view(np.uint64)]
+
+
+def test_failed_sets_have_canonical_nans() -> None:
+    steps = (Step(14.0, Bevel(0.1), Controls(base_y=0.3)),)
+    lattice, packed = plan_insertion(steps, NEEDLE.length, ModelOptions())
+    mu = np.full((8, 2), 0.2)
+    mu[1], mu[3], mu[5], mu[6] = np.nan, -np.nan, np.inf, -1.0
+    problem = pack_problem(NEEDLE, TISSUE, steps, lattice, ModelOptions(), packed, sets=8, values={"mu": mu})
+    arrays = compute(problem)
+    assert set(np.flatnonzero(arrays["status"])) >= {1, 3, 5}
+    assert np.isnan(arrays["u"][1]).all() or np.isnan(arrays["u"][1, : int(arrays["nodes"][0])]).all()
+    assert set(list_nans(arrays)) == {CANONICAL_NAN}
+
+
+def test_what_is_computed_of_nans_is_canonical() -> None:
+    x = np.linspace(-10.0, 10.0, 5)
+    u, slope, s = (np.array([v] * 5) for v in (-np.nan, np.inf, 3.0))
+    positions = native.compute_positions(x[None], u[None], slope[None], s)
+    deflections = native.compute_deflections(x, u, slope, s)
+    assert set(list_nans({"p": positions, "d": deflections})) == {CANONICAL_NAN}
+
+
+STATE = """
+extern "C" {
+#if defined(__x86_64__)
+unsigned long read_state() { return __builtin_ia32_stmxcsr(); }
+void write_state(unsigned long state) { __builtin_ia32_ldmxcsr(state); }
+unsigned long foreign_state() { return 0x1f80 | 0x8040 | 0x4000; }  // subnormals are 0, rounding up
+#elif defined(__aarch64__)
+unsigned long read_state() { unsigned long state; asm volatile("mrs %0, fpcr" : "=r"(state)); return state; }
+void write_state(unsigned long state) { asm volatile("msr fpcr, %0" : : "r"(state)); }
+unsigned long foreign_state() { return 1ul << 24 | 1ul << 22; }
+#endif
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def in_foreign_state(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Callable[[], None]], None]:
+    """Return what calls a function in a state of the arithmetic unit that another library has left behind."""
+    if shutil.which("g++") is None:
+        pytest.skip("no g++ to set the state with")
+    source, library = (tmp_path_factory.mktemp("state") / name for name in ("state.cpp", "state.so"))
+    source.write_text(STATE)
+    subprocess.run(["g++", "-shared", "-fPIC", str(source), "-o", str(library)], check=True)
+    state = ctypes.CDLL(str(library))
+    state.read_state.restype = state.foreign_state.restype = ctypes.c_ulong
+    foreign = state.foreign_state()
+
+    def call(function: Callable[[], None]) -> None:
+        before = state.read_state()
+        state.write_state(ctypes.c_ulong(foreign))
+        try:
+            function()
+        finally:
+            after = state.read_state()
+            state.write_state(ctypes.c_ulong(before))
+        assert after & foreign == foreign
+
+    return call
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_bytes_do_not_depend_on_the_state_of_the_arithmetic_unit(seed: int, in_foreign_state) -> None:
+    problem = make_problem(np.random.default_rng(seed))
+    expected, found = to_bytes(compute(problem)), {}
+    in_foreign_state(lambda: found.update(to_bytes(compute(problem))))
+    assert found == expected
+    x = spread(-3, 3, 50)
+    expected, found = {"sine": evaluate(3, x).tobytes()}, {}
+    in_foreign_state(lambda: found.update({"sine": evaluate(3, x).tobytes()}))
+    assert found == expected
+
+
+# ---- wrong arrays
+
+COUNTS = [-1, 0, 1, 2, 3, 9, 1000, 2**24, 2**31, 2**40, 2**63 - 1, -(2**63)]
+NUMBERS = [np.nan, np.inf, -np.inf, 0.0, -0.0, -1.0, 1e-320, 1e-9, 0.3, 0.5, 1.0, 7.0, 1e9, 1e300]
+
+
+def damage(rng: np.random.Generator, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+    """Change one thing of a problem."""
+    kind, name = rng.integers(6), str(rng.choice(sorted(arrays)))
+    array = arrays[name].copy()
+    if kind == 0:
+        size = str(rng.choice(native._SIZES))
+        numbers[size] = (
+            int(rng.choice(COUNTS)) if rng.random() < 0.7 else numbers[size] + int(rng.integers(-2, 3))
+        )
+    elif kind == 1:
+        number = str(rng.choice(native._NUMBERS))
+        numbers[number] = float(rng.choice(NUMBERS)) * (1.0 if rng.random() < 0.7 else numbers[number])
+    elif kind == 2:
+        wrong = [array[:-1], np.concatenate((array, array)), array[..., None], array[::-1], array.astype("f4")
+                 if array.dtype.fields is None else array["tip"], np.zeros(0)]  # fmt: skip
+        arrays[name] = wrong[rng.integers(len(wrong))]
+    elif kind == 3:
+        del arrays[name]
+    elif array.size:
+        field = array[str(rng.choice(array.dtype.names))] if array.dtype.names else array
+        values = NUMBERS if field.dtype == np.float64 else COUNTS
+        at = tuple(rng.integers(field.shape))
+        field[at] = rng.choice(values) if rng.random() < 0.6 else field[at] + rng.integers(-2, 3)
+        arrays[name] = array
+
+
+def use(rng: np.random.Generator, problem: native.Problem) -> None:
+    """Call the kernel with whatever has been accepted."""
+    compute(problem, int(rng.choice([1, native.count_lanes()])))
+    if problem.sets == 1:
+        session = native.SessionMemory(problem)
+        shapes = native.make_shapes(problem, int(rng.choice([1, problem.max_points])))
+        for name in ("cell", "ray", "flags", "tip", "inputs", "bevel"):
+            stops = problem.arrays["stops"]
+            stops[name][rng.integers(len(stops))] = rng.choice([-1, 0, 1, 3, 7, 30, 10**9])
+            try:
+                session.advance(problem, shapes)
+            except TypeError:
+                continue
+            session.accept()
+
+
+def run_fuzz(seed: int) -> bool:
+    """Return whether a damaged problem was accepted; what is not must be a TypeError."""
+    rng = np.random.default_rng(seed)
+    problem = make_problem(rng)
+    numbers, arrays = read_numbers(problem), dict(problem.arrays)
+    for _ in range(rng.integers(1, 4)):
+        damage(rng, numbers, arrays)
+    arrays["stops"] = arrays.get("stops", problem.arrays["stops"]).copy()
+    limits = {"max_iterations": 1000, "deepest": 1e4, "rays": 1e4, "columns": 1e3, "guides": 1e3}
+    if any(numbers[name] > limit for name, limit in limits.items()) or numbers["element"] < 1e-3:
+        numbers["stop_count"] = 0  # would only take long, or fill the memory
+    try:
+        use(rng, native.Problem.make(numbers, arrays))
+    except TypeError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("part", range(8))
+def test_damaged_problems_are_errors(part: int) -> None:
+    accepted = [run_fuzz(seed) for seed in range(100 * part, 100 * part + 100)]
+    assert 10 < sum(accepted) < 90
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_damaged_arguments_of_the_other_functions_are_errors(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    depths = np.arange(12.0)
+    problem = pack_equilibrium(NEEDLE, TISSUE, depths, Controls(), ModelOptions())
+    x, nodes = np.concatenate(([-138.0], depths)), depths.copy()
+    points, *_ = native.list_quadrature(problem, nodes, depths)
+    calls: list[tuple[Callable[..., object], list[np.ndarray]]] = [
+        (lambda d, y: native.find_equilibrium(problem, d, y), [depths, 0.1 * depths]),
+        (lambda d, y, s: native.find_equilibrium(problem, d, y, s), [depths, depths, np.zeros((13, 2))]),
+        (lambda d, y, c: native.find_equilibrium(problem, d, y, None, c), [depths, depths, 0 * points]),
+        (lambda n, d: native.list_quadrature(problem, n, d), [nodes, depths]),
+        (lambda a, u, t, p, s: native.compute_load(problem, (a, u, t, p), s),
+         [x, 0 * x, 0 * x, np.zeros((12, 2)), depths]),
+        (lambda a, u, t, p, q: native.balance_nodes(problem, (a, u, t, p), int(rng.integers(-2, 16)), q),
+         [x, 0 * x, 0 * x, np.column_stack((depths, depths)), 0 * points]),
+        (native.compute_positions, [x[None], x[None], x[None], depths]),
+        (native.compute_deflections, [x, x, x, depths]),
+        (native.compute_position_derivatives, [x, x, x, depths, *np.zeros((3, 13, 2))]),
+        (lambda n, e: native.evaluate_law(n, int(rng.integers(-1, 4)), 1.0, 9.0, e), [np.ones(4), depths]),
+        (native.measure_table_range, [np.ones(2 + native.TABLE_PIECES * native.TABLE_TERMS)]),
+    ]  # fmt: skip
+    refused = 0
+    for function, arguments in calls:
+        for _ in range(12):
+            changed = [one.copy() for one in arguments]
+            at = rng.integers(len(changed))
+            one = changed[at]
+            kind = rng.integers(4)
+            if kind == 0:
+                one.flat[rng.integers(one.size)] = rng.choice(NUMBERS)
+            else:
+                changed[at] = [one[:-1], np.concatenate((one, one)), one[:0]][kind - 1].copy()
+            try:
+                function(*changed)
+            except TypeError:
+                refused += 1
+    assert refused > 50
+
+
+def test_a_session_refuses_what_it_has_no_room_for() -> None:
+    def pack(depth: float) -> native.Problem:
+        steps = (Step(depth, Bevel(0.1)),)
+        lattice, packed = plan_insertion(steps, NEEDLE.length, ModelOptions())
+        return pack_problem(NEEDLE, TISSUE, steps, lattice, ModelOptions(), packed)
+
+    small, large = pack(10.0), pack(20.0)
+    session = native.SessionMemory(small)
+    for problem, shapes in (
+        (large, native.make_shapes(large, 21)),
+        (small, native.Shapes.make(1, 3, 11)),
+        (small, native.Shapes.make(1, small.room, 12)),
+    ):
+        with pytest.raises(TypeError):
+            session.advance(problem, shapes)
+    session.advance(small, native.make_shapes(small, 11))
+
+
+def test_simulate_refuses_sets_shapes_and_memory_that_are_none() -> None:
+    problem = make_problem(np.random.default_rng(0))
+    shapes, lanes = native.make_shapes(problem, 1), native.count_lanes()
+    memory = native.make_memory(native.measure_memory(problem, lanes))
+    wrong = [
+        (shapes, problem.sets, lanes, memory),
+        (shapes, -1, lanes, memory),
+        (shapes, 0, 3, memory),
+        (shapes, 0, lanes, memory[16:]),
+        (shapes, 0, lanes, memory[1:]),
+        (native.Shapes.make(problem.sets, problem.room - 1, 1, problem.columns), 0, lanes, memory),
+        (native.Shapes.make(problem.sets, problem.room, 1, problem.columns + 1), 0, lanes, memory),
+        (native.Shapes.make(0, problem.room, 1, problem.columns), 0, lanes, memory),
+    ]
+    for arguments in wrong:
+        with pytest.raises(TypeError):
+            native.simulate(problem, *arguments)
