@@ -29,7 +29,7 @@ struct Shapes {
 
 template <class Real>
 Index lay_out(Insertion<Real>& insertion, Derivatives<Real>& derivatives, char* memory) {
-    Arena arena{memory};
+    Arena arena{memory, memory != nullptr};
     insertion.lay_out_fixed(arena), insertion.lay_out_state(arena), insertion.lay_out_scratch(arena);
     if (insertion.problem.columns > 0) derivatives.lay_out(arena);
     return arena.at - memory;
@@ -201,7 +201,7 @@ EXPORT Index nf_equilibrium(
     DefaultArithmetic arithmetic;
     if (check_depths(*problem, depths, cells)) return -1;
     Insertion<double> needle(*problem);
-    Arena arena{memory};
+    Arena arena{memory, true};
     needle.lay_out_fixed(arena), needle.lay_out_state(arena), needle.lay_out_scratch(arena);
     needle.prepare(), needle.begin();
     needle.make_grid(depths[cells], 0, cells, [&](Index m) { return depths[m]; });
@@ -237,7 +237,7 @@ EXPORT Index nf_quadrature(
 ) {
     DefaultArithmetic arithmetic;
     if (check_depths(*problem, depths, cells) || !are_nodes(*problem, nodes, count)) return -1;
-    Arena arena{memory};
+    Arena arena{memory, true};
     Grid grid = take_grid(arena, *problem);
     grid.nodes = count;
     for (Index i = 0; i < count; i++) grid.x[i] = nodes[i];
@@ -279,7 +279,7 @@ EXPORT Index nf_balance(
     if (!within(front, 1, needle->nodes - 1) || !are_nodes(*problem, needle->x + front, needle->nodes - front) ||
         check_depths(*problem, needle->constraints, needle->cells, 2))
         return BAD_POINTS;
-    Arena arena{memory};
+    Arena arena{memory, true};
     Grid grid = take_grid(arena, *problem);
     grid.nodes = needle->nodes - front;
     for (Index i = 0; i < grid.nodes; i++) grid.x[i] = needle->x[front + i];

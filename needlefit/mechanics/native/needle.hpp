@@ -63,15 +63,28 @@ struct Problem {
     Index count_within(Index inputs) const { return within_first[inputs + 1] - within_first[inputs]; }
 };
 
-// Memory that the caller owns, handed out piece by piece; from null it only counts.
+#ifdef __SANITIZE_ADDRESS__
+extern "C" void __asan_poison_memory_region(const volatile void*, unsigned long);
+extern "C" void __asan_unpoison_memory_region(const volatile void*, unsigned long);
+constexpr Index GAP = 64;
+#endif
+
+// Memory that the caller owns, handed out piece by piece; from null it only counts. Under AddressSanitizer there is a gap
+// behind each piece, which nothing may touch if the arena is `guarded`: its memory must then not be copied as a whole.
 struct Arena {
     char* at;
+    bool guarded = false;
 
     template <class T>
     T* take(Index count) {
         at = reinterpret_cast<char*>((reinterpret_cast<unsigned long long>(at) + 63) / 64 * 64);
         T* found = reinterpret_cast<T*>(at);
         at += count * Index(sizeof(T));
+#ifdef __SANITIZE_ADDRESS__
+        if (guarded) __asan_unpoison_memory_region(found, at - reinterpret_cast<char*>(found));
+        if (guarded) __asan_poison_memory_region(at, GAP);
+        at += GAP;
+#endif
         return found;
     }
 };
