@@ -1,9 +1,9 @@
-"""Build the C++ kernel while pip builds the package, by the compiler of the wheel `ziglang`, which needs no other one.
+"""Build the C++ kernel while pip builds the package, by the compiler of the wheel `ziglang`.
 
-`NEEDLEFIT_CXX` names a system compiler instead; what that builds does not promise the same bytes. `NEEDLEFIT_TARGET`
-builds for another platform, one of `TARGETS`: the wheels of all of them are
+`NEEDLEFIT_CXX` names a system compiler instead; what that builds does not promise the same bytes.
+`NEEDLEFIT_TARGET` builds for another platform, one of `TARGETS`. All wheels are built on any platform by
 
-    for target in x86_64-linux-gnu aarch64-linux-gnu ...; do NEEDLEFIT_TARGET=$target python -m build --wheel; done
+    pip install hatchling ziglang==0.17.1 && python hatch_build.py dist
 """
 
 import hashlib
@@ -12,6 +12,7 @@ import json
 import os
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -39,7 +40,9 @@ FLAGS = [
 
 ZIG_FLAGS = ["-x", "c++", "-nostdinc++", "-fno-sanitize=undefined"]
 SHARED = ["-shared", "-fPIC"]
-WASM = "-target wasm32-freestanding -mcpu=generic+simd128+bulk_memory -nostdlib -Wl,--no-entry -Wl,--export-dynamic"
+WASM = (
+    "-target wasm32-freestanding -mcpu=generic+simd128+bulk_memory -nostdlib -Wl,--no-entry,--export-dynamic"
+)
 X86_LEVELS = ("2", "3", "4")
 
 TARGETS = {
@@ -64,7 +67,7 @@ def find_target() -> str:
     system = {"Linux": f"linux-{libc}", "Darwin": "macos", "Windows": "windows"}.get(platform.system(), "")
     target = asked or f"{machine}-{system}"
     if target not in TARGETS and not os.environ.get("NEEDLEFIT_CXX"):
-        sys.exit(f"needlefit: no compiler is at hand for {target}; set NEEDLEFIT_CXX to a C++20 compiler")
+        sys.exit(f"needlefit: {COMPILER} has no {target}; set NEEDLEFIT_CXX to a C++20 compiler")
     return target
 
 
@@ -112,31 +115,30 @@ def list_commands(folder: Path, target: str) -> dict[str, list[str]]:
 
 
 def build(folder: Path) -> None:
-    """Build the libraries of a platform in the folder of their sources."""
-    target, files = find_target(), {}
-    if "NEEDLEFIT_CXX" not in os.environ and importlib.util.find_spec("ziglang") is None:
+    """Build the libraries of a platform beside their sources; until all are built nothing changes."""
+    if not os.environ.get("NEEDLEFIT_CXX") and importlib.util.find_spec("ziglang") is None:
         sys.exit(
-            f"needlefit: the kernel needs the package {COMPILER}, or a C++20 compiler named by NEEDLEFIT_CXX"
+            f"needlefit: install {COMPILER}, or set NEEDLEFIT_CXX to a C++20 compiler, to build the kernel"
         )
-    for old in folder.glob("kernel*.*"):
-        old.unlink()
-    with tempfile.TemporaryDirectory() as cache:
-        environment = os.environ | {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache}
-        for name, command in list_commands(folder, target).items():
+    made_from = describe_build(folder)
+    with tempfile.TemporaryDirectory() as place:
+        caches = {name: str(Path(place, "cache")) for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")}
+        commands = list_commands(folder, made_from["target"])
+        libraries = {name: Path(place, name) for name in commands}
+        for name, command in commands.items():
             made = subprocess.run(
-                [*command, str(folder / "abi.cpp"), "-o", str(folder / name)],
-                env=environment, capture_output=True, text=True, check=False,
+                [*command, str(folder / "abi.cpp"), "-o", str(libraries[name])],
+                env=os.environ | caches, capture_output=True, text=True, check=False,
             )  # fmt: skip
             if made.returncode != 0:
-                sys.exit(
-                    f"needlefit: the kernel could not be compiled by {' '.join(command[:4])}\n{made.stderr}"
-                )
-            files[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-    for beside in (*folder.glob("*.lib"), *folder.glob("*.pdb")):  # what a linker of Windows leaves
-        beside.unlink()
-    (folder / INDEX).write_text(
-        json.dumps({"made_from": describe_build(folder), "files": files}, indent=2) + "\n"
-    )
+                compiler = " ".join(command[:4])
+                sys.exit(f"needlefit: the kernel could not be compiled by {compiler}\n{made.stderr}")
+        for old in folder.glob("kernel*"):
+            old.unlink()
+        for name, library in libraries.items():
+            shutil.copy(library, folder / name)
+    files = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in libraries}
+    (folder / INDEX).write_text(json.dumps({"made_from": made_from, "files": files}, indent=2) + "\n")
 
 
 class KernelHook(BuildHookInterface[Any]):
@@ -160,3 +162,14 @@ class KernelHook(BuildHookInterface[Any]):
             build_data["tag"] = f"py3-none-{TARGETS[target][1]}"
         else:
             build_data["infer_tag"] = True
+
+
+def build_wheels(out: str) -> None:
+    """Build the wheels of all platforms; last that of this one, whose libraries stay beside the sources."""
+    for target in sorted(TARGETS, key=lambda target: target == find_target()):
+        command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", out]
+        subprocess.run(command, env=os.environ | {"NEEDLEFIT_TARGET": target}, check=True)
+
+
+if __name__ == "__main__":
+    build_wheels(*sys.argv[1:])

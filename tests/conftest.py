@@ -52,16 +52,24 @@ def find_sweep_part() -> int:
     return int(commit, 16) % SWEEP_PARTS
 
 
+def _is_asked_for(config: pytest.Config, mark: str) -> bool:
+    return mark in config.option.markexpr or any("::" in one for one in config.args)
+
+
 def _choose_sweep_part(config: pytest.Config) -> int | None:
     """Return the part of the sweeps that is run; None for all of them."""
-    if "sweep" in config.option.markexpr or any("::" in one for one in config.args):
+    if _is_asked_for(config, "sweep"):
         return None
     given = config.getoption("--sweep-part")
     return find_sweep_part() if given is None else given % SWEEP_PARTS
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep every sixteenth of the tests in sweeps, so that each long one has its share."""
+    """Keep every sixteenth of the tests in sweeps, so each long one has its share, and none on demand."""
+    if not _is_asked_for(config, "on_demand"):
+        on_demand = [one for one in items if one.get_closest_marker("on_demand")]
+        config.hook.pytest_deselected(items=on_demand)
+        items[:] = [one for one in items if one not in on_demand]
     part = _choose_sweep_part(config)
     if part is not None:
         sweeps = [one for one in items if one.get_closest_marker("sweep")]

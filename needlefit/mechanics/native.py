@@ -255,6 +255,8 @@ def _load_own() -> ctypes.CDLL:
         raise NeedlefitError("the sources of the kernel are newer than its library", fix=_FIX)
     suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
     names = sorted(name for name in contents if name.endswith(suffix))
+    if not names:
+        raise NeedlefitError(f"the library of the kernel is for {index['made_from']['target']}", fix=_FIX)
     library = ctypes.CDLL(str(FOLDER / names[0]))  # of several the one that every processor runs
     if len(names) > 1:
         level = library.nf_processor_level()
