@@ -11,7 +11,7 @@ from mechanics_cases import random_needle, random_rules, random_steps, random_ti
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, list_rays
+from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate, simulate_steps
@@ -263,5 +263,5 @@ def test_a_long_session_keeps_its_size_and_accuracy() -> None:
         assert shape.converged and np.abs(shape.u).max() < 10
         assert shape.depth == pytest.approx(under_way.depth, abs=1e-9)
     remembered = len(under_way._bevels._numbers) + len(under_way._controls._numbers)
-    assert remembered < 1500 and len(list_rays(under_way._position)) < 200
+    assert remembered < 1500 and len(under_way._memory.list_rays()[0]) < 200
     assert under_way._rays < 1000

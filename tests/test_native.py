@@ -202,13 +202,10 @@ def use(rng: np.random.Generator, problem: native.Problem) -> None:
     compute(problem, int(rng.choice([1, native.count_lanes()])))
     if problem.sets == 1:
         session = native.SessionMemory(problem)
-        shapes = native.make_shapes(problem, int(rng.choice([1, problem.max_points])))
-        for name in ("cell", "ray", "flags", "tip", "inputs", "bevel"):
-            stops = problem.arrays["stops"]
-            stops[name][rng.integers(len(stops))] = rng.choice([-1, 0, 1, 3, 7, 30, 10**9])
+        for depth in rng.choice([*NUMBERS, *rng.uniform(0.0, problem.deepest, 4)], 6):
             try:
-                session.advance(problem, shapes)
-            except TypeError:
+                session.advance(problem, float(depth), int(rng.integers(2)), int(rng.integers(2)))
+            except (TypeError, native.RayRoomError):
                 continue
             session.accept()
 
@@ -285,14 +282,14 @@ def test_a_session_refuses_what_it_has_no_room_for() -> None:
 
     small, large = pack(10.0), pack(20.0)
     session = native.SessionMemory(small)
-    for problem, shapes in (
-        (large, native.make_shapes(large, 21)),
-        (small, native.Shapes.make(1, 3, 11)),
-        (small, native.Shapes.make(1, small.room, 12)),
-    ):
+    for problem, depth in ((large, 5.0), (small, 10.1), (small, -1.0), (small, np.nan)):
         with pytest.raises(TypeError):
-            session.advance(problem, shapes)
-    session.advance(small, native.make_shapes(small, 11))
+            session.advance(problem, depth, 0, 0)
+    assert session.advance(small, 10.0, 0, 0) == (11, 11)
+    with pytest.raises(native.RayRoomError, match="11"):  # the problem has room for ten
+        session.advance(small, 9.5, 1, 0)
+        session.accept()
+        session.advance(small, 10.0, 1, 0)
 
 
 def test_simulate_refuses_sets_shapes_and_memory_that_are_none() -> None:

@@ -100,7 +100,7 @@ BAD_POINTS = 7
 
 
 _RETURN_NUMBERS = (
-    "lanes", "check", "memory", "simulate", "session_advance", "equilibrium", "quadrature", "balance",
+    "lanes", "check", "memory", "simulate", "session_advance", "session_rays", "equilibrium", "quadrature", "balance",
 )  # fmt: skip
 
 
@@ -194,13 +194,15 @@ class Shapes(ctypes.Structure):
         ),
     ]
     arrays: dict[str, np.ndarray]
+    nodes_of_sets: Floats  # (3, sets, room) x, u and slope
     sets: int
     columns: int
 
     @classmethod
     def make(cls, sets: int, room: int, points: int, columns: int = 0) -> "Shapes":
         """Return room for the shapes of so many sets, nodes, constraint points and columns of derivatives."""
-        arrays: dict[str, np.ndarray] = {name: np.empty((sets, room)) for name in ("x", "u", "slope")}
+        nodes = np.empty((3, sets, room))
+        arrays: dict[str, np.ndarray] = dict(zip(("x", "u", "slope"), nodes, strict=True))
         arrays |= {"constraints": np.empty((sets, points)), "track": np.empty((sets, points, 2))}
         arrays |= {name: np.zeros(sets, np.int64) for name in ("status", "passes")} | {
             "nodes": np.zeros(1, np.int64)
@@ -209,7 +211,7 @@ class Shapes(ctypes.Structure):
             arrays |= {name: np.empty((sets, room, columns)) for name in ("u_by", "slope_by")}
             arrays |= {name: np.empty((sets, points, columns)) for name in ("constraints_by", "track_by")}
         made = cls(room=room, points=points, **{name: array.ctypes.data for name, array in arrays.items()})
-        made.arrays, made.sets, made.columns = arrays, sets, columns
+        made.arrays, made.nodes_of_sets, made.sets, made.columns = arrays, nodes, sets, columns
         return made
 
 
@@ -305,69 +307,118 @@ def make_shapes(problem: Problem, points: int) -> Shapes:
     return Shapes.make(problem.sets, problem.room, points, problem.columns)
 
 
+class CutRay(NamedTuple):
+    """A ray that the tip has cut: where it begins, mm, and the numbers of the inputs under which it began."""
+
+    start: float
+    bevel_id: int
+    controls_id: int
+
+
 class SessionMemory:
     """The state of one needle from step to step; each step reads one copy and writes the other."""
 
     def __init__(self, problem: Problem) -> None:
-        self._library, self._laws = load_library(), problem.arrays["law"]  # the state points to them
-        self._sizes = np.zeros(3, np.int64)
-        self._library.nf_session_memory(byref(problem), _at(self._sizes))
-        self._fixed, self._now, self._scratch = (make_memory(int(size)) for size in self._sizes)
-        self._next = make_memory(int(self._sizes[1]))
-        self._fits = problem
-        self._library.nf_session_begin(byref(problem), _at(self._fixed), _at(self._now), _at(self._scratch))
-        self._list_arguments()
+        self._library = load_library()
+        self._laws = problem.arrays["law"]  # the state points to them
+        self._sizes = self._measure(problem)
+        self._fixed, self._now, self._scratch = map(make_memory, self._sizes)
+        self._library.nf_session_begin(byref(problem), *map(_at, (self._fixed, self._now, self._scratch)))
+        self._lay_out(problem)
 
-    def _list_arguments(self) -> None:
-        self._bytes = c_int64(int(self._sizes[1]))
+    def _measure(self, problem: Problem) -> tuple[int, ...]:
+        sizes = (c_int64 * 3)()
+        self._library.nf_session_memory(byref(problem), sizes)
+        return tuple(sizes)
+
+    def _lay_out(self, problem: Problem) -> None:
+        """Make what a step writes to, and keep the arguments of its call, which take longer to make than to use."""
+        self._next = make_memory(self._sizes[1])
+        self._shapes, self._done = Shapes.make(1, problem.room, problem.max_points), (c_int64 * 3)()
+        self._out = byref(self._shapes)
         self._at = [_at(part) for part in (self._fixed, self._now, self._next, self._scratch)]
+        self._fits, self._problem = problem, byref(problem)
 
-    def advance(self, problem: Problem, shapes: Shapes) -> None:
-        """Go through the stops of the problem; the needle stays where it was until `accept`.
+    def advance(self, problem: Problem, depth: float, bevel: int, controls: int) -> tuple[int, int]:
+        """Move the tip to `depth`, mm, under the inputs of the problem, whose numbers are given.
+
+        The needle stays where it was until `accept`.
+
+        Returns
+        -------
+        stops, points : int
+            Of the tip on its way; behind the tip and under it. Without a stop there is no new shape.
 
         Raises
         ------
         TypeError
-            If a stop lies outside, or the problem is larger than the one that the session began with.
+            If the problem has other sizes than the one that the session began with, or the depth lies outside.
+        RayRoomError
+            If the problem has room for fewer rays than there would be.
         """
         if problem is not self._fits:
-            self._check(problem)
+            if problem.sets != 1 or self._measure(problem) != self._sizes:
+                raise TypeError("the problem has other sizes than the one that the session began with")
+            self._fits, self._problem = problem, byref(problem)
         fixed, now, after, scratch = self._at
+        done = self._done
         fault = self._library.nf_session_advance(
-            byref(problem), fixed, now, self._bytes, after, scratch, byref(shapes)
-        )
+            self._problem, fixed, now, after, scratch, self._out,
+            c_double(depth), c_int64(bevel), c_int64(controls), done,
+        )  # fmt: skip
+        stops, points, rays = done
         if fault:
+            if rays > problem.rays:
+                raise RayRoomError(rays)
             check_fault(fault)
+        return stops, points
 
-    def _check(self, problem: Problem) -> None:
-        sizes = np.zeros(3, np.int64)
-        self._library.nf_session_memory(byref(problem), _at(sizes))
-        if problem.sets != 1 or not np.array_equal(sizes, self._sizes):
-            raise TypeError("the problem has other sizes than the one that the session began with")
-        self._fits = problem
+    def read(self, points: int) -> tuple[Floats, Floats, Floats, int, int]:
+        """Return x, u, slope (3, N), y (points,) and track (points, 2) of the last step, status and passes."""
+        shapes, a = self._shapes, self._shapes.arrays
+        return (
+            shapes.nodes_of_sets[:, 0, : a["nodes"][0]].copy(), a["constraints"].ravel()[:points],
+            a["track"].ravel()[: 2 * points].reshape(-1, 2).copy(), a["status"][0], a["passes"][0],
+        )  # fmt: skip
 
     def accept(self) -> None:
         """Let the needle stand where the last `advance` has brought it."""
         self._now, self._next = self._next, self._now
         self._at[1], self._at[2] = self._at[2], self._at[1]
 
+    def list_rays(self) -> tuple[list[CutRay], bool]:
+        """Return the rays from the entry to the tip, and whether inputs have changed since it came here."""
+        found, position = np.empty((self._fits.rays, 3), np.int64), np.empty(8, np.int64)
+        count = self._library.nf_session_rays(
+            self._problem, self._at[0], self._at[1], self._at[3], _at(found), _at(position)
+        )
+        starts = found[:count, 0].view(np.float64)
+        rays = [CutRay(float(x), int(b), int(c)) for x, (_, b, c) in zip(starts, found[:count], strict=True)]
+        return rays, bool(position[7])
+
     def copy(self) -> "SessionMemory":
         """Return an independent copy."""
         other = object.__new__(SessionMemory)
-        other._library, other._laws = self._library, self._laws
-        other._sizes, other._fixed, other._fits = self._sizes, self._fixed, self._fits  # these never change
-        other._now, other._next, other._scratch = (
-            _copy(part) for part in (self._now, self._next, self._scratch)
-        )
-        other._list_arguments()
+        other._library, other._laws, other._fixed = self._library, self._laws, self._fixed  # these never change
+        other._take(self, self._fits)
         return other
 
     def grow(self, problem: Problem) -> None:
-        """Make room for the rays that the problem now has."""
-        before = self._now
-        self.__init__(problem)  # type: ignore[misc]
-        count = min(len(before), len(self._now))
-        self._now[:count] = before[:count]
+        """Make room for the rays that `problem` has; it is otherwise as the one before."""
+        self._take(self, problem)
+
+    def _take(self, other: "SessionMemory", problem: Problem) -> None:
+        sizes = other._measure(problem)
+        now, scratch = make_memory(sizes[1]), make_memory(sizes[2])
+        other._library.nf_session_copy(
+            other._problem, byref(problem), other._at[0], other._at[1], other._at[3], _at(now), _at(scratch)
+        )
+        self._sizes, self._now, self._scratch = sizes, now, scratch
+        self._lay_out(problem)
+
+
+class RayRoomError(Exception):
+    """A session needs room for so many rays (its argument)."""
 
 
 def find_equilibrium(
@@ -555,9 +606,3 @@ def measure_table_range(table: Floats) -> float:
 
 def _at(array: np.ndarray) -> c_void_p:
     return c_void_p(array.ctypes.data)
-
-
-def _copy(memory: Floats) -> Floats:
-    copied = make_memory(memory.nbytes)[: len(memory)]
-    copied[:] = memory
-    return copied

@@ -7,7 +7,7 @@ sensitivities, a session) follow the same list.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -274,28 +274,27 @@ def make_lattice(steps: Sequence[Step], rules: ModelOptions) -> Lattice:
 
 
 def find_input_path(
-    position: Position, last: Step, lattice: Lattice, inputs_of: Callable[[Ray], tuple[Bevel, Controls]]
+    rays: Sequence[tuple[float, Bevel, Controls]], changed: bool, last: Step, lattice: Lattice
 ) -> tuple[Step, ...]:
-    """Return the shortest steps that lead from first contact to the present position, with the same rays and
-    inputs.
+    """Return the shortest steps that lead from first contact to a state, with the same rays and inputs.
 
     Movements that were taken back leave nothing behind, and are left out.
 
     Parameters
     ----------
+    rays : sequence of (start, bevel, controls)
+        The depth where each ray begins, mm, the bevel that cuts it, and the controls under which it was begun.
+    changed : bool
+        Whether inputs have changed since the tip came to its depth.
     last : Step
         Where the tip stands, and under which inputs.
-    inputs_of : callable
-        The bevel that cuts a ray, and the controls under which it was begun.
     """
     steps: list[Step] = []
-    bevel_id = list_rays(position)
-    ends = [ray.start for ray in bevel_id[1:]] + [last.depth] * bool(
-        bevel_id
-    )  # before the first cell there are none
-    for ray, end in zip(bevel_id, ends, strict=True):
-        step = Step(end, *inputs_of(ray))
-        if not steps or lattice.is_at(lattice.cell(ray.start), ray.start):
+    # before the first cell there are no rays
+    ends = [start for start, _, _ in rays[1:]] + [last.depth] * bool(rays)
+    for (start, bevel, controls), end in zip(rays, ends, strict=True):
+        step = Step(end, bevel, controls)
+        if not steps or lattice.is_at(lattice.cell(start), start):
             if steps and (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
                 steps.pop()  # at a constraint point a new ray begins of itself
         elif (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
@@ -303,7 +302,7 @@ def find_input_path(
         steps.append(step)
     if not steps or (steps[-1].bevel, steps[-1].controls) != (last.bevel, last.controls):
         steps.append(last)
-    elif position.inputs_changed:
+    elif changed:
         steps += [_flip_bevel(last), last]
     return tuple(steps)
 

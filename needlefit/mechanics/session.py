@@ -4,40 +4,20 @@ import copy
 import math
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import (
-    PackedStops,
-    compute_turn,
-    find_flags,
-    list_tip,
-    pack_plan,
-    pack_problem,
-)
-from needlefit.mechanics.plan import (
-    SAME_DEPTH_MM,
-    Lattice,
-    Move,
-    Position,
-    TipStop,
-    find_input_path,
-    list_rays,
-    plan_move,
-    plan_moves,
-)
+from needlefit.mechanics.packing import PackedStops, compute_turn, list_tip, pack_problem
+from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, find_input_path
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import list_depths, read_shape
+from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import compute_scales
 from needlefit.schemas.limits import MAX_ELEMENTS, MAX_GUIDES, MAX_STEPS
@@ -91,6 +71,7 @@ class Session:
     # What the kernel reads, and the controls that it holds; `_hold` makes them.
     _problem: native.Problem
     _held: Controls
+    _cut: Bevel
     _memory: native.SessionMemory
 
     def __init__(
@@ -112,12 +93,13 @@ class Session:
             compute_scales(tissue, needle.flexural_rigidity, end, rules.spacing)
             for end in (*self._boundaries, math.inf)
         ]
-        self._position = Position()
         self._bevels, self._controls = _InputIds[Bevel](), _InputIds[Controls]()
         self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)
-        self._guides, self._rays = MAX_GUIDES, math.ceil(self._deepest / rules.spacing)
+        self._rays = math.ceil(self._deepest / rules.spacing)
         self._hold(controls)
         self._memory = native.SessionMemory(self._problem)
+        self._depths = first_cell + rules.spacing * np.arange(-1.0, self._problem.max_points - 1)
+        self._depths[0] = 0.0  # of the constraint points, mm
         self._shape = self.go(self.last)
 
     @property
@@ -197,13 +179,10 @@ class Session:
 
     def input_path(self) -> tuple[Step, ...]:
         """Return the shortest steps that lead from first contact to the present state."""
+        rays, changed = self._memory.list_rays()
         bevels, controls = self._bevels.values(), self._controls.values()
-        return find_input_path(
-            self._position,
-            self.last,
-            self.lattice,
-            lambda ray: (bevels[ray.bevel_id], controls[ray.controls_id]),
-        )
+        cut = [(ray.start, bevels[ray.bevel_id], controls[ray.controls_id]) for ray in rays]
+        return find_input_path(cut, changed, self.last, self.lattice)
 
     def simulate_again(
         self, tissue: Tissue | None = None, offset: float | None = None, cut_angle: float | None = None
@@ -224,131 +203,93 @@ class Session:
         bevel, controls = steps[0].bevel, steps[0].controls
         tissue = tissue or self.tissue
         other = Session(self.needle, tissue, bevel, self.lattice.first_cell, controls, self.rules)
-        if not other._go_through(steps):
-            # The state is lost: step by step the needle stands where the failed step began.
-            other = Session(self.needle, tissue, bevel, self.lattice.first_cell, controls, self.rules)
-            for step in steps:
-                if not other.go(step).converged:
-                    break
+        for step in steps:
+            if not other.go(step).converged:
+                break
         return other
 
-    def _go_through(self, steps: tuple[Step, ...]) -> bool:
-        """Go through an input path from first contact at once; returns whether all of it converged.
-
-        If not, the session must not be used any more. Shapes on the way are not read, and the plan of a path
-        is kept: a hand on a slider simulates the same one again and again.
-        """
-        moves = tuple(Move(s.depth, self._bevels.of(s.bevel), self._controls.of(s.controls)) for s in steps)
-        position, packed = _plan_path(moves, self.lattice)
-        self._make_room(packed.rays)
-        bevels, controls = self._bevels.values(), self._controls.values()
-        # the numbers of inputs in the plan are those of this session, and not of steps
-        deepest = Step(self._deepest, self.last.bevel, self.last.controls)
-        inputs = [Step(0.0, bevels[i], self.last.controls) for i in packed.bevels]
-        inputs += [Step(0.0, self.last.bevel, controls[i]) for i in packed.controls]
-        own = packed._replace(
-            bevels=tuple(range(len(packed.bevels))), controls=tuple(range(len(packed.bevels), len(inputs)))
-        )
-        problem = self._pack((*inputs, deepest), own)
-        memory = native.SessionMemory(problem)  # the plan begins with the stop at the entry
-        shapes = native.make_shapes(problem, packed.last.cell + 1)
-        self.solved = len(packed.stops)
-        memory.advance(problem, shapes)
-        if shapes.arrays["status"][0] != native.CONVERGED:
-            return False
-        memory.accept()
-        self._memory, self._position, self.last = memory, position, steps[-1]
-        self._hold(self.last.controls)
-        self._shape = self._read(shapes, packed.last)
-        return True
-
     def _go(self, step: Step, valid_only: bool = False) -> NeedleShape:
-        move = Move(step.depth, self._bevels.of(step.bevel), self._controls.of(step.controls))
-        position, stops = plan_move(self._position, move, self.lattice)
-        self.solved += len(stops)
-        if not stops:  # only the bevel was turned
+        bevel, controls = self._bevels.of(step.bevel), self._controls.of(step.controls)
+        stops, points = self._advance(step, bevel, controls)
+        self.solved += stops
+        if stops == 0:  # only the bevel was turned
             shape = replace(self._shape, iterations=0)
         else:
-            shapes = self._prepare(stops, step)
-            self._memory.advance(self._problem, shapes)
-            shape = self._read(shapes, stops[-1])
+            shape = self._read(points)
             if not shape.converged:
                 self.failures[shape.status] += 1
                 return shape
             if valid_only and self._shape.valid and not shape.valid:
                 return shape
-            self._memory.accept()
-        self._position, self.last, self._shape = position, step, shape
+        self._memory.accept()
+        self.last, self._shape = step, shape
         if self._bevels.full or self._controls.full:
-            rays = list_rays(position)
-            self._bevels.drop_unused({move.bevel_id, *(ray.bevel_id for ray in rays)})
-            self._controls.drop_unused({move.controls_id, *(ray.controls_id for ray in rays)})
+            rays, _ = self._memory.list_rays()
+            self._bevels.drop_unused({bevel, *(ray.bevel_id for ray in rays)})
+            self._controls.drop_unused({controls, *(ray.controls_id for ray in rays)})
         return shape
 
-    def _find_scales(self, depth: float) -> Floats:
-        return self._scales[bisect_left(self._boundaries, depth)]
+    def _advance(self, step: Step, bevel: int, controls: int) -> tuple[int, int]:
+        """Let the kernel make a step; return its numbers of stops and of constraint points."""
+        self._write(step)
+        try:
+            return self._memory.advance(self._problem, step.depth, bevel, controls)
+        except native.RayRoomError as error:
+            (rays,) = error.args
+        if rays > MAX_STEPS + MAX_ELEMENTS:
+            raise ModelError(
+                f"the needle has changed its direction of cutting {rays} times",
+                expected=f"at most {MAX_STEPS + MAX_ELEMENTS} times",
+                fix="retract it, or begin anew",
+            )
+        # Doubled, so that a session that adds rays one by one copies its state only a few times.
+        self._rays = max(2 * rays, self._rays)
+        self._hold(step.controls)
+        self._memory.grow(self._problem)
+        return self._advance(step, bevel, controls)
 
-    def _read(self, shapes: native.Shapes, stop: TipStop) -> NeedleShape:
-        return read_shape(shapes, list_depths(stop, self.lattice), self._find_scales(stop.tip))
+    def _read(self, points: int) -> NeedleShape:
+        (x, u, slope), y, track, status, passes = self._memory.read(points)
+        tip = float(x[-1])
+        constraints = np.empty((points, 2))
+        constraints[:, 0], constraints[:, 1] = self._depths[:points], y
+        constraints[-1, 0] = tip
+        scales = self._scales[bisect_left(self._boundaries, tip)]
+        return NeedleShape(x, u, slope, constraints, track, STATUS_NAMES[status], int(passes), scales)
 
-    def _prepare(self, stops: Sequence[TipStop], step: Step) -> native.Shapes:
-        """Write the stops and inputs of a step into the arrays that the kernel reads; return room for shapes."""
-        controls, rays = step.controls, stops[-1].ray + 1
-        _check_rays(rays)
-        self._make_room(rays)
-        arrays = self._problem.arrays
-        if controls.guides != self._held.guides or len(stops) > len(arrays["stops"]):
-            self._hold(controls, len(stops))
-            arrays = self._problem.arrays
-        elif controls is not self._held:
-            self._held = controls
-            arrays["base"][0, 0] = controls.base_y, controls.base_slope, controls.stage_slope
-            arrays["held_tip"][0] = list_tip(controls)
-        # rays that open now are cut by this bevel; the kernel does not read the turn of the others
-        arrays["turn"][0, 0] = compute_turn(step.bevel, self.rules)
-        for n, stop in enumerate(stops):
-            arrays["stops"][n] = stop.tip, stop.cell, max(stop.ray, 0), 0, 0, find_flags(stop)
-        self._problem.stop_count = len(stops)
-        return native.make_shapes(self._problem, stops[-1].cell + 1)
+    def _write(self, step: Step) -> None:
+        """Write the inputs of a step into the arrays that the kernel reads."""
+        controls = step.controls
+        if controls is not self._held:
+            if controls.guides != self._held.guides:
+                self._hold(controls)
+            else:
+                self._held, arrays = controls, self._problem.arrays
+                arrays["base"][0, 0] = controls.base_y, controls.base_slope, controls.stage_slope
+                arrays["held_tip"][0] = list_tip(controls)
+        if step.bevel is not self._cut:
+            # rays that open now are cut by this bevel; the kernel does not read the turn of the others
+            self._cut = step.bevel
+            self._problem.arrays["turn"][0, 0] = compute_turn(step.bevel, self.rules)
 
-    def _make_room(self, rays: int) -> None:
-        """Make room in the kernel's state for so many rays."""
-        if rays > self._rays:
-            # Doubled, so that a session that adds rays one by one copies its state only a few times.
-            self._rays = max(2 * rays, self._rays)
-            self._problem.rays = self._rays
-            self._memory.grow(self._problem)
-
-    def _hold(self, controls: Controls, stops: int = 8) -> None:
-        """Hold the needle by these controls, with room for so many stops."""
-        self._held = controls
-        packed = PackedStops(
-            np.zeros(stops, native.STOP), (0,), (0,), TipStop(0.0, 0, False, 0, False, 0, 0), 1
+    def _hold(self, controls: Controls) -> None:
+        """Hold the needle by these controls."""
+        self._held, self._cut = controls, self.last.bevel
+        step = Step(self._deepest, self.last.bevel, controls)
+        self._problem = pack_problem(
+            self.needle,
+            self.tissue,
+            (step,),
+            self.lattice,
+            self.rules,
+            _NO_STOPS,
+            rays=self._rays,
+            guides=MAX_GUIDES,
         )
-        self._problem = self._pack((Step(self._deepest, self.last.bevel, controls),), packed)
-
-    def _pack(self, steps: tuple[Step, ...], packed: PackedStops) -> native.Problem:
-        return pack_problem(
-            self.needle, self.tissue, steps, self.lattice, self.rules, packed,
-            rays=self._rays, guides=self._guides,
-        )  # fmt: skip
 
 
-@lru_cache(maxsize=4)  # the last paths alone: of a long one the plan takes megabytes
-def _plan_path(moves: tuple[Move, ...], lattice: Lattice) -> tuple[Position, PackedStops]:
-    """Return the position after a path, and its stops in the form that the kernel reads."""
-    position, stops = plan_moves(moves, lattice)
-    return position, pack_plan(stops)
-
-
-def _check_rays(count: int) -> None:
-    """Raise ModelError where a needle would have cut too many rays: each is kept, and may be cut again."""
-    if count > MAX_STEPS + MAX_ELEMENTS:
-        raise ModelError(
-            f"the needle has changed its direction of cutting {count} times",
-            expected=f"at most {MAX_STEPS + MAX_ELEMENTS} times",
-            fix="retract it, or begin anew",
-        )
+_NO_STOPS = PackedStops(np.zeros(1, native.STOP), (0,), (0,), TipStop(0.0, 0, False, 0, False, 0, 0), 1)
+"""A session's stops are planned by the kernel."""
 
 
 class _InputIds(Generic[T]):

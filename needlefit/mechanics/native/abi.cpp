@@ -3,6 +3,7 @@
 #include "checks.hpp"
 #include "environment.hpp"
 #include "loads.hpp"
+#include "plan.hpp"
 #include "processor.hpp"
 #include "shape.hpp"
 
@@ -149,39 +150,94 @@ EXPORT Index nf_simulate(const Problem* problem, Index first, Index lanes, char*
 
 // A session keeps three pieces of memory: what never changes, the state of the needle, and room to work in.
 struct Session : Insertion<double> {
-    Session(const Problem& problem, char* fixed, char* state, char* scratch) : Insertion<double>(problem) {
+    Position* position;
+    CutRay* cut_rays;
+    Stop* stops;  // of one move
+
+    explicit Session(const Problem& problem) : Insertion<double>(problem) {}
+    Session(const Problem& problem, char* fixed, char* state, char* scratch) : Session(problem) {
         Arena arena{fixed};
         lay_out_fixed(arena);
         arena.at = state, lay_out_state(arena);
         arena.at = scratch, lay_out_scratch(arena);
     }
+    Index most_stops() const { return problem.cells() + 4; }
+    void lay_out_state(Arena& arena) {
+        Insertion<double>::lay_out_state(arena);
+        position = arena.take<Position>(1), cut_rays = arena.take<CutRay>(problem.rays);
+    }
+    void lay_out_scratch(Arena& arena) {
+        Insertion<double>::lay_out_scratch(arena);
+        stops = arena.take<Stop>(most_stops());
+    }
+    // Become as another session of the same sizes, or of fewer rays: what it has in use, for all of it takes longer to
+    // copy than a step to make.
+    void copy(const Session& other) {
+        main.nodes = constants->nodes;
+        auto copy = [](auto* to, const auto* from, Index count) { __builtin_memcpy(to, from, count * sizeof(*to)); };
+        copy(progress, other.progress, 1), copy(position, other.position, 1);
+        copy(cut, other.cut, 1), copy(status, other.status, 1), copy(passes, other.passes, 1);
+        copy(stale, other.stale, 1), copy(super, other.super, 1);
+        copy(fronts, other.fronts, problem.guides + 1), copy(front_x, other.front_x, problem.guides + 1);
+        copy(nodes, other.nodes, progress->nodes);
+        copy(y, other.y, problem.cells() + 1), copy(track, other.track, problem.cells() + 1);
+        Index used = progress->nodes > progress->older_nodes ? progress->nodes : progress->older_nodes;
+        for (int i = 0; i < 2; i++) copy(states[i], other.states[i], used);
+        copy(past, other.past, progress->condensed + 1), copy(pulls, other.pulls, main.first[progress->condensed + 1]);
+        copy(rays, other.rays, position->rays), copy(cut_rays, other.cut_rays, position->rays);
+    }
 };
 EXPORT void nf_session_memory(const Problem* problem, Index* bytes) {
     DefaultArithmetic arithmetic;
-    Insertion<double> insertion(*problem);
+    Session session(*problem);
     Arena arena{nullptr};
-    insertion.lay_out_fixed(arena), bytes[0] = arena.at - static_cast<char*>(nullptr);
-    arena.at = nullptr, insertion.lay_out_state(arena), bytes[1] = arena.at - static_cast<char*>(nullptr);
-    arena.at = nullptr, insertion.lay_out_scratch(arena), bytes[2] = arena.at - static_cast<char*>(nullptr);
+    session.lay_out_fixed(arena), bytes[0] = arena.at - static_cast<char*>(nullptr);
+    arena.at = nullptr, session.lay_out_state(arena), bytes[1] = arena.at - static_cast<char*>(nullptr);
+    arena.at = nullptr, session.lay_out_scratch(arena), bytes[2] = arena.at - static_cast<char*>(nullptr);
 }
 EXPORT void nf_session_begin(const Problem* problem, char* fixed, char* state, char* scratch) {
     DefaultArithmetic arithmetic;
     Session session(*problem, fixed, state, scratch);
-    session.prepare(), session.begin();
+    session.prepare(), session.begin(), *session.position = {};
 }
-// Go through the stops of the problem from the state `from` (bytes of it) to the state `to`. Returns what is wrong.
+// Move the tip to a depth, from the state `from` to the state `to`; the problem holds the inputs there,
+// `bevel` and `inputs` identify them. `done` receives the number of stops, of constraint points, and of rays. Returns
+// what is wrong: BAD_STOP where the problem has less room than that.
 EXPORT Index nf_session_advance(
-    const Problem* problem, char* fixed, const char* from, Index bytes, char* to, char* scratch, const Shapes* out
+    const Problem* problem, char* fixed, char* from, char* to, char* scratch, const Shapes* out, double depth,
+    Index bevel, Index inputs, Index* done
 ) {
     DefaultArithmetic arithmetic;
-    if (Fault fault = check_stops(*problem)) return fault;
-    if (Fault fault = check_output(*problem, *out)) return fault;
-    __builtin_memcpy(to, from, bytes);
     Session session(*problem, fixed, to, scratch);
-    session.main.nodes = session.constants->nodes;
-    for (Index s = 0; s < problem->stop_count; s++) session.advance(problem->stops[s]);
-    write_shapes<double>(session, *out);
+    session.copy(Session(*problem, fixed, from, scratch));
+    Index count = 0, room = session.most_stops();
+    if (!(depth >= 0.0 && depth <= problem->deepest + SAME_DEPTH_MM)) return BAD_STOP;
+    plan_move(*session.position, Move{depth, bevel, inputs}, problem->lattice(), session.cut_rays, problem->rays, [&](const Stop& stop) {
+        if (count < room) session.stops[count] = stop;
+        count++;
+    });
+    done[0] = count, done[1] = session.position->cell + 1, done[2] = session.position->rays;
+    if (count > room || session.position->rays > problem->rays) return BAD_STOP;
+    Shapes shapes = *out;
+    shapes.points = done[1];
+    if (out->points < shapes.points || check_output(*problem, shapes)) return BAD_OUTPUT;
+    for (Index s = 0; s < count; s++) session.advance(session.stops[s]);
+    if (count > 0) write_shapes<double>(session, shapes);
     return SOUND;
+}
+// The rays of a state (their number), written to `rays`, which has room for as many as the problem; and the position.
+EXPORT Index nf_session_rays(const Problem* problem, char* fixed, char* state, char* scratch, CutRay* rays, Position* position) {
+    Session session(*problem, fixed, state, scratch);
+    *position = *session.position;
+    for (Index n = 0; n < position->rays; n++) rays[n] = session.cut_rays[n];
+    return position->rays;
+}
+// Copy a state to that of a problem with room for as many rays or more; otherwise the problems are alike.
+EXPORT void nf_session_copy(
+    const Problem* problem, const Problem* larger, char* fixed, char* state, char* scratch, char* larger_state,
+    char* larger_scratch
+) {
+    Session(*larger, fixed, larger_state, larger_scratch).copy(Session(*problem, fixed, state, scratch));
 }
 
 // ---- one equilibrium ------------------------------------------------------------------------------------------------

@@ -179,7 +179,7 @@ struct Insertion {
         y = arena.take<Real>(points), track = arena.take<Node<Real>>(points);
         for (auto& state : states) state = arena.take<Node<Real>>(count);
         past = arena.take<PastNode<Real>>(count), pulls = arena.take<Real>(problem.points());
-        rays = arena.take<Ray<Real>>(problem.rays);  // the last: room for more is then but a longer piece
+        rays = arena.take<Ray<Real>>(problem.rays);
     }
     void lay_out_scratch(Arena& arena) {
         own_grid = take_grid(arena, problem);
