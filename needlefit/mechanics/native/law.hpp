@@ -154,7 +154,7 @@ inline Real find_series_range(const Law<Real>& law) {
 // The same for a table that has no range yet, found by trial: what Python stores as its second number.
 inline double measure_table_range(const double* table) {
     Law<double> law{{table}, 0};
-    double series[SERIES_TERMS], end = MAX_SERIES_COMPRESSION;
+    double series[SERIES_TERMS], end = table[0] < MAX_SERIES_COMPRESSION ? table[0] : MAX_SERIES_COMPRESSION;
     for (int repeat = 0; repeat < 32; repeat++) {
         fit_series<double>(series, law, 1.0, 1.0, end);
         double error = 0.0;
