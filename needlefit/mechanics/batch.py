@@ -31,8 +31,10 @@ class Batch:
     ----------
     needle, tissue, steps, rules
         The insertion, as `simulate.simulate_steps` takes it.
-    mu, alpha : (B, n) arrays
-        Of the n layers of `tissue`, MPa and 1.
+    mu : (B, n) array
+        Of the n layers of `tissue`, MPa.
+    shape : (B, p, n) array
+        Shape parameters of the law of `tissue`, in its order.
     offset, cut_angle : (B,) arrays
         Of every bevel, mm and rad; sides stay.
     rigidity : (B,) array
@@ -48,7 +50,7 @@ class Batch:
     steps: tuple[Step, ...]
     rules: ModelOptions = ModelOptions()
     mu: Floats | None = None
-    alpha: Floats | None = None
+    shape: Floats | None = None
     offset: Floats | None = None
     cut_angle: Floats | None = None
     rigidity: Floats | None = None
@@ -62,13 +64,11 @@ class Batch:
             value = getattr(self, name)
             if value is None:
                 continue
-            shape = (-1, self.tissue.layers) if name in ("mu", "alpha") else (-1,)
+            one = getattr(self.tissue, name).shape if name in ("mu", "shape") else ()
             array = np.ascontiguousarray(value, dtype=np.float64)
-            if array.ndim != len(shape) or (len(shape) == 2 and array.shape[1] != shape[1]):
-                raise ModelError(
-                    f"batch {name} has shape {array.shape}",
-                    expected=f"(B, {shape[1]})" if len(shape) == 2 else "(B,)",
-                )
+            if array.ndim != 1 + len(one) or array.shape[1:] != one:
+                expected = ", ".join(map(str, ("B", *one)))
+                raise ModelError(f"batch {name} has shape {array.shape}", expected=f"({expected})")
             sizes[name] = len(array)
             object.__setattr__(self, name, array)
         if len(set(sizes.values())) != 1 or 0 in sizes.values():
@@ -101,7 +101,7 @@ class Batch:
         tissue = replace(
             self.tissue,
             mu=self.tissue.mu if self.mu is None else self.mu[i],
-            alpha=self.tissue.alpha if self.alpha is None else self.alpha[i],
+            shape=self.tissue.shape if self.shape is None else self.shape[i],
         )
         return needle, tissue, steps, self.rules
 

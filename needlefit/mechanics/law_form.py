@@ -38,60 +38,78 @@ _TO_BETWEEN = chebyshev.chebvander(_BETWEEN, TABLE_TERMS - 1).T
 _STRETCH = 1 - _PIECE * (np.arange(TABLE_PIECES)[:, None] + 0.5 * (1 + np.concatenate((_POINTS, _BETWEEN))))
 
 
-def compile_law(name: str, alpha: Floats) -> tuple[Floats, Floats]:
-    """Return a law at the alphas of some layers (n,): coefficients and exponents, (n, P) each, or a table.
+def compile_law(name: str, shape: Floats) -> tuple[Floats, Floats]:
+    """Return a law at the shape parameters (..., p, n) of n layers: coefficients and exponents, or a table.
 
-    A table is (n, 2 + TABLE_PIECES TABLE_TERMS), with exponents (n, 0): see `native/law.hpp`.
+    Those are (..., n, P) each. A table is (..., n, 2 + TABLE_PIECES TABLE_TERMS), with exponents (..., n, 0):
+    see `native/law.hpp`.
 
     Raises
     ------
     ConfigError
         If there is no law of that name.
     ModelError
-        If the law cannot be interpolated at one of the alphas.
+        If the law cannot be interpolated in one of the layers.
     """
-    law = LAWS[name]
+    law, by_layer = LAWS[name], np.swapaxes(shape, -1, -2)
     if isinstance(law, PowerLaw):
-        return law.power_terms(alpha)
-    return np.array([_make_table(name, float(one)) for one in alpha]), np.empty((len(alpha), 0))
+        return law.power_terms(by_layer)
+    layers = by_layer.shape[-2]
+    tables = [_make_table(name, tuple(row)) for row in by_layer.reshape(-1, shape.shape[-2]).tolist()]
+    for row, table in enumerate(tables):
+        if table is None:
+            layer = row % layers
+            values = by_layer.reshape(-1, shape.shape[-2])[row].tolist()
+            stated = [f"{one.name} = {value:g}" for one, value in zip(law.parameters, values, strict=True)]
+            raise ModelError(
+                f"layer {layer + 1}: the tissue law `{name}` cannot be interpolated at {', '.join(stated)}",
+                expected=f"k > 0, smooth and not too steep up to |e| / t = {LEAST_COMPRESSION:g}",
+                fix="choose other values, or narrower bounds for them",
+            )
+    return np.array(tables).reshape(*by_layer.shape[:-1], -1), np.empty((*by_layer.shape[:-1], 0))
 
 
-def differentiate_law(name: str, alpha: Floats) -> tuple[Floats, Floats]:
-    """Return the derivatives of what `compile_law` returns with respect to alpha.
+def differentiate_law(name: str, shape: Floats) -> Floats:
+    """Return the derivatives of what `compile_law` returns by the p shape parameters.
 
-    Those of coefficients and exponents, (1, P) each, are the same for all layers.
+    Those of a table are (..., n, p, numbers). Those of coefficients and then exponents, (p, 2 P), are the
+    same for all layers.
     """
-    law = LAWS[name]
+    law, by_layer = LAWS[name], np.swapaxes(shape, -1, -2)
     if isinstance(law, PowerLaw):
-        return law.term_slopes
-    return np.array([_make_slope_table(name, float(one)) for one in alpha]), np.empty((len(alpha), 0))
+        return np.concatenate(law.term_slopes, axis=1)
+    count = shape.shape[-2]
+    tables = [
+        _make_slope_table(name, tuple(row), number)
+        for row in by_layer.reshape(-1, count).tolist()
+        for number in range(count)
+    ]
+    return np.array(tables).reshape(*by_layer.shape, -1)
 
 
 @lru_cache(maxsize=1024)  # a fit simulates many insertions with the same parameters
-def _make_table(name: str, alpha: float) -> Floats:
-    """Return the table of one layer: see `native/law.hpp`."""
-    low, high = LAWS[name].alpha_range
+def _make_table(name: str, shape: tuple[float, ...]) -> Floats | None:
+    """Return the table of one layer, see `native/law.hpp`; None if it would not reach far enough."""
     with np.errstate(all="ignore"):
-        k = LAWS[name].k(_STRETCH, np.full_like(_STRETCH, alpha))
+        k = LAWS[name].k(_STRETCH, *_repeat(shape, _STRETCH))
         table = k[:, :TABLE_TERMS] @ _TO_COEFFICIENTS
         error = np.abs(table @ _TO_BETWEEN - k[:, TABLE_TERMS:])
         good = np.all(error <= TABLE_TOLERANCE * k[:, TABLE_TERMS:], axis=1) & np.all(k > 0, axis=1)
     covered = _PIECE * (TABLE_PIECES if good.all() else int(np.argmin(good))) - _END
-    if covered < LEAST_COMPRESSION - _END or not low <= alpha <= high:
-        raise ModelError(
-            f"the tissue law `{name}` cannot be interpolated at alpha = {alpha:g}",
-            expected=f"k > 0, smooth and not too steep up to a compression of {LEAST_COMPRESSION:g} of the "
-            f"thickness; the law is meant for alphas of {low:g} to {high:g}",
-            fix="choose another alpha, or narrower bounds for it",
-        )
+    if covered < LEAST_COMPRESSION - _END:
+        return None
     whole = np.concatenate(([covered, 0.0], np.nan_to_num(table).ravel()))
     whole[1] = measure_table_range(whole)
     return whole
 
 
 @lru_cache(maxsize=1024)
-def _make_slope_table(name: str, alpha: float) -> Floats:
+def _make_slope_table(name: str, shape: tuple[float, ...], number: int) -> Floats:
     stretch = _STRETCH[:, :TABLE_TERMS]
     with np.errstate(all="ignore"):
-        slope = LAWS[name].dk_dalpha(stretch, np.full_like(stretch, alpha))
+        slope = LAWS[name].dk_dshape(number, stretch, *_repeat(shape, stretch))
         return np.concatenate(([0.0, 0.0], np.nan_to_num(slope @ _TO_COEFFICIENTS).ravel()))
+
+
+def _repeat(shape: tuple[float, ...], stretch: Floats) -> list[Floats]:
+    return [np.full_like(stretch, value) for value in shape]

@@ -39,6 +39,9 @@ TABLE_PIECES, TABLE_TERMS, TABLE_COMPRESSION = 16, 20, 0.8
 SERIES_TERMS, SERIES_TOLERANCE, MAX_SERIES_COMPRESSION = 6, 1e-10, 0.2
 """Of the polynomial fitted to a law: its terms, its relative error, and |e| / t at the end of the longest."""
 
+MAX_SHAPES = 16
+"""Most shape parameters of a law."""
+
 CONVERGED, NON_FINITE = 0, 3
 PERMANENT, STARTS_RAY, EXTRAPOLATES = 1, 2, 4
 STOP = np.dtype(
@@ -134,6 +137,8 @@ class Problem(ctypes.Structure):
             place outside of another one.
         """
         problem = cls(**numbers)
+        if problem.shapes > MAX_SHAPES:
+            raise TypeError(f"a law has {problem.shapes} shape parameters; the kernel takes {MAX_SHAPES}")
         problem.arrays = {}
         sizes = {name: getattr(problem, name) for name in _SIZES}
         if max(sizes.values()) > 1 << 48 or min(sizes.values()) < 0:  # beyond, a C integer has wrapped around

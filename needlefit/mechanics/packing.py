@@ -104,21 +104,31 @@ def pack_layers(
 
     def repeat(name: str) -> Floats:
         given = values.get(name)
-        return np.ascontiguousarray(np.broadcast_to(getattr(tissue, name) if given is None else given, shape))
+        return np.ascontiguousarray(np.broadcast_to(getattr(tissue, name) if given is None else given, size))
 
-    shape = (sets, tissue.layers)
-    coefficients, exponents = compile_law(tissue.law, repeat("alpha").ravel())
-    law = np.concatenate((coefficients, exponents), axis=1).reshape(*shape, -1)
-    sizes = {"layers": tissue.layers, "shapes": 1, "terms": exponents.shape[1], "numbers": law.shape[2]}
+    size = (sets, tissue.layers)
+    coefficients, exponents = compile_law(tissue.law, values.get("shape", tissue.shape))
+    law = np.concatenate(
+        (coefficients, exponents), axis=-1
+    )  # (sets, n, numbers), or of all sets (n, numbers)
+    sizes = {
+        "layers": tissue.layers, "shapes": len(tissue.shape), "terms": exponents.shape[-1],
+        "numbers": law.shape[-1],
+    }  # fmt: skip
     arrays = {name: repeat(name) for name in ("mu", "thickness", "friction")}
-    return sizes, arrays | {"law": law, "boundaries": tissue.boundaries}
+    arrays["law"] = np.ascontiguousarray(np.broadcast_to(law, (*size, law.shape[-1])))
+    return sizes, arrays | {"boundaries": tissue.boundaries}
 
 
-def evaluate_layer(tissue: Tissue, layer: int, size: Floats) -> native.EvaluatedLaw:
-    """Return the law of one layer, with its derivative by alpha, at |e| = `size` (K,), mm, as the kernel has it."""
-    alpha = tissue.alpha[layer : layer + 1]
-    parts, slopes = compile_law(tissue.law, alpha), differentiate_law(tissue.law, alpha)
-    law, by = (np.concatenate(both, axis=1)[0] for both in (parts, slopes))
+def evaluate_layer(tissue: Tissue, layer: int, size: Floats, number: int = 0) -> native.EvaluatedLaw:
+    """Return the law of one layer at |e| = `size` (K,), mm, as the kernel has it.
+
+    `number` is that of the shape parameter to differentiate by; of a law without any that derivative is 0.
+    """
+    shape = tissue.shape[:, layer : layer + 1]
+    parts, slopes = compile_law(tissue.law, shape), differentiate_law(tissue.law, shape)
+    law = np.concatenate(parts, axis=1)[0]
+    by = np.broadcast_to(slopes, (1, len(shape), len(law)))[0, number].copy() if len(shape) else None
     mu, thickness = float(tissue.mu[layer]), float(tissue.thickness[layer])
     return native.evaluate_law(
         law, parts[1].shape[1], mu, thickness, np.ascontiguousarray(size, dtype=np.float64), by
@@ -146,7 +156,7 @@ def pack_problem(
         Of the steps on the lattice.
     sets : int
     values : mapping of arrays, optional
-        What differs between sets, by the names of `batch.Batch`: (sets,), or (sets, n) of layers.
+        What differs between sets, by the names of `batch.Batch`, whose arrays they are.
     columns : Columns, optional
         Of the derivatives that are asked for.
     **sizes : float
@@ -155,7 +165,7 @@ def pack_problem(
     Raises
     ------
     ModelError
-        If a law cannot be interpolated at its alpha.
+        If a law cannot be interpolated at its shape parameters.
     """
     values = values or {}
     bevels = [steps[i].bevel for i in packed.bevels]
@@ -187,7 +197,7 @@ def pack_problem(
     if "guide_x" in values:
         arrays["guide_x"] = values["guide_x"]
     if columns is not None and columns.total:
-        arrays |= _pack_columns(columns, tissue, sets, values, controls, arrays["law"].shape) | {
+        arrays |= _pack_columns(columns, tissue, sets, values, controls, sizes["numbers"]) | {
             "turn_by": turn_by
         }
     counts = of_layers | {
@@ -210,15 +220,13 @@ def _pack_columns(
     sets: int,
     values: Mapping[str, Floats],
     controls: Sequence[Controls],
-    law: tuple[int, ...],
+    numbers: int,
 ) -> dict[str, np.ndarray]:
-    alpha = np.broadcast_to(values.get("alpha", tissue.alpha), (sets, tissue.layers))
-    by = np.concatenate(differentiate_law(tissue.law, alpha.ravel()), axis=1)
+    by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
+    size = (sets, tissue.layers, len(tissue.shape), numbers)
     rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
     return {
-        "law_by": np.ascontiguousarray(np.broadcast_to(by, (sets * law[1], law[2]))).reshape(
-            sets, law[1], 1, law[2]
-        ),
+        "law_by": np.ascontiguousarray(np.broadcast_to(by, size)),
         "column_of": columns.first,
         "guide_columns": np.array(rows, dtype=np.int64).reshape(-1, 3),
     }

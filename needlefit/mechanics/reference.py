@@ -181,8 +181,8 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
 
 def modulus(tissue: Tissue, layer: NDArray[np.int64], lam: Floats) -> tuple[Floats, Floats]:
     """Return k(lambda) and dk/dlambda at points in the given layers (section 3)."""
-    law, mu, alpha = LAWS[tissue.law], tissue.mu[layer], tissue.alpha[layer]
-    return mu * law.k(lam, alpha), mu * law.dk_dstretch(lam, alpha)
+    law, mu, shape = LAWS[tissue.law], tissue.mu[layer], tissue.shape[:, layer]
+    return mu * law.k(lam, *shape), mu * law.dk_dstretch(lam, *shape)
 
 
 def bending_stiffness(nodes: Floats, EI: float) -> Floats:

@@ -16,6 +16,7 @@ from needlefit.geometry.frames import Frame, Placement
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.law_form import compile_law
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, make_lattice
 from needlefit.mechanics.session import NeedleState, Session
@@ -120,12 +121,14 @@ class Scene:
             If the model does not take one of its values; the key is named where there is one.
         """
         entry = Entry.from_record(record.entry)
+        with _name_keys(where, "law"):
+            law = LAWS[record.law].name
         with _name_keys(where):
             needle = Needle.from_record(record.needle)
-            tissue = Tissue.from_records(record.layers, record.law)
+            tissue = Tissue.from_records(record.layers, law)
             rules = ModelOptions.from_record(record.rules)
         with _name_keys(where, "law"):
-            compile_law(tissue.law, tissue.alpha)  # refused here, where the key is known
+            compile_law(tissue.law, tissue.shape)  # refused here, where the key is known
         steps = tuple(_make_step(whole, needle, entry, where) for whole in resolve_steps(record))
         with _name_keys(where, *_list_size_keys(record)):
             check_size(tuple(step.depth for step in steps), rules)

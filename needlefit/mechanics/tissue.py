@@ -1,7 +1,7 @@
 """The tissue: layers that resist the needle's deflection away from its own cut."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Self
 
@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError
+from needlefit.mechanics.laws import LAWS, TissueLaw
 from needlefit.mechanics.needle import is_bounded
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.scene import LayerRecord
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Tissue:
     """The layers of a tissue, from the entry inwards; their number n is the length of `mu`.
 
@@ -23,8 +24,9 @@ class Tissue:
     ----------
     mu : (n,) array
         Effective foundation modulus of each layer, MPa; not a material constant.
-    alpha : (n,) array
-        Nonlinearity of each layer's law.
+    shape : (p, n) array
+        Shape parameters of the law, in the order of its `parameters`. They may be given by name, each (n,) or
+        one number for all layers: `shape={"jm": [2.0, 5.0]}`; `alpha=` is short for `shape={"alpha": ...}`.
     boundaries : (n - 1,) array
         Depths of the interfaces along C's x axis, mm, increasing.
     thickness : (n,) array
@@ -36,18 +38,33 @@ class Tissue:
     """
 
     mu: Floats
-    alpha: Floats
-    boundaries: Floats = field(default_factory=lambda: np.empty(0))
-    thickness: Floats = field(default_factory=lambda: np.array([40.0]))
-    friction: Floats = field(default_factory=lambda: np.array([0.0]))
-    law: str = "ogden"
+    shape: Floats
+    boundaries: Floats
+    thickness: Floats
+    friction: Floats
+    law: str
 
-    def __post_init__(self) -> None:
-        n = np.size(self.mu)
+    def __init__(
+        self,
+        mu: ArrayLike,
+        shape: Mapping[str, ArrayLike] | ArrayLike = (),
+        boundaries: ArrayLike = (),
+        thickness: ArrayLike = 40.0,
+        friction: ArrayLike = 0.0,
+        law: str = "ogden",
+        *,
+        alpha: ArrayLike | None = None,
+    ) -> None:
+        n = np.size(mu)
         if n > MAX_LAYERS:
             raise ModelError(f"tissue has {n} layers", expected=f"at most {MAX_LAYERS}")
-        for name, size in (("mu", n), ("alpha", n), ("thickness", n), ("friction", n), ("boundaries", n - 1)):
-            object.__setattr__(self, name, _to_layer_array(name, getattr(self, name), size))
+        given = {"mu": (mu, n), "thickness": (thickness, n), "friction": (friction, n)}
+        for name, (value, size) in (given | {"boundaries": (boundaries, n - 1)}).items():
+            object.__setattr__(self, name, _to_layer_array(name, value, size))
+        object.__setattr__(self, "law", law)
+        object.__setattr__(
+            self, "shape", _to_shape_array(LAWS[law], shape if alpha is None else {"alpha": alpha}, n)
+        )
         # A fit makes thousands of these: plain numbers are checked ten times as fast as such small arrays.
         tops = [0.0, *self.boundaries.tolist()]
         if any(deeper < top for top, deeper in pairwise(tops)):
@@ -60,6 +77,13 @@ class Tissue:
         _require("friction", "", self.friction, lambda value: value >= 0, "0 or above")
 
     @property
+    def alpha(self) -> Floats:
+        """The shape parameter alpha of all layers, (n,), of a law that has it."""
+        names = LAWS[self.law].shape_names
+        found: Floats = self.shape[names.index("alpha")]
+        return found
+
+    @property
     def layers(self) -> int:
         """Number of layers."""
         return len(self.mu)
@@ -67,9 +91,14 @@ class Tissue:
     @classmethod
     def from_records(cls, layers: Sequence[LayerRecord], law: str) -> Self:
         """Return the tissue that validated layer records describe (Pa become MPa)."""
+        names = LAWS[law].shape_names
+        for number, layer in enumerate(layers, start=1):
+            # a law without shape parameters takes no notice of an alpha
+            stated = layer.shape_values if names else layer.shape
+            _check_names(names, stated, f"layer {number} of the tissue law `{law}`")
         return cls(
             mu=np.array([layer.mu_pa * 1e-6 for layer in layers]),
-            alpha=np.array([layer.alpha for layer in layers]),
+            shape={name: [layer.shape_values[name] for layer in layers] for name in names},
             boundaries=np.array([layer.top_mm for layer in layers[1:]]),
             thickness=np.array([layer.thickness_mm for layer in layers]),
             friction=np.array([layer.friction for layer in layers]),
@@ -92,3 +121,36 @@ def _to_layer_array(name: str, value: ArrayLike, size: int) -> Floats:
     if not is_bounded(*array.tolist()):
         raise ModelError(f"tissue {name} is {array.tolist()}", expected="finite numbers")
     return array if len(array) == size else np.full(size, array[0])
+
+
+def _to_shape_array(law: TissueLaw, given: Mapping[str, ArrayLike] | ArrayLike, size: int) -> Floats:
+    """Return the shape parameters of a law in `size` layers, (p, size).
+
+    A law without any takes no notice of an alpha that is left from another law.
+    """
+    names = law.shape_names
+    if not names:
+        return np.empty((0, size))
+    if not isinstance(given, Mapping):
+        rows = np.array(given, dtype=np.float64, ndmin=1)
+        rows = rows[None] if len(names) == 1 and rows.ndim == 1 else rows
+        if len(rows) != len(names):
+            raise ModelError(f"tissue shape has shape {rows.shape}", expected=f"({len(names)}, {size})")
+        given = dict(zip(names, rows, strict=True))
+    _check_names(names, given, f"the tissue law `{law.name}`")
+    array = np.array([_to_layer_array(name, given[name], size) for name in names])
+    for one, values in zip(law.parameters, array.tolist(), strict=True):
+        for layer, value in enumerate(values, start=1):
+            if not one.bounds[0] <= value <= one.bounds[1]:
+                raise ModelError(
+                    f"layer {layer}: {one.name} = {value:g}", expected="{:g} to {:g}".format(*one.bounds)
+                )
+    return array
+
+
+def _check_names(names: Sequence[str], given: Iterable[str], whose: str) -> None:
+    """Raise ModelError unless exactly the shape parameters `names` are given."""
+    missing, extra = [name for name in names if name not in given], [one for one in given if one not in names]
+    if missing or extra:
+        faults = [f"no {name} is given" for name in missing] + [f"there is no {name}" for name in extra]
+        raise ModelError(f"{whose}: {', '.join(faults)}", expected=f"{', '.join(names)}")

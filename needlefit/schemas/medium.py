@@ -92,7 +92,7 @@ class MediumRecord(FileRecord):
     layers: int = Field(ge=1, le=MAX_LAYERS)
     """Number of layers."""
     law: str = "ogden"
-    """Tissue law: ogden, neo_hookean, linear, or one of a plugin."""
+    """Tissue law: ogden, two_term_ogden, neo_hookean, linear, fung, gent, or one of a plugin."""
     thickness_mm: float = Field(default=40.0, gt=0)
     """Thickness h of the tissue that supports the needle on each side."""
     constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)

@@ -140,12 +140,19 @@ class LayerRecord(Record):
     """Depth of the layer's upper boundary; 0 for the first."""
     mu_pa: float = Field(gt=0)
     """Foundation modulus mu."""
-    alpha: float
-    """Exponent of the Ogden law."""
+    alpha: float | None = None
+    """Shape parameter of the laws ogden and fung."""
+    shape: dict[str, float] = Field(default_factory=dict)
+    """Shape parameters of another law by name: `{ jm = 5.0 }` of gent."""
     thickness_mm: float = Field(default=40.0, gt=0)
     """Thickness h of the tissue that supports the needle on each side."""
     friction: float = Field(default=0.0, ge=0)
     """Coefficient of friction between needle and tissue."""
+
+    @property
+    def shape_values(self) -> dict[str, float]:
+        """All shape parameters by name, `alpha` among them."""
+        return self.shape if self.alpha is None else {"alpha": self.alpha, **self.shape}
 
 
 Advance = Literal["tangent", "path_angle"]
@@ -254,7 +261,7 @@ class SceneRecord(FileRecord):
     depth_mm: float | None = Field(default=None, gt=0, le=MAX_NEEDLE_LENGTH_MM)
     """Insertion depth, where there are no `[[steps]]`."""
     law: str = "ogden"
-    """Tissue law: ogden, neo_hookean, linear, or one of a plugin."""
+    """Tissue law: ogden, two_term_ogden, neo_hookean, linear, fung, gent, or one of a plugin."""
     needle: NeedleRecord
     """The needle."""
     layers: tuple[LayerRecord, ...] = Field(min_length=1, max_length=MAX_LAYERS)

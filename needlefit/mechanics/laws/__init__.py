@@ -1,12 +1,16 @@
 """Tissue laws: how the foundation modulus depends on the stretch. Each law is one file here, or of a plugin.
 
-A law is any smooth k(lambda; alpha) > 0. Where it is a sum of powers of the stretch (`PowerLaw`), the kernel
-evaluates exactly that; any other one is interpolated at Chebyshev points (`mechanics/law_form.py`).
-Reference, kernel, derivatives and `needlefit verify` know every law without naming any.
+A law is any smooth k(lambda; shape) > 0 with any number of named shape parameters. Where it is a sum of
+powers of the stretch (`PowerLaw`), the kernel evaluates exactly that; any other one is interpolated at
+Chebyshev points (`mechanics/law_form.py`). Reference, kernel, derivatives, fits and `needlefit verify` know
+every law without naming any.
 """
 
 import math
+import re
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
+from needlefit.errors import ConfigError
 from needlefit.registry import Registry
 
 Numbers = NDArray[Any]
@@ -21,90 +26,153 @@ Numbers = NDArray[Any]
 
 COMPLEX_STEP = 1e-30
 
+_TAKEN = ("mu", "friction", "boundary", "top_mm", "mu_pa", "thickness_mm")  # other numbers of a layer
+
+
+@dataclass(frozen=True)
+class ShapeParameter:
+    """A number of a law, one for each layer, on which the form of k(lambda) depends.
+
+    Attributes
+    ----------
+    name : str
+        Small letters and single underscores. With the number of a layer it is that of a column or of a fit's
+        parameter: `alpha2`.
+    symbol : str
+        In figures and tables.
+    explanation : str
+        What it is, in a few words.
+    bounds : tuple of two floats
+        What the law is meant for, in `unit`.
+    usual : tuple of two floats
+        Bounds of a fit that states none.
+    default : float
+        Where nothing is known of it.
+    unit : str
+        Empty for a number without one. If there is one, `name` ends with it: `_mm`, `_pa`.
+    """
+
+    name: str
+    symbol: str
+    explanation: str
+    usual: tuple[float, float]
+    default: float
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch("[a-z]+(_[a-z]+)*", self.name) or self.name in _TAKEN:
+            raise ConfigError(
+                f"a shape parameter is called `{self.name}`",
+                expected=f"small letters and single underscores, none of {', '.join(_TAKEN)}",
+            )
+
+    @property
+    def tested(self) -> tuple[float, float]:
+        """The part of `bounds` from which checks draw values."""
+        return max(self.bounds[0], -10.0), min(self.bounds[1], 10.0)
+
 
 class TissueLaw(ABC):
-    """k(lambda; alpha) of one layer, over mu; k is 3 mu at small strain in all laws here.
+    """k(lambda; shape) of one layer, over mu; k is 3 mu at small strain in all laws here.
 
-    All functions take arrays of one shape. They must be analytic, as numpy's are but for `abs`, and accept
-    complex numbers: derivatives are complex steps, unless a law defines them.
+    Functions take the stretch and then the shape parameters, in the order of `parameters`: arrays of equal
+    size. They must be analytic, as numpy's are but for `abs`, and accept complex numbers: derivatives are
+    complex steps. At lambda = 1 k must not depend on the shape parameters.
     """
 
     name: str
     label: str
     """The printed name."""
-    alpha_range: tuple[float, float] = (-math.inf, math.inf)
-    """The alphas that the law is meant for."""
+    parameters: tuple[ShapeParameter, ...] = ()
 
     @abstractmethod
-    def k(self, stretch: Numbers, alpha: Numbers) -> Numbers:
+    def k(self, stretch: Numbers, *shape: Any) -> Numbers:  # noqa: ANN401  -- a law names its parameters
         """Return the tangent modulus over mu."""
 
-    def stress(self, stretch: Numbers, alpha: Numbers) -> Numbers | None:
+    def stress(self, stretch: Numbers, *shape: Any) -> Numbers | None:  # noqa: ANN401
         """Return the true stress over mu, lambda dW/dlambda, whose derivative k is: `verify` compares.
 
         None where it is not known; k is then compared with itself alone.
         """
         return None
 
-    def dk_dstretch(self, stretch: Floats, alpha: Floats) -> Floats:
+    def dk_dstretch(self, stretch: Floats, *shape: Floats) -> Floats:
         """Return dk/dlambda over mu."""
-        found: Floats = self.k(stretch + 1j * COMPLEX_STEP, alpha).imag / COMPLEX_STEP
+        found: Floats = self.k(stretch + 1j * COMPLEX_STEP, *shape).imag / COMPLEX_STEP
         return found
 
-    def dk_dalpha(self, stretch: Floats, alpha: Floats) -> Floats:
-        """Return dk/dalpha over mu."""
-        found: Floats = self.k(stretch, alpha + 1j * COMPLEX_STEP).imag / COMPLEX_STEP
+    def dk_dshape(self, number: int, stretch: Floats, *shape: Floats) -> Floats:
+        """Return the derivative of k over mu by a shape parameter, `number` its place in `parameters`."""
+        stepped = [value + 1j * COMPLEX_STEP * (p == number) for p, value in enumerate(shape)]
+        found: Floats = self.k(stretch, *stepped).imag / COMPLEX_STEP
         return found
-
-    def into_range(self, alpha: Floats) -> Floats:
-        """Return alphas of -10 to 10, moved linearly into the law's range where that is narrower."""
-        low, high = max(self.alpha_range[0], -10.0), min(self.alpha_range[1], 10.0)
-        return alpha if (low, high) == (-10.0, 10.0) else low + (alpha + 10) / 20 * (high - low)
 
     @cached_property
-    def uses_alpha(self) -> bool:
-        """Whether k depends on alpha."""
-        low, high = np.clip([0.5, 1.5], *self.alpha_range)
-        stretch = np.array([0.6, 0.8])
-        return not np.array_equal(self.k(stretch, np.full(2, low)), self.k(stretch, np.full(2, high)))
+    def shape_names(self) -> tuple[str, ...]:
+        """Names of the shape parameters."""
+        return tuple(one.name for one in self.parameters)
+
+    def name_shape(self, layers: Iterable[int]) -> list[list[str]]:
+        """Return the shape parameters' names in layers of these numbers, a row for each of `parameters`."""
+        numbers = list(layers)
+        return [[f"{name}{number}" for number in numbers] for name in self.shape_names]
+
+    def draw_shape(self, rng: np.random.Generator, size: tuple[int, ...]) -> Floats:
+        """Return random values for checks, (parameters, *size)."""
+        drawn = [rng.uniform(*parameter.tested, size) for parameter in self.parameters]
+        return np.array(drawn).reshape(len(self.parameters), *size)
 
 
 class PowerLaw(TissueLaw):
     """A law that is a sum of powers, k = mu sum_p c_p lambda^q_p."""
 
     @abstractmethod
-    def terms(self, alpha: float) -> list[tuple[float, float]]:
-        """Return the pairs (c_p, q_p), all at most linear in alpha."""
+    def terms(self, *shape: Any) -> Sequence[tuple[float, float]]:  # noqa: ANN401
+        """Return the pairs (c_p, q_p), all at most linear in the shape parameters together."""
 
     @cached_property
     def terms_at_zero(self) -> tuple[Floats, Floats]:
-        """Coefficients and exponents, each (P,), at alpha = 0."""
-        pairs = np.array(self.terms(0.0))  # (P, 2)
+        """Coefficients and exponents, each (P,), where all shape parameters are 0."""
+        pairs = np.array(self.terms(*np.zeros(len(self.parameters))), dtype=np.float64)  # (P, 2)
         return pairs[:, 0].copy(), pairs[:, 1].copy()
 
     @cached_property
     def term_slopes(self) -> tuple[Floats, Floats]:
-        """Derivatives of coefficients and exponents, each (1, P), with respect to alpha."""
-        slopes = np.array(self.terms(1.0)) - np.array(self.terms(0.0))  # (P, 2): linear in alpha
-        return slopes[:, 0].copy()[None], slopes[:, 1].copy()[None]
+        """Derivatives of coefficients and exponents by the shape parameters, (parameters, P) each."""
+        count, at_zero = len(self.parameters), np.column_stack(self.terms_at_zero)
+        # linear: values at 0 and along each axis determine the terms everywhere
+        slopes = np.array([np.array(self.terms(*unit)) - at_zero for unit in np.eye(count)])
+        slopes = slopes.reshape(count, *at_zero.shape)
+        return slopes[:, :, 0].copy(), slopes[:, :, 1].copy()
 
-    def power_terms(self, alpha: Floats) -> tuple[Floats, Floats]:
-        """Return coefficients and exponents, each (..., P), for layers of `alpha` (...)."""
-        # Terms are linear in alpha, so their values at alpha = 0 and 1 determine them for every alpha.
+    def power_terms(self, shape: Numbers) -> tuple[Numbers, Numbers]:
+        """Return coefficients and exponents, each (..., P), for shape parameters (..., parameters)."""
         (c, q), (dc, dq) = self.terms_at_zero, self.term_slopes
-        return c + alpha[..., None] * dc[0], q + alpha[..., None] * dq[0]
+        return c + shape @ dc, q + shape @ dq
 
-    def k(self, stretch: Numbers, alpha: Numbers) -> Numbers:
+    def k(self, stretch: Numbers, *shape: Numbers) -> Numbers:
         """Return the tangent modulus over mu."""
-        c, q = self.power_terms(alpha)
+        c, q = self._terms_of(stretch, shape)
         found: Numbers = np.sum(c * stretch[..., None] ** q, axis=-1)
         return found
 
-    def dk_dstretch(self, stretch: Floats, alpha: Floats) -> Floats:
+    def dk_dstretch(self, stretch: Floats, *shape: Floats) -> Floats:
         """Return dk/dlambda over mu."""
-        c, q = self.power_terms(alpha)
+        c, q = self._terms_of(stretch, shape)
         found: Floats = np.sum(c * q * stretch[..., None] ** (q - 1), axis=-1)
         return found
 
+    def _terms_of(self, stretch: Numbers, shape: Sequence[Numbers]) -> tuple[Numbers, Numbers]:
+        if not shape:
+            return self.terms_at_zero
+        return self.power_terms(np.stack(np.broadcast_arrays(*shape), axis=-1))
+
 
 LAWS: Registry[TissueLaw] = Registry(TissueLaw, __name__, "tissue law")  # type: ignore[type-abstract]
+
+
+def list_shape_parameters() -> Iterator[ShapeParameter]:
+    """Yield the shape parameters of all laws."""
+    for law in LAWS.values():
+        yield from law.parameters

@@ -1,4 +1,4 @@
-"""Exponential (Fung) solid, incompressible, in the same compression; alpha is its exponent.
+"""Exponential (Fung) solid, incompressible, in the same compression.
 
 W = mu / (2 alpha) (exp(alpha (I_1 - 3)) - 1), I_1 = lambda^2 + 2 / lambda: it stiffens exponentially, as soft
 tissue does, and is the neo-Hookean solid at alpha = 0.
@@ -6,14 +6,14 @@ tissue does, and is the neo-Hookean solid at alpha = 0.
 
 import numpy as np
 
-from needlefit.mechanics.laws import Numbers, TissueLaw
+from needlefit.mechanics.laws import Numbers, ShapeParameter, TissueLaw
 
 
 class Fung(TissueLaw):
     """K = mu exp(alpha (I_1 - 3)) (2 lambda + lambda^-2 + 2 alpha lambda (lambda - lambda^-2)^2)."""
 
     name, label = "fung", "Fung foundation"
-    alpha_range = (0.0, 50.0)
+    parameters = (ShapeParameter("alpha", "α", "exponent of the Fung law", (0.0, 5.0), 1.0, (0.0, 50.0)),)
 
     def k(self, stretch: Numbers, alpha: Numbers) -> Numbers:
         """Return d stress / d lambda."""

@@ -1,4 +1,4 @@
-"""Linear foundation: every law's value at lambda = 1; alpha is not used."""
+"""Linear foundation: every law's value at lambda = 1."""
 
 from needlefit.mechanics.laws import Numbers, PowerLaw
 
@@ -8,11 +8,11 @@ class Linear(PowerLaw):
 
     name, label = "linear", "linear foundation"
 
-    def terms(self, alpha: float) -> list[tuple[float, float]]:
+    def terms(self) -> list[tuple[float, float]]:
         """Return one power, a constant."""
         return [(3.0, 0.0)]
 
-    def stress(self, stretch: Numbers, alpha: Numbers) -> Numbers:
+    def stress(self, stretch: Numbers) -> Numbers:
         """Return 3 times the engineering strain."""
         return 3 * (stretch - 1)
 

@@ -1,4 +1,4 @@
-"""Neo-Hookean solid in the same compression: the Ogden law at alpha = 2; alpha is not used."""
+"""Neo-Hookean solid in the same compression: the Ogden law at alpha = 2."""
 
 from needlefit.mechanics.laws import Numbers, PowerLaw
 
@@ -8,11 +8,11 @@ class NeoHookean(PowerLaw):
 
     name, label = "neo_hookean", "neo-Hookean foundation"
 
-    def terms(self, alpha: float) -> list[tuple[float, float]]:
+    def terms(self) -> list[tuple[float, float]]:
         """Return the two powers."""
         return [(2.0, 1.0), (1.0, -2.0)]
 
-    def stress(self, stretch: Numbers, alpha: Numbers) -> Numbers:
+    def stress(self, stretch: Numbers) -> Numbers:
         """W = mu / 2 (lambda^2 + 2 / lambda - 3)."""
         return stretch**2 - 1 / stretch
 

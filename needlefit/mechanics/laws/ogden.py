@@ -1,13 +1,14 @@
 """One-term, incompressible Ogden solid in unconfined uniaxial compression (the paper's Eq. 4)."""
 
 from needlefit.mechanics.compression import compute_stress
-from needlefit.mechanics.laws import Numbers, PowerLaw
+from needlefit.mechanics.laws import Numbers, PowerLaw, ShapeParameter
 
 
 class Ogden(PowerLaw):
     """K = 2 mu (lambda^(alpha - 1) + 1/2 lambda^(-alpha / 2 - 1))."""
 
     name, label = "ogden", "Ogden foundation"
+    parameters = (ShapeParameter("alpha", "α", "exponent of the Ogden law", (-3.0, 5.0), 1.0),)
 
     def terms(self, alpha: float) -> list[tuple[float, float]]:
         """Return the two powers."""
