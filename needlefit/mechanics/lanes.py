@@ -121,8 +121,9 @@ def _find_valid(batch: Batch) -> Bools:
             accepted = np.isfinite(values)
             if name in ("mu", "rigidity"):
                 accepted &= values > 0
-            if name == "alpha":
-                low, high = LAWS[batch.tissue.law].alpha_range
+            if name == "shape":
+                bounds = [one.bounds for one in LAWS[batch.tissue.law].parameters]
+                low, high = np.array(bounds).reshape(-1, 2).T[:, :, None]  # (p, 1) each
                 accepted &= (values >= low) & (values <= high)
             if name == "guide_x":  # before the tissue, and where the base does not come to it
                 accepted &= (values < 0) & (values > deepest - batch.needle.length)

@@ -11,6 +11,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import Columns, pack_problem, plan_insertion
 from needlefit.mechanics.plan import Lattice
@@ -20,14 +21,14 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import compute_scales
 
 DERIVATIVE_KINDS = (
-    "mu", "alpha", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
+    "mu", "shape", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
     "stage_slope", "guides",
 )  # fmt: skip
 """Kinds of parameters that `wrt` accepts, in the order of the Jacobian's columns."""
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
-_DEFAULT_WRT = ("mu", "alpha", "offset")
+_DEFAULT_WRT = ("mu", "shape", "offset")
 
 MAX_TOLERANCE_MM = 1e-9
 """Newton tolerance of the shape that is differentiated, mm; at this, `simulate_steps` gives the same shape."""
@@ -43,8 +44,8 @@ class Jacobian:
     Attributes
     ----------
     names : tuple of str
-        mu1, ..., alpha1, ..., friction1, ..., boundary1, ..., rigidity, offset, cut_angle, base_y,
-        base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ...
+        mu1, ..., the law's shape parameters (alpha1, ...), friction1, ..., boundary1, ..., rigidity, offset,
+        cut_angle, base_y, base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ...
     x : (N, P) array
         Of the nodes' beam coordinates: 1 for a guide's node and its own x, else 0.
     u, slope : (N, P) arrays
@@ -113,7 +114,7 @@ def linearize_steps(
     guide_depths = tuple(
         sorted({guide.x for step in steps for guide in step.controls.guides})
     )  # from the base on
-    names, columns = _make_columns(tuple(wrt), tissue.layers, guide_depths, rules.path_angle)
+    names, columns = _make_columns(tuple(wrt), tissue.law, tissue.layers, guide_depths, rules.path_angle)
     rules = replace(rules, tolerance=min(rules.tolerance, MAX_TOLERANCE_MM))
     problem = pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
     shapes = native.make_shapes(problem, packed.last.cell + 1)
@@ -143,7 +144,7 @@ def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -
 
 @lru_cache(maxsize=512)  # a fit asks for the same columns over and over
 def _make_columns(
-    wrt: tuple[str, ...], layers: int, guide_depths: tuple[float, ...], path_angle: bool
+    wrt: tuple[str, ...], law: str, layers: int, guide_depths: tuple[float, ...], path_angle: bool
 ) -> tuple[tuple[str, ...], Columns]:
     """Return the columns' names, and the columns."""
     wrong = [kind for kind in wrt if kind not in DERIVATIVE_KINDS]
@@ -157,7 +158,7 @@ def _make_columns(
     for kind in DERIVATIVE_KINDS:
         first[kind] = len(names) if kind in wrt else -1
         if kind in wrt:
-            names += _list_names(kind, layers, len(guide_depths))
+            names += _list_names(kind, law, layers, len(guide_depths))
     at = first["guides"]
     guides = {
         x: (-1, -1, -1) if at < 0 else range(at + 3 * i, at + 3 * i + 3) for i, x in enumerate(guide_depths)
@@ -167,8 +168,10 @@ def _make_columns(
     return tuple(names), Columns(len(names), np.array([first[kind] for kind in kinds]), guides)
 
 
-def _list_names(kind: str, layers: int, guides: int) -> list[str]:
-    if kind in ("mu", "alpha", "friction"):
+def _list_names(kind: str, law: str, layers: int, guides: int) -> list[str]:
+    if kind == "shape":
+        return [name for row in LAWS[law].name_shape(range(1, layers + 1)) for name in row]
+    if kind in ("mu", "friction"):
         return [f"{kind}{i + 1}" for i in range(layers)]
     if kind == "boundaries":
         return [f"boundary{i + 1}" for i in range(layers - 1)]
