@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from needlefit.inference.simulated_points import (
     read_points,
     share_simulations,
 )
+from needlefit.inference.ties import dimension, is_shape_parameter
 from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.linearize import MAX_TOLERANCE_MM, Jacobian, linearize_steps
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
@@ -103,6 +106,14 @@ def make_batch(
     return _make_batch(sets[0], _tabulate_sets(sets), medium, needle, insertion)
 
 
+def stack_shape(table: Mapping[str, Any], law: str, sequence: Sequence[int]) -> Floats:
+    """Return the shape parameters (B, p, n) of layers, from the values (B,) of each parameter."""
+    rows = [[np.asarray(table[name]) for name in row] for row in LAWS[law].name_shape(sequence)]
+    count = len(next(iter(table.values())))
+    found: Floats = np.moveaxis(np.array(rows, dtype=np.float64).reshape(-1, len(sequence), count), -1, 0)
+    return found
+
+
 def _tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
     """Return the values (B,) of each parameter."""
     return {name: np.array([values[name] for values in sets]) for name in sets[0]}
@@ -125,7 +136,7 @@ def _make_batch(
         make_options(medium),
         # files and theta hold Pa, the mechanics N and mm: 1 Pa = 1e-6 MPa
         mu=np.column_stack([table[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence]),
-        alpha=np.column_stack([table[f"alpha{layer}"] for layer in insertion.sequence]),
+        shape=stack_shape(table, medium.law, insertion.sequence),
         offset=None if angle else strength,
         cut_angle=np.radians(strength) if angle else None,
         # the lanes prefer one place for all
@@ -314,14 +325,9 @@ def _select_kinds(parameters: Parameters) -> tuple[str, ...]:
 
 @lru_cache(maxsize=64)
 def _find_kinds(moving: tuple[str, ...]) -> tuple[str, ...]:
-    starts = (
-        ("mu", "mu"),
-        ("alpha", "alpha"),
-        ("bevel", "offset"),
-        ("cut", "cut_angle"),
-        ("guide", "guides"),
-    )
-    return tuple(kind for start, kind in starts if any(name.startswith(start) for name in moving))
+    starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
+    kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
+    return (*kinds, *(["shape"] if any(map(is_shape_parameter, moving)) else []))
 
 
 def _chain_rule(
@@ -335,9 +341,10 @@ def _chain_rule(
     # the guide stands before the entry, at x = -guide_distance, hence the sign
     found["guide1_x"] = -slopes.get("guide_distance_mm", nothing)
     # the mechanics number intervals along the path; a layer that is met twice gets both derivatives
+    shape = {dimension(name) for name in parameters.names if is_shape_parameter(name)}
     for interval, layer in enumerate(insertion.sequence, start=1):
         found[f"mu{interval}"] = 1e-6 * slopes[f"mu{layer}_pa"]
-        found[f"alpha{interval}"] = slopes[f"alpha{layer}"]
+        found |= {f"{kind}{interval}": slopes[f"{kind}{layer}"] for kind in shape}
     return found
 
 
@@ -364,7 +371,7 @@ def make_scene_record(
                 name=f"layer {layer}",
                 top_mm=top,
                 mu_pa=values[f"mu{layer}_pa"],
-                alpha=values[f"alpha{layer}"],
+                **_write_shape(values, medium.law, layer),
                 thickness_mm=medium.thickness_mm,
             )
             for top, layer in find_layers(insertion)
@@ -386,6 +393,12 @@ def make_scene_record(
         controls=ControlsRecord(guide_distance_mm=guide),
         steps=_make_step_records(insertion) if moved else (),
     )
+
+
+def _write_shape(values: Mapping[str, float], law: str, layer: int) -> dict[str, Any]:
+    """Return the shape parameters of a layer by the keys of its record."""
+    known = {kind: values[f"{kind}{layer}"] for kind in LAWS[law].shape_names}
+    return {"alpha": known.pop("alpha", None), "shape": known}
 
 
 def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
