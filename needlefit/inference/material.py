@@ -26,6 +26,7 @@ from scipy.special import stdtrit
 from needlefit.arrays import Floats
 from needlefit.datasets.compression import CompressionTest
 from needlefit.errors import ConfigError
+from needlefit.inference.parameters import state_usual_bounds
 from needlefit.inference.specimen_fit import (
     NORMAL_95_HALF_WIDTH_SD,
     UPPER_QUANTILE_95,
@@ -192,7 +193,7 @@ def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecor
             f"the medium's law is `{medium.law}`",
             expected=f"`{TEST_LAW}`: the prior is of its alpha",
         )
-    table = dict(medium.parameters)
+    table = state_usual_bounds(medium) | medium.parameters
     for name, stated in ((f"mu{layer}_pa", material.mu_pa), (f"alpha{layer}", material.alpha)):
         if stated is not None and name in table:
             table[name] = _free_parameter(name, table[name], stated)

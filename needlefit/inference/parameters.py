@@ -1,7 +1,7 @@
 """Names, bounds and ties of a medium's parameters, and the vector theta that is searched.
 
 Moduli and lengths are searched in logarithms, because they are positive and known to orders of
-magnitude at most; alpha is searched as it is.
+magnitude at most; shape parameters of a law are searched as they are.
 """
 
 import difflib
@@ -21,6 +21,7 @@ from needlefit.inference.ties import (
     BEVEL_SPREAD,
     NOISE_SCALE,
     dimension,
+    is_shape_parameter,
     parse_tie,
     resolve_ties,
 )
@@ -36,7 +37,7 @@ Status = Literal["free", "fixed", "tied"]
 
 def is_logarithmic(name: str) -> bool:
     """Return whether theta holds the natural logarithm of this parameter."""
-    return dimension(name) != "exponent"
+    return not is_shape_parameter(name)
 
 
 def to_value(name: str, coordinate: float) -> float:
@@ -102,14 +103,14 @@ class Parameters:
         """
         if record.law not in LAWS:
             raise LAWS.unknown_name_error(record.law, key="law")
-        table = record.parameters
         names = _ordered_names(record)
+        table = state_usual_bounds(record) | record.parameters
         every = {name: parse_tie(name, p.tie) for name, p in table.items() if p.tie is not None}
         resolve_ties(every, frozenset(names))  # checks those with a spread too
         soft = {name: spread for name in every if (spread := find_tie_spread(name, table[name])) > 1}
         for name in names:
             _check_positive(name, table[name])
-            _check_alpha(name, table[name], record.law)
+            _check_shape(name, table[name], record.law)
             _check_cut_angle(name, table[name])
         fixed = {name: value for name in names if (value := table[name].fixed) is not None}
         exact = {name: tie for name, tie in every.items() if name not in soft}
@@ -307,11 +308,11 @@ def find_tie_spread(name: str, parameter: ParameterRecord) -> float:
     if parameter.spread is None:
         one_material = dimension(name) == "modulus" and "*" not in str(parameter.tie)
         return MATERIAL_SPREAD if one_material else 1.0
-    if dimension(name) == "exponent" and parameter.spread > 1:
+    if is_shape_parameter(name) and parameter.spread > 1:
         raise ConfigError(
-            f"the tie of {name} has a spread: a spread is a factor, which an exponent cannot have",
+            f"the tie of {name} has a spread: a spread is a factor, which a shape parameter cannot have",
             key=f"parameters.{name}.spread",
-            expected="1: alpha is tied exactly, or free with a prior",
+            expected="1: a shape parameter is tied exactly, or free with a prior",
             fix="leave out `spread`, or give the parameter bounds and a prior in place of the tie",
         )
     return parameter.spread
@@ -369,7 +370,7 @@ def make_tissue(
     return Tissue(
         # Pa to MPa = N / mm^2
         mu=np.array([values[f"mu{layer}_pa"] * 1e-6 for layer in sequence]),
-        alpha=np.array([values[f"alpha{layer}"] for layer in sequence]),
+        shape=[[values[name] for name in row] for row in LAWS[medium.law].name_shape(sequence)],
         boundaries=np.asarray(boundaries, dtype=np.float64),
         thickness=np.array([medium.thickness_mm]),
         law=medium.law,
@@ -382,9 +383,9 @@ def _to_coordinate(name: str, value: float) -> float:
 
 def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
     """Return the medium's parameter names in the order of layers; ConfigError unless they are complete."""
-    layers = [f"{kind}{i}{unit}" for i in range(1, record.layers + 1) for kind, unit in _PER_LAYER]
-    needed = [*layers, record.bevel_parameter]
-    missing = [name for name in needed if name not in record.parameters]
+    usual = state_usual_bounds(record)
+    needed = [*_list_layer_names(record), record.bevel_parameter]
+    missing = [name for name in needed if name not in record.parameters and name not in usual]
     extra = [name for name in record.parameters if name not in [*needed, "guide_distance_mm"]]
     if missing or extra:
         faults = [f"`{n}` is missing" for n in missing] + [f"`{n}` is unknown here" for n in extra]
@@ -392,35 +393,53 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
             "; ".join(faults),
             key=f"parameters.{extra[0]}" if extra else "parameters",
             expected=f"{', '.join(needed)} ({record.layers} layers), and guide_distance_mm if wanted",
-            fix=_suggest_fix(missing, extra, record.layers),
+            fix=_suggest_fix(
+                missing, [name for name in usual if name not in record.parameters], extra, record.layers
+            ),
         )
     return (*needed, *(["guide_distance_mm"] if "guide_distance_mm" in record.parameters else []))
 
 
-def _suggest_fix(missing: Sequence[str], extra: Sequence[str], layers: int) -> str:
+def _list_layer_names(record: MediumRecord) -> list[str]:
+    """Return the names of the parameters of all layers.
+
+    A law without shape parameters takes no notice of an alpha that is left from another law.
+    """
+    law, names = LAWS[record.law], list[str]()
+    for layer in range(1, record.layers + 1):
+        unused = [f"alpha{layer}"] if not law.parameters and f"alpha{layer}" in record.parameters else []
+        names += [f"mu{layer}_pa", *(f"{name}{layer}" for name in law.shape_names), *unused]
+    return names
+
+
+def state_usual_bounds(record: MediumRecord) -> dict[str, ParameterRecord]:
+    """Return the law's shape parameters, free within the usual bounds: for those that a medium leaves out."""
+    law = LAWS[record.law]
+    rows = zip(law.parameters, law.name_shape(range(1, record.layers + 1)), strict=True)
+    return {name: ParameterRecord(bounds=one.usual) for one, row in rows for name in row}
+
+
+def _suggest_fix(missing: Sequence[str], unstated: Sequence[str], extra: Sequence[str], layers: int) -> str:
     """Return what to do about missing and unknown parameters: one may be the other, mistyped."""
-    remaining, fixes = list(missing), []
+    remaining, fixes = [*missing, *unstated], []
     for name in extra:
         near = difflib.get_close_matches(name, remaining, n=1)
         fixes.append(f"write `{near[0]}` for `{name}`" if near else f"remove `{name}`")
         remaining = [one for one in remaining if one not in near]
-    fixes += [f"add `{name}`" for name in remaining]
+    fixes += [f"add `{name}`" for name in remaining if name in missing]
     return f"{', '.join(fixes)}; or correct `layers = {layers}`"
 
 
-_PER_LAYER = (("mu", "_pa"), ("alpha", ""))
-
-
-def _check_alpha(name: str, parameter: ParameterRecord, law: str) -> None:
-    if dimension(name) != "exponent":
+def _check_shape(name: str, parameter: ParameterRecord, law: str) -> None:
+    bounds = {one.name: one.bounds for one in LAWS[law].parameters}.get(dimension(name))
+    if bounds is None:
         return
-    low, high = LAWS[law].alpha_range
     stated = parameter.bounds or (() if parameter.fixed is None else (parameter.fixed,))
-    if any(not low <= value <= high for value in stated):
+    if any(not bounds[0] <= value <= bounds[1] for value in stated):
         raise ConfigError(
             f"the tissue law `{law}` is not meant for {name} = {' to '.join(f'{one:g}' for one in stated)}",
             key=f"parameters.{name}",
-            expected=f"{low:g} to {high:g}",
+            expected=f"{bounds[0]:g} to {bounds[1]:g}",
             fix="change the bounds or the fixed value, or take another law",
         )
 

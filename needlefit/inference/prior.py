@@ -10,7 +10,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.inference.quantity_text import format_quantity
-from needlefit.inference.ties import dimension
+from needlefit.inference.ties import dimension, is_shape_parameter
 from needlefit.schemas.medium import ParameterRecord, PriorRecord
 
 
@@ -33,8 +33,8 @@ class Prior:
     names : tuple of str
         Q of them.
     whitening : (R, Q) array
-        What takes logarithms, and alpha itself, to independent numbers of unit variance; R < Q where only
-        combinations are stated, as by a tie.
+        What takes logarithms, and shape parameters themselves, to independent numbers of unit variance; R < Q
+        where only combinations are stated, as by a tie.
     centre : (R,) array
         Their means.
     ties : tuple of SoftTie
@@ -102,7 +102,7 @@ class Prior:
         if name not in self.marginals:
             return ""
         mean, sd = self.marginals[name]
-        if dimension(name) == "exponent":
+        if is_shape_parameter(name):
             known = f"{mean:.3g} +- {sd:.2g}"
         else:
             known = f"{format_quantity(name, math.exp(mean))}, within a factor of {math.exp(sd):.2g}"
@@ -156,7 +156,7 @@ def _check(
     name: str, one: PriorRecord, bounds: tuple[float, float] | None, stated: Mapping[str, PriorRecord]
 ) -> None:
     key = f"parameters.{name}.prior"
-    normal = dimension(name) == "exponent"
+    normal = is_shape_parameter(name)
     if normal != (one.mean is not None):
         expected = "mean and sd" if normal else "median and factor: it is positive"
         raise ConfigError("is a prior of the wrong kind", key=key, expected=expected)
@@ -176,8 +176,8 @@ def _alpha_of(mu: str) -> str:
 
 
 def to_coordinate(name: str, value: float) -> float:
-    """Return the coordinate of a parameter in theta: the logarithm of its value, or alpha itself."""
-    return value if dimension(name) == "exponent" else math.log(value)
+    """Return the coordinate of a parameter in theta: its logarithm, or a shape parameter itself."""
+    return value if is_shape_parameter(name) else math.log(value)
 
 
 def _peak(one: PriorRecord) -> float:

@@ -18,14 +18,17 @@ BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")
 """Names of what says how strongly a needle steers; a medium has one of them."""
 
 _NAME = re.compile(
-    r"(mu|alpha)([1-9]\d*)(_pa)?|(bevel|guide_distance)_mm|cut_angle_deg|noise_scale|bevel_spread"
+    r"([a-z]+(?:_[a-z]+)*)[1-9]\d*(_pa)?|(?:bevel|guide_distance)_mm|cut_angle_deg|noise_scale|bevel_spread"
 )
+_DIMENSIONS = ("modulus", "length", "angle", "factor")
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
 
 
 @cache  # asked for every parameter of every draw
 def dimension(name: str) -> str:
-    """Return what the parameter `name` measures: "modulus", "exponent", "length", "angle" or "factor".
+    """Return what the parameter `name` measures: "modulus", "length", "angle" or "factor".
+
+    Of a shape parameter of a law it is the name without the number of the layer, such as "alpha".
 
     Raises
     ------
@@ -33,7 +36,7 @@ def dimension(name: str) -> str:
         If it is no parameter's name.
     """
     match = _NAME.fullmatch(name)
-    if match is None or (match[1] is not None and (match[1] == "mu") != (match[3] is not None)):
+    if match is None or (match[1] is not None and (match[1] == "mu") != (match[2] is not None)):
         raise ConfigError(
             f"there is no parameter called `{name}`",
             expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm or cut_angle_deg, guide_distance_mm",
@@ -41,7 +44,12 @@ def dimension(name: str) -> str:
         )
     if name in (NOISE_SCALE, BEVEL_SPREAD, "cut_angle_deg"):
         return "angle" if name == "cut_angle_deg" else "factor"
-    return {"mu": "modulus", "alpha": "exponent"}.get(match[1] or "", "length")
+    return "modulus" if match[1] == "mu" else match[1] or "length"
+
+
+def is_shape_parameter(name: str) -> bool:
+    """Return whether `name` is a shape parameter of a law in one layer, such as `alpha2`."""
+    return dimension(name) not in _DIMENSIONS
 
 
 def parse_tie(name: str, tie: str) -> tuple[float, str]:
@@ -63,7 +71,7 @@ def parse_tie(name: str, tie: str) -> tuple[float, str]:
         source = dimension(match["name"])
     if source != dimension(name):
         raise _tie_error(name, tie, f"joins different quantities, {dimension(name)} and {source}")
-    positive = dimension(name) != "exponent"
+    positive = not is_shape_parameter(name)
     if not math.isfinite(factor) or (positive and factor <= 0):
         raise _tie_error(name, tie, f"has the factor {factor:g}; moduli and lengths stay positive")
     return factor, match["name"]

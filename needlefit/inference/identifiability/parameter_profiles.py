@@ -1,4 +1,4 @@
-"""Compute the profile likelihoods of all free parameters of a fit, and of the alphas that it held fixed."""
+"""Compute the profile likelihoods of a fit's free parameters, and of shape parameters that it held fixed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,56 +12,57 @@ from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minim
 from needlefit.inference.identifiability.identify import tip_range
 from needlefit.inference.identifiability.precision import add_estimated_noise, linearize
 from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile
-from needlefit.inference.parameters import Parameters, without_prior
+from needlefit.inference.parameters import without_prior
 from needlefit.inference.problem import Problem
+from needlefit.inference.ties import dimension
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.progress import Stop, never_stop
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
 
-FREED_ALPHA_BOUNDS = (-3.0, 5.0)
-"""Bounds of a fixed alpha once it is freed: tissues and gels lie well within."""
 
+def find_fixed_shape(problem: Problem) -> dict[str, tuple[str, ...]]:
+    """Return the fixed shape parameters that some insertion meets, each with the others of its material.
 
-def find_fixed_alphas(problem: Problem) -> dict[str, tuple[str, ...]]:
-    """Return the fixed alphas that some insertion meets, each with the other alphas of its material.
-
-    Layers are of one material if their mu are tied, exactly or with a spread, and their alphas are fixed at
-    one value.
+    Layers are of one material if their mu are tied, exactly or with a spread, and the parameter is fixed at
+    one value in them.
     """
-    if not LAWS[problem.medium.law].uses_alpha:
-        return {}
-    met = sorted({layer for insertion in problem.insertions for layer in insertion.sequence})
-    tied = without_prior(problem.parameters).ties
-    groups: dict[tuple[tuple[float, str], float], list[str]] = {}
-    for layer in range(1, problem.medium.layers + 1):
-        alpha, mu, parameters = f"alpha{layer}", f"mu{layer}_pa", problem.parameters
-        if alpha in parameters.fixed:
-            groups.setdefault((tied.get(mu, (1.0, mu)), parameters.fixed[alpha]), []).append(alpha)
-    return {
-        first: tuple(same)
-        for first, *same in groups.values()
-        if any(f"alpha{layer}" in (first, *same) for layer in met)
-    }
+    met = {layer for insertion in problem.insertions for layer in insertion.sequence}
+    tied, parameters = without_prior(problem.parameters).ties, problem.parameters
+    every = range(1, problem.medium.layers + 1)
+    found: dict[str, tuple[str, ...]] = {}
+    for row in LAWS[problem.medium.law].name_shape(every):
+        groups: dict[tuple[tuple[float, str], float], dict[int, str]] = {}
+        for layer, name in zip(every, row, strict=True):
+            mu = f"mu{layer}_pa"
+            if name in parameters.fixed:
+                material = tied.get(mu, (1.0, mu)), parameters.fixed[name]
+                groups.setdefault(material, {})[layer] = name
+        for group in groups.values():
+            if met & group.keys():
+                first, *same = group.values()
+                found[first] = tuple(same)
+    return found
 
 
-def free_alpha(problem: Problem, name: str) -> Problem:
-    """Return the problem with one alpha of `find_fixed_alphas` free, the others of its material tied."""
-    same, law = find_fixed_alphas(problem)[name], problem.medium.law
-    return problem.with_parameters(_free_parameter(problem.parameters, name, same, law))
-
-
-def _free_parameter(parameters: Parameters, name: str, same: tuple[str, ...], law: str) -> Parameters:
-    at, (low, high) = parameters.fixed[name], FREED_ALPHA_BOUNDS
-    least, most = LAWS[law].alpha_range
-    low, high = max(low, least), min(high, most)
+def free_shape(problem: Problem, name: str) -> Problem:
+    """Return the problem with one parameter of `find_fixed_shape` free, the others of its material tied."""
+    same, parameters = find_fixed_shape(problem)[name], problem.parameters
+    (low, high), at = find_usual_bounds(problem.medium.law, name), parameters.fixed[name]
     # the value that the fit used must lie within the bounds, whatever it was
     bounds: Mapping[str, tuple[float, float]] = {name: (min(low, at), max(high, at))}
-    return replace(
-        parameters,
-        bounds={**parameters.bounds, **bounds},
-        fixed={other: value for other, value in parameters.fixed.items() if other not in (name, *same)},
-        ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
+    return problem.with_parameters(
+        replace(
+            parameters,
+            bounds={**parameters.bounds, **bounds},
+            fixed={other: value for other, value in parameters.fixed.items() if other not in (name, *same)},
+            ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
+        )
     )
+
+
+def find_usual_bounds(law: str, name: str) -> tuple[float, float]:
+    """Return the usual bounds of a law's shape parameter in one layer, such as `alpha2`."""
+    return next(one.usual for one in LAWS[law].parameters if one.name == dimension(name))
 
 
 MAX_OTHER_STARTS = 2
@@ -73,7 +74,7 @@ MIN_SEPARATION = 0.05
 
 @dataclass(frozen=True)
 class ParameterProfile:
-    """The profile of one parameter; for an alpha also the range of the tip.
+    """The profile of one parameter; for a fixed shape parameter also the range of the tip.
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class ParameterProfile:
     same : tuple of str
         Other parameters that went with it.
     tip_range_mm : float or None
-        How far the tip moves most while alpha goes through its bounds, the others held, mm.
+        How far the tip moves most while it goes through its bounds, the others held, mm.
     """
 
     profile: LikelihoodProfile
@@ -106,7 +107,7 @@ class FitProfiles:
     Attributes
     ----------
     parameters : tuple of ParameterProfile
-        Free ones in the order of theta, then fixed alphas.
+        Free ones in the order of theta, then fixed shape parameters.
     scale : float
         What deviances were divided by: the reduced chi-square where it is above 1.
     evaluations : int
@@ -140,7 +141,7 @@ def profile_parameters(
     elsewhere = [*ends[1:], 0.5 * (noisy.lower + noisy.upper)]
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
 
-    parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_alphas(noisy)]
+    parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_shape(noisy)]
     work = partial(_profile_one, noisy, optimum, elsewhere, scale)
     every = dict(run_parts(work, parts, pool, jobs, TaskStop(stop), loaded=True))
     found = tuple(every[n] for n in sorted(every))
@@ -154,7 +155,7 @@ def profile_parameters(
 def _profile_one(
     problem: Problem, optimum: LocalMinimum, elsewhere: Sequence[Floats], scale: float, part: str | int
 ) -> ParameterProfile:
-    """Return the profile of a free parameter, by its number, or of a fixed alpha, by its name."""
+    """Return the profile of a free parameter, by its number, or of a fixed shape parameter, by its name."""
     if isinstance(part, str):
         return _profile_fixed(problem, part, optimum, scale)
     return _profile_free(problem, part, optimum, elsewhere, scale)
@@ -168,8 +169,8 @@ def _profile_free(
 
 
 def _profile_fixed(problem: Problem, name: str, optimum: LocalMinimum, scale: float) -> ParameterProfile:
-    """Return the profile of an alpha that the fit held fixed."""
-    freed = free_alpha(problem, name)
+    """Return the profile of a shape parameter that the fit held fixed."""
+    freed = free_shape(problem, name)
     theta = freed.parameters.theta(problem.values(optimum.theta))
     k = freed.names.index(name)
     found = compute_profile(freed, k, minimize_squares(freed, theta), (), scale)
@@ -177,7 +178,7 @@ def _profile_fixed(problem: Problem, name: str, optimum: LocalMinimum, scale: fl
         found,
         (float(freed.lower[k]), float(freed.upper[k])),
         fixed_at=problem.parameters.fixed[name],
-        same=find_fixed_alphas(problem)[name],
+        same=find_fixed_shape(problem)[name],
         tip_range_mm=tip_range(freed, theta, name),
     )
 
