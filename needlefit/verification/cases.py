@@ -59,18 +59,18 @@ Draw = Callable[[np.random.Generator, float, float], RandomCase]
 
 
 def draw_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 1e-3) -> RandomCase:
-    """Draw an insertion into 1 to 4 layers of any law: mu `softest` to 100 MPa, |alpha| up to 10."""
+    """Draw an insertion into 1 to 4 layers of any law: mu `softest` to 100 MPa, shape parameters up to 10."""
     count = int(rng.integers(1, 5))
     depth = float(rng.uniform(0.25, 1.0) * deepest)
+    law = LAWS[str(rng.choice(LAWS.names()))]
     tissue = Tissue(
         mu=10 ** rng.uniform(np.log10(softest), 2, count),
-        alpha=rng.uniform(-10, 10, count),
+        shape=law.draw_shape(rng, (count,)),
         # the added multiples keep boundaries at least 0.05 mm apart
         boundaries=np.sort(rng.uniform(1, depth - 0.2, count - 1)) + 0.05 * np.arange(count - 1),
         thickness=rng.uniform(5, 80, count),
-        law=str(rng.choice(LAWS.names())),
+        law=law.name,
     )
-    tissue = replace(tissue, alpha=LAWS[tissue.law].into_range(tissue.alpha))
     base = Controls(float(rng.uniform(-1, 1)), float(rng.uniform(-0.01, 0.01)))
     return RandomCase(PAPER_NEEDLE, tissue, (Step(depth, _draw_bevel(rng), base),))
 

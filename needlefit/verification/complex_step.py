@@ -14,13 +14,14 @@ import numpy as np
 from needlefit.arrays import Bools, Floats
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Controls, ModelOptions
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import TipStop, make_lattice, plan_stops
 from needlefit.verification.cases import RandomCase
 from needlefit.verification.law import STEP, Numbers, ReferenceLaw
 
-_LAYERED = ("mu", "alpha", "friction")
+_LAYERED = ("mu", "friction")
 _SINGLE = ("rigidity", "offset", "base_y", "base_slope", "stage_slope")
-PARAMETER_KINDS = (*_LAYERED, *_SINGLE, "boundaries", "guides")
+PARAMETER_KINDS = (*_LAYERED, "shape", *_SINGLE, "boundaries", "guides")
 _MAX_STEP_MM = (
     1e-4  # mm: the longer of the two real steps, unless a node or change of constraint lies so near
 )
@@ -28,10 +29,14 @@ _MAX_STEP_MM = (
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter to differentiate by: its kind, and which layer, boundary or guide (from 0)."""
+    """One parameter to differentiate by: its kind, and which layer, boundary or guide (from 0).
+
+    Of a shape parameter `row` is its place among those of the law.
+    """
 
     kind: str
     number: int = 0
+    row: int = 0
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,8 @@ class Equilibrium:
 def parameters(case: RandomCase) -> dict[str, Parameter]:
     """Return all parameters of a case, keyed by the names that a `Jacobian` gives them."""
     named = {f"{kind}{i + 1}": Parameter(kind, i) for kind in _LAYERED for i in range(case.tissue.layers)}
+    shape = LAWS[case.tissue.law].name_shape(range(1, case.tissue.layers + 1))
+    named |= {name: Parameter("shape", i, p) for p, row in enumerate(shape) for i, name in enumerate(row)}
     named |= {kind: Parameter(kind) for kind in _SINGLE}
     named |= {f"boundary{i + 1}": Parameter("boundary", i) for i in range(case.tissue.layers - 1)}
     for i in range(len(_guide_positions(case))):
@@ -133,9 +140,9 @@ def residual_derivative(case: RandomCase, here: Equilibrium, p: Parameter, moved
     points[:, 1] += 1j * STEP * moved
     tissue, EI = case.tissue, complex(case.needle.flexural_rigidity)
     law = ReferenceLaw.of(tissue)
-    if p.kind in _LAYERED:
+    if p.kind in (*_LAYERED, "shape"):
         values = getattr(law, p.kind).astype(np.complex128)
-        values[p.number] += 1j * STEP
+        values[(p.row, p.number) if p.kind == "shape" else p.number] += 1j * STEP
         law = replace(law, **{p.kind: values})
     EI += 1j * STEP if p.kind == "rigidity" else 0.0
     nodes = here.nodes + 1j * STEP * (p.kind == "guide_x") * (here.nodes == _guide_position(case, p))

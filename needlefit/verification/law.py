@@ -4,6 +4,7 @@ k is the derivative of the true stress that a law's strain energy gives, by diff
 its file states to the kernel. Complex numbers are accepted: derivatives are complex steps.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -25,14 +26,14 @@ powers of lambda up to 12 their relative error is below 1e-12.
 """
 
 
-def differentiate_stress(law: str, stretch: Numbers, alpha: Numbers) -> Numbers:
+def differentiate_stress(law: str, stretch: Numbers, shape: Sequence[Numbers]) -> Numbers:
     """Return k over mu, the derivative of the true stress; or the k of a law without one."""
     stress = LAWS[law].stress
-    if stress(stretch, alpha) is None:
-        return LAWS[law].k(stretch, alpha)
+    if stress(stretch, *shape) is None:
+        return LAWS[law].k(stretch, *shape)
     step = STENCIL_STEP * stretch.real
     ends = (
-        weight * (stress(stretch + m * step, alpha) - stress(stretch - m * step, alpha))  # type: ignore[operator]
+        weight * (stress(stretch + m * step, *shape) - stress(stretch - m * step, *shape))  # type: ignore[operator]
         for m, weight in STENCIL
     )
     found: Numbers = sum(ends) / step
@@ -41,10 +42,10 @@ def differentiate_stress(law: str, stretch: Numbers, alpha: Numbers) -> Numbers:
 
 @dataclass(frozen=True)
 class ReferenceLaw:
-    """The parameters of all layers, each (n,), real or complex."""
+    """The parameters of all layers, each (n,) or of `shape` (p, n), real or complex."""
 
     mu: Numbers
-    alpha: Numbers
+    shape: Numbers
     thickness: Numbers
     friction: Numbers
     name: str
@@ -52,14 +53,14 @@ class ReferenceLaw:
     @classmethod
     def of(cls, tissue: Tissue) -> Self:
         """Return the parameters of a tissue."""
-        return cls(tissue.mu, tissue.alpha, tissue.thickness, tissue.friction, tissue.law)
+        return cls(tissue.mu, tissue.shape, tissue.thickness, tissue.friction, tissue.law)
 
     def reaction(self, layer: Ints, e: Numbers, slope: Numbers) -> Numbers:
         """Return k(lambda) e g, the force per length (N / mm) at deflections `e` (mm) in the given layers."""
-        mu, alpha = self.mu[layer], self.alpha[layer]
+        mu, shape = self.mu[layer], self.shape[:, layer]
         # not abs(e): of a complex number it is real, and the complex step would be lost
         stretch = 1 - np.where(e.real < 0, -e, e) / self.thickness[layer]
-        k = mu * differentiate_stress(self.name, stretch, alpha)
+        k = mu * differentiate_stress(self.name, stretch, tuple(shape))
         # sin^2(atan u') = u'^2 / (1 + u'^2)
         force: Numbers = k * e * (1 - self.friction[layer] * slope**2 / (1 + slope**2))
         return force

@@ -10,13 +10,13 @@ from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import (
     PAPER_NEEDLE,
     Draw,
     RandomCase,
     draw_case,
     draw_schedule,
-    make_tissue,
     require_converged,
     solve_cases,
 )
@@ -58,6 +58,11 @@ def _check(title: str, draw: Draw, count: int, deepest: float) -> Check:
     return Check(Group.REFERENCE, f"{count} random {title}", _QUANTITIES, measure)
 
 
+def _make_layers(law: str, depth: float) -> Tissue:
+    shape = [[one.default] * 3 for one in LAWS[law].parameters]
+    return Tissue([1.0] * 3, shape, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0], law=law)
+
+
 def _in_lanes(rng: np.random.Generator) -> CheckOutcome:
     """Many parameter sets of one insertion at once; every one against the reference by itself."""
     depth = float(rng.uniform(20, 40))
@@ -65,10 +70,10 @@ def _in_lanes(rng: np.random.Generator) -> CheckOutcome:
     batches = [
         Batch(
             PAPER_NEEDLE,
-            make_tissue([1.0] * 3, [1.0] * 3, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0], law=law),
+            _make_layers(law, depth),
             steps,
             mu=10 ** rng.uniform(-2, 2, (SETS_PER_LAW, 3)),
-            alpha=LAWS[law].into_range(rng.uniform(-10, 10, (SETS_PER_LAW, 3))),
+            shape=np.moveaxis(LAWS[law].draw_shape(rng, (SETS_PER_LAW, 3)), 0, 1),
             offset=rng.uniform(0.01, 0.15, SETS_PER_LAW),
             rigidity=10 ** rng.uniform(3.5, 4.5, SETS_PER_LAW),
         )

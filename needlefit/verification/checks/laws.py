@@ -1,6 +1,6 @@
 """Check every tissue law, as the kernel evaluates it, against its strain energy and its own derivatives."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -13,47 +13,52 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 from needlefit.verification.law import differentiate_stress
 
-ALPHAS, STRETCHES, THICKNESS_MM = 12, 200, 10.0
+SHAPES, STRETCHES, THICKNESS_MM = 12, 200, 10.0
+"""Random sets of shape parameters and stretches of each, and the thickness."""
+
 MAX_COMPRESSION = 0.45
 """|e| / t up to which laws are compared."""
 
 DIFFERENCE_STEP = 2e-4
-"""Of stretch and alpha: central differences of the fourth order."""
+"""Of stretch and shape parameters: central differences of the fourth order."""
 
 _QUANTITIES = (
     Quantity("k against the derivative of the stress, over k", at_most(1e-9), ""),
     Quantity("dk/dλ against differences of k, over k / (1 - λ)", at_most(1e-6), ""),
-    Quantity("dk/dα against differences of k, over k", at_most(1e-6), ""),
+    Quantity("dk by the shape parameters against differences of k, over k", at_most(1e-6), ""),
 )
 
 
 def measure_law(name: str, rng: np.random.Generator) -> CheckOutcome:
     law = LAWS[name]
-    alphas = law.into_range(rng.uniform(-10, 10, ALPHAS))
-    tissue = Tissue(np.ones(ALPHAS), alphas, np.arange(1.0, ALPHAS), np.array([THICKNESS_MM]), law=name)
-    d = rng.uniform(0, _find_reach(name, alphas), STRETCHES)
+    shapes = law.draw_shape(rng, (SHAPES,))
+    tissue = Tissue(np.ones(SHAPES), shapes, np.arange(1.0, SHAPES), THICKNESS_MM, law=name)
+    d = rng.uniform(0, _find_reach(name, shapes), STRETCHES)
     errors = []
-    for layer, alpha in enumerate(np.repeat(alphas[:, None], STRETCHES, axis=1)):
-        k, tangent, slope, *_ = evaluate_layer(tissue, layer, d * THICKNESS_MM)
-        by_d, by_a = -_differences(law.k, (1 - d, alpha), 0), _differences(law.k, (1 - d, alpha), 1)
+    for layer in range(SHAPES):
+        shape = [np.full(STRETCHES, value) for value in shapes[:, layer]]
+        slopes = [evaluate_layer(tissue, layer, d * THICKNESS_MM, p).by_shape for p in range(len(shape))]
+        k, tangent, *_ = evaluate_layer(tissue, layer, d * THICKNESS_MM)
+        by_d, *by_shape = (_differences(law.k, (1 - d, *shape), n) for n in range(1 + len(shape)))
+        off = [worst(np.abs(slope - true) / k) for slope, true in zip(slopes, by_shape, strict=True)]
         errors.append(
             [
-                worst(np.abs(k / differentiate_stress(name, 1 - d, alpha) - 1)),
-                worst(np.abs(tangent - k - d * by_d) / k),
-                worst(np.abs(slope - by_a) / k),
+                worst(np.abs(k / differentiate_stress(name, 1 - d, shape) - 1)),
+                worst(np.abs(tangent - k + d * by_d) / k),
+                worst([0.0, *off]),
             ]
         )
     return CheckOutcome(tuple(map(float, np.max(errors, axis=0))))
 
 
-def _find_reach(name: str, alphas: Floats) -> float:
+def _find_reach(name: str, shapes: Floats) -> float:
     """Return the largest |e| / t to compare at; tables may end before."""
-    table, exponents = compile_law(name, alphas)
+    table, exponents = compile_law(name, shapes)
     return MAX_COMPRESSION if exponents.shape[1] else min(MAX_COMPRESSION, table[:, 0].min())
 
 
-def _differences(function: Callable[..., Floats], arguments: tuple[Floats, Floats], which: int) -> Floats:
-    """Return the derivative of a function with respect to one of its two arguments."""
+def _differences(function: Callable[..., Floats], arguments: Sequence[Floats], which: int) -> Floats:
+    """Return the derivative of a function with respect to one of its arguments."""
 
     def at(step: float) -> Floats:
         return function(*(one + step * (n == which) for n, one in enumerate(arguments)))
@@ -63,6 +68,14 @@ def _differences(function: Callable[..., Floats], arguments: tuple[Floats, Float
 
 
 CHECKS = tuple(
-    Check(Group.REFERENCE, f"law `{name}`: {ALPHAS} random α", _QUANTITIES, partial(measure_law, name))
-    for name in LAWS.names()
+    Check(
+        Group.REFERENCE,
+        f"law `{law.name}`: "
+        + (
+            f"{SHAPES} random {', '.join(one.symbol for one in law.parameters)}" if law.parameters else "k(λ)"
+        ),
+        _QUANTITIES,
+        partial(measure_law, law.name),
+    )
+    for law in LAWS.values()
 )

@@ -83,11 +83,9 @@ def _unit(case: RandomCase, name: str) -> float:
     return float(case.tissue.mu[int(name[2:]) - 1]) if name.startswith("mu") else 1.0
 
 
-def _kind(name: str) -> int:
+def _kind(case: RandomCase, name: str) -> int:
     """Return which quantity a column counts for."""
-    if name.startswith("alpha"):
-        return 2
-    return 1 if name.startswith("boundary") or name.endswith("_x") else 0
+    return {"shape": 2, "boundary": 1, "guide_x": 1}.get(parameters(case)[name].kind, 0)
 
 
 def _draw_layered(draw: Draw, rng: np.random.Generator, softest: float) -> RandomCase:
@@ -103,13 +101,15 @@ def _check(title: str, draw: Draw, softest: float, bound: float) -> Check:
         found, remark = solve_cases(
             lambda: _draw_layered(draw, rng, softest), differentiate_reference, RANDOM_CASES
         )
-        columns = [(_kind(name), error) for each in found for name, error in measure_errors(each).items()]
+        columns = [
+            (_kind(each.case, name), error) for each in found for name, error in measure_errors(each).items()
+        ]
         values = tuple(worst([e for kind, e in columns if kind == wanted]) for wanted in range(3))
         return CheckOutcome(
             values, "; ".join(filter(None, (f"{len(columns)} columns", remark, _explain_bound(softest))))
         )
 
-    words = ("other columns", "columns of places (boundaries, guides)", "columns of α")
+    words = ("other columns", "columns of places (boundaries, guides)", "columns of shape parameters")
     quantities = tuple(Quantity(f"error of the {each}", at_most(bound), "") for each in words)
     reach = "μ = 0.2" if softest == PAPER_SOFTEST_MPA else "μ = 0.001"
     return Check(

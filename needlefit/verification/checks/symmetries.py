@@ -48,12 +48,12 @@ def cut_in_two(case: RandomCase) -> float:
     edges = np.array([0.0, *tissue.boundaries, case.steps[-1].depth])
     widest = int(np.argmax(np.diff(edges)))
     cut = edges[widest] + 0.41 * (edges[widest + 1] - edges[widest])
-    mu, alpha, thickness, friction = (
-        np.insert(values, widest, values[widest])
-        for values in (tissue.mu, tissue.alpha, tissue.thickness, tissue.friction)
+    mu, shape, thickness, friction = (
+        np.insert(values, widest, values[..., widest], axis=-1)
+        for values in (tissue.mu, tissue.shape, tissue.thickness, tissue.friction)
     )
     boundaries = np.insert(tissue.boundaries, widest, cut)
-    halves = Tissue(mu, alpha, boundaries, thickness, friction, tissue.law)
+    halves = Tissue(mu, shape, boundaries, thickness, friction, tissue.law)
     return largest_difference(case.shape(), replace(case, tissue=halves).shape())
 
 
