@@ -1,15 +1,18 @@
 """Encode a needle for the page: computed values in mm and frame C, ready for JSON."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.mechanics.control import Bevel, Guide, ModelOptions
+from needlefit.mechanics.laws import LAWS, ShapeParameter
 from needlefit.mechanics.load import Loads, compute_loads
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
+from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
 from needlefit.viewer.interaction.inputs import guide_number
 from needlefit.viewer.interaction.steering import SteeredNeedle
@@ -48,7 +51,10 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "boundaries_mm": tissue.boundaries.tolist(),
         "spacing_mm": scene.rules.spacing,
         "first_cell_mm": steering.first_cell,
-        "fitted": _encode_parameters(tissue.mu, tissue.alpha) | _encode_strength(first, scene.rules),
+        "shape_parameters": [
+            {"name": one.name, "symbol": one.symbol, "unit": one.unit} for one in LAWS[tissue.law].parameters
+        ],
+        "fitted": _encode_parameters(tissue) | _encode_strength(first, scene.rules),
         "limits": _encode_limits(scene),
         "measured": measured and {
             "id": measured.id,
@@ -98,7 +104,7 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         | {"lateral_mm": shape.tip_lateral, "held": controls.tip is not None}
         | {"input_y": float(shape.u[-1])},
         "bevel": {"side": step.bevel.side, **_encode_strength(step.bevel, steering.scene.rules)},
-        **_encode_parameters(now.tissue.mu, now.tissue.alpha),
+        **_encode_parameters(now.tissue),
         "max_slope": float(shape.validity.max_slope),
         "faults": list(shape.validity.faults),
         "errors": _encode_errors(viewed_scene, shape),
@@ -132,9 +138,10 @@ def _stations(shape: NeedleShape) -> Floats:
     )
 
 
-def _encode_parameters(mu: Floats, alpha: Floats) -> dict[str, Any]:
-    layers = [{"mu_pa": m * 1e6, "alpha": a} for m, a in zip(mu.tolist(), alpha.tolist(), strict=True)]
-    return {"layers": layers}
+def _encode_parameters(tissue: Tissue) -> dict[str, Any]:
+    names = ["mu_pa", *LAWS[tissue.law].shape_names]
+    rows = np.vstack((tissue.mu * 1e6, tissue.shape))
+    return {"layers": [dict(zip(names, layer, strict=True)) for layer in rows.T.tolist()]}
 
 
 def _encode_strength(bevel: Bevel, rules: ModelOptions) -> dict[str, float]:
@@ -146,11 +153,12 @@ def _encode_strength(bevel: Bevel, rules: ModelOptions) -> dict[str, float]:
 
 def _encode_limits(scene: Scene) -> dict[str, Any]:
     """Return how far the page's sliders go; its number fields take what the model takes."""
-    mu, alpha, bevel = scene.tissue.mu * 1e6, scene.tissue.alpha, scene.steps[0].bevel
+    mu, bevel = scene.tissue.mu * 1e6, scene.steps[0].bevel
+    shape = zip(LAWS[scene.tissue.law].parameters, scene.tissue.shape.tolist(), strict=True)
     angle = math.degrees(bevel.cut_angle)
     return {
         "mu_pa": [float(mu.min()) / SLIDER_FACTOR, float(mu.max()) * SLIDER_FACTOR],
-        "alpha": [min(-10.0, float(alpha.min()) - 5), max(10.0, float(alpha.max()) + 5)],
+        **{one.name: _encode_shape_limits(one, values) for one, values in shape},
         **(
             {"cut_angle_deg": [0.0, min(max(10.0, 3 * angle), 44.0)]}
             if scene.rules.path_angle
@@ -160,6 +168,12 @@ def _encode_limits(scene: Scene) -> dict[str, Any]:
         "speed_mm_s": 100.0,
         "depth_mm": scene.needle.length,
     }
+
+
+def _encode_shape_limits(parameter: ShapeParameter, values: Sequence[float]) -> list[float]:
+    low, high = parameter.tested
+    (least, most), reach = parameter.bounds, 0.25 * (high - low)
+    return [max(least, min(low, min(values) - reach)), min(most, max(high, max(values) + reach))]
 
 
 def _encode_load(load: Loads, shape: NeedleShape) -> dict[str, list[float]]:

@@ -10,8 +10,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
+from needlefit.mechanics.laws import LAWS, list_shape_parameters
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 
@@ -33,15 +36,13 @@ INPUTS: dict[str, Item | None] = {
     "tip_slope": None,
     "tip_held": None,
     "mu_pa": "layer",
-    "alpha": "layer",
     "offset_throughout_mm": None,
     "cut_angle_throughout_deg": None,
     "return_to": None,
 }
-"""All inputs, each with the object that its item number counts."""
+"""Inputs, each with the object that its item number counts; shape parameters are further inputs of layers."""
 
-PARAMETERS = ("mu_pa", "alpha", "offset_throughout_mm", "cut_angle_throughout_deg")
-"""Parameters of the model: they apply to the whole insertion."""
+_PARAMETERS = ("mu_pa", "offset_throughout_mm", "cut_angle_throughout_deg")
 
 FLAGS = ("guide_turns_freely", "guide_engaged", "tip_held")
 
@@ -54,6 +55,20 @@ MAX_MU_PA = 1e15
 """Greatest mu, Pa: beyond it, rounding exceeds the needle's own stiffness."""
 
 
+def is_parameter(name: str) -> bool:
+    """Return whether an input is a parameter of the model, which applies to the whole insertion."""
+    return name in _PARAMETERS or name not in INPUTS
+
+
+def find_item(name: str) -> Item | None:
+    """Return the object that the item number of an input counts; ModelError if there is no such input."""
+    if name in INPUTS:
+        return INPUTS[name]
+    if any(one.name == name for one in list_shape_parameters()):
+        return "layer"
+    raise ModelError(f"there is no input `{name}`", expected=f"one of {', '.join(INPUTS)}")
+
+
 @dataclass(frozen=True)
 class Change:
     """One input and its new value.
@@ -61,7 +76,7 @@ class Change:
     Attributes
     ----------
     name : str
-        A key of `INPUTS`, with its unit; slopes are dy/dx.
+        A key of `INPUTS`, with its unit, or a shape parameter of a law; slopes are dy/dx.
     item : int or None
         Number of the guide or layer, from 1.
     """
@@ -71,9 +86,7 @@ class Change:
     value: float
 
     def __post_init__(self) -> None:
-        if self.name not in INPUTS:
-            raise ModelError(f"there is no input `{self.name}`", expected=f"one of {', '.join(INPUTS)}")
-        kind = INPUTS[self.name]
+        kind = find_item(self.name)
         if (self.item is None) != (kind is None) or (self.item is not None and self.item < 1):
             wanted = f"the number of a {kind}, from 1" if kind else "no item"
             raise ModelError(f"{self.name} has item {self.item!s:.20}", expected=wanted)
@@ -108,7 +121,7 @@ class Change:
     def _describe(self) -> str:
         """Return the name without its unit, and whose input it is."""
         words = self.name.removesuffix("_mm").removesuffix("_deg").removesuffix("_pa").replace("_", " ")
-        return words if self.item is None else f"{words} of {INPUTS[self.name]} {self.item}"
+        return words if self.item is None else f"{words} of {find_item(self.name)} {self.item}"
 
     def _write_value(self) -> str:
         """Return the value in the unit of the page's fields."""
@@ -121,13 +134,15 @@ class Change:
 
 
 def find_tissue_changes(tissue: Tissue, before: Tissue) -> tuple[Change, ...]:
-    """Return the changes that lead from the moduli and alphas of one tissue to those of another."""
-    pairs = [
-        (Change("mu_pa", n, float(mu) * 1e6), Change("alpha", n, float(alpha)))
-        for n, (mu, alpha) in enumerate(zip(tissue.mu, tissue.alpha, strict=True), start=1)
-    ]
-    same = (before.mu == tissue.mu) & (before.alpha == tissue.alpha)
-    return tuple(change for pair, kept in zip(pairs, same, strict=True) if not kept for change in pair)
+    """Return the changes that lead from the moduli and shape parameters of one tissue to those of another.
+
+    Both have the same law.
+    """
+    names = ["mu_pa", *LAWS[tissue.law].shape_names]
+    rows, earlier = (np.vstack((one.mu * 1e6, one.shape)).T.tolist() for one in (tissue, before))
+    pairs = enumerate(zip(rows, earlier, strict=True), start=1)
+    changed = [(n, row) for n, (row, same) in pairs if row != same]
+    return tuple(Change(name, n, value) for n, row in changed for name, value in zip(names, row, strict=True))
 
 
 def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:
@@ -213,7 +228,7 @@ def _guides(
     guides: Sequence[Guide], values: dict[tuple[str, int | None], float], names: Sequence[str]
 ) -> tuple[Guide, ...]:
     now = {guide.name: guide for guide in guides}
-    for item in sorted({item for name, item in values if item is not None and INPUTS[name] == "guide"}):
+    for item in sorted({item for name, item in values if item is not None and INPUTS.get(name) == "guide"}):
         name = guide_name(item, names)
         keys = ("x_mm", "y_mm", "slope", "turns_freely", "engaged")
         moved = {key: values[(f"guide_{key}", item)] for key in keys if (f"guide_{key}", item) in values}

@@ -5,15 +5,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 
-import numpy as np
-
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Controls, Step
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
-from needlefit.viewer.interaction.inputs import PARAMETERS, Change, apply_changes
+from needlefit.viewer.interaction.inputs import Change, apply_changes, is_parameter
 
 TRIAL_SECONDS, TRIALS = 0.008, 3
 """Duration of a trial, s, and number of trials; the fastest counts, since other programs can only slow a
@@ -139,11 +138,11 @@ class SteeredNeedle:
     def _advance(self, changes: Sequence[Change]) -> Session:
         """Return the session after a step; the one there is stays as it was if that fails."""
         session, before = self._session, self._session.solved
-        parameters = [change for change in changes if change.name in PARAMETERS]
+        parameters = [change for change in changes if is_parameter(change.name)]
         if parameters:
             session = self._recompute(parameters)
             before = 0
-        moved = [change for change in changes if change.name not in PARAMETERS]
+        moved = [change for change in changes if not is_parameter(change.name)]
         step = apply_changes(session.last, moved, self.names, float(session.now.shape.u[-1]))
         if step != session.last:
             if self._valid_only:
@@ -222,8 +221,9 @@ def _with_guide_names(step: Step) -> Step:
 
 
 def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
-    """Return the tissue with other moduli (Pa in the changes, MPa in the tissue) and nonlinearities."""
-    mu, alpha = np.array(tissue.mu), np.array(tissue.alpha)
+    """Return the tissue with other moduli (Pa in the changes, MPa in the tissue) and shape parameters."""
+    mu, shape = tissue.mu.copy(), tissue.shape.copy()
+    names = LAWS[tissue.law].shape_names
     for change in parameters:
         if change.item is None:
             continue
@@ -233,6 +233,10 @@ def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
             )
         if change.name == "mu_pa":
             mu[change.item - 1] = change.value * 1e-6
+        elif change.name in names:
+            shape[names.index(change.name), change.item - 1] = change.value
         else:
-            alpha[change.item - 1] = change.value
-    return replace(tissue, mu=mu, alpha=alpha)
+            raise ModelError(
+                f"the tissue law `{tissue.law}` has no {change.name}", expected=", ".join(["mu_pa", *names])
+            )
+    return replace(tissue, mu=mu, shape=shape)

@@ -148,7 +148,7 @@ def draw_about(mode: LiveMode, insertion: Insertion, seed: int) -> LiveDraws:
     table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
     layers = [layer for _, layer in find_layers(insertion)]
     return LiveDraws(
-        select_layer_draws(table, layers),
+        select_layer_draws(table, layers, problem.medium.law),
         table[f"mu{layers[0]}_pa"].to_numpy(dtype=np.float64),
         table["bevel_mm"].to_numpy(dtype=np.float64),
         weighted.certified,

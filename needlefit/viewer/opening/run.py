@@ -153,7 +153,8 @@ def _vary_draws(
     Each has a bevel of its own. In a new specimen they differ as much as others do (root mean square).
     """
     rng = random_stream(results.run["recipe"]["seed"], "band", insertion.id)
-    medium = Parameters.from_record(MediumRecord.model_validate(results.run["medium"]))
+    record = MediumRecord.model_validate(results.run["medium"])
+    medium = Parameters.from_record(record)
     names = [name for name in (*medium.names, BEVEL_SPREAD) if name in draws]
     sets = [dict(zip(names, row, strict=True)) for row in draws[names].to_numpy(dtype=np.float64).tolist()]
     if spread is not None:
@@ -161,7 +162,8 @@ def _vary_draws(
         moved = move_to_new_specimen(medium, thetas, spread.between, spread.fitted, rng)
         sets = [values | medium.values(theta) for values, theta in zip(sets, moved, strict=True)]
     varied = vary_bevels(sets, new_bevel_sd, rng)
-    return select_layer_draws(pd.DataFrame(varied), [layer for _, layer in find_layers(insertion)])
+    layers = [layer for _, layer in find_layers(insertion)]
+    return select_layer_draws(pd.DataFrame(varied), layers, record.law)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import { strengthOf } from "./bevel.js";
 import { invalidate } from "./drawing.js";
 import { brief } from "./numbers.js";
 import { palette } from "./palette.js";
+import { layerInputs } from "./panel.js";
 import { change, command } from "./steering.js";
 import { listen, now, publish } from "./store.js";
 import { say } from "./announcements.js";
@@ -51,7 +52,8 @@ function takeMode(message) {
   }
   mode = message;
   const { throughout } = strengthOf(now.state.bevel);
-  const layers = message.layers.flatMap(([mu, alpha], i) => [["mu_pa", i + 1, mu], ["alpha", i + 1, alpha]]);
+  const names = layerInputs();
+  const layers = message.layers.flatMap((values, i) => values.map((value, j) => [names[j], i + 1, value]));
   change([...layers, [throughout, null, message.offset_mm]]);
   const needles = message.insertions === 1 ? "1 needle" : `${message.insertions} needles`;
   part("fit-note").textContent = `Fitted to ${needles} in ${message.seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `

@@ -9,7 +9,7 @@ import { listen, now } from "./store.js";
 
 const part = (id) => document.getElementById(id);
 const asMm = (value) => value.toFixed(3);
-const asPower = (value) => value.toFixed(2);
+const asShape = (value) => value.toFixed(2);
 const asDegrees = (value) => value.toFixed(2);
 
 let fields = []; // [field, () => value], of the scene that is shown
@@ -42,17 +42,24 @@ function buildBevel({ limits, fitted }) {
   }
 }
 
-function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }) {
+function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, shape_parameters: shapes }) {
   for (let i = 0; i <= tops.length; i += 1) {
     const called = names[i] || `layer ${i + 1}`;
     const layer = () => now.state.layers[i];
     const modulus = { unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05 };
     const mu = { ...modulus, name: `${called} μ`, symbol: "μ", limits: limits.mu_pa };
-    const alpha = { name: `${called} α`, symbol: "α", unit: "", write: asPower, limits: limits.alpha, step: 0.1 };
     setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted.layers[i].mu_pa);
-    setHome(inputField("tissue-fields", ["alpha", i + 1], alpha, () => layer().alpha), fitted.layers[i].alpha);
+    for (const { name, symbol, unit } of shapes) {
+      const [low, high] = limits[name];
+      const step = Math.min(0.1, (high - low) / 100);
+      const about = { name: `${called} ${symbol}`, symbol, unit, write: asShape, limits: limits[name], step };
+      setHome(inputField("tissue-fields", [name, i + 1], about, () => layer()[name]), fitted.layers[i][name]);
+    }
   }
 }
+
+/** The names of the inputs of a layer, in the order of fitted values. */
+export const layerInputs = () => ["mu_pa", ...now.scene.shape_parameters.map(({ name }) => name)];
 
 function buildBase({ limits }) {
   const y = { of: "base", name: "y", symbol: "base y", unit: "mm", write: asMm, limits: limits.base_y_mm, step: 0.1 };
@@ -85,7 +92,7 @@ export function refresh() {
 function allHome(event) {
   const { layers } = now.scene.fitted;
   const { throughout, value } = strengthOf(now.scene.fitted);
-  const set = layers.flatMap(({ mu_pa: mu, alpha }, i) => [["mu_pa", i + 1, mu], ["alpha", i + 1, alpha]]);
+  const set = layers.flatMap((layer, i) => Object.entries(layer).map(([name, value]) => [name, i + 1, value]));
   change([...set, [throughout, null, value]], { at: event.timeStamp });
 }
 
@@ -93,10 +100,11 @@ function takeFit({ fault, layers, offset_mm: offset, insertions }) {
   if (!fault) takeFitted(layers, offset, `fitted on this page to ${insertions} measured needle${insertions > 1 ? "s" : ""}`);
 }
 
-/** After a fit on the page its values ([mu, alpha] of each layer, strength of the bevel) are the ones to go back to. */
+/** After a fit on the page its values ([mu, shape parameters] of each layer, strength of the bevel) are the ones to go back to. */
 export function takeFitted(layers, strength, source) {
   const { fitted } = now.scene;
-  fitted.layers = layers.map(([mu_pa, alpha]) => ({ mu_pa, alpha }));
+  const names = layerInputs();
+  fitted.layers = layers.map((values) => Object.fromEntries(values.map((value, j) => [names[j], value])));
   fitted[strengthOf(fitted).key] = strength;
   const homes = [strength, strength, ...layers.flat()];
   fields.slice(0, homes.length).forEach(([field], i) => setHome(field, homes[i]));

@@ -2,7 +2,7 @@
 
 import { strengthOf } from "./bevel.js";
 import { asMpa, brief } from "./numbers.js";
-import { takeFitted } from "./panel.js";
+import { layerInputs, takeFitted } from "./panel.js";
 import { command } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -41,7 +41,8 @@ function showEstimate(message) {
   }));
   if (!message.readings || message.readings === estimated || !now.state) return;
   estimated = message.readings;
-  const layers = message.mu_pa.map(([, mu], i) => [mu, now.state.layers[i].alpha]);
+  const [, ...shapes] = layerInputs();
+  const layers = message.mu_pa.map(([, mu], i) => [mu, ...shapes.map((name) => now.state.layers[i][name])]);
   takeFitted(layers, message[key][1], `estimated from ${message.readings} readings of the tracked tip`);
 }
 

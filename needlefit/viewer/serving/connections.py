@@ -14,7 +14,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from needlefit.errors import NeedlefitError
 from needlefit.viewer.encoding import encode_band
-from needlefit.viewer.interaction.inputs import PARAMETERS
+from needlefit.viewer.interaction.inputs import is_parameter
 from needlefit.viewer.opening.live_fit import (
     draw_about,
     find_mode,
@@ -227,7 +227,7 @@ class Connections:
             async with trial.lock:
                 if self._sockets.get(trial.name) is not socket:
                     return  # another window has taken the needle
-                if self.tracked is None and any(change.name in PARAMETERS for change in message.changes):
+                if self.tracked is None and any(is_parameter(change.name) for change in message.changes):
                     # simulates the whole insertion again: other windows go on meanwhile
                     replies = await asyncio.to_thread(list, window.answer(message))
                 else:

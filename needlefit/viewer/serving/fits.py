@@ -6,6 +6,7 @@ import numpy as np
 
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import find_layers
+from needlefit.mechanics.laws import LAWS
 from needlefit.viewer.opening.live_fit import KNOTS, FitScope, LiveDraws, LiveMode
 from needlefit.viewer.serving.messages import Message
 from needlefit.viewer.serving.trials import InteractiveTrial
@@ -50,8 +51,9 @@ def read_offsets(message: Message) -> list[float]:
 
 def mode_message(mode: LiveMode, shown: ShownInsertion) -> dict[str, Any]:
     """Return the message of fitted values, by the layers that the shown insertion meets."""
+    names = LAWS[mode.problem.medium.law].shape_names
     layers = [
-        [mode.values[f"mu{layer}_pa"], mode.values[f"alpha{layer}"]]
+        [mode.values[f"mu{layer}_pa"], *(mode.values[f"{name}{layer}"] for name in names)]
         for _, layer in find_layers(shown.insertion)
     ]
     return {

@@ -417,8 +417,8 @@ class TrackedTrial:
             return
         self.estimate = found
         drawn = found.transform(self._normal)
-        alpha = np.tile(trial.steering.now.tissue.alpha, (len(drawn), 1))
-        spread = ParameterDraws(drawn[:, :-1], alpha, drawn[:, -1])
+        shape = np.tile(trial.steering.now.tissue.shape, (len(drawn), 1, 1))
+        spread = ParameterDraws(drawn[:, :-1], shape, drawn[:, -1])
         *mu, strength = np.exp(found.theta).tolist()
         changes = [Change("mu_pa", n, 1e6 * value) for n, value in enumerate(mu, start=1)]
         if trial.scene.rules.path_angle:

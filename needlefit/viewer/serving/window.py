@@ -228,7 +228,9 @@ class Window:
             raise ModelError("the needle stands at the entry", expected="a needle in the tissue")
         if self.trial.steering.now.tissue is not self.trial.scene.tissue:
             raise ModelError(
-                "moduli or alphas were changed", expected="the initial parameters", fix="set them back first"
+                "moduli or shape parameters were changed",
+                expected="the initial parameters",
+                fix="set them back first",
             )
         self.trial = self.trials.aligned(self.trial)
 
