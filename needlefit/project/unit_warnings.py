@@ -226,7 +226,8 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
     yield from needle_warnings(scene.needle, where)
     for n, layer in enumerate(scene.layers, start=1):
         yield from range_warnings(layer.mu_pa, MU_PA, MU_UNITS, where, f"layers.{n}.mu_pa", "Pa")
-        yield from _alpha_warnings(layer.alpha, scene.law, where, f"layers.{n}.alpha")
+        if layer.alpha is not None:
+            yield from _alpha_warnings(layer.alpha, scene.law, where, f"layers.{n}.alpha")
     tops = [layer.top_mm for layer in scene.layers[1:]]
     if tops:
         yield from boundary_warnings(tops[0], _deepest(scene), where, "layers.2.top_mm")

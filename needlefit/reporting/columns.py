@@ -13,6 +13,7 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
+from needlefit.mechanics.laws import list_shape_parameters
 from needlefit.metrics import METRICS, list_metrics
 from needlefit.reporting.labels import medium_name, method_name
 from needlefit.reporting.number_format import (
@@ -150,7 +151,17 @@ def list_columns() -> dict[str, Column]:
             found[f"floor_{metric.name}"] = Column(
                 f"floor_{metric.name}", metric.unit, form, f"{metric.label} floor", floor
             )
-    return dict(sorted(found.items()))
+    return dict(sorted((found | _list_shape_columns()).items()))
+
+
+def _list_shape_columns() -> dict[str, Column]:
+    """Return the columns of the shape parameters of all laws; several laws may have one of the same name."""
+    found: dict[str, Column] = {}
+    for one in list_shape_parameters():
+        key = f"{one.name}{{k}}"
+        words = f"{found[key].explanation}; {one.explanation}" if key in found else one.explanation
+        found[key] = Column(key, one.unit, "number", f"{one.symbol}{{k}}", words)
+    return {key: replace(one, explanation=f"Of layer k: {one.explanation}.") for key, one in found.items()}
 
 
 def find_column(name: str) -> Column:

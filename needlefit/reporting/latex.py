@@ -22,6 +22,7 @@ _ESCAPES = {
     "≤": r"$\leq$",
     "μ": r"$\mu$",
     "α": r"$\alpha$",
+    "β": r"$\beta$",
     "†": r"$\dagger$",
     "‡": r"$\ddagger$",
     "÷": r"$\div$",

@@ -10,11 +10,12 @@ from needlefit.inference.quantity_text import format_plain as format_plain
 from needlefit.inference.quantity_text import format_quantity as format_quantity
 from needlefit.inference.quantity_text import format_quantity_range as format_quantity_range
 from needlefit.inference.quantity_text import typeset as typeset
+from needlefit.mechanics.laws import list_shape_parameters
 from needlefit.metrics import METRICS, Metric
 
 MISSING = "–"
 _PARAMETER_PATTERN = re.compile(
-    r"\b(?:mu\d+(?:_pa)?|alpha\d+|bevel_mm|cut_angle_deg|guide_distance_mm|bevel_spread)\b"
+    r"\b(?:mu\d+(?:_pa)?|[a-z_]+[1-9]\d*|bevel_mm|cut_angle_deg|guide_distance_mm|bevel_spread)\b"
 )
 _POWER_PATTERN = re.compile(r"\b\d(?:\.\d+)?e-?\d+\b")
 _MINUS_PATTERN = re.compile(r"(?<![\w^.-])-(?=\d)")  # of a number of its own, not of an exponent or a range
@@ -66,7 +67,8 @@ def join_words(words: Sequence[str]) -> str:
 
 def format_symbol(parameter: str) -> str:
     """Return the symbol and unit of a parameter: `mu1_pa` is μ₁ (Pa)."""
-    for name, sign, unit in (("mu", "μ", " (Pa)"), ("alpha", "α", "")):
+    shape = ((one.name, one.symbol, one.unit and f" ({one.unit})") for one in list_shape_parameters())
+    for name, sign, unit in (("mu", "μ", " (Pa)"), *shape):
         index = parameter.removeprefix(name).removesuffix("_pa")
         if parameter.startswith(name) and index.isdigit():
             return sign + index.translate(_LOWERED) + unit

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats, Ints
+from needlefit.inference.forward_model import stack_shape
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
@@ -22,13 +23,14 @@ class ParameterDraws:
     ----------
     mu : (B, n) array
         Of the n layers that it meets, MPa.
-    alpha : (B, n) array
+    shape : (B, p, n) array
+        Shape parameters of the law.
     bevel : (B,) array
         b, mm; of an advance by the path angle theta, rad.
     """
 
     mu: Floats
-    alpha: Floats
+    shape: Floats
     bevel: Floats
 
     def __len__(self) -> int:
@@ -38,28 +40,28 @@ class ParameterDraws:
     def exact(cls, tissue: Tissue, bevel: Bevel, rules: ModelOptions) -> Self:
         """Return the one draw of parameters that are taken as exact."""
         strength, _ = rules.bevel_strength(bevel)
-        return cls(tissue.mu[None], tissue.alpha[None], np.array([strength]))
+        return cls(tissue.mu[None], tissue.shape[None], np.array([strength]))
 
     def only(self, rows: Ints) -> Self:
         """Return some of the draws."""
-        return replace(self, mu=self.mu[rows], alpha=self.alpha[rows], bevel=self.bevel[rows])
+        return replace(self, mu=self.mu[rows], shape=self.shape[rows], bevel=self.bevel[rows])
 
     def make_batch(
         self, needle: Needle, tissue: Tissue, steps: tuple[Step, ...], rules: ModelOptions
     ) -> Batch:
-        """Return the insertion of every draw: moduli, alphas and the strength of all bevels are replaced."""
+        """Return the insertion of every draw, with its moduli, shape parameters and bevels."""
         name = "cut_angle" if rules.path_angle else "offset"
-        return Batch(needle, tissue, steps, rules, mu=self.mu, alpha=self.alpha, **{name: self.bevel})
+        return Batch(needle, tissue, steps, rules, mu=self.mu, shape=self.shape, **{name: self.bevel})
 
 
-def select_layer_draws(draws: pd.DataFrame, layers: Sequence[int]) -> ParameterDraws:
-    """Return draws (one column per parameter; Pa, mm) arranged by the layers that a needle meets.
+def select_layer_draws(draws: pd.DataFrame, layers: Sequence[int], law: str) -> ParameterDraws:
+    """Return draws (one column per parameter; Pa, mm) of a law, arranged by the layers that a needle meets.
 
     `layers` are their numbers, from 1, in the order in which they are met.
     """
     return ParameterDraws(
         mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
-        alpha=np.column_stack([draws[f"alpha{layer}"] for layer in layers]),
+        shape=stack_shape({str(name): column for name, column in draws.items()}, law, layers),
         bevel=np.radians(draws["cut_angle_deg"].to_numpy(dtype=np.float64))
         if "cut_angle_deg" in draws
         else draws["bevel_mm"].to_numpy(dtype=np.float64),

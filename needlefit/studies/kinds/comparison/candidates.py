@@ -20,7 +20,7 @@ from needlefit.inference.importance.fit_posterior import (
 from needlefit.inference.importance.sampler import WeightedDraws, sample_by_importance
 from needlefit.inference.parameters import Parameters, with_hyperparameters
 from needlefit.inference.sampling.log_density import approximate_by_laplace
-from needlefit.inference.ties import NOISE_SCALE, dimension
+from needlefit.inference.ties import NOISE_SCALE, dimension, is_shape_parameter
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle
@@ -87,19 +87,24 @@ def candidate_job(name: str, job: Job) -> Job:
 
 
 def _with_law(medium: MediumRecord, law: str) -> MediumRecord:
-    """Return the medium of another law; its alphas are kept to what that law is meant for."""
+    """Return the medium of another law: its shape parameters are kept to what that law is meant for.
+
+    Those that the other law does not have are left out; those that only it has are free.
+    """
+    names = LAWS[law].shape_names or ("alpha",)
     changed = {
-        name: _alpha_within(parameter, law) if dimension(name) == "exponent" else parameter
+        name: _keep_within(name, parameter, law) if is_shape_parameter(name) else parameter
         for name, parameter in medium.parameters.items()
+        if not is_shape_parameter(name) or dimension(name) in names
     }
     return medium.model_copy(update={"law": law, "parameters": changed})
 
 
-def _alpha_within(parameter: ParameterRecord, law: str) -> ParameterRecord:
-    """Return alpha within the law's range, or fixed where the law does not use it."""
-    if not LAWS[law].uses_alpha:
+def _keep_within(name: str, parameter: ParameterRecord, law: str) -> ParameterRecord:
+    """Return a shape parameter within the law's bounds, or fixed where the law has none."""
+    if not LAWS[law].parameters:
         return ParameterRecord(fixed=1.0)
-    low, high = LAWS[law].alpha_range
+    low, high = next(one.bounds for one in LAWS[law].parameters if one.name == dimension(name))
     if parameter.bounds is not None:
         bounds = max(parameter.bounds[0], low), min(parameter.bounds[1], high)
         return parameter.model_copy(update={"bounds": bounds})

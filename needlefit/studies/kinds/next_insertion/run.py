@@ -26,7 +26,7 @@ from needlefit.inference.identifiability.design_gain import (
     nested_gain,
 )
 from needlefit.inference.identifiability.information import describe_combination
-from needlefit.inference.identifiability.parameter_profiles import find_fixed_alphas, free_alpha
+from needlefit.inference.identifiability.parameter_profiles import find_fixed_shape, free_shape
 from needlefit.inference.identifiability.precision import linearize
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.problem import Problem
@@ -244,7 +244,7 @@ def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: Pr
     return {
         "candidates": [{**where, **shape, **found, **worth, **note}],
         **_quantity_rows(after, gain, where, names),
-        "alphas": _alpha_rows(problem, before.known.middle, where),
+        "alphas": _shape_rows(problem, before.known.middle, where),
     }
 
 
@@ -302,11 +302,11 @@ def _quantity_rows(
     }
 
 
-def _alpha_rows(problem: Problem, values: Mapping[str, float], where: Row) -> list[Row]:
-    """Return what an insertion would leave of the alphas that are fixed, if all else were known."""
+def _shape_rows(problem: Problem, values: Mapping[str, float], where: Row) -> list[Row]:
+    """Return what an insertion would leave of the shape parameters that are fixed, if all else were known."""
     rows = []
-    for name in find_fixed_alphas(problem):
-        free = free_alpha(problem, name)
+    for name in find_fixed_shape(problem):
+        free = free_shape(problem, name)
         at = free.names.index(name)
         slope = linearize(free, free.parameters.theta(values))[1][:, at]
         before = 12.0 / float(free.upper[at] - free.lower[at]) ** 2

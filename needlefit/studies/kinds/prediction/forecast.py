@@ -29,6 +29,7 @@ from needlefit.inference.predictive_distribution import (
     quantile,
 )
 from needlefit.mechanics.control import ModelOptions, Step
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
@@ -110,7 +111,9 @@ def _find_quantile(mixture: PredictiveMixture, p: float) -> Floats:
     return found
 
 
-_REPLACED = re.compile(r"(layers\.\d+\.(mu_pa|alpha)|(bevel|steps\.\d+)\.(offset_mm|cut_angle_deg))$")
+_REPLACED = re.compile(
+    r"(layers\.\d+\.(mu_pa|alpha|shape(\.\w+)?)|(bevel|steps\.\d+)\.(offset_mm|cut_angle_deg))$"
+)
 """Keys of a scene whose values the draws replace."""
 
 _FITTED_RULES = ("advance", "constraint_spacing_mm", "constraint_switch", "tangent_part")
@@ -262,7 +265,7 @@ def _make_inputs(
     layers = range(1, scene.tissue.layers + 1)
     tissue = Tissue(
         np.array([values[f"mu{n}_pa"] * 1e-6 for n in layers]),
-        np.array([values[f"alpha{n}"] for n in layers]),
+        [[values[name] for name in row] for row in LAWS[job.medium.law].name_shape(layers)],
         enforce_order(scene.tissue.boundaries + deep + wrong),
         np.array([job.medium.thickness_mm]),
         law=job.medium.law,
