@@ -25,9 +25,10 @@ class Inputs:
     """The numbers of a case as complex ones, one of them with a step."""
 
     def __init__(self, needle: Needle, tissue: Tissue, stands: Sequence[float], name: str) -> None:
-        for kind in ("mu", "alpha", "friction", "boundaries", "thickness"):
+        for kind in ("mu", "shape", "friction", "boundaries", "thickness"):
             setattr(self, kind, getattr(tissue, kind).astype(complex))
         self.law = LAWS[tissue.law]
+        shape = dict(zip(self.law.shape_names, self.shape, strict=True))
         self.rigidity = complex(needle.flexural_rigidity)
         self.offset = self.cut_angle = self.base_y = self.base_slope = self.stage_slope = 0j
         self.guides = {x: np.zeros(3, dtype=complex) for x in stands}
@@ -37,7 +38,14 @@ class Inputs:
         if kind == "guide":
             self.guides[stands[number - 1]][("x", "y", "slope").index(what)] += H * 1j
         elif number:
-            getattr(self, "boundaries" if kind == "boundary" else kind)[number - 1] += H * 1j
+            row = (
+                self.boundaries
+                if kind == "boundary"
+                else shape[kind]
+                if kind in shape
+                else getattr(self, kind)
+            )
+            row[number - 1] += H * 1j
         else:
             setattr(self, kind, getattr(self, kind) + H * 1j)
 
@@ -97,10 +105,10 @@ def _equilibrium(inputs, nodes, x_c, y_c, u, held, linear):
         e, slope = N @ u - c, dN @ u
         size = np.sign(e.real) * e
         lam = 1 - size / t
-        mu, alpha = inputs.mu[layer], inputs.alpha[layer]
-        k = mu * inputs.law.k(lam, alpha)
+        mu, shape = inputs.mu[layer], inputs.shape[:, layer]
+        k = mu * inputs.law.k(lam, *shape)
         # the tangent may be real: it is exact where the real part has converged
-        dk = mu * inputs.law.dk_dstretch(lam.real, alpha.real)
+        dk = mu * inputs.law.dk_dstretch(lam.real, *shape.real)
         kt = k - size / t * dk
         g = 1 - gamma * slope**2 / (1 + slope**2)
         dg = -2 * gamma * slope / (1 + slope**2) ** 2

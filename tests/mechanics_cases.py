@@ -1,7 +1,5 @@
 """Random insertions for tests: any tissue, any inputs, several steps with changes and retractions."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from needlefit.mechanics.batch import Batch
@@ -38,15 +36,15 @@ def random_needle(rng: Random, rules: ModelOptions) -> Needle:
 def random_tissue(rng: Random, rules: ModelOptions, friction: float = 0.0) -> Tissue:
     """Return 1 to 4 layers, thin and thick, soft and stiff."""
     layers = int(rng.integers(1, 5))
-    tissue = Tissue(
+    law = LAWS[str(rng.choice(LAWS.names()))]
+    return Tissue(
         mu=random_mu(rng, rules, layers),
-        alpha=rng.uniform(-10, 10, layers),
+        shape=law.draw_shape(rng, (layers,)),
         boundaries=np.sort(rng.uniform(1, 20, layers - 1)),
         thickness=rng.uniform(5.0, 80.0, layers),
         friction=friction * rng.uniform(size=layers),
-        law=str(rng.choice(LAWS.names())),
+        law=law.name,
     )
-    return replace(tissue, alpha=LAWS[tissue.law].into_range(tissue.alpha))
 
 
 def random_bevel(rng: Random) -> Bevel:
@@ -100,10 +98,10 @@ def random_batch(rng: Random, sets: int, within: bool = False, friction: float =
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, friction)
     steps = random_steps(rng, int(rng.integers(0, 5)), within)
-    shape = (sets, tissue.layers)
+    size = (sets, tissue.layers)
     given = {
-        "mu": random_mu(rng, rules, shape),
-        "alpha": LAWS[tissue.law].into_range(rng.uniform(-10, 10, shape)),
+        "mu": random_mu(rng, rules, size),
+        "shape": np.moveaxis(LAWS[tissue.law].draw_shape(rng, size), 0, 1),
         "offset": rng.uniform(0, 0.3, sets),
         "rigidity": random_rigidity(rng, rules, sets),
         "base_y": rng.uniform(-0.5, 0.5, sets),

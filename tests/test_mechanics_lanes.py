@@ -45,11 +45,11 @@ def broad(
 ) -> Batch:
     rng = np.random.default_rng(seed)
     mu, alpha = 10 ** rng.uniform(-3, 2, (sets, 2)), rng.uniform(-10, 10, (sets, 2))
-    return Batch(NEEDLE, tissue, steps, mu=mu, alpha=alpha, offset=rng.uniform(0, 0.2, sets))
+    return Batch(NEEDLE, tissue, steps, mu=mu, shape=alpha[:, None], offset=rng.uniform(0, 0.2, sets))
 
 
 def some(batch: Batch, sets: np.ndarray) -> Batch:
-    given = {name: getattr(batch, name) for name in ("mu", "alpha", "offset", "base_y", "guide_x")}
+    given = {name: getattr(batch, name) for name in ("mu", "shape", "offset", "base_y", "guide_x")}
     return replace(batch, **{name: v[sets] for name, v in given.items() if v is not None})
 
 
@@ -190,7 +190,7 @@ def test_invalid_numbers_affect_no_other_set(steps: tuple[Step, ...]) -> None:
     mixed = replace(
         good,
         mu=np.insert(good.mu, at, bad, axis=0),
-        alpha=np.insert(good.alpha, at, 1.0, axis=0),
+        shape=np.insert(good.shape, at, 1.0, axis=0),
         offset=np.insert(good.offset, at, 0.1),
     )
     shapes = one(mixed)
@@ -363,7 +363,12 @@ def test_kept_factors_leave_less_than_3e_7_mm(advance: str, case: int, friction:
                     friction=[friction] * 3)  # fmt: skip
     mu, alpha = 10 ** rng.uniform(-1.3, 1.78, (32, 3)), rng.uniform(-3, 3, (32, 3))
     batch = Batch(
-        NEEDLE, tissue, (*steps, Step(depth, bevel)), ModelOptions(advance=advance), mu=mu, alpha=alpha
+        NEEDLE,
+        tissue,
+        (*steps, Step(depth, bevel)),
+        ModelOptions(advance=advance),
+        mu=mu,
+        shape=alpha[:, None],
     )
     shapes, exact = one(batch), replace(batch, rules=ModelOptions(advance=advance, tolerance=1e-10))
     for i in range(0, 32, 4):

@@ -1,5 +1,6 @@
 """Tissue laws: what each says by hand, and how truly the kernel's polynomial says it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.linearize import linearize
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import evaluate_layer
 from needlefit.mechanics.simulate import simulate
@@ -20,23 +22,30 @@ NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 BASE = Controls(base_y=0.4)
 
 
-CLOSED_FORMS = ("linear", "fung", "neo_hookean", "ogden")
+CLOSED_FORMS = ("linear", "fung", "gent", "neo_hookean", "ogden", "two_term_ogden")
 
 
-def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = np.zeros(1)):
-    return evaluate_layer(tissue, layer, e)
+REST = np.zeros(1)
 
 
-def modulus(law: str, alpha: float, stretch: np.ndarray) -> np.ndarray:
+def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = REST, number: int = 0):
+    return evaluate_layer(tissue, layer, e, number)
+
+
+def modulus(law: str, shape: Sequence[float], stretch: np.ndarray) -> np.ndarray:
     """Return k / mu of one of the `CLOSED_FORMS`, written as in the paper."""
     if law == "linear":
         return np.full_like(stretch, 3.0)
-    if law == "fung":
-        strain = stretch**2 + 2 / stretch - 3
-        return np.exp(alpha * strain) * (
-            2 * stretch + stretch**-2 + 2 * alpha * stretch * (stretch - stretch**-2) ** 2
-        )
-    alpha = 2.0 if law == "neo_hookean" else alpha
+    if law == "two_term_ogden":
+        alpha, beta, share = shape
+        return (1 - share) * modulus("ogden", [alpha], stretch) + share * modulus("ogden", [beta], stretch)
+    strain, slope = stretch**2 + 2 / stretch - 3, 2 * (stretch - stretch**-2)
+    if law in ("fung", "gent"):  # f(I_1) (lambda^2 - 1 / lambda), differentiated by the product rule
+        (value,) = shape
+        f = np.exp(value * strain) if law == "fung" else value / (value - strain)
+        by_strain = value * f if law == "fung" else f / (value - strain)
+        return f * (2 * stretch + stretch**-2) + by_strain * slope * (stretch**2 - 1 / stretch)
+    (alpha,) = (2.0,) if law == "neo_hookean" else shape
     return 2 * (stretch ** (alpha - 1) + 0.5 * stretch ** (-alpha / 2 - 1))
 
 
@@ -44,16 +53,18 @@ def modulus(law: str, alpha: float, stretch: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("thickness", [0.3, 5.0, 40.0, 80.0])
 def test_the_polynomial_is_the_law_as_far_as_it_is_used(law: str, thickness: float) -> None:
     """To 1e-9 of k, and its tangent d(k e)/de to 1e-7, over the widest prior."""
-    for alpha in LAWS[law].into_range(np.linspace(-10, 10, 41)):
-        layer = evaluated(Tissue(mu=[0.7], alpha=[alpha], thickness=[thickness], law=law))
+    tested = [np.linspace(*one.tested, 41) for one in LAWS[law].parameters]
+    rng = np.random.default_rng(0)
+    for shape in np.array([rng.permuted(row) for row in tested]).T if tested else [()]:
+        layer = evaluated(Tissue([0.7], np.reshape(shape, (-1, 1)), thickness=thickness, law=law))
         e = np.linspace(0.0, layer.limit, 50)
         assert 0.004 * thickness < layer.limit <= 0.2 * thickness
         found = np.polynomial.Polynomial(layer.series)
-        exact = 0.7 * modulus(law, alpha, 1 - e / thickness)
+        exact = 0.7 * modulus(law, shape, 1 - e / thickness)
         np.testing.assert_allclose(found(e), exact, rtol=1e-9)
         tangent = (found * np.polynomial.Polynomial([0.0, 1.0])).deriv()
         step = 1e-6 * thickness
-        ends = [(e + s) * 0.7 * modulus(law, alpha, 1 - (e + s) / thickness) for s in (step, -step)]
+        ends = [(e + s) * 0.7 * modulus(law, shape, 1 - (e + s) / thickness) for s in (step, -step)]
         np.testing.assert_allclose(tangent(e), (ends[0] - ends[1]) / (2 * step), rtol=1e-7)
 
 
@@ -107,10 +118,11 @@ def test_in_thick_tissue_every_law_is_linear() -> None:
 
 
 SISTER = """
-from needlefit.mechanics.laws import PowerLaw
+from needlefit.mechanics.laws import PowerLaw, ShapeParameter
 
 class Sister(PowerLaw):
     name, label = "sister", "sister foundation"
+    parameters = (ShapeParameter("alpha", "α", "exponent", (0.0, 5.0), 1.0),)
 
     def terms(self, alpha):
         return [(3.0, -alpha), (0.5, 2.0)]
@@ -123,7 +135,7 @@ def test_a_law_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     """It is found by its name, and neither reference nor kernel needs a change."""
     install(tmp_path, module="sister_laws", source=SISTER)
     with plugin_folder(tmp_path, monkeypatch):
-        assert "sister" in LAWS.names() and LAWS["sister"].uses_alpha
+        assert "sister" in LAWS.names() and LAWS["sister"].shape_names == ("alpha",)
         tissue = Tissue(mu=[0.5], alpha=[4.0], thickness=[2.0], law="sister")
         case = (NEEDLE, tissue, Bevel(0.1), 9.0, BASE)
         fast, slow = simulate(*case), reference.simulate(*case)
@@ -133,14 +145,10 @@ def test_a_law_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         evaluated(Tissue(mu=[0.5], alpha=[4.0], law="sister"))
 
 
-def test_which_laws_use_alpha() -> None:
-    assert {name for name in LAWS.names() if LAWS[name].uses_alpha} == {"fung", "ogden"}
-
-
 @pytest.mark.parametrize("alpha", [0.0, 1.0, 5.0, 20.0])
 def test_a_table_is_its_law_as_far_as_it_reaches(alpha: float) -> None:
     """k, dk/dlambda and dk/dalpha of the table against those of the law, over k."""
-    law, (table, _) = LAWS["fung"], compile_law("fung", np.array([alpha]))
+    law, (table, _) = LAWS["fung"], compile_law("fung", np.array([[alpha]]))
     reach = table[0, 0]
     assert 0.4 < reach < 0.8
     tissue, d = Tissue(mu=[1.0], alpha=[alpha], thickness=[1.0], law="fung"), np.linspace(0, reach, 500)
@@ -164,11 +172,60 @@ def test_fung_is_neo_hookean_at_zero() -> None:
 def test_a_table_ends_where_its_law_is_too_steep() -> None:
     """Beyond, tissue is over-compressed; a law that is too steep at once is refused."""
     tissue = Tissue(mu=[1e-4], alpha=[20.0], thickness=[1.0], law="fung")
-    assert compile_law("fung", np.array([20.0]))[0][0, 0] < 0.5
+    assert compile_law("fung", np.array([[20.0]]))[0][0, 0] < 0.5
     held = Controls(base_y=0.0, guides=(Guide(10.0, 0.7, None, in_tissue=True),))
     shape = simulate(NEEDLE, tissue, Bevel(0.1), 20.0, held)
     assert not shape.converged
-    with pytest.raises(ModelError, match="`fung`"):
-        compile_law("fung", np.array([1000.0]))
-    with pytest.raises(ModelError, match="`fung`"):
-        compile_law("fung", np.array([-100.0]))
+    with pytest.raises(ModelError, match=r"layer 2.*`fung`.* alpha = 1000"):
+        compile_law("fung", np.array([[1.0, 1000.0]]))
+
+
+@pytest.mark.parametrize(
+    ("law", "shape", "named"),
+    [
+        ("fung", {"alpha": [1.0, 60.0]}, ("layer 2", "alpha", "60", "0 to 50")),
+        ("gent", {"jm": [0.1, 5.0]}, ("layer 1", "jm", "0.1", "0.2 to inf")),
+        ("two_term_ogden", {"alpha": 1.0, "beta": -2.0, "share": [0.2, 1.5]}, ("layer 2", "share", "1.5")),
+        ("two_term_ogden", {"alpha": 1.0, "beta": -2.0}, ("share",)),
+        ("ogden", {"alpha": 1.0, "jm": 5.0}, ("jm",)),
+    ],
+)
+def test_an_error_names_layer_and_parameter(law: str, shape: dict, named: tuple[str, ...]) -> None:
+    with pytest.raises(ModelError) as fault:
+        Tissue([0.2, 3.0], shape, [10.0], law=law)
+    assert all(word in f"{fault.value.what} {fault.value.expected}" for word in named)
+
+
+def test_gent_is_neo_hookean_for_an_infinite_limit() -> None:
+    stretch = np.linspace(0.25, 1.0, 50)
+    off = [
+        np.max(np.abs(LAWS["gent"].k(stretch, np.array(jm)) / LAWS["neo_hookean"].k(stretch) - 1))
+        for jm in (1e3, 1e6)
+    ]
+    assert off[0] > 1e-3 and off[1] < 1.1e-3 * off[0]
+    assert Tissue([0.5], {"jm": 1e15}, thickness=4.0, law="gent").shape[0, 0] == 1e15
+
+
+def test_gent_ends_at_its_limit() -> None:
+    """Tables end before I_1 - 3 = J_m; there k exceeds any Ogden one."""
+    for jm in (0.25, 1.0, 4.0):
+        (table, _) = compile_law("gent", np.array([[jm]]))
+        reach = 1 - table[0, 0]
+        assert 0.2 <= table[0, 0] + 1e-9 and reach**2 + 2 / reach - 3 < jm
+    assert np.isnan(LAWS["gent"].k(np.array([0.5]), np.array([0.5])))[0]
+
+
+@pytest.mark.parametrize(("share", "exponent"), [(0.0, -4.0), (1.0, 3.5)])
+def test_a_share_of_0_or_1_leaves_one_ogden_term(share: float, exponent: float) -> None:
+    both = {"alpha": -4.0, "beta": 3.5, "share": share}
+    two, one = (
+        Tissue([0.5], both, thickness=4.0, law="two_term_ogden"),
+        Tissue([0.5], exponent, thickness=4.0),
+    )
+    shapes = [simulate(NEEDLE, tissue, Bevel(0.1), 20.0, BASE) for tissue in (two, one)]
+    np.testing.assert_allclose(shapes[0].u, shapes[1].u, rtol=0, atol=1e-9)
+    by = [linearize(NEEDLE, tissue, Bevel(0.1), 20.0, BASE, wrt=("shape",))[1] for tissue in (two, one)]
+    assert by[0].names == ("alpha1", "beta1", "share1")
+    met = by[0].u[:, 0 if share == 0 else 1]
+    np.testing.assert_allclose(met, by[1].u[:, 0], rtol=0, atol=1e-9)
+    assert np.any(by[0].u[:, 2]) and not np.any(by[0].u[:, 1 if share == 0 else 0])

@@ -67,7 +67,7 @@ def test_derivatives_equal_complex_steps_under_any_rules(switch: float, tangent:
     )
     named = complex_step.parameters(case)
     names = ("mu1", "mu2", "alpha2", "offset", "rigidity", "base_y", "boundary1")
-    kinds = ("mu", "alpha", "offset", "rigidity", "base_y", "boundaries")
+    kinds = ("mu", "shape", "offset", "rigidity", "base_y", "boundaries")
     exact, points = complex_step.derivatives(case, [named[name] for name in names], rules)
     _, found = linearize_steps(*(case.needle, case.tissue, case.steps, rules), wrt=kinds)
     columns = [found.names.index(name) for name in names]

@@ -1,0 +1,88 @@
+"""Every law with all its shape parameters: kernel, lanes and derivatives against the reference."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import complex_step
+import numpy as np
+import pytest
+from plugin_cases import install, plugin_folder
+
+from needlefit.mechanics import reference
+from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.linearize import linearize_steps
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+STEPS = (Step(11.0, Bevel(0.1), Controls(0.5)), Step(17.3, Bevel(0.1, -1), Controls(0.5)))
+LAYERS = 2
+
+
+@pytest.fixture(params=[*LAWS.names(), "logarithmic"])
+def law(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Each law of the package, and the plugin's, which has two shape parameters and a table."""
+    if request.param in LAWS.names():
+        yield request.param
+        return
+    with plugin_folder(install(tmp_path), monkeypatch):
+        yield request.param
+
+
+def make_tissue(law: str, seed: int) -> Tissue:
+    """Thin layers, which the base compresses by a tenth: every shape parameter moves the needle."""
+    shape = [np.random.default_rng(seed).uniform(*one.usual, LAYERS) for one in LAWS[law].parameters]
+    return Tissue([0.4, 2.0], dict(zip(LAWS[law].shape_names, shape, strict=True)), [7.3], 5.0, 0.2, law)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_kernel_equals_the_reference(law: str, seed: int) -> None:
+    tissue = make_tissue(law, seed)
+    fast, slow = (solve(NEEDLE, tissue, STEPS) for solve in (simulate_steps, reference.simulate_steps))
+    np.testing.assert_allclose(fast.u, slow.u, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(fast.constraints, slow.constraints, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_derivatives_equal_complex_steps(law: str, seed: int) -> None:
+    tissue, rules = make_tissue(law, seed), ModelOptions(tolerance=1e-10)
+    _, found = linearize_steps(NEEDLE, tissue, STEPS, rules, wrt=("mu", "shape"))
+    expected = [f"{name}{layer}" for name in LAWS[law].shape_names for layer in range(1, LAYERS + 1)]
+    assert found.names == ("mu1", "mu2", *expected)
+    for column, name in enumerate(found.names):
+        _, u, slope, points = complex_step.follow(NEEDLE, tissue, STEPS, rules, name)
+        assert np.abs(u).max() > 1e-6
+        for ours, true in ((found.u, u), (found.slope, slope), (found.constraints, points)):
+            np.testing.assert_allclose(
+                ours[:, column], true, rtol=0, atol=1e-6 * np.abs(true).max(), err_msg=name
+            )
+
+
+def test_lanes_equal_single_needles(law: str) -> None:
+    tissue, rng, sets = make_tissue(law, 5), np.random.default_rng(6), 11
+    bounds = [one.usual for one in LAWS[law].parameters]
+    shape = np.array([rng.uniform(*one, (sets, LAYERS)) for one in bounds]).reshape(-1, sets, LAYERS)
+    batch = Batch(
+        NEEDLE, tissue, STEPS, mu=rng.uniform(0.3, 3.0, (sets, LAYERS)), shape=np.moveaxis(shape, 0, 1)
+    )
+    (shapes,) = simulate_batches([batch])
+    assert shapes.converged.all()
+    for i in range(sets):
+        np.testing.assert_allclose(shapes[i].u, simulate_steps(*batch.pick(i)).u, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(shapes[0].u, reference.simulate_steps(*batch.pick(0)).u, rtol=0, atol=1e-7)
+
+
+def test_a_set_outside_of_the_laws_bounds_is_no_number(law: str) -> None:
+    tissue = make_tissue(law, 7)
+    shape = np.repeat(tissue.shape[None], 3, axis=0)
+    for number, one in enumerate(LAWS[law].parameters):
+        if np.isfinite(one.bounds[0]):
+            shape[1, number, 1] = one.bounds[0] - 0.1
+    outside = bool(np.any(shape[1] != shape[0]))
+    (shapes,) = simulate_batches([Batch(NEEDLE, tissue, STEPS, shape=shape)])
+    assert shapes.converged.tolist() == [True, not outside, True]
+    np.testing.assert_array_equal(shapes.u[0], shapes.u[2])
