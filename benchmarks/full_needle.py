@@ -53,7 +53,7 @@ class FullNeedle:
         self.places = diagonal * 2 * self.nodes + 2 * self.element[:, None] + columns  # (Q, 10) in the bands
 
     def _read_law(self, tissue: Tissue, layer: NDArray[np.int64]) -> None:
-        coefficients, self.powers = (part[layer] for part in compile_law(tissue.law, tissue.alpha))
+        coefficients, self.powers = (part[layer] for part in compile_law(tissue.law, tissue.shape))
         self.stiffness = tissue.mu[layer, None] * coefficients  # (Q, P)
         self.thickness = tissue.thickness[layer]
         self.curvature = float(np.max(compile_tissue(tissue).curvature))

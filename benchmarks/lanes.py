@@ -244,7 +244,7 @@ def make_kinds(nominal: int, broad: int) -> dict[str, Batch]:
     priors = replace(
         batch(broad, TOLERANCES[0]),
         mu=10 ** rng.uniform(np.log10(0.05), np.log10(60), (broad, 4)),
-        alpha=rng.uniform(-3, 3, (broad, 4)),
+        shape=rng.uniform(-3, 3, (broad, 1, 4)),
         offset=rng.uniform(0, 0.2, broad),
     )
     return {"within 30 % of nominal": batch(nominal, TOLERANCES[0]), "priors": priors}

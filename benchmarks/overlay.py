@@ -51,9 +51,9 @@ def measure(rounds: int) -> Figures:
 def sets(scene: Scene) -> ParameterDraws:
     """Return parameter sets about those of the scene."""
     factors = np.exp(0.2 * np.random.default_rng(1).normal(size=(DRAWS, scene.tissue.layers + 1)))
-    alpha = np.tile(scene.tissue.alpha, (DRAWS, 1))
+    shape = np.tile(scene.tissue.shape, (DRAWS, 1, 1))
     return ParameterDraws(
-        scene.tissue.mu * factors[:, 1:], alpha, scene.steps[0].bevel.offset * factors[:, 0]
+        scene.tissue.mu * factors[:, 1:], shape, scene.steps[0].bevel.offset * factors[:, 0]
     )
 
 

@@ -27,7 +27,7 @@ def draw_parameters(insertion: StartedInsertion, count: int, rng: np.random.Gene
     exact = insertion.exact
     mu = exact.mu * np.exp(np.log(1.5) * rng.standard_normal((count, exact.mu.shape[1])))
     bevel = exact.bevel * np.exp(0.2 * rng.standard_normal(count))
-    return ParameterDraws(mu, np.repeat(exact.alpha, count, 0), bevel)
+    return ParameterDraws(mu, np.repeat(exact.shape, count, 0), bevel)
 
 
 def main() -> None:

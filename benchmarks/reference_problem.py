@@ -32,7 +32,7 @@ def batch(count: int, tolerance: float, depth: float = DEPTH, tissue: Tissue = T
     spread = np.random.default_rng(1).uniform(1.0 - SPREAD, 1.0 + SPREAD, (count, 2 * n + 1))
     return Batch(
         NEEDLE, tissue, (Step(depth, BEVEL),), ModelOptions(tolerance=tolerance),
-        mu=tissue.mu * spread[:, :n], alpha=tissue.alpha * spread[:, n:-1],
+        mu=tissue.mu * spread[:, :n], shape=tissue.shape * spread[:, None, n:-1],
         offset=BEVEL.offset * spread[:, -1],
     )  # fmt: skip
 
@@ -41,5 +41,5 @@ def layered(layers: int) -> Tissue:
     """Return a tissue of as many layers as wanted within the insertion, soft and stiff in turns."""
     boundaries = DEPTH * np.arange(1, layers) / layers
     which = np.arange(layers) % 2
-    return replace(TISSUE, mu=TISSUE.mu[which], alpha=TISSUE.alpha[which], boundaries=boundaries,
+    return replace(TISSUE, mu=TISSUE.mu[which], shape=TISSUE.shape[:, which], boundaries=boundaries,
                    thickness=np.full(layers, TISSUE.thickness[0]), friction=np.zeros(layers))  # fmt: skip

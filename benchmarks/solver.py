@@ -150,7 +150,7 @@ def scalar(tolerance: float) -> Method:
 def pool(tolerance: float, workers: ProcessPoolExecutor) -> Method:
     """Return the scalar kernel in processes that are sent arrays of parameters and send tips back."""
     sets = batch(256, tolerance)
-    parts = [(sets.mu[i : i + 32], sets.alpha[i : i + 32], sets.offset[i : i + 32], tolerance)
+    parts = [(sets.mu[i : i + 32], sets.shape[i : i + 32], sets.offset[i : i + 32], tolerance)
              for i in range(0, len(sets), 32)]  # fmt: skip
 
     def call() -> Floats:
@@ -165,9 +165,9 @@ def _insert(sets: tuple[Floats, Floats, Floats, float]) -> Floats:
     rules = ModelOptions(tolerance=tolerance)
     return np.array([
         simulate_steps(
-            NEEDLE, Tissue(mu, alpha, TISSUE.boundaries), (Step(DEPTH, Bevel(offset)),), rules
+            NEEDLE, Tissue(mu, shape, TISSUE.boundaries), (Step(DEPTH, Bevel(offset)),), rules
         ).tip_lateral
-        for mu, alpha, offset in zip(*columns, strict=True)
+        for mu, shape, offset in zip(*columns, strict=True)
     ])  # fmt: skip
 
 

@@ -18,8 +18,8 @@ from needlefit.inference.identifiability.identify import Identifiability, identi
 from needlefit.inference.identifiability.information import format_sd
 from needlefit.inference.identifiability.parameter_profiles import (
     ParameterProfile,
-    find_fixed_alphas,
-    free_alpha,
+    find_fixed_shape,
+    free_shape,
     profile_parameters,
 )
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
@@ -102,8 +102,8 @@ def test_layers_of_one_material_share_the_alpha_that_is_freed():
     made = [measure({**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0, "mu4_pa": 2e8, "alpha4": 1.0}, record,
                     insertion(40.0, (12.0, 25.0), (1, 2, 3)))]  # fmt: skip
     p = problem(record, made)
-    assert find_fixed_alphas(p) == {"alpha1": ("alpha3",), "alpha2": ()}  # layer 4 is not met
-    opened = free_alpha(p, "alpha1").parameters
+    assert find_fixed_shape(p) == {"alpha1": ("alpha3",), "alpha2": ()}  # layer 4 is not met
+    opened = free_shape(p, "alpha1").parameters
     assert opened.bounds["alpha1"] == (-3.0, 5.0) and opened.ties["alpha3"] == (1.0, "alpha1")
     theta = opened.theta({**TRUTH, "alpha1": 2.5})
     assert opened.values(theta)["alpha3"] == 2.5

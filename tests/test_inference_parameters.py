@@ -11,9 +11,10 @@ from scipy.stats import kstest
 from needlefit.errors import ConfigError
 from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.parameters import Parameters, make_tissue, with_hyperparameters, without_prior
+from needlefit.mechanics.laws import LAWS
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 
 
@@ -72,9 +73,35 @@ def test_an_invalid_parameter_is_refused_with_its_reason(changed, fault):
 
 def test_a_missing_parameter_is_named():
     record = medium()
-    table = {name: p for name, p in record.parameters.items() if name != "alpha2"}
-    with pytest.raises(ConfigError, match="`alpha2`"):
+    table = {name: p for name, p in record.parameters.items() if name != "mu2_pa"}
+    with pytest.raises(ConfigError, match="`mu2_pa`"):
         Parameters.from_record(record.model_copy(update={"parameters": table}))
+
+
+def test_a_shape_parameter_that_a_medium_leaves_out_is_free_within_the_usual_bounds_of_its_law():
+    record = medium()
+    table = {name: p for name, p in record.parameters.items() if name not in ("alpha1", "alpha2")}
+    for law, kinds in (("ogden", ["alpha"]), ("two_term_ogden", ["alpha", "beta", "share"]), ("linear", [])):
+        p = Parameters.from_record(record.model_copy(update={"law": law, "parameters": table}))
+        assert p.names[: len(kinds) + 2] == ("mu1_pa", *(f"{kind}1" for kind in kinds), "mu2_pa")
+        usual = {one.name: one.usual for one in LAWS[law].parameters}
+        assert {name: p.bounds[name] for name in p.names if name[:-1] in usual} == {
+            f"{kind}{layer}": usual[kind] for kind in kinds for layer in (1, 2)
+        }
+    mistyped = {**table, "alhpa1": ParameterRecord(fixed=1.0)}
+    with pytest.raises(ConfigError) as error:
+        Parameters.from_record(record.model_copy(update={"parameters": mistyped}))
+    assert "`alpha1`" in error.value.fix
+
+
+@pytest.mark.parametrize(("law", "name"), [("fung", "alpha2"), ("gent", "jm1"), ("two_term_ogden", "share2")])
+def test_a_shape_parameter_beyond_the_bounds_of_its_law_is_named(law, name):
+    record = medium()
+    table = {n: p for n, p in record.parameters.items() if not n.startswith("alpha")}
+    changed = {"law": law, "parameters": table | {name: ParameterRecord(fixed=-1.0)}}
+    with pytest.raises(ConfigError) as error:
+        Parameters.from_record(record.model_copy(update=changed))
+    assert error.value.key == f"parameters.{name}"
 
 
 def test_with_only_keeps_ties_to_what_stays_free_and_fixes_the_rest_at_the_given_values():

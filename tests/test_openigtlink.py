@@ -161,7 +161,7 @@ def test_the_prior_is_the_posterior_of_a_run_and_survives_a_withdrawal(tmp_path)
     rng = np.random.default_rng(1)
     draws = ParameterDraws(
         np.exp(rng.normal([[-1, 3, -1, 3]], 0.1, (90, 4))),
-        np.ones((90, 4)),
+        np.ones((90, 1, 4)),
         np.exp(rng.normal(-2.4, 0.05, 90)),
     )
     poses = Poses(tmp_path, viewed_scene=replace(shown, spread=draws))

@@ -44,7 +44,7 @@ def uncertain(count: int = 96) -> StartedInsertion:
     rng, exact = np.random.default_rng(4), insertion().exact
     mu = exact.mu * np.exp(np.log(1.5) * rng.standard_normal((count, exact.mu.shape[1])))
     bevel = exact.bevel * np.exp(0.2 * rng.standard_normal(count))
-    return replace(insertion(), draws=ParameterDraws(mu, np.repeat(exact.alpha, count, 0), bevel))
+    return replace(insertion(), draws=ParameterDraws(mu, np.repeat(exact.shape, count, 0), bevel))
 
 
 def tip_of(*steps: Step) -> np.ndarray:

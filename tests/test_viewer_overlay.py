@@ -120,7 +120,7 @@ def spread(count: int = 60) -> ParameterDraws:
     names = ["mu1_pa", "mu2_pa", "bevel_mm"]
     draws = {name: TRUTH[name] * factors[:, n] for n, name in enumerate(names)}
     alphas = {f"alpha{n}": rng.uniform(-30.0, 30.0, count) for n in (1, 2)}  # so far that they tell
-    return select_layer_draws(pd.DataFrame(draws | alphas), (1, 2))
+    return select_layer_draws(pd.DataFrame(draws | alphas), (1, 2), "ogden")
 
 
 def led() -> Session:
@@ -139,8 +139,8 @@ def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
     found = compute_band(drawn, SCENE.needle, SCENE.tissue, session.input_path(), SCENE.rules, 0.7)
     s = np.linspace(0.0, session.depth, len(found.x))
     heights, x = [], []
-    for mu, alpha, offset in zip(drawn.mu, drawn.alpha, drawn.bevel, strict=True):
-        tissue = Tissue(mu, alpha, SCENE.tissue.boundaries, SCENE.tissue.thickness)
+    for mu, shape, offset in zip(drawn.mu, drawn.shape, drawn.bevel, strict=True):
+        tissue = Tissue(mu, shape, SCENE.tissue.boundaries, SCENE.tissue.thickness)
         points = compute_positions(session.simulate_again(tissue, offset).now.shape, s)
         x.append(points[:, 0])
         heights.append(points[:, 1])
@@ -153,19 +153,19 @@ def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
 
 def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
     same = spread(5)
-    same = ParameterDraws(*(part[[0] * 5] for part in (same.mu, same.alpha, same.bevel)))
+    same = ParameterDraws(*(part[[0] * 5] for part in (same.mu, same.shape, same.bevel)))
     same.bevel[3] = np.nan
     args = (SCENE.needle, SCENE.tissue, SCENE.steps, SCENE.rules, 1.0)
     found = compute_band(same, *args)
     assert found.failed == 1
     np.testing.assert_allclose(found.low, found.high, atol=1e-9)
-    tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0], alpha=same.alpha[0])
+    tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0], shape=same.shape[0])
     bent = dataclasses.replace(SCENE.steps[0].bevel, offset=float(same.bevel[0]))
     alone = simulate_steps(
         SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules
     )
     assert found.low[-1] == pytest.approx(alone.tip_lateral, abs=1e-6)
-    assert compute_band(ParameterDraws(same.mu, same.alpha, same.bevel * np.nan), *args) is None
+    assert compute_band(ParameterDraws(same.mu, same.shape, same.bevel * np.nan), *args) is None
 
 
 def test_before_first_contact_there_is_no_band():

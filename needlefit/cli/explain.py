@@ -1,4 +1,4 @@
-"""`needlefit explain`: what a warning, a term, a column of a table or a file means."""
+"""`needlefit explain`: what a warning, a term, a tissue law, a column of a table or a file means."""
 
 import difflib
 from collections.abc import Callable, Iterator, Mapping
@@ -42,6 +42,18 @@ def _list_terms() -> Iterator[Topic]:
         yield Topic(one.name, ", ".join(filter(None, (one.name, one.symbol, one.unit))), (one.meaning,))
 
 
+def _list_laws() -> Iterator[Topic]:
+    from needlefit.mechanics.laws import LAWS
+
+    for law in LAWS.values():
+        shape = [
+            f"{one.name} ({one.symbol}{one.unit and f', {one.unit}'}): {one.explanation}; "
+            f"{one.bounds[0]:g} to {one.bounds[1]:g}, usually {one.usual[0]:g} to {one.usual[1]:g}"
+            for one in law.parameters
+        ]
+        yield Topic(law.name, law.label, tuple(shape) or ("No shape parameters.",))
+
+
 def _list_columns() -> Iterator[Topic]:
     from needlefit.reporting.columns import list_columns
 
@@ -55,6 +67,7 @@ _GROUPS: Mapping[str, Callable[[], Iterator[Topic]]] = MappingProxyType(
         "Warnings": _list_warnings,
         "Files": _list_files,
         "Terms": _list_terms,
+        "Tissue laws": _list_laws,
         "Columns of tables": _list_columns,
     }
 )
@@ -70,19 +83,19 @@ def explain(
         typer.Argument(
             metavar="NAME",
             autocompletion=_complete_keys,
-            help="A warning as printed (coverage), a file (study.toml), a term, or a column (te_mm).",
+            help="A warning as printed (coverage), a file (study.toml), a term, a tissue law, or a column (te_mm).",
         ),
     ] = "",
     json: options.Json = False,
 ) -> None:
-    """Explain a warning, a file with all its keys, a term, or a column of a table. Without NAME: list all."""
+    """Explain a warning, a file with all its keys, a term, a tissue law, or a column. Without NAME: list all."""
     groups = {name: list(group()) for name, group in _GROUPS.items()}
     topics = [one for group in groups.values() for one in group]
     found = [one for one in topics if one.key == key] or _find_numbered_column(key)
     if key and not found:
         near = difflib.get_close_matches(key, [one.key for one in topics], n=3)
         raise typer.BadParameter(
-            f"`{key}` is no warning, file, term or column"
+            f"`{key}` is no warning, file, term, tissue law or column"
             + (f"; did you mean {' or '.join(near)}?" if near else "")
         )
     if json:

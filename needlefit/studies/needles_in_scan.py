@@ -17,6 +17,7 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.errors import ModelError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.inference.compared_points import make_curve, select_points
@@ -285,7 +286,14 @@ def _linear_band(stations: _NeedleCurve, known: FoldFit) -> tuple[Floats, Floats
         return None
     weights = np.array([direction.weights for direction in known.verdict.directions])  # (D, P)
     sds = np.array([direction.sd for direction in known.verdict.directions])
-    moves = difference_jacobian(stations.heights, theta, difference_steps(names)) @ weights.T * sds  # (K, D)
+
+    def heights(at: Floats) -> Floats:
+        try:
+            return stations.heights(at)
+        except ModelError:  # a step leads out of the bounds of a shape parameter
+            return np.full_like(fitted, np.nan)
+
+    moves = difference_jacobian(heights, theta, difference_steps(names)) @ weights.T * sds  # (K, D)
     width = NORMAL_95_HALF_WIDTH_SD * np.sqrt(np.sum(moves**2, axis=1))
     if not np.isfinite(width).all():
         return None

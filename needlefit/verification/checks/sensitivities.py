@@ -89,10 +89,10 @@ def _kind(case: RandomCase, name: str) -> int:
 
 
 def _draw_layered(draw: Draw, rng: np.random.Generator, softest: float) -> RandomCase:
-    """Return a case of two layers at least: one alone has no boundary to differentiate by."""
+    """Return a case with a boundary and a shape parameter to differentiate by."""
     while True:
         case = draw(rng, 25.0, softest)
-        if case.tissue.layers > 1:
+        if case.tissue.layers > 1 and len(case.tissue.shape):
             return case
 
 

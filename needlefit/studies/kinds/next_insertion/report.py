@@ -181,7 +181,7 @@ def _describe_alphas(result: Run) -> list[str]:
     names = " and ".join(format_symbol(str(name)) for name in every["parameter"].unique())
     return [
         f"No candidate identifies {names}: with all else known, the posterior SD would still be "
-        f"{100 * sd_ratio:.1f} % of that of a flat prior between −3 and 5."
+        f"{100 * sd_ratio:.1f} % of that of a flat prior within the usual bounds."
     ]
 
 
