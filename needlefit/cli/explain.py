@@ -83,12 +83,12 @@ def explain(
         typer.Argument(
             metavar="NAME",
             autocompletion=_complete_keys,
-            help="A warning as printed (coverage), a file (study.toml), a term, a tissue law, or a column (te_mm).",
+            help="A warning as printed (coverage), a file (study.toml), a term, a law, or a column (te_mm).",
         ),
     ] = "",
     json: options.Json = False,
 ) -> None:
-    """Explain a warning, a file with all its keys, a term, a tissue law, or a column. Without NAME: list all."""
+    """Explain a warning, a file with all its keys, a term, a law or a column. Without NAME: list all."""
     groups = {name: list(group()) for name, group in _GROUPS.items()}
     topics = [one for group in groups.values() for one in group]
     found = [one for one in topics if one.key == key] or _find_numbered_column(key)

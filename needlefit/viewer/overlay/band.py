@@ -53,8 +53,8 @@ def compute_band(
     """Return the band of a needle after `steps`; None if it has no width.
 
     Every draw replaces moduli and shape parameters of all layers and the strength of the bevel of all steps;
-    the layers stay where they are, guides and base where the user holds them. Runs on one core, and lets the interpreter
-    go.
+    the layers stay where they are, guides and base where the user holds them. Runs on one core, and lets the
+    interpreter go.
 
     Parameters
     ----------
