@@ -1,0 +1,124 @@
+"""Fits of laws with any number of shape parameters: derivatives, sets in lanes, information, profiles, scenes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import BEVEL, MU, insertion, measure, problem
+
+from needlefit.datasets.insertion import Noise
+from needlefit.inference.fit import Fit, Start
+from needlefit.inference.forward_model import make_scene_record, predict
+from needlefit.inference.identifiability.identify import identify
+from needlefit.inference.identifiability.information import difference_jacobian
+from needlefit.inference.identifiability.parameter_profiles import (
+    find_fixed_shape,
+    free_shape,
+    profile_parameters,
+)
+from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.scene import Scene, simulate_scene
+from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.kinds.comparison.candidates import _with_law
+
+SHAPE = {
+    "linear": {},
+    "fung": {"alpha1": 2.0, "alpha2": 0.7},
+    "gent": {"jm1": 1.4, "jm2": 6.0},
+    "two_term_ogden": {"alpha1": 3.1, "alpha2": 1.7, "beta1": -2.3, "beta2": -3.9, "share1": 0.3, "share2": 0.6},
+}
+NEEDLES = ((34.3, 1), (41.0, -1))
+
+
+def make_case(law, thickness=3.0, **stated):
+    """Two layers, met twice, so thin that the shape matters; shape parameters that are not stated are free."""
+    truth = {"mu1_pa": 3e5, "mu2_pa": 2e6, **SHAPE[law], "bevel_mm": 0.08}
+    table = {"mu1_pa": {"bounds": MU}, "mu2_pa": {"bounds": MU}, "bevel_mm": {"bounds": BEVEL}, **stated}
+    record = MediumRecord.model_validate(
+        {"schema": 1, "layers": 2, "law": law, "thickness_mm": thickness, "parameters": table}
+    )
+    layers = {"boundaries": (9.0, 17.0, 26.0), "sequence": (1, 2, 1, 2)}
+    made = [measure(truth, record, insertion(d, **layers, side=side)) for d, side in NEEDLES]
+    return problem(record, made, noise=Noise(point_sd=0.02)), truth
+
+
+def exact_fit(p, truth):
+    theta = tuple(p.parameters.theta(truth).tolist())
+    start = Start(0, theta, theta, p.objective(np.array(theta)), 1, 0, "tolerance")
+    return Fit(theta, p.values(theta), start.objective, (start,), 1, 0, False)
+
+
+@pytest.mark.parametrize("law", SHAPE)
+def test_all_shape_parameters_are_searched_within_the_usual_bounds(law):
+    p, truth = make_case(law)
+    assert set(p.names) == set(truth)
+    usual = {f"{one.name}{layer}": one.usual for one in LAWS[law].parameters for layer in (1, 2)}
+    assert {name: p.parameters.bounds[name] for name in usual} == usual
+
+
+@pytest.mark.parametrize("law", SHAPE)
+def test_the_jacobian_is_that_of_the_residuals(law):
+    p, truth = make_case(law)
+    theta = p.parameters.theta(truth)
+    residuals, exact = p.jacobian(theta)
+    assert residuals == pytest.approx(p.residuals(theta), abs=1e-2)  # Newton to 1e-7 mm, whitened
+    steps = np.full(len(theta), 2e-2)
+    half, whole = (difference_jacobian(p.residuals, theta, part * steps) for part in (0.5, 1.0))
+    off = np.linalg.norm(exact - (4 * half - whole) / 3, axis=0) / np.linalg.norm(exact, axis=0)
+    assert np.all(np.linalg.norm(exact, axis=0) > 1e-3)
+    assert np.all(off < 2e-3), dict(zip(p.names, off, strict=True))
+
+
+@pytest.mark.parametrize("law", SHAPE)
+def test_many_sets_have_the_densities_of_single_ones(law):
+    p, truth = make_case(law)
+    rng = np.random.default_rng(1)
+    thetas = p.parameters.theta(truth) + 0.02 * rng.standard_normal((5, len(p.names)))
+    alone = [p.log_posterior(theta) for theta in thetas]
+    assert p.log_posteriors(thetas) == pytest.approx(alone, rel=1e-5)
+
+
+@pytest.mark.parametrize("law", SHAPE)
+def test_information_and_verdict_name_every_parameter(law):
+    p, truth = make_case(law)
+    verdict = identify(p, exact_fit(p, truth))
+    assert set(verdict.sds) == set(truth) and all(np.isfinite(sd) for sd in verdict.sds.values())
+    for one in LAWS[law].parameters:
+        width = one.usual[1] - one.usual[0]
+        assert verdict.sds[f"{one.name}1"] <= 1.01 * width / np.sqrt(12)  # no worse than its bounds
+
+
+@pytest.mark.parametrize("law", ["linear", "gent", "two_term_ogden"])
+def test_fixed_shape_parameters_are_freed_for_their_profiles(law):
+    p, truth = make_case(law, **{name: {"fixed": value} for name, value in SHAPE[law].items()})
+    assert set(p.names) == {"mu1_pa", "mu2_pa", "bevel_mm"}
+    assert find_fixed_shape(p) == {name: () for name in SHAPE[law]}
+    for one in LAWS[law].parameters:
+        assert free_shape(p, f"{one.name}2").parameters.bounds[f"{one.name}2"] == one.usual
+    if law == "two_term_ogden":  # one needle: six profiles take long
+        p = replace(p, insertions=p.insertions[:1])
+    found = {one.name: one for one in profile_parameters(p, exact_fit(p, truth)).parameters}
+    assert set(found) == set(truth)
+    for name, value in SHAPE[law].items():
+        assert found[name].fixed_at == value and found[name].tip_range_mm > 0
+
+
+@pytest.mark.parametrize("law", SHAPE)
+def test_the_scene_of_a_prediction_has_its_shape(law):
+    p, truth = make_case(law)
+    record = make_scene_record(truth, p.medium, p.dataset, p.insertions[0])
+    assert [layer.shape_values for layer in record.layers] == [
+        {name[:-1]: value for name, value in SHAPE[law].items() if name.endswith(str(layer))}
+        for layer in (1, 2, 1, 2)
+    ]
+    shape = simulate_scene(Scene.from_record(record))[-1]
+    expected = predict(truth, p.medium, p.dataset.needle, p.insertions[0])
+    np.testing.assert_allclose(shape.u, expected.u, rtol=0, atol=1e-6)
+
+
+def test_a_medium_of_another_law_keeps_what_that_law_has():
+    record = make_case("two_term_ogden", alpha1={"bounds": [-2.0, 70.0]}, share1={"fixed": 0.2})[0].medium
+    assert set(_with_law(record, "fung").parameters) == {"mu1_pa", "mu2_pa", "bevel_mm", "alpha1"}
+    assert _with_law(record, "fung").parameters["alpha1"].bounds == (0.0, 50.0)
+    assert set(_with_law(record, "gent").parameters) == {"mu1_pa", "mu2_pa", "bevel_mm"}
+    assert _with_law(record, "linear").parameters["alpha1"].fixed == 1.0
