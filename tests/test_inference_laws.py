@@ -1,4 +1,4 @@
-"""Fits of laws with any number of shape parameters: derivatives, sets in lanes, information, profiles, scenes."""
+"""Fits of laws with any number of shape parameters: derivatives, lanes, information, profiles, scenes."""
 
 from dataclasses import replace
 
@@ -25,7 +25,14 @@ SHAPE = {
     "linear": {},
     "fung": {"alpha1": 2.0, "alpha2": 0.7},
     "gent": {"jm1": 1.4, "jm2": 6.0},
-    "two_term_ogden": {"alpha1": 3.1, "alpha2": 1.7, "beta1": -2.3, "beta2": -3.9, "share1": 0.3, "share2": 0.6},
+    "two_term_ogden": {
+        "alpha1": 3.1,
+        "alpha2": 1.7,
+        "beta1": -2.3,
+        "beta2": -3.9,
+        "share1": 0.3,
+        "share2": 0.6,
+    },
 }
 NEEDLES = ((34.3, 1), (41.0, -1))
 
@@ -92,7 +99,7 @@ def test_information_and_verdict_name_every_parameter(law):
 def test_fixed_shape_parameters_are_freed_for_their_profiles(law):
     p, truth = make_case(law, **{name: {"fixed": value} for name, value in SHAPE[law].items()})
     assert set(p.names) == {"mu1_pa", "mu2_pa", "bevel_mm"}
-    assert find_fixed_shape(p) == {name: () for name in SHAPE[law]}
+    assert find_fixed_shape(p) == dict.fromkeys(SHAPE[law], ())
     for one in LAWS[law].parameters:
         assert free_shape(p, f"{one.name}2").parameters.bounds[f"{one.name}2"] == one.usual
     if law == "two_term_ogden":  # one needle: six profiles take long

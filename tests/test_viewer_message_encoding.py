@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from needlefit.mechanics.scene import Scene
 from needlefit.schemas.scene import SceneRecord
+from needlefit.viewer.encoding import encode_scene
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.serving.messages import state_message
@@ -96,3 +98,25 @@ def test_the_page_is_given_the_limits_that_are_exceeded(encode, y, faults) -> No
     """The needle's slope is greatest between base and guide, where no node stands."""
     found = encode(NEEDLE, {"guide_x_mm@1": 20.0 - LENGTH, "guide_y_mm@1": 0.0}, {"base_y_mm": y})
     assert found["max_slope"] == pytest.approx(1.5 * y / 20.0) and len(found["faults"]) == faults
+
+
+def test_the_page_gets_every_shape_parameter_with_symbol_and_limits() -> None:
+    layers = [
+        {"top_mm": 0.0, "mu_pa": 2e5, "shape": {"jm": 5.0}},
+        {"top_mm": 9.0, "mu_pa": 3e5, "shape": {"jm": 0.3}},
+    ]
+    record = SceneRecord.model_validate(
+        {
+            "schema": 1, "depth_mm": 20.0, "law": "gent", "layers": layers, "bevel": {"offset_mm": 0.05},
+            "needle": {"length_mm": LENGTH, "flexural_rigidity_nmm2": NEEDLE},
+        }
+    )  # fmt: skip
+    viewed_scene = ViewedScene("gent", "gent", "", record, 1.0)
+    message = encode_scene(viewed_scene, SteeredNeedle(Scene.from_record(record), 1.0))
+    assert message["shape_parameters"] == [{"name": "jm", "symbol": "Jm", "unit": ""}]
+    assert message["fitted"]["layers"] == [
+        {"mu_pa": pytest.approx(2e5), "jm": 5.0},
+        {"mu_pa": pytest.approx(3e5), "jm": 0.3},
+    ]
+    low, high = message["limits"]["jm"]
+    assert low == 0.2 and high >= 10.0

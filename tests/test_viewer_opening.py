@@ -106,7 +106,7 @@ def test_an_insertion_as_a_scene_is_the_predicted_needle(one, record):
         make_simulation_inputs(VALUES, record, dataset([one]).needle, one),
     )
     assert scene.steps == steps and dataclasses.replace(scene.rules, tolerance=sharp.tolerance) == sharp
-    for part in ("mu", "alpha", "boundaries", "thickness", "friction"):
+    for part in ("mu", "shape", "boundaries", "thickness", "friction"):
         assert np.array_equal(getattr(scene.tissue, part), getattr(tissue, part))
     assert scene.tissue.law == tissue.law
     sharper = simulate_steps(scene.needle, scene.tissue, scene.steps, sharp)

@@ -11,7 +11,7 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.interaction.inputs import Change, find_changes
+from needlefit.viewer.interaction.inputs import Change, find_changes, find_tissue_changes
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
 
@@ -74,6 +74,39 @@ def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
         np.testing.assert_array_equal(nodes_y(replayed.state.shape), expected)
     assert max(replayed.tip_offset_mm for replayed in again) == 0.0
     assert again[4].time == 1.0
+
+
+def test_all_shape_parameters_of_a_law_are_steered_recorded_and_replayed(tmp_path) -> None:
+    layers = tuple(
+        one.model_copy(update={"alpha": 2.0, "shape": {"beta": -1.0 - n, "share": 0.4}, "thickness_mm": 5.0})
+        for n, one in enumerate(PLAIN.layers)
+    )
+    record = PLAIN.model_copy(update={"law": "two_term_ogden", "layers": layers})
+    steering, path = steer(record), tmp_path / "log.csv"
+    head = make_head("study2", 1.0, record.model_dump(mode="json", by_alias=True))
+    recorder, tips = RecordingWriter(path, head), []
+    steps = (
+        [("depth_mm", 20.0), ("base_y_mm", 0.5)],
+        [("share", 1, 0.9)],
+        [("beta", 2, -4.0), ("alpha", 1, 3.0)],
+    )
+    for n, step in enumerate(steps, start=1):
+        act(steering, *step)
+        given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
+        recorder.write(RecordedStep(n, 0.25 * n, given, steering.now.shape.tip_lateral))
+        tips.append(steering.now.shape.tip_lateral)
+    assert len(set(tips)) == 3
+    assert steering.now.tissue.shape[:, :2].T.tolist() == [[3.0, -1.0, 0.9], [2.0, -4.0, 0.4]]
+    again = list(replay(read_recording(path)))
+    assert max(replayed.tip_offset_mm for replayed in again) == 0.0
+    back = find_tissue_changes(Scene.from_record(record).tissue, steering.now.tissue)
+    assert [(one.name, one.item) for one in back] == [
+        (name, layer) for layer in (1, 2) for name in ("mu_pa", "alpha", "beta", "share")
+    ]
+    with pytest.raises(ModelError, match="jm"):
+        act(steering, ("jm", 1, 5.0))
+    with pytest.raises(ModelError, match=r"layer 1.*share"):
+        act(steering, ("share", 1, 1.5))
 
 
 @pytest.mark.parametrize("cut", [1, 20, 45])

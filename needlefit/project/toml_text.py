@@ -24,7 +24,8 @@ def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
 
 def _value(value: Any) -> str:  # noqa: ANN401 - whatever a record holds
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None) + " }"
+        kept = {k: v for k, v in value.items() if v is not None and v != {}}
+        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in kept.items()) + " }"
     if isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
         return "[\n" + "".join(f"    {_value(item)},\n" for item in value) + "]"
     if isinstance(value, list | tuple):
