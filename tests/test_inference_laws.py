@@ -38,7 +38,7 @@ NEEDLES = ((34.3, 1), (41.0, -1))
 
 
 def make_case(law, thickness=3.0, **stated):
-    """Two layers, met twice, so thin that the shape matters; shape parameters that are not stated are free."""
+    """Two layers, met twice, so thin that the law matters; what is not stated of the shape is free."""
     truth = {"mu1_pa": 3e5, "mu2_pa": 2e6, **SHAPE[law], "bevel_mm": 0.08}
     table = {"mu1_pa": {"bounds": MU}, "mu2_pa": {"bounds": MU}, "bevel_mm": {"bounds": BEVEL}, **stated}
     record = MediumRecord.model_validate(
