@@ -11,10 +11,10 @@ from needlefit.schemas.scene import Advance, check_advance
 
 
 class PriorRecord(Record):
-    """A prior: normal (`mean`, `sd`), for alpha, or lognormal (`median`, `factor`), for all others."""
+    """A prior: normal (`mean`, `sd`), for shape parameters of a law, or lognormal (`median`, `factor`)."""
 
     mean: float | None = None
-    """Mean of a normal prior (alpha)."""
+    """Mean of a normal prior (alpha and other shape parameters)."""
     sd: float | None = Field(default=None, gt=0)
     """Standard deviation of a normal prior."""
     median: float | None = Field(default=None, gt=0)
@@ -66,7 +66,7 @@ class ParameterRecord(Record):
     tie. Without it 1.2 for a modulus that is tied to another one without a factor, else 1."""
     prior: PriorRecord | None = None
     """Prior of a free parameter; without one it is flat within the bounds (of the logarithm, except for
-    alpha)."""
+    shape parameters)."""
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
@@ -106,8 +106,9 @@ class MediumRecord(FileRecord):
     advance: Advance = "tangent"
     """Rule of advance: along the tangent with offset b, or at a constant angle to it."""
     parameters: dict[str, ParameterRecord]
-    """Parameters by name: `mu1_pa`, `alpha1`, ... a pair for each layer; `bevel_mm` (with `advance =
-    "path_angle"`: `cut_angle_deg`); optionally `guide_distance_mm`."""
+    """Parameters by name: `mu1_pa`, ... of each layer; shape parameters of the law, such as `alpha1`, free
+    within their usual bounds if left out; `bevel_mm` (with `advance = "path_angle"`: `cut_angle_deg`);
+    optionally `guide_distance_mm`."""
 
     @model_validator(mode="after")
     def _one_rule(self) -> Self:

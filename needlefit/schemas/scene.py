@@ -141,9 +141,9 @@ class LayerRecord(Record):
     mu_pa: float = Field(gt=0)
     """Foundation modulus mu."""
     alpha: float | None = None
-    """Shape parameter of the laws ogden and fung."""
+    """Shape parameter alpha of the laws ogden, two_term_ogden and fung."""
     shape: dict[str, float] = Field(default_factory=dict)
-    """Shape parameters of another law by name: `{ jm = 5.0 }` of gent."""
+    """Other shape parameters of the law by name: `{ jm = 5.0 }` of gent."""
     thickness_mm: float = Field(default=40.0, gt=0)
     """Thickness h of the tissue that supports the needle on each side."""
     friction: float = Field(default=0.0, ge=0)

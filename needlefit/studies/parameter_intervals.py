@@ -12,7 +12,7 @@ import numpy as np
 
 from needlefit.inference.draws import Draws
 from needlefit.inference.identifiability.assessment import NORMAL_95_HALF_WIDTH_SD
-from needlefit.inference.identifiability.precision import MAX_ALPHA_SD, MAX_LOG_SD
+from needlefit.inference.identifiability.precision import MAX_LOG_SD, MAX_SHAPE_SD
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.interval_text import interval_width
@@ -37,7 +37,7 @@ class ParameterInterval:
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
-        sd = MAX_LOG_SD if is_logarithmic(name) else MAX_ALPHA_SD
+        sd = MAX_LOG_SD if is_logarithmic(name) else MAX_SHAPE_SD
         return self.width(name) < 2 * NORMAL_95_HALF_WIDTH_SD * sd
 
     def columns(self) -> Row:

@@ -158,7 +158,7 @@ OTHER_POINTS = 8
 """Places besides the one asked for."""
 
 MAX_POINT_SD = 1.0
-"""Standard deviation of the places along directions that the design leaves open: of logarithms, of alpha."""
+"""Standard deviation of the places along directions that the design leaves open, in theta."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ MIN_GAIN = 1e-3
 """A minimum is reached where a further step would lessen the sum of squares by less than this."""
 
 FIRST_RADIUS = 2.0
-"""Longest first step along any parameter: of a logarithm, or of alpha."""
+"""Longest first step along any parameter: of a logarithm, or of a shape parameter."""
 
 MAX_EVALUATIONS = 40
 """Evaluations after which a descent gives up."""

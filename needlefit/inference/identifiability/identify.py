@@ -1,8 +1,8 @@
 """Decide which parameters the data determine, and which only in combination.
 
 A parameter is called determined if the shapes could determine it (its standard deviation is below
-`MAX_LOG_SD` in the logarithm, `MAX_ALPHA_SD` for alpha, and below the part `MAX_SD_RATIO` of the prior's), if
-it stays so with ties loosened and an error of the model (`conditions`), if the starts that ended within
+`MAX_LOG_SD` in the logarithm, `MAX_SHAPE_SD` for shape parameters of a law, and below the part `MAX_SD_RATIO`
+of the prior's), if it stays so with ties loosened and an error of the model (`conditions`), if the starts that ended within
 tolerance of the best agree on it (their range is below `MAX_RANGE_SD` such deviations), and if it does not
 lie at a bound.
 
@@ -35,9 +35,9 @@ from needlefit.inference.identifiability.information import (
     principal_directions,
 )
 from needlefit.inference.identifiability.precision import (
-    MAX_ALPHA_SD,
     MAX_LOG_SD,
     MAX_SD_RATIO,
+    MAX_SHAPE_SD,
     add_estimated_noise,
     compute_sds,
     find_bounds,
@@ -66,7 +66,7 @@ class Identifiability:
     Attributes
     ----------
     sds : mapping
-        Posterior standard deviation, of the logarithm (of alpha itself for alpha).
+        Posterior standard deviation, of the logarithm (of a shape parameter itself).
     determined : mapping
         Whether the data determine it.
     at_bound : mapping
@@ -188,7 +188,7 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
 
 
 def _is_determined(name: str, sd: float, spread: float) -> bool:
-    limit = MAX_LOG_SD if is_logarithmic(name) else MAX_ALPHA_SD
+    limit = MAX_LOG_SD if is_logarithmic(name) else MAX_SHAPE_SD
     return sd < limit and spread < MAX_RANGE_SD * limit
 
 

@@ -10,11 +10,11 @@ from needlefit.arrays import Floats
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.ties import BEVEL_SPREAD
 
-LOG_STEP, ALPHA_STEP = 1e-3, 5e-2
-"""Steps of the differences: in a logarithm, and in alpha, on which shapes hardly depend."""
+LOG_STEP, SHAPE_STEP = 1e-3, 5e-2
+"""Steps of the differences: in a logarithm, and in a shape parameter, on which needles hardly depend."""
 
 NEARLY_FREE_SD = 0.5
-"""Standard deviation of a combination's logarithm (of alpha's sum) above which it is called nearly free."""
+"""SD of a combination's logarithm (of a sum with shape parameters) above which it is called nearly free."""
 
 UNINFORMED_SD_RATIO = 0.9
 """Posterior SD / prior SD from which on the data add nothing to what ties, priors and bounds say."""
@@ -78,7 +78,7 @@ def difference_jacobian(residuals: Callable[[Floats], Floats], theta: Floats, st
 
 def difference_steps(names: Sequence[str]) -> Floats:
     """Return the step (P,) of the finite differences for each parameter of theta."""
-    return np.array([LOG_STEP if is_logarithmic(name) else ALPHA_STEP for name in names])
+    return np.array([LOG_STEP if is_logarithmic(name) else SHAPE_STEP for name in names])
 
 
 def cramer_rao(information: Floats) -> Floats:
@@ -115,7 +115,7 @@ def principal_directions(
 
 
 def describe_combination(weights: Floats, names: Sequence[str]) -> str:
-    """Return a combination in words, its largest weight 1: `mu1 * b^1.9`; a sum if alpha is in it."""
+    """Return a combination in words, its largest weight 1: `mu1 * b^1.9`; a sum with shape parameters."""
     scaled = weights / np.max(np.abs(weights))
     parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= MIN_RELATIVE_WEIGHT]
     if all(is_logarithmic(name) for name, _ in parts):

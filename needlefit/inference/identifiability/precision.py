@@ -12,8 +12,8 @@ from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.problem import Problem
 from needlefit.inference.ties import NOISE_SCALE
 
-MAX_LOG_SD, MAX_ALPHA_SD = 0.3, 0.5
-"""Largest standard deviations, of a logarithm and of alpha, of a parameter called determined."""
+MAX_LOG_SD, MAX_SHAPE_SD = 0.3, 0.5
+"""Largest standard deviations, of a logarithm and of a shape parameter, of one called determined."""
 
 MAX_SD_RATIO = 0.5
 """Largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine."""
@@ -27,7 +27,7 @@ CUT_OFF_FRACTION = 0.01
 
 def is_determined_by_data(name: str, sd: float, prior_sd: float) -> bool:
     """Return whether a posterior standard deviation is small enough by the data, not only by the prior."""
-    return sd < (MAX_LOG_SD if is_logarithmic(name) else MAX_ALPHA_SD) and sd < MAX_SD_RATIO * prior_sd
+    return sd < (MAX_LOG_SD if is_logarithmic(name) else MAX_SHAPE_SD) and sd < MAX_SD_RATIO * prior_sd
 
 
 def posterior_sds(problem: Problem, theta: Floats) -> dict[str, float]:
