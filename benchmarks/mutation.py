@@ -1,13 +1,15 @@
 """Mutation testing: whether the tests notice when the code is changed.
 
-    python -m pip install cosmic-ray
+    python -m pip install cosmic-ray tree-sitter-cpp
     python benchmarks/mutation.py [AREA ...] [--mutants 26] [--seed 17] [--out FILE [--again]]
 
 In each area so many places are drawn at random, and of each place one of the changes that cosmic-ray knows:
-another operator, number or comparison, a condition negated, a loop left out. Each is made alone in a copy of
-the project, and the area's tests run on it until one fails. A mutant that no test notices has survived.
-With --out an interrupted run goes on. Changes of annotations and decorators are left out, and so are
-replacements that fail on every number (`a << b` for `a * b`).
+another operator, number or comparison, a condition negated, a loop left out. Those of C++ (`native`) are in
+`cpp_changes.py`. Each is made alone in a copy of the project, and the area's tests run on it until one fails.
+A mutant that no test notices has survived. With --out an interrupted run goes on.
+
+Changes of annotations and decorators are left out, and replacements that fail on every number (`a << b`
+for `a * b`). Of C++, what does not compile or compiles to the same library is left out, and counted.
 
 Each run is forked from this process, which has loaded the libraries. Its processor time is limited to five
 times that of the area's unchanged tests: a mutant that runs longer counts as killed.
@@ -32,19 +34,25 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parent.parent
+NATIVE = "mechanics/native"
 
 
 @dataclass(frozen=True)
 class Area:
-    """Modules that are mutated (files or folders below `needlefit`), and the test files that run on them.
-
-    `without`: a folder of these that is left out.
-    """
+    """Modules that are mutated (files or folders below `needlefit`), and the test files that run on them."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
-    without: str = ""
+    cpp: bool = False
 
+
+MECHANICS = (
+    *("mechanics_laws", "mechanics_closed_forms", "mechanics_model", "mechanics_rules", "mechanics_controls"),
+    *("mechanics_plan", "mechanics_scene", "mechanics_session", "mechanics_session_again"),
+    *("mechanics_session_failures", "mechanics_sensitivity", "mechanics_lanes", "mechanics_batch_positions"),
+    *("mechanics_path_angle", "mechanics_load", "mechanics_friction", "mechanics_compression"),
+    *("mechanics_validity", "mechanics_kernel"),
+)
 
 AREAS = {
     "likelihood": Area(
@@ -70,17 +78,8 @@ AREAS = {
         ("studies/checkpoint.py", "project/checkpoint_file.py", "project/checkpoint_folder.py"),
         ("project_checkpoint_file", "validation_checkpoint", "project_ownership"),
     ),
-    "mechanics": Area(
-        ("mechanics",),
-        (
-            *("mechanics_laws", "mechanics_closed_forms", "mechanics_model", "mechanics_rules"),
-            *("mechanics_controls", "mechanics_plan", "mechanics_scene", "mechanics_session"),
-            *("mechanics_session_again", "mechanics_session_failures", "mechanics_sensitivity"),
-            *("mechanics_lanes", "mechanics_batch_positions", "mechanics_path_angle"),
-            *("mechanics_load", "mechanics_friction", "mechanics_compression", "mechanics_validity"),
-        ),
-        without="mechanics/kernel",
-    ),
+    "mechanics": Area(("mechanics",), MECHANICS),
+    "native": Area((NATIVE,), MECHANICS, cpp=True),
     "studies": Area(
         ("studies",),
         (
@@ -96,7 +95,7 @@ AREAS = {
     ),
 }
 
-PRELOADED = ("numba", "numpy", "pydantic", "pytest", "scipy.interpolate", "scipy.ndimage", "scipy.optimize")
+PRELOADED = ("numpy", "pydantic", "pytest", "scipy.interpolate", "scipy.ndimage", "scipy.optimize")
 PRELOADED += ("scipy.spatial", "scipy.stats", "arviz", "emcee")
 
 ARITHMETIC = {"Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow"}
@@ -104,6 +103,7 @@ IDENTITY = {"Is", "IsNot"}
 LEFT_OUT = ("RemoveDecorator", "VariableReplacer", "VariableInserter", "NoOp")
 MAX_CPU_FACTOR = 5
 MIN_CPU_SECONDS = 10
+NOT_COMPILED, SAME_LIBRARY = "not compiled", "same library"
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,19 @@ class Mutant:
     after: str = ""
     outcome: str = ""
     seconds: float = 0.0
+
+
+def change_code(source: str, mutant: Mutant) -> str | None:
+    """Return the code of a module with the mutant's change; None if there is no such place."""
+    if AREAS[mutant.area].cpp:
+        from cpp_changes import apply_change
+
+        return apply_change(source, mutant.operator, mutant.occurrence)
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.plugins import get_operator
+
+    changed: str | None = mutate_code(source, get_operator(mutant.operator)(), mutant.occurrence)
+    return changed
 
 
 def is_sensible(operator: str) -> bool:
@@ -146,25 +159,38 @@ def annotated_spans(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]
 
 def list_sites(project: Path, area: str) -> Iterator[list[Mutant]]:
     """Yield the places of an area that can be changed, each with all changes."""
+    package, cpp = project / "needlefit", AREAS[area].cpp
+    roots, suffix = [package / name for name in AREAS[area].modules], "*.[ch]pp" if cpp else "*.py"
+    files = sorted(file for root in roots for file in (root.rglob(suffix) if root.is_dir() else [root]))
+    for file in files:
+        source, module = file.read_text(encoding="utf-8"), str(file.relative_to(project))
+        yield from _list_cpp_sites(source, area, module) if cpp else _list_python_sites(source, area, module)
+
+
+def _list_cpp_sites(source: str, area: str, module: str) -> Iterator[list[Mutant]]:
+    from cpp_changes import list_changes
+
+    if module.endswith("processor.hpp"):  # it chooses among libraries, and here there is one
+        return
+    counts = Counter[str]()
+    for place in list_changes(source):
+        line = source.encode()[: place[0][1]].count(b"\n") + 1
+        yield [Mutant(area, module, line, name, counts[name]) for name, *_ in place]
+        counts.update(name for name, *_ in place)
+
+
+def _list_python_sites(source: str, area: str, module: str) -> Iterator[list[Mutant]]:
     from cosmic_ray.ast import ast_nodes, get_ast
     from cosmic_ray.plugins import get_operator, operator_names
 
-    package, without = project / "needlefit", AREAS[area].without
-    roots = [package / name for name in AREAS[area].modules]
-    files = sorted(file for root in roots for file in (root.rglob("*.py") if root.is_dir() else [root]))
-    for file in files:
-        if without and file.is_relative_to(package / without):
-            continue
-        source = file.read_text(encoding="utf-8")
-        tree, spans, sites = get_ast(source), annotated_spans(source), defaultdict(list)
-        for name in filter(lambda name: is_sensible(name.removeprefix("core/")), operator_names()):
-            operator = get_operator(name)()
-            positions = (found for node in ast_nodes(tree) for found in operator.mutation_positions(node))
-            for occurrence, (start, end) in enumerate(positions):
-                if not any(low <= start < high for low, high in spans):
-                    module = str(file.relative_to(project))
-                    sites[start, end].append(Mutant(area, module, start[0], name, occurrence))
-        yield from (sites[place] for place in sorted(sites))
+    tree, spans, sites = get_ast(source), annotated_spans(source), defaultdict(list)
+    for name in filter(lambda name: is_sensible(name.removeprefix("core/")), operator_names()):
+        operator = get_operator(name)()
+        positions = (found for node in ast_nodes(tree) for found in operator.mutation_positions(node))
+        for occurrence, (start, end) in enumerate(positions):
+            if not any(low <= start < high for low, high in spans):
+                sites[start, end].append(Mutant(area, module, start[0], name, occurrence))
+    yield from (sites[place] for place in sorted(sites))
 
 
 def draw_mutants(project: Path, area: str, count: int, seed: int) -> list[Mutant]:
@@ -185,11 +211,8 @@ class Copy:
     @contextmanager
     def changed(self, mutant: Mutant) -> Iterator[tuple[str, str]]:
         """Change a module for a while; give its changed line, before and after."""
-        from cosmic_ray.mutating import mutate_code
-        from cosmic_ray.plugins import get_operator
-
         source = (self.folder / mutant.module).read_text(encoding="utf-8")
-        changed = mutate_code(source, get_operator(mutant.operator)(), mutant.occurrence)
+        changed = change_code(source, mutant)
         if changed is None:
             raise SystemExit(f"{mutant.module} has no such place any more: {mutant.operator}")
         self._write(mutant.module, changed)
@@ -199,17 +222,31 @@ class Copy:
         finally:
             self._write(mutant.module, source)
 
+    def build(self, name: str) -> Path | None:
+        """Compile the C++ kernel as it stands; return its library, None if it does not compile."""
+        from cpp_changes import build_library
+
+        library = self.folder.parent / name
+        return library if build_library(self.folder / "needlefit" / NATIVE, library) else None
+
     def _write(self, module: str, source: str) -> None:
         """Write a module, each time at another second: bytecode is found again by it."""
         (self.folder / module).write_text(source, encoding="utf-8")
         self._written_at += 1
         os.utime(self.folder / module, (self._written_at, self._written_at))
 
-    def run_tests(self, names: tuple[str, ...], cpu_seconds: int) -> tuple[str, float]:
-        """Return the first test that fails ("" if none does), and the processor time."""
+    def run_tests(
+        self, names: tuple[str, ...], cpu_seconds: int, library: Path | None = None
+    ) -> tuple[str, float]:
+        """Return the first test that fails ("" if none does), and the processor time.
+
+        `library`: of the kernel; by default the package's own.
+        """
         report = self.folder.parent / "report.txt"
         child = os.fork()
         if not child:
+            if library:
+                os.environ["NEEDLEFIT_LIBRARY"] = str(library)
             self._become_pytest(names, cpu_seconds, report)
         _, status, used = os.wait4(child, 0)
         text = report.read_text(encoding="utf-8", errors="replace")
@@ -243,14 +280,21 @@ class Copy:
 
 def run_area(copy: Copy, mutants: list[Mutant]) -> Iterator[Mutant]:
     """Yield the mutants of one area with what the tests made of them."""
-    names = AREAS[mutants[0].area].tests
-    failed, seconds = copy.run_tests(names, 10_000)
+    area = AREAS[mutants[0].area]
+    unchanged = copy.build("unchanged.so") if area.cpp else None
+    failed, seconds = copy.run_tests(area.tests, 10_000, unchanged)
     if failed:
         raise SystemExit(f"{failed} fails on the code as it is")
     limit = max(MIN_CPU_SECONDS, round(MAX_CPU_FACTOR * seconds))
     for mutant in mutants:
         with copy.changed(mutant) as (before, after):
-            failed, seconds = copy.run_tests(names, limit)
+            library = copy.build("changed.so") if unchanged else None
+            if unchanged and not library:
+                failed, seconds = NOT_COMPILED, 0.0
+            elif unchanged and library and library.read_bytes() == unchanged.read_bytes():
+                failed, seconds = SAME_LIBRARY, 0.0
+            else:
+                failed, seconds = copy.run_tests(area.tests, limit, library)
         outcome = failed or "survived"
         yield replace(mutant, before=before, after=after, outcome=outcome, seconds=round(seconds, 1))
 
@@ -287,20 +331,18 @@ def read_options() -> argparse.Namespace:
 
 def tabulate(found: list[Mutant]) -> list[list[str]]:
     """Return a table with a row for each area and for all."""
-    counts = Counter((one.area, one.outcome == "survived") for one in found)
-    pairs = {
-        area: (counts[area, False], counts[area, True]) for area in dict.fromkeys(one.area for one in found)
-    }
-    pairs["all"] = (sum(killed for killed, _ in pairs.values()), sum(left for _, left in pairs.values()))
-    rows = [[area, str(killed + left), str(killed), str(left)] for area, (killed, left) in pairs.items()]
-    return [["area", "mutants", "killed", "survived"], *rows]
+    kinds = {"survived": "survived", NOT_COMPILED: "left out", SAME_LIBRARY: "left out"}
+    counts = Counter((area, kinds.get(one.outcome, "killed")) for one in found for area in (one.area, "all"))
+    columns = ("killed", "survived", "left out")
+    areas = [*dict.fromkeys(one.area for one in found), "all"]
+    return [["area", *columns], *([area, *(str(counts[area, name]) for name in columns)] for area in areas)]
 
 
 def main() -> None:
     """Run the mutants, print survivors as they come, and a table at the end."""
     options, found = read_options(), list[Mutant]()
     # as in needlefit.project.threads, which must not be imported: each fork imports the changed package
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"))
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     for name in PRELOADED:
         __import__(name)
     done = [one for one in read_mutants(options.out) if not (options.again and one.outcome == "survived")]
