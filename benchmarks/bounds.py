@@ -2,8 +2,8 @@
 
     python benchmarks/bounds.py [--json] [NAME ...]
 
-Times are of the processor, all threads together, without the compilation of the kernel; memory is the most
-that the process held, the program itself (about 200 MB) included. No input may take a minute or 2 GB.
+Times are of the processor, all threads together; memory is the most that the process held, the program
+itself (about 200 MB) included. No input may take a minute or 2 GB.
 """
 
 import argparse
@@ -142,12 +142,7 @@ CASES: dict[str, Callable[[], object]] = {
 
 
 def alone(name: str) -> dict[str, object]:
-    """Return what one case takes in this process; the kernel is compiled before."""
-    small = (Step(3.0, Bevel(1e-3)), Step(2.0, Bevel(1e-3)))
-    simulate_steps(LONG, tissue(), small)
-    simulate_batches([Batch(LONG, tissue(), small, offset=np.array([1e-3]))])
-    linearize_steps(LONG, tissue(), small)
-    Session(LONG, tissue(), Bevel(1e-3)).step(insert=0.5)
+    """Return what one case takes in this process."""
     begin, wall = time.process_time(), time.perf_counter()
     found = CASES[name]()
     last = found[-1] if isinstance(found, (list, tuple)) and found else found

@@ -15,7 +15,7 @@ from needlefit.mechanics import reference
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import compile_tissue
+from needlefit.mechanics.packing import evaluate_layer
 from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
@@ -56,7 +56,8 @@ class FullNeedle:
         coefficients, self.powers = (part[layer] for part in compile_law(tissue.law, tissue.shape))
         self.stiffness = tissue.mu[layer, None] * coefficients  # (Q, P)
         self.thickness = tissue.thickness[layer]
-        self.curvature = float(np.max(compile_tissue(tissue).curvature))
+        rest = np.zeros(1)
+        self.curvature = max(evaluate_layer(tissue, i, rest).curvature for i in range(tissue.layers))
 
     def insertion(self, step: Callable[..., Floats]) -> float:
         """Insert to the whole depth; return the tip's deflection."""

@@ -11,16 +11,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from needlefit.mechanics.kernel.grid import GAUSS_OFFSET
 from numpy.typing import NDArray
 
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.simulate import compile_tissue
+from needlefit.mechanics.native import EvaluatedLaw
+from needlefit.mechanics.packing import evaluate_layer
+from needlefit.mechanics.tissue import Tissue
 
 jax.config.update("jax_enable_x64", True)
 
 Floats = NDArray[np.float64]
-_EDGE = 0.25 + np.array([-0.5, 0.5]) * GAUSS_OFFSET  # of the points of half an element
+_EDGE = 0.25 + np.array([-0.25, 0.25]) / np.sqrt(3.0)  # Gauss points of half an element
 _S = np.concatenate((_EDGE, _EDGE + 0.5))  # (4,) of the points in an element of 1 mm
 _N = np.stack(
     [1 - 3 * _S**2 + 2 * _S**3, _S * (1 - _S) ** 2, 3 * _S**2 - 2 * _S**3, _S**2 * (_S - 1)], axis=1
@@ -33,9 +34,9 @@ def compile_batch(batch: Batch) -> tuple[Callable[[], tuple[Floats, Floats]], in
     """Return a function that gives tips (B,) and Newton passes (B,), and the number of its steps."""
     depth = round(batch.steps[-1].depth)
     layer = np.searchsorted(batch.tissue.boundaries, np.arange(depth) + 0.5)
-    found = [compile_tissue(batch.pick(i)[1]) for i in range(len(batch))]
-    series = jnp.array([tissue.series[layer] for tissue in found])  # (B, E, 6)
-    curvature = jnp.array([tissue.curvature.max() for tissue in found])
+    laws = [_evaluate_layers(batch.pick(i)[1]) for i in range(len(batch))]
+    series = jnp.array([[law[n].series for n in layer] for law in laws])  # (B, E, 6)
+    curvature = jnp.array([max(one.curvature for one in law) for law in laws])
     rigidity, length = batch.needle.flexural_rigidity, batch.needle.length
     tolerance = batch.rules.tolerance
 
@@ -71,6 +72,10 @@ def compile_batch(batch: Batch) -> tuple[Callable[[], tuple[Floats, Floats]], in
         return np.asarray(tip), np.asarray(passes)
 
     return call, depth
+
+
+def _evaluate_layers(tissue: Tissue) -> list[EvaluatedLaw]:
+    return [evaluate_layer(tissue, layer, np.zeros(1)) for layer in range(tissue.layers)]
 
 
 def _newton(u, c, series, inside, rigidity, span):

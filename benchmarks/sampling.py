@@ -24,7 +24,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from full_needle import FullNeedle
-from needlefit.mechanics.kernel.lanes import insertion as kernel
 
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks
@@ -32,6 +31,7 @@ from needlefit.inference.forward_model import make_batch
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import sample as sampler
+from needlefit.mechanics import native
 from needlefit.mechanics.batch import Batch
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
@@ -96,7 +96,7 @@ def measure(
     rng = random_stream(seed, job.name, "posterior")
     begin, begin_processor = time.perf_counter(), time.process_time()
     with (
-        clock.around(kernel, "advance_lanes", "kernel", time.thread_time),
+        clock.around(native, "simulate", "kernel", time.thread_time),
         clock.around(sampler, "convergence", "rule", time.process_time),
         clock.around(sampler, "autocorrelation_times", "rule", time.process_time),
     ):

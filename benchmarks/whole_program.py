@@ -1,15 +1,14 @@
 """What a user waits for: whole commands, their processor time, where it goes, and the most memory.
 
-    python benchmarks/whole_program.py [--json] [--commands help,study3] [--rounds 1] [--against FOLDER]
-                                       [--profile] [--cold]
+    python benchmarks/whole_program.py [--json] [--commands help,study3] [--rounds 1] [--beside-python PYTHON]
+                                       [--profile]
 
-Runs commands as whole processes, in turns: those of this source tree and, with `--against`, of another one (a
-checkout of an earlier revision). Other work stretches the wall; processor seconds (user and system, of all
+Runs commands as whole processes, in turns: those of this source tree and, with `--beside-python`, those of
+another interpreter's needlefit. Other work stretches the wall; processor seconds (user and system, of all
 processes of a command) and their ratio are what to compare. `--profile` runs each command once more with
 `--jobs 1`, looks every 4 ms of processor time where it is, and adds up: by package, of each its own functions
 alone, and by function with what that calls. A profiler that counts calls would double what calls small
-functions. `--cold` gives numba an empty cache folder before every command, so that
-the kernel is compiled again, as after a fresh install. Memory is the largest resident set of a process.
+functions. Memory is the largest resident set of a process.
 """
 
 import argparse
@@ -17,10 +16,11 @@ import json
 import os
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
+
+from in_turns import HERE, Program, add_beside_python, list_programs
 
 COMMANDS = {
     "help": ("--help",),
@@ -33,8 +33,8 @@ COMMANDS = {
 }
 """By name; `report` rewrites the result of `study3`."""
 
-GOALS_S = {"simulate": 5.0, "study3": 5.0, "report": 3.0, "tune": 3.0, "all": 40.0}
-"""Wall seconds on two free cores; of `simulate` after a fresh install."""
+GOALS_S = {"simulate": 0.9, "study3": 5.0, "report": 3.0, "tune": 3.0, "all": 40.0}
+"""Wall seconds on two free cores."""
 
 SHOWN_PACKAGES, SHOWN_FUNCTIONS = 8, 10
 
@@ -82,12 +82,12 @@ def measure(arguments: list[str], folder: Path, environment: dict[str, str]) -> 
     }
 
 
-def profile(words: tuple[str, ...], folder: Path, environment: dict[str, str]) -> dict[str, Figures]:
+def profile(words: tuple[str, ...], folder: Path, program: Program) -> dict[str, Figures]:
     """Return the seconds of the main thread by package and by function, the largest first."""
-    file = folder / "profile"
+    file, (python, environment) = folder / "profile", program
     one_thread = ("--jobs", "1") if words[0] in ("validate", "tune") else ()
     subprocess.run(
-        [sys.executable, "-c", PROFILER, str(file), *words, *one_thread],
+        [python, "-c", PROFILER, str(file), *words, *one_thread],
         cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
     seconds, own, whole = json.loads(file.read_text())
@@ -124,27 +124,23 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--commands", default="help,simulate,study3,report,tune")
     parser.add_argument("--rounds", type=int, default=1)
-    parser.add_argument("--against", type=Path)
     parser.add_argument("--profile", action="store_true")
-    parser.add_argument("--cold", action="store_true")
+    add_beside_python(parser)
     arguments = parser.parse_args()
-    trees = {"": Path(__file__).parents[1], **({"before: ": arguments.against} if arguments.against else {})}
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each command compiles every module of Python
     found: dict[str, list[Figures]] = {}
     profiles: dict[str, dict[str, Figures]] = {}
     with tempfile.TemporaryDirectory() as scratch:
         for turn in range(arguments.rounds):
             for name in arguments.commands.split(","):
-                for label, tree in trees.items():
-                    folder = Path(scratch, tree.name)
+                for where, program in list_programs(arguments.beside_python).items():
+                    folder, label = Path(scratch, where), name if where == HERE else f"{where}: {name}"
                     folder.mkdir(exist_ok=True)
-                    environment = {**os.environ, "PYTHONPATH": str(tree.resolve())}
-                    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # else each command compiles 300 files
-                    if arguments.cold:
-                        environment["NEEDLEFIT_CACHE_DIR"] = tempfile.mkdtemp(dir=scratch)
-                    command = [sys.executable, "-m", "needlefit", *COMMANDS[name]]
-                    found.setdefault(label + name, []).append(measure(command, folder, environment))
+                    python, environment = program
+                    command = [python, "-m", "needlefit", *COMMANDS[name]]
+                    found.setdefault(label, []).append(measure(command, folder, environment))
                     if arguments.profile and turn == 0:
-                        profiles[label + name] = profile(COMMANDS[name], folder, environment)
+                        profiles[label] = profile(COMMANDS[name], folder, program)
     figures = {
         name: {key: statistics.median(one[key] for one in rounds) for key in rounds[0]}
         for name, rounds in found.items()
