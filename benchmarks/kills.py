@@ -113,8 +113,6 @@ def undisturbed(target: str, place: Path) -> tuple[float, dict[str, bytes]]:
     took = place / "seconds.json"
     if not took.is_file():
         shutil.rmtree(place / "whole", ignore_errors=True)
-        ended(command(target, place / "whole"), math.inf)  # compiles
-        shutil.rmtree(place / "whole")
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         ended(command(target, place / "whole"), math.inf)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -100,7 +100,7 @@ def led(scene: Scene, first_cell: float, lead: Callable[[Session], None]) -> Ses
 
 def timed(work: Callable[[], object], rounds: int) -> list[float]:
     """Return median and 95th percentile of the time that some work takes, ms."""
-    work()  # compiled, planned
+    work()  # plans the stops
     times = []
     for _ in range(rounds):
         begin = time.perf_counter()

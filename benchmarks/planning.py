@@ -40,7 +40,6 @@ def main() -> None:
     start = begin_insertion(open_target("phantom2"))
     insertion = replace(start, draws=draw_parameters(start, 132, rng))
     further = replace(start, draws=draw_parameters(start, 400, rng))
-    find_reachable_region(insertion, 50.0, threads=1)  # compiled from here on
     began = time.perf_counter()
     find_reachable_region(insertion, 50.0, threads=1)
     region_s = time.perf_counter() - began

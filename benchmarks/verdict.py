@@ -22,7 +22,6 @@ def main(name: str, count: int, jobs: int, starts: int) -> None:
     job = prepare(name, load(find_file("fit", name), FitRecord), Settings())
     recipe = job.recipe.model_copy(update={"starts": starts})
     problem = replace(job.problem(job.folds[0]), insertions=job.folds[0].tune[:count])
-    problem.jacobian(0.5 * (problem.lower + problem.upper))  # compiles
     began = time.perf_counter(), time.process_time()
     fit = minimize(problem, recipe, random_stream(recipe.seed, "verdict"), Callbacks(jobs=jobs))
     between = time.perf_counter(), time.process_time()

@@ -150,7 +150,7 @@ def real_time(subject: str, seconds: float) -> dict:
         served(subject, Path(out)) as (address, _),
         opened(address) as page,
     ):
-        drive(page, 3.0)  # everything is compiled and cached
+        drive(page, 3.0)  # everything is loaded
         frames = measure_frames(page, drive, seconds)
         wheel = measure_frames(page, turn, seconds / 4)
         solver = page.evaluate("window.needlefit.state.solver")

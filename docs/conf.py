@@ -4,14 +4,12 @@ Nothing is fetched from a network: mathematics is MathML, fonts are those of the
 other packages are not linked.
 """
 
-import os
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
 from sphinx.application import Sphinx
 
-os.environ["NUMBA_DISABLE_JIT"] = "1"  # compiled functions are read as Python; nothing is compiled
 sys.path.insert(0, str(Path(__file__).parent / "_site"))
 
 project = "needlefit"
@@ -63,7 +61,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     # Types of others, which signatures name: without a network there is nothing to link them to.
     ("py:.*", r"(numpy|np|scipy|pandas|xarray|arviz|matplotlib|pydantic|pydantic_core|typer)\..*"),
-    ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp|numba)\..*"),
+    ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp)\..*"),
     ("py:.*", r"(collections|contextlib|pathlib|types|typing)\..*"),
     # Bounds in the types of keys.
     ("py:class", r"(annotated_types\.)?(Ge|Gt|Le|Lt|MaxLen|MinLen)|FieldInfo|NoneType"),

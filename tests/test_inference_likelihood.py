@@ -227,7 +227,7 @@ def test_outside_the_bounds_the_posterior_is_zero():
 
 
 def test_many_thetas_at_once_have_the_densities_that_each_has_alone():
-    """Also outside the bounds; the compiled lanes and the scalar kernel differ by 1e-7 mm."""
+    """Also outside the bounds."""
     record = medium(1)
     p = problem(record, [measure(TRUTH, record, one) for one in (insertion(12.4), insertion(17.0))])
     thetas = p.lower + (p.upper - p.lower) * np.random.default_rng(3).uniform(size=(40, len(p.names)))

@@ -13,7 +13,7 @@ Clock = Callable[[], float]
 LINE_INTERVAL_SECONDS = 60.0
 
 MIN_ESTIMATE_SECONDS = 10.0
-"""Time after which the remaining time is estimated; before, compiling and reading are most of it."""
+"""Time after which the remaining time is estimated; before, importing and reading are most of it."""
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 the needle.
 
 Which equilibria an insertion needs depends on depths and on changes of the inputs, never on the solution.
-They are therefore listed beforehand, and all solvers (the reference, the compiled kernel, its lanes, the
+They are therefore listed beforehand, and all solvers (the reference, the kernel, its lanes, the
 sensitivities, a session) follow the same list.
 """
 

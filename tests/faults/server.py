@@ -1,4 +1,4 @@
-"""Commands run in forks of a process that has imported and compiled everything: a second less each.
+"""Commands run in forks of a process that has imported everything: a second less each.
 
     python -m faults.server
 
@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-STARTS_WITH = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+STARTS_WITH = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 TESTS = Path(__file__).resolve().parents[1]
 
 
@@ -58,7 +58,7 @@ class Server:
 
 
 def warm() -> None:
-    """Import what any command may, and load what is compiled."""
+    """Import what any command may."""
     import needlefit
 
     for module in pkgutil.walk_packages(needlefit.__path__, "needlefit."):

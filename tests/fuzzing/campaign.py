@@ -21,7 +21,7 @@ PATIENCE_S = 60.0
 """Wall time after which a reader hangs, on a machine that others use too."""
 
 START_S = 300.0
-"""Wall time to import the readers and build valid inputs, with nothing compiled."""
+"""Wall time to import the readers and build valid inputs."""
 
 LOOK_S = 0.5
 

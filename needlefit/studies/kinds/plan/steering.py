@@ -38,7 +38,7 @@ from needlefit.studies.parameter_draws import ParameterDraws
 from needlefit.studies.proportions import wilson_interval
 
 SEARCH_DRAWS = 32
-"""Draws on which a plan is sought: as many as the kernel solves at once. The others test it."""
+"""Draws on which a plan is sought. The others test it."""
 
 BASE_STEP_MM = 5.0
 """The base moves in steps of so much inserted depth."""
