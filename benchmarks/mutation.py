@@ -46,13 +46,14 @@ class Area:
     cpp: bool = False
 
 
-MECHANICS = (
-    *("mechanics_laws", "mechanics_closed_forms", "mechanics_model", "mechanics_rules", "mechanics_controls"),
-    *("mechanics_plan", "mechanics_scene", "mechanics_session", "mechanics_session_again"),
-    *("mechanics_session_failures", "mechanics_sensitivity", "mechanics_lanes", "mechanics_batch_positions"),
-    *("mechanics_path_angle", "mechanics_load", "mechanics_friction", "mechanics_compression"),
-    *("mechanics_validity", "mechanics_kernel"),
+MECHANICS = tuple(
+    sorted(
+        file.stem.removeprefix("test_")
+        for pattern in ("mechanics_*", "native*")
+        for file in (PROJECT / "tests").glob(f"test_{pattern}.py")
+    )
 )
+"""The tests of the model, in Python and in C++."""
 
 AREAS = {
     "likelihood": Area(
