@@ -33,7 +33,8 @@ class FullNeedle:
     def __init__(self, needle: Needle, tissue: Tissue, step: Step, tolerance: float) -> None:
         self.offset, self.tolerance, self.passes = step.bevel.offset, tolerance, 0
         self.x_c = np.arange(step.depth + 1.0)
-        x, self.w = reference.quadrature(self.x_c, self.x_c, tissue.boundaries)
+        halfway = (self.x_c[1:] + self.x_c[:-1]) / 2  # where the nearest constraint point changes
+        x, self.w = reference.quadrature(self.x_c, halfway, tissue.boundaries)
         self.element = np.searchsorted(self.x_c, x) - 1  # from the entry
         self.nearest = np.argmin(np.abs(x[:, None] - self.x_c), axis=1)
         s = x - self.x_c[self.element]

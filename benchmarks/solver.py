@@ -74,7 +74,7 @@ class Method:
     passes : float
         Newton passes per step; NaN: not counted.
     tips : array
-        Of the sets compared, mm.
+        Deflections u of the tip, of the sets compared, mm.
     """
 
     steps: float
@@ -140,7 +140,7 @@ def scalar(tolerance: float) -> Method:
     sets = batch(32, tolerance)
     inputs = [sets.pick(i) for i in range(len(sets))]
     shapes = [simulate_steps(*one) for one in inputs]
-    tips = np.array([shape.tip_lateral for shape in shapes[:COMPARED]])
+    tips = np.array([shape.u[-1] for shape in shapes[:COMPARED]])
     passes = float(np.mean([shape.iterations for shape in shapes])) / STEPS
     return Method(
         STEPS * len(sets), lambda: [simulate_steps(*one) for one in inputs], passes=passes, tips=tips
@@ -166,7 +166,7 @@ def _insert(sets: tuple[Floats, Floats, Floats, float]) -> Floats:
     return np.array([
         simulate_steps(
             NEEDLE, Tissue(mu, shape, TISSUE.boundaries), (Step(DEPTH, Bevel(offset)),), rules
-        ).tip_lateral
+        ).u[-1]
         for mu, shape, offset in zip(*columns, strict=True)
     ])  # fmt: skip
 
@@ -186,7 +186,7 @@ def session(tolerance: float, step: float) -> Method:
     for i in range(COMPARED):
         _, tissue, end = _arguments(sets, i)
         at_end = insert(tissue, end.bevel)
-        tips.append(at_end.step(DEPTH - at_end.depth).tip_lateral)
+        tips.append(at_end.step(DEPTH - at_end.depth).u[-1])
     return Method(count, insert, tips=np.array(tips))
 
 
