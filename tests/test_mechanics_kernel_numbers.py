@@ -28,7 +28,7 @@ def test_a_step_takes_little_more_than_one_pass(tolerance: float, most: float) -
 
 @pytest.mark.parametrize(("thickness", "mu", "alpha"), [(0.5, 0.2, 1.0), (0.3, 1.0, 3.0), (0.2, 5.0, 1.0)])
 def test_sets_whose_tissue_is_crushed_leave_the_others_as_they_are(thickness, mu, alpha) -> None:
-    """Each set has the bytes that it has alone, though sets beside it begin again, or fail, at other stops."""
+    """Each set has the bytes that it has alone, though others begin again, or fail, at other stops."""
     tissue = Tissue(mu=[mu], alpha=[alpha], thickness=[thickness])
     steps, offsets = (Step(30.0, Bevel()),), np.linspace(0.02, 0.5, 8)
     batch = Batch(NEEDLE, tissue, steps, offset=offsets)
