@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
+from needlefit.mechanics import native
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.load import compute_lateral_load
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import simulate, simulate_steps
+from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE, DEPTH = Needle.from_tube(150.0, 1.27, 80e3), 55.0
@@ -38,3 +41,30 @@ def test_sets_whose_tissue_is_crushed_leave_the_others_as_they_are(thickness, mu
         assert together[i].status == alone.status and together[i].iterations == alone.iterations
         for name in ("u", "slope", "constraints", "tip_track"):
             np.testing.assert_array_equal(getattr(together[i], name), getattr(alone, name), err_msg=name)
+
+
+def test_deflections_between_nodes_are_cubic() -> None:
+    """Also beyond the ends, where the cubic of the nearest element goes on."""
+    shape = simulate(NEEDLE, TISSUE, Bevel(0.085), 20.3)
+    s = np.random.default_rng(1).uniform(shape.x[0] - 1.0, shape.depth + 1.0, 200)  # in no order
+    exact = CubicHermiteSpline(shape.x, shape.u, shape.slope)(s)
+    found = native.compute_deflections(shape.x, shape.u, shape.slope, s)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-12)
+
+
+def test_the_load_at_a_point_does_not_depend_on_the_others() -> None:
+    shape = simulate(NEEDLE, TISSUE, Bevel(0.085), 30.0)
+    s = np.random.default_rng(2).uniform(-20.0, 30.0, 60)
+    found = compute_lateral_load(shape, TISSUE, s)
+    np.testing.assert_array_equal(
+        found, [compute_lateral_load(shape, TISSUE, s[i : i + 1])[0] for i in range(60)]
+    )
+    np.testing.assert_array_equal(found == 0.0, s < 0.0)
+
+
+def test_the_mesh_of_an_equilibrium_starts_from_the_depth_of_point_1() -> None:
+    for first, inside in ((0.3, [0.0, 0.3, 0.8, 1.3, 1.8, 2.3]), (0.7, [0.2, 0.7, 1.2, 1.7, 2.2, 2.7])):
+        depths = first + np.arange(3.0)
+        points = np.column_stack((np.concatenate(([0.0], depths)), np.zeros(4)))
+        found = equilibrium(NEEDLE, TISSUE, points, rules=ModelOptions(1.0, 0.5))
+        np.testing.assert_allclose(found.x, [depths[-1] - 150.0, *inside], atol=1e-12)
