@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit.mechanics import native
+from needlefit.mechanics import native, reference
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.control import Bevel, ModelOptions, Step
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.load import compute_lateral_load
 from needlefit.mechanics.needle import Needle
@@ -68,3 +68,19 @@ def test_the_mesh_of_an_equilibrium_starts_from_the_depth_of_point_1() -> None:
         points = np.column_stack((np.concatenate(([0.0], depths)), np.zeros(4)))
         found = equilibrium(NEEDLE, TISSUE, points, rules=ModelOptions(1.0, 0.5))
         np.testing.assert_allclose(found.x, [depths[-1] - 150.0, *inside], atol=1e-12)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 0.9])
+@pytest.mark.parametrize(("alpha", "depth"), [(-8.0, 7.5), (8.0, 12.0)])
+def test_newtons_method_goes_on_until_nothing_moves(alpha: float, depth: float, friction: float) -> None:
+    """Where all elements are linearised in every pass: with a guide in the tissue, and under friction."""
+    tissue = Tissue(mu=[0.5], alpha=[alpha], thickness=[0.2], friction=[friction])
+    not_reached = Controls(guides=(Guide(60.0, 0.0, None, in_tissue=True),))
+    found = simulate(NEEDLE, tissue, Bevel(0.1), depth, not_reached)
+    state = np.column_stack((found.u, found.slope)).ravel()
+    held = np.arange(len(state)) < 2
+    again, used = reference.equilibrium(
+        NEEDLE, tissue, found.x, found.constraints, state, held, ModelOptions(tolerance=np.inf)
+    )
+    assert found.converged and used == 1
+    np.testing.assert_allclose(again[0::2], found.u, rtol=0, atol=3e-10)
