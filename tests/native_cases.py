@@ -20,7 +20,7 @@ def make_problem(rng: np.random.Generator) -> native.Problem:
     steps = random_steps(rng, int(rng.integers(0, 4)))
     lattice, packed = plan_insertion(steps, needle.length, rules)
     depths = tuple(sorted({guide.x for step in steps for guide in step.controls.guides}))
-    _, columns = _make_columns(DERIVATIVE_KINDS, tissue.layers, depths, rules.path_angle)
+    _, columns = _make_columns(DERIVATIVE_KINDS, tissue.law, tissue.layers, depths, rules.path_angle)
     return pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
 
 

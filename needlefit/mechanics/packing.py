@@ -197,7 +197,7 @@ def pack_problem(
     if "guide_x" in values:
         arrays["guide_x"] = values["guide_x"]
     if columns is not None and columns.total:
-        arrays |= _pack_columns(columns, tissue, sets, values, controls, sizes["numbers"]) | {
+        arrays |= _pack_columns(columns, tissue, sets, values, controls, int(of_layers["numbers"])) | {
             "turn_by": turn_by
         }
     counts = of_layers | {
