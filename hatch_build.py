@@ -79,12 +79,12 @@ def digest_sources(folder: Path) -> str:
 
 def describe_build(folder: Path) -> dict[str, str]:
     """Return what a library is made from; the same description gives the same library."""
-    compiler = os.environ.get("NEEDLEFIT_CXX", COMPILER)
+    compiler = os.environ.get("NEEDLEFIT_CXX") or COMPILER
     return {
         "sources": digest_sources(folder),
         "target": find_target(),
         "compiler": compiler,
-        "flags": " ".join(FLAGS),
+        "flags": " ".join([*FLAGS, *ZIG_FLAGS, *SHARED, WASM]),
     }
 
 

@@ -29,8 +29,8 @@ from needlefit.mechanics.packing import pack_problem, plan_insertion
 
 pytestmark = pytest.mark.on_demand
 INSERTIONS = 2000
-INPUTS = "944894a4e380adb1f0d16a5434bc209183d2ac77"
-RESULTS = "da4b2ad2437ed12ac5526af0c253cc5a5cbad165"
+INPUTS = "8bdb1e3a84e598b4d257632f0b63affcf892d7b6"
+RESULTS = "b08846e18c496007553c65d5dd9b65a9952b48f2"
 """SHA-1 of the problems and of the results; docs/solver.md states the latter."""
 
 HERE = Path(__file__).parent / "native"
@@ -74,7 +74,8 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.P
         rules = ModelOptions(rules.spacing, rules.element, advance="path_angle")
         steps = tuple(replace(s, bevel=Bevel(0.0, s.bevel.side, s.bevel.offset / 8)) for s in steps)
     sets = int(rng.choice([1, 2, 5, 9]))
-    mu = round_digits(10 ** rng.uniform(-2, 2, (sets, tissue.layers)))
+    mu = round_digits(10 ** rng.uniform(-5, 2, (sets, tissue.layers)))
+    mu[rng.random(sets) < 0.02] = np.nan  # these fail, as do some of those in the softest tissue
     values = {"mu": mu, "base_y": rng.uniform(-0.5, 0.5, sets)}
     values["cut_angle" if rules.path_angle else "offset"] = rng.uniform(
         0, 0.3 / (8 if rules.path_angle else 1), sets

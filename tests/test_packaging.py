@@ -3,8 +3,10 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import sysconfig
 import tarfile
 import tomllib
 from pathlib import Path
@@ -127,6 +129,124 @@ def test_the_source_archive_holds_the_project_and_no_results(built):
     assert "data/paper/validation.csv" in inside and "configs/scenes/study3.toml" in inside
     strays = (".venv", "__pycache__", ".git/", ".partial", "reports/study")
     assert [name for name in inside if any(stray in name for stray in strays)] == []
+
+
+LOAD = "from needlefit.mechanics import native; native.load_library(); print(native.FOLDER)"
+
+
+class Checkout:
+    """The unpacked source archive, and an environment to install it into; HOME is a folder of its own."""
+
+    def __init__(self, place: Path, archive: Path) -> None:
+        with tarfile.open(archive) as tar:
+            tar.extractall(place, filter="data")
+        (self.root,) = place.glob("needlefit-*")
+        self.folder = self.root / "needlefit" / "mechanics" / "native"
+        self.home, self.python = place / "home", place / "venv" / "bin" / "python"
+        self.home.mkdir()
+        call(sys.executable, "-m", "venv", str(place / "venv"))
+        cache = call(sys.executable, "-m", "pip", "cache", "dir").strip()
+        kept = {
+            name: value for name, value in os.environ.items() if not name.startswith(("NEEDLEFIT", "PYTHON"))
+        }
+        self.environment = kept | {"HOME": str(self.home), "PIP_CACHE_DIR": cache}
+
+    def run(self, *words: str, **settings: str) -> "subprocess.CompletedProcess[str]":
+        return subprocess.run(
+            [str(self.python), *words],
+            cwd=self.home, env=self.environment | settings, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+
+    def install(self, *words: str, **settings: str) -> "subprocess.CompletedProcess[str]":
+        return self.run("-m", "pip", "install", "--no-deps", *words, **settings)
+
+    def use_packages_of_this_environment(self) -> None:
+        """Let the new environment see what the tests run with: NumPy, hatchling, the compiler."""
+        (site,) = self.root.parent.glob("venv/lib/python*/site-packages")
+        (site / "tests.pth").write_text(sysconfig.get_path("purelib") + "\n")
+
+    def load(self) -> "subprocess.CompletedProcess[str]":
+        self.use_packages_of_this_environment()
+        return self.run("-c", LOAD)
+
+
+@pytest.fixture
+def checkout(built, tmp_path):
+    (archive,) = built.glob("*.tar.gz")
+    return Checkout(tmp_path, archive)
+
+
+@pytest.mark.on_demand
+def test_pip_installs_with_nothing_but_python_and_leaves_no_caches(checkout):
+    """No compiler is on the PATH; that of the wheel keeps its files in a temporary folder."""
+    done = checkout.install(str(checkout.root), PATH=str(checkout.python.parent))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert Path(checkout.load().stdout.strip()).is_relative_to(checkout.root.parent / "venv")
+    assert list(checkout.home.iterdir()) == []
+
+
+@pytest.mark.on_demand
+def test_an_editable_installation_names_the_command_when_its_library_is_stale(checkout):
+    done = checkout.install("-e", str(checkout.root))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert Path(checkout.load().stdout.strip()) == checkout.folder
+    # A second time nothing has to be compiled: neither a compiler nor the network is needed.
+    again = checkout.install(
+        "-e", str(checkout.root), "--no-build-isolation", PIP_NO_INDEX="1", PATH="/nowhere"
+    )
+    assert again.returncode == 0, again.stdout + again.stderr
+    with (checkout.folder / "real.hpp").open("a") as file:
+        file.write("// changed\n")
+    stale = checkout.load()
+    assert stale.returncode != 0 and "pip install -e ." in stale.stderr
+
+
+@pytest.mark.on_demand
+def test_pip_builds_a_wheel_from_the_source_archive(checkout, built):
+    (archive,) = built.glob("*.tar.gz")
+    done = checkout.run("-m", "pip", "wheel", "--no-deps", str(archive))
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,) = checkout.home.glob("*.whl")
+    assert "-py3-none-" in wheel.name and "-any" not in wheel.name
+
+
+@pytest.mark.on_demand
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
+def test_a_system_compiler_builds_without_isolation_and_network(checkout):
+    checkout.use_packages_of_this_environment()
+    words, settings = (
+        ("--no-build-isolation", str(checkout.root)),
+        {"PIP_NO_INDEX": "1", "NEEDLEFIT_CXX": "g++"},
+    )
+    done = checkout.install(*words, **settings)
+    assert done.returncode == 0, done.stdout + done.stderr
+    installed = Path(checkout.load().stdout.strip())
+    made_from = json.loads((installed / "libraries.json").read_text())["made_from"]
+    assert made_from["compiler"] == "g++"
+
+
+@pytest.mark.on_demand
+def test_without_a_compiler_the_installation_fails_in_one_sentence(checkout):
+    assert checkout.run("-m", "pip", "install", "hatchling").returncode == 0
+    done = checkout.install("--no-build-isolation", str(checkout.root))
+    reasons = [line for line in (done.stdout + done.stderr).splitlines() if "needlefit: " in line]
+    assert done.returncode != 0 and len(reasons) == 1 and "NEEDLEFIT_CXX" in reasons[0]
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+@pytest.mark.on_demand
+def test_one_command_builds_the_wheels_of_all_platforms(checkout):
+    checkout.use_packages_of_this_environment()
+    out = checkout.home / "dist"
+    done = subprocess.run(
+        [str(checkout.python), "hatch_build.py", str(out)],
+        cwd=checkout.root,
+        env=checkout.environment,
+        check=False,
+    )
+    assert done.returncode == 0
+    tags = {wheel.name.split("-none-")[1].split("_")[0] for wheel in out.glob("*.whl")}
+    assert tags == {"manylinux", "musllinux", "macosx", "win"} and len(list(out.glob("*.whl"))) == 7
 
 
 def test_versions_agree():

@@ -256,6 +256,7 @@ def _load_own() -> ctypes.CDLL:
     ]
     if damaged:
         raise NeedlefitError(f"{FOLDER / damaged[0]} is damaged", fix=_FIX)
+    # As `digest_sources` in hatch_build.py, which is not installed. A wheel has the sources too, unchanged.
     sources = sorted(path for path in FOLDER.iterdir() if path.suffix in (".hpp", ".cpp"))
     digest = hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in sources)).hexdigest()
     if sources and digest != index["made_from"]["sources"]:
