@@ -191,7 +191,7 @@ def test_each_processor_gives_the_same_bytes(processor, cases, tmp_path):
 def test_webassembly_gives_the_same_bytes(cases, tmp_path):
     if shutil.which("node") is None:
         pytest.skip("no Node.js")
-    files = [native.FOLDER / "needle.js", native.FOLDER / "kernel.wasm", cases[0], tmp_path / "results"]
+    files = [native.FOLDER / "memory.js", native.FOLDER / "kernel.wasm", cases[0], tmp_path / "results"]
     subprocess.run(["node", str(HERE / "driver.mjs"), *map(str, files)], check=True)
     assert digest(files[-1].read_bytes()) == cases[1]
 

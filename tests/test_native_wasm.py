@@ -1,9 +1,9 @@
 """The kernel in WebAssembly through its JavaScript binding: the same bytes as the library's."""
 
 import json
+import re
 import shutil
 import subprocess
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -226,6 +226,8 @@ def test_the_module_refuses_what_the_library_refuses() -> None:
             run_node({"model": model | wrong, "begin": {}, "moves": []})
 
 
-def test_the_binding_reads_nothing_and_imports_nothing() -> None:
-    text = Path(native.FOLDER / "needle.js").read_text(encoding="utf-8")
-    assert not any(word in text for word in ("import ", "require(", "fetch("))
+def test_the_binding_reads_no_files_and_imports_only_its_own() -> None:
+    for name in ("needle.js", "memory.js", "stops.js"):
+        text = (native.FOLDER / name).read_text(encoding="utf-8")
+        assert set(re.findall(r'from "([^"]+)"', text)) <= {"./memory.js", "./stops.js"}
+        assert not any(word in text for word in ("require(", "fetch(", "import("))

@@ -1,41 +1,81 @@
-// What driver.cpp does, in WebAssembly: node driver.mjs needle.js kernel.wasm problems results
-import {readFileSync, writeFileSync} from 'node:fs'
-import {pathToFileURL} from 'node:url'
+// What driver.cpp does, in WebAssembly: node driver.mjs memory.js kernel.wasm problems results
+import { readFileSync, writeFileSync } from "node:fs";
+import { pathToFileURL } from "node:url";
 
-const [library, wasm, problems, results] = process.argv.slice(2)
-const {ARRAYS, NUMBERS, SIZES, Heap, compile, makeProblem, makeShapes, simulate} =
-  await import(pathToFileURL(library).href)
-const kernel = await compile(readFileSync(wasm)), file = readFileSync(problems), parts = []
-let at = 0
-const number = () => Number(file.readBigInt64LE((at += 8) - 8))
-const bytes = count => file.subarray(at, at += count).slice()
-const TYPES = {stops: Uint8Array, before_first: BigInt64Array, within_first: BigInt64Array, column_of: BigInt64Array,
-  guide_columns: BigInt64Array}
+const [library, wasm, problems, results] = process.argv.slice(2);
+const { ARRAYS, NUMBERS, SIZES, Heap, compile, makeProblem, makeShapes, simulate } = await import(
+  pathToFileURL(library).href
+);
+const kernel = await compile(readFileSync(wasm)),
+  file = readFileSync(problems),
+  parts = [];
+let at = 0;
+const number = () => Number(file.readBigInt64LE((at += 8) - 8));
+const bytes = (count) => file.subarray(at, (at += count)).slice();
+const TYPES = {
+  stops: Uint8Array,
+  before_first: BigInt64Array,
+  within_first: BigInt64Array,
+  column_of: BigInt64Array,
+  guide_columns: BigInt64Array,
+};
 
 while (at < file.length) {
-  const points = number(), heap = await Heap.make(kernel), fields = {}, arrays = {}
-  for (const name of SIZES) fields[name] = number()
-  for (const name of NUMBERS) fields[name] = file.readDoubleLE((at += 8) - 8)
+  const points = number(),
+    heap = await Heap.make(kernel),
+    fields = {},
+    arrays = {};
+  for (const name of SIZES) fields[name] = number();
+  for (const name of NUMBERS) fields[name] = file.readDoubleLE((at += 8) - 8);
   for (const name of ARRAYS) {
-    const count = number(), Type = TYPES[name] ?? Float64Array
-    if (count >= 0) arrays[name] = new Type(Uint8Array.from(bytes(count)).buffer)
+    const count = number(),
+      Type = TYPES[name] ?? Float64Array;
+    if (count >= 0) arrays[name] = new Type(Uint8Array.from(bytes(count)).buffer);
   }
-  const s = Uint8Array.from(bytes(number()))
-  const problem = makeProblem(heap, fields, arrays), shapes = makeShapes(heap, problem, points)
-  new Uint8Array(heap.memory.buffer).fill(0, shapes.x, shapes.at)
-  simulate(heap, problem, shapes)
-  const {sets, columns} = fields, {room} = problem
-  const write = (address, count) => parts.push(Buffer.from(new Uint8Array(heap.memory.buffer, address, count).slice()))
-  const counts = {x: room, u: room, slope: room, constraints: points, track: 2 * points, status: 1, passes: 1, nodes: 0,
-    u_by: room * columns, slope_by: room * columns, constraints_by: points * columns, track_by: points * columns}
-  for (const [name, count] of Object.entries(counts)) write(shapes[name], name === 'nodes' ? 8 : 8 * sets * count)
-  const nodes = Number(heap.integers(shapes.nodes, 1)[0]), wanted = s.length / 8
-  const coordinates = heap.put(s), out = heap.take(2 * s.length)
-  const memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()))
+  const s = Uint8Array.from(bytes(number()));
+  const problem = makeProblem(heap, fields, arrays),
+    shapes = makeShapes(heap, problem, points);
+  new Uint8Array(heap.memory.buffer).fill(0, shapes.x, shapes.at);
+  simulate(heap, problem, shapes);
+  const { sets, columns } = fields,
+    { room } = problem;
+  const write = (address, count) =>
+    parts.push(Buffer.from(new Uint8Array(heap.memory.buffer, address, count).slice()));
+  const counts = {
+    x: room,
+    u: room,
+    slope: room,
+    constraints: points,
+    track: 2 * points,
+    status: 1,
+    passes: 1,
+    nodes: 0,
+    u_by: room * columns,
+    slope_by: room * columns,
+    constraints_by: points * columns,
+    track_by: points * columns,
+  };
+  for (const [name, count] of Object.entries(counts))
+    write(shapes[name], name === "nodes" ? 8 : 8 * sets * count);
+  const nodes = Number(heap.integers(shapes.nodes, 1)[0]),
+    wanted = s.length / 8;
+  const coordinates = heap.put(s),
+    out = heap.take(2 * s.length);
+  const memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()));
   for (let set = 0; set < sets; set++) {
-    const of = name => shapes[name] + 8 * set * room
-    heap.call.nf_positions(1n, BigInt(nodes), BigInt(wanted), of('x'), of('u'), of('slope'), coordinates, memory, out)
-    write(out, 16 * wanted)
+    const of = (name) => shapes[name] + 8 * set * room;
+    heap.call.nf_positions(
+      1n,
+      BigInt(nodes),
+      BigInt(wanted),
+      of("x"),
+      of("u"),
+      of("slope"),
+      coordinates,
+      memory,
+      out,
+    );
+    write(out, 16 * wanted);
   }
 }
-writeFileSync(results, Buffer.concat(parts))
+writeFileSync(results, Buffer.concat(parts));

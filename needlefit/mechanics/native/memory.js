@@ -1,0 +1,195 @@
+// The memory of kernel.wasm: problems and shapes as the kernel reads and writes them, as in native.py.
+
+export const STATUS = ["converged", "over-compressed", "not converged", "non-finite"];
+const FAULTS = ["", "size", "mesh", "stop", "guides", "column", "output", "points"]; // of native/checks.hpp
+
+// As in `native.py`: sizes, numbers and arrays of a Problem in their order.
+export const SIZES =
+  "sets layers shapes terms numbers stop_count bevels inputs rays guides columns max_iterations".split(" ");
+export const NUMBERS = "length first_cell spacing element part tangent tolerance deepest".split(" ");
+export const ARRAYS = (
+  "boundaries stops rigidity mu thickness friction law law_by turn base before_first within_first before " +
+  "within held_tip guide_x turn_by column_of guide_columns"
+).split(" ");
+
+/** Compile the bytes of kernel.wasm; `Session.begin` and `simulateBatch` take what this resolves to. */
+export const compile = (bytes) => WebAssembly.compile(bytes);
+
+/** An instance of the kernel, and its memory: it grows, and views of it are made anew each time. */
+export class Heap {
+  constructor(instance) {
+    this.call = instance.exports;
+    this.memory = instance.exports.memory;
+    this.top = this.memory.buffer.byteLength; // below are the kernel's stack and constants
+  }
+
+  static async make(kernel) {
+    return new Heap(await WebAssembly.instantiate(kernel, {}));
+  }
+
+  take(bytes) {
+    const at = Math.ceil(this.top / 64) * 64;
+    this.top = at + Number(bytes);
+    const missing = this.top - this.memory.buffer.byteLength;
+    if (missing > 0) this.memory.grow(Math.ceil(missing / 65536)); // a RangeError if there is no more
+    return at;
+  }
+
+  put(array) {
+    const at = this.take(array.byteLength);
+    new Uint8Array(this.memory.buffer, at, array.byteLength).set(
+      new Uint8Array(array.buffer, array.byteOffset, array.byteLength),
+    );
+    return at;
+  }
+
+  /** Call a function, and release what it took. */
+  borrow(work) {
+    const top = this.top;
+    try {
+      return work();
+    } finally {
+      this.top = top;
+    }
+  }
+
+  floats(at, count) {
+    return new Float64Array(this.memory.buffer, at, count);
+  }
+  integers(at, count) {
+    return new BigInt64Array(this.memory.buffer, at, count);
+  }
+  view(at) {
+    return new DataView(this.memory.buffer, at);
+  }
+
+  // A structure of 64-bit numbers and 32-bit addresses.
+  structure(integers, numbers, addresses) {
+    const at = this.take(8 * (integers.length + numbers.length) + 4 * addresses.length),
+      view = this.view(at);
+    integers.forEach((value, i) => view.setBigInt64(8 * i, BigInt(value), true));
+    numbers.forEach((value, i) => view.setFloat64(8 * (integers.length + i), value, true));
+    addresses.forEach((value, i) =>
+      view.setUint32(8 * (integers.length + numbers.length) + 4 * i, value, true),
+    );
+    return at;
+  }
+}
+
+/** Throw a TypeError for a fault that the kernel has found. */
+export function check(fault) {
+  if (fault) throw new TypeError(`the kernel refuses a problem: ${FAULTS[Number(fault)]}`);
+}
+
+/** Write a problem into the heap: `fields` of SIZES and NUMBERS, typed arrays by the names of ARRAYS. */
+export function makeProblem(heap, fields, arrays) {
+  const f = fields,
+    n = f.sets * f.layers;
+  const counts = {
+    boundaries: f.layers - 1,
+    rigidity: f.sets,
+    mu: n,
+    thickness: n,
+    friction: n,
+    law: n * f.numbers,
+    turn: f.bevels * f.sets,
+    base: 3 * f.inputs * f.sets,
+    before_first: f.inputs + 1,
+    within_first: f.inputs + 1,
+    held_tip: 2 * f.inputs,
+  };
+  for (const [name, count] of Object.entries(counts)) {
+    if (arrays[name].length !== count)
+      throw new TypeError(`${name} has ${arrays[name].length} numbers, not ${count}`);
+  }
+  const addresses = ARRAYS.map((name) => (arrays[name] ? heap.put(arrays[name]) : 0));
+  const at = heap.structure(
+    SIZES.map((name) => f[name]),
+    NUMBERS.map((name) => f[name]),
+    addresses,
+  );
+  const sizes = heap.take(24);
+  check(heap.call.nf_check(at, sizes));
+  const [room, points, quadrature] = heap.integers(sizes, 3);
+  return {
+    at,
+    fields: f,
+    arrays: Object.fromEntries(ARRAYS.map((name, i) => [name, addresses[i]])),
+    room: Number(room),
+    maxPoints: Number(points),
+    maxQuadrature: Number(quadrature),
+  };
+}
+
+/** Take room for the shapes of all sets; addresses by name. */
+export function makeShapes(heap, problem, points) {
+  const { sets, columns } = problem.fields,
+    { room } = problem;
+  const counts = {
+    x: room,
+    u: room,
+    slope: room,
+    constraints: points,
+    track: 2 * points,
+    status: 1,
+    passes: 1,
+  };
+  const shapes = { points };
+  for (const [name, count] of Object.entries(counts)) shapes[name] = heap.take(8 * sets * count);
+  shapes.nodes = heap.take(8);
+  for (const [name, count] of [
+    ["u_by", room],
+    ["slope_by", room],
+    ["constraints_by", points],
+    ["track_by", points],
+  ]) {
+    shapes[name] = columns ? heap.take(8 * sets * count * columns) : 0;
+  }
+  const names = [
+    "x",
+    "u",
+    "slope",
+    "constraints",
+    "track",
+    "status",
+    "passes",
+    "nodes",
+    "u_by",
+    "slope_by",
+    "constraints_by",
+    "track_by",
+  ];
+  shapes.at = heap.structure(
+    [room, points],
+    [],
+    names.map((name) => shapes[name]),
+  );
+  return shapes;
+}
+
+/** Simulate all sets of a problem, in lanes. */
+export function simulate(heap, problem, shapes) {
+  heap.borrow(() => {
+    const lanes = heap.call.nf_lanes(),
+      memory = heap.take(heap.call.nf_memory(problem.at, lanes));
+    for (let first = 0n; first < problem.fields.sets; first += lanes) {
+      check(heap.call.nf_simulate(problem.at, first, lanes, memory, shapes.at));
+    }
+  });
+}
+
+/** Return the shape of one set. */
+export function readShape(heap, problem, shapes, points, depth, set = 0) {
+  const count = Number(heap.integers(shapes.nodes, 1)[0]);
+  const read = (name, stride, used) => heap.floats(shapes[name] + 8 * set * stride, used).slice();
+  return {
+    status: STATUS[Number(heap.integers(shapes.status, set + 1)[set])],
+    passes: Number(heap.integers(shapes.passes, set + 1)[set]),
+    depth,
+    x: read("x", problem.room, count),
+    u: read("u", problem.room, count),
+    slope: read("slope", problem.room, count),
+    constraints: read("constraints", points, points),
+    track: read("track", 2 * points, 2 * points),
+  };
+}
