@@ -13,6 +13,6 @@ g++ -std=c++20 -O1 -g -ffp-contract=off -fno-exceptions -fno-rtti -fno-threadsaf
 if [ $# -eq 0 ]; then
     set -- tests/test_mechanics_*.py tests/test_native.py
 fi
-# Python itself leaks; the runtimes of the sanitizers have to be loaded before it.
+# Python itself leaks; the runtimes of the sanitizers have to be loaded before it. Their reports must not be captured.
 ASAN_OPTIONS=detect_leaks=0 LD_PRELOAD="$(g++ -print-file-name=libasan.so) $(g++ -print-file-name=libubsan.so)" \
-    NEEDLEFIT_LIBRARY="$place/kernel.so" "${PYTHON:-python}" -m pytest "$@"
+    NEEDLEFIT_LIBRARY="$place/kernel.so" "${PYTHON:-python}" -m pytest --capture=sys "$@"

@@ -1,4 +1,4 @@
-// A needle computed by kernel.wasm, for a page or Node.js. Needs memory.js and stops.js beside it, nothing else.
+// A needle computed by kernel.wasm, for a page or Node.js. Needs only memory.js and stops.js beside it.
 // Lengths in mm, moduli in MPa, forces in N, slopes and friction without unit; axes as in docs/model.md. All
 // equations are those of kernel.wasm, and so are the bytes of the results.
 //
