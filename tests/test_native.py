@@ -184,7 +184,7 @@ def damage(rng: np.random.Generator, numbers: dict[str, float], arrays: dict[str
         number = str(rng.choice(native._NUMBERS))
         numbers[number] = float(rng.choice(NUMBERS)) * (1.0 if rng.random() < 0.7 else numbers[number])
     elif kind == 2:
-        wrong = [array[:-1], np.concatenate((array, array)), array[..., None], array[::-1], array.astype("f4")
+        wrong = [array[:-1], np.concatenate((array, array)), array[..., None], array[::-1], np.zeros(array.shape, "f4")
                  if array.dtype.fields is None else array["tip"], np.zeros(0)]  # fmt: skip
         arrays[name] = wrong[rng.integers(len(wrong))]
     elif kind == 3:

@@ -227,7 +227,7 @@ def test_the_module_refuses_what_the_library_refuses() -> None:
 
 
 def test_the_binding_reads_no_files_and_imports_only_its_own() -> None:
-    for name in ("needle.js", "memory.js", "stops.js"):
+    for name in ("needle.js", "memory.js"):
         text = (native.FOLDER / name).read_text(encoding="utf-8")
-        assert set(re.findall(r'from "([^"]+)"', text)) <= {"./memory.js", "./stops.js"}
+        assert set(re.findall(r'from "([^"]+)"', text)) <= {"./memory.js"}
         assert not any(word in text for word in ("require(", "fetch(", "import("))

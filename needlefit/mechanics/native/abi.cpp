@@ -146,6 +146,21 @@ EXPORT Index nf_simulate(const Problem* problem, Index first, Index lanes, char*
     return SOUND;
 }
 
+// The stops of some moves from first contact on, for a lattice of constraint points; `rays` and `stops` have room for so
+// many. Returns how many there are.
+EXPORT Index nf_plan(
+    double first_cell, double spacing, const Move* moves, Index count, CutRay* rays, Stop* stops, Index room
+) {
+    Position position{};
+    Index found = 0;
+    auto halt = [&](const Stop& stop) {
+        if (found < room) stops[found] = stop;
+        found++;
+    };
+    for (Index m = 0; m < count; m++) plan_move(position, moves[m], {first_cell, spacing}, rays, room, halt);
+    return found;
+}
+
 // ---- one needle, step by step ---------------------------------------------------------------------------------------
 
 // A session keeps three pieces of memory: what never changes, the state of the needle, and room to work in.
@@ -212,10 +227,14 @@ EXPORT Index nf_session_advance(
     session.copy(Session(*problem, fixed, from, scratch));
     Index count = 0, room = session.most_stops();
     if (!(depth >= 0.0 && depth <= problem->deepest + SAME_DEPTH_MM)) return BAD_STOP;
-    plan_move(*session.position, Move{depth, bevel, inputs}, problem->lattice(), session.cut_rays, problem->rays, [&](const Stop& stop) {
+    auto halt = [&](Stop stop) {
+        stop.bevel = stop.inputs = 0;  // those that the problem holds
         if (count < room) session.stops[count] = stop;
         count++;
-    });
+    };
+    plan_move(
+        *session.position, Move{depth, bevel, inputs}, problem->lattice(), session.cut_rays, problem->rays, halt
+    );
     done[0] = count, done[1] = session.position->cell + 1, done[2] = session.position->rays;
     if (count > room || session.position->rays > problem->rays) return BAD_STOP;
     Shapes shapes = *out;

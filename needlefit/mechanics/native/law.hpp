@@ -45,7 +45,7 @@ struct Modulus {
 
 inline Modulus<double> evaluate_table(const double* table, double d) {
     double place = d / TABLE_PIECE;
-    int piece = place < TABLE_PIECES - 1 ? int(place) : TABLE_PIECES - 1;
+    int piece = place < TABLE_PIECES - 1 ? int(place > 0.0 ? place : 0.0) : TABLE_PIECES - 1;
     const double* c = table + 2 + piece * TABLE_TERMS;
     double z = 2.0 * (place - piece) - 1.0;
     double value = 0.0, value_before = 0.0, slope = 0.0, slope_before = 0.0;

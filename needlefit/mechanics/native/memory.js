@@ -2,6 +2,7 @@
 
 export const STATUS = ["converged", "over-compressed", "not converged", "non-finite"];
 const FAULTS = ["", "size", "mesh", "stop", "guides", "column", "output", "points"]; // of native/checks.hpp
+export const BAD_POINTS = 7;
 
 // As in `native.py`: sizes, numbers and arrays of a Problem in their order.
 export const SIZES =
@@ -179,14 +180,15 @@ export function simulate(heap, problem, shapes) {
 }
 
 /** Return the shape of one set. */
-export function readShape(heap, problem, shapes, points, depth, set = 0) {
+export function readShape(heap, problem, shapes, points, set = 0) {
   const count = Number(heap.integers(shapes.nodes, 1)[0]);
   const read = (name, stride, used) => heap.floats(shapes[name] + 8 * set * stride, used).slice();
+  const x = read("x", problem.room, count);
   return {
     status: STATUS[Number(heap.integers(shapes.status, set + 1)[set])],
     passes: Number(heap.integers(shapes.passes, set + 1)[set]),
-    depth,
-    x: read("x", problem.room, count),
+    depth: x.at(-1),
+    x,
     u: read("u", problem.room, count),
     slope: read("slope", problem.room, count),
     constraints: read("constraints", points, points),

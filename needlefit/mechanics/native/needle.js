@@ -1,4 +1,4 @@
-// A needle computed by kernel.wasm, for a page or Node.js. Needs only memory.js and stops.js beside it.
+// A needle computed by kernel.wasm, for a page or Node.js. Needs only memory.js beside it.
 // Lengths in mm, moduli in MPa, forces in N, slopes and friction without unit; axes as in docs/model.md. All
 // equations are those of kernel.wasm, and so are the bytes of the results.
 //
@@ -21,7 +21,7 @@
 //         constraints, track}                        (m + 1) y of the cut; (m + 1, 2) of the tip there
 
 import {
-  SIZES,
+  BAD_POINTS,
   STATUS,
   Heap,
   check,
@@ -31,7 +31,6 @@ import {
   readShape,
   simulate,
 } from "./memory.js";
-import { STOP_BYTES, Lattice, packStops, planMove, writeStops } from "./stops.js";
 
 export { STATUS, compile };
 
@@ -39,6 +38,14 @@ const SAME_DEPTH = 1e-9; // mm
 const MAX_ELEMENTS = 5000;
 const MAX_GUIDES = 50;
 const LINEAR_CUT = -1; // in place of `switch`
+const STOP_BYTES = 48; // of `struct Stop` in needle.hpp
+const MOVE_BYTES = 24; // of `struct Move` in plan.hpp
+
+/** The first cell with which an insertion to `depth` ends on a constraint point, mm. */
+function findFirstCell(depth, spacing) {
+  if (depth <= SAME_DEPTH) return spacing;
+  return depth - (Math.max(1, Math.ceil((depth - SAME_DEPTH) / spacing)) - 1) * spacing;
+}
 
 // inputs
 
@@ -63,7 +70,7 @@ const offsets = (lists) =>
   BigInt64Array.from([0, ...lists].map((_, i) => BigInt(lists.slice(0, i).flat().length / 3)));
 
 /** The fields and arrays of a problem of `inputs`; `values` (sets) take the place of the model's. */
-function pack(model, lattice, inputs, stops, stopCount, values, more) {
+function pack(model, firstCell, inputs, stops, values, more) {
   const sets = values.sets ?? 1,
     layers = model.mu.length;
   const repeat = (name, given = model[name]) =>
@@ -102,14 +109,14 @@ function pack(model, lattice, inputs, stops, stopCount, values, more) {
     shapes: 1,
     terms: model.terms,
     numbers: model.law.length / layers,
-    stop_count: stopCount,
+    stop_count: stops.byteLength / STOP_BYTES,
     bevels: inputs.length,
     inputs: inputs.length,
     columns: 0,
     max_iterations: model.maxIterations ?? 40,
     length: model.length,
-    first_cell: lattice.firstCell,
-    spacing: lattice.spacing,
+    first_cell: firstCell,
+    spacing: model.spacing,
     element: model.element,
     part: model.pathAngle ? LINEAR_CUT : (model.switch ?? 0.5),
     tangent: model.tangent ?? 1,
@@ -130,8 +137,7 @@ export class Session {
   }
 
   constructor(heap, model, inputs) {
-    Object.assign(this, { heap, model, inputs, depth: 0, position: {}, ids: new Map(), stopRoom: 16 });
-    this.lattice = new Lattice(model.firstCell, model.spacing);
+    Object.assign(this, { heap, model, inputs, depth: 0, ids: new Map() });
     this.deepest = Math.min(model.length, MAX_ELEMENTS * model.element);
     this.rays = Math.ceil(this.deepest / model.spacing);
     this.base = heap.top;
@@ -143,42 +149,34 @@ export class Session {
   // Write the problem of the present inputs; it has the same sizes each time.
   #hold() {
     const more = { rays: this.rays, guides: MAX_GUIDES, deepest: this.deepest };
-    const stops = new Uint8Array(STOP_BYTES * this.stopRoom);
     this.heap.top = this.base;
-    const packed = pack(this.model, this.lattice, [this.inputs], stops, this.stopRoom, {}, more);
+    const packed = pack(this.model, this.model.firstCell, [this.inputs], new Uint8Array(STOP_BYTES), {}, more);
     packed[1].before = fill(packed[1].before, 3 * MAX_GUIDES); // so that later ones have room
     packed[1].within = fill(packed[1].within, 3 * MAX_GUIDES);
     this.problem = makeProblem(this.heap, ...packed);
     if (this.parts) this.heap.top = this.end;
   }
 
-  // Take memory for the state; `old` has that of fewer rays, which come last in it.
+  // Take memory for the state; it becomes that of `old`, which has fewer rays.
   #reserve(old) {
     const { heap, problem } = this,
       { call } = heap;
     this.shapes = makeShapes(heap, problem, problem.maxPoints);
-    const sizes = heap.take(24);
-    call.nf_session_memory(problem.at, sizes);
-    const [fixed, state, scratch] = heap.integers(sizes, 3).map(BigInt);
+    this.done = heap.take(24);
+    call.nf_session_memory(problem.at, this.done);
+    const [fixed, state, scratch] = heap.integers(this.done, 3).map(BigInt);
     const parts = {
       fixed: heap.take(fixed),
       now: heap.take(state),
       next: heap.take(state),
       scratch: heap.take(scratch),
     };
-    Object.assign(this, { parts, bytes: state, end: heap.top });
+    Object.assign(this, { parts, end: heap.top });
     call.nf_session_begin(problem.at, parts.fixed, parts.now, parts.scratch);
-    if (old) new Uint8Array(heap.memory.buffer).set(old, parts.now);
-  }
-
-  // Room for more rays or stops than before: everything is laid out anew.
-  #enlarge(rays, stops) {
-    const state = new Uint8Array(this.heap.memory.buffer, this.parts.now, Number(this.bytes)).slice();
-    this.rays = rays > this.rays ? 2 * rays : this.rays;
-    this.stopRoom = Math.max(stops, this.stopRoom);
-    this.parts = null;
-    this.#hold();
-    this.#reserve(state);
+    if (old) {
+      const { now, scratch: room } = old.parts;
+      call.nf_session_copy(old.problem.at, problem.at, parts.fixed, now, room, parts.now, parts.scratch);
+    }
   }
 
   /** Change inputs, to which the needle adapts at once; those that are not given stay. Returns the shape. */
@@ -214,39 +212,39 @@ export class Session {
     if (!(depth >= 0 && depth <= this.deepest && depth + front < this.model.length)) {
       throw new RangeError(`the needle cannot be ${depth} mm deep`);
     }
-    const { heap } = this;
-    const move = {
-      depth,
-      bevel: this.#number(bevelKey(inputs)),
-      controls: this.#number(controlsKey(inputs)),
+    const before = this.inputs,
+      { heap } = this;
+    this.inputs = inputs;
+    this.#hold();
+    const bevel = BigInt(this.#number(bevelKey(inputs))),
+      held = BigInt(this.#number(controlsKey(inputs)));
+    const advance = () => {
+      const { fixed, now, next, scratch } = this.parts,
+        { at } = this.problem;
+      const fault = heap.call.nf_session_advance(
+        at, fixed, now, next, scratch, this.shapes.at, depth, bevel, held, this.done,
+      ); // prettier-ignore
+      return [fault, ...heap.integers(this.done, 3)].map(Number);
     };
-    const [position, stops] = planMove(this.position, move, this.lattice);
-    let { shape } = this;
-    if (stops.length) {
-      const before = this.inputs,
-        last = stops.at(-1);
-      if (last.ray >= this.rays || stops.length > this.stopRoom) this.#enlarge(last.ray + 1, stops.length);
-      this.inputs = inputs;
+    let [fault, stops, points, rays] = advance();
+    if (rays > this.rays) {
+      const old = { problem: this.problem, parts: this.parts };
+      Object.assign(this, { rays: 2 * rays, base: this.end, parts: null });
       this.#hold();
-      const { at, arrays } = this.problem,
-        { fixed, now, next, scratch } = this.parts;
-      writeStops(
-        heap.view(arrays.stops),
-        stops,
-        () => 0,
-        () => 0,
-      );
-      heap.view(at).setBigInt64(8 * SIZES.indexOf("stop_count"), BigInt(stops.length), true);
-      heap.view(this.shapes.at).setBigInt64(8, BigInt(last.cell + 1), true);
-      check(heap.call.nf_session_advance(at, fixed, now, this.bytes, next, scratch, this.shapes.at));
-      shape = readShape(heap, this.problem, this.shapes, last.cell + 1, last.tip);
+      this.#reserve(old);
+      [fault, stops, points, rays] = advance();
+    }
+    check(fault);
+    let { shape } = this;
+    if (stops > 0) {
+      shape = readShape(heap, this.problem, this.shapes, points);
       if (shape.status !== STATUS[0]) {
         this.inputs = before;
         return shape;
       }
-      [this.parts.now, this.parts.next] = [next, now];
     }
-    Object.assign(this, { position, inputs, depth, shape });
+    [this.parts.now, this.parts.next] = [this.parts.next, this.parts.now];
+    Object.assign(this, { depth, shape });
     return shape;
   }
 
@@ -257,21 +255,20 @@ export class Session {
 
   /** All loads across the needle as in `mechanics.load.compute_loads`: N, N mm, N/mm. */
   forces() {
-    const { heap, shape, inputs, model, lattice } = this,
+    const { heap, shape, inputs, model } = this,
       { call } = heap;
     return heap.borrow(() => {
-      const last = this.position.last,
-        depths = lattice.list(last),
-        cells = last.cell,
-        depth = last.tip;
+      const depth = shape.depth,
+        cells = shape.constraints.length - 1;
+      const depths = Float64Array.from({ length: cells + 1 }, (_, m) => model.firstCell + model.spacing * (m - 1));
+      depths[0] = 0;
+      depths[cells] = depth;
       const first = cells > 0 ? depths[1] : model.spacing;
-      const stop = { tip: depth, cell: 1, permanent: false, ray: 0, startsRay: false, extrapolates: false };
       const more = {
         rays: 1,
         deepest: Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing,
       };
-      const packed = pack(model, new Lattice(first, model.spacing), [inputs], packStops([stop]), 1, {}, more);
-      const problem = makeProblem(heap, ...packed);
+      const problem = makeProblem(heap, ...pack(model, first, [inputs], new Uint8Array(STOP_BYTES), {}, more));
       const memory = heap.take(call.nf_memory(problem.at, 1n));
       const front = shape.x.findIndex((x) => x >= 0),
         room = problem.maxQuadrature;
@@ -290,7 +287,7 @@ export class Session {
           near,
         ),
       );
-      if (count < 0) check(BigInt(FAULTS.indexOf("points")));
+      if (count < 0) check(BAD_POINTS);
       const points = heap.put(Float64Array.from([...depths].flatMap((d, m) => [d, shape.constraints[m]])));
       const bent = heap.structure(
         [shape.x.length, cells],
@@ -359,33 +356,31 @@ export async function simulateBatch(kernel, model, steps, values) {
   const heap = await Heap.make(kernel),
     inputs = steps.map((step) => completeInputs(step.inputs ?? {}));
   const first = (key, one) => inputs.findIndex((other) => key(other) === key(one));
-  const lattice = model.firstCell
-    ? new Lattice(model.firstCell, model.spacing)
-    : Lattice.endingAt(steps.at(-1).depth, model.spacing);
-  let position = {};
-  const stops = [];
+  const deepest = Math.max(...steps.map((step) => step.depth)),
+    firstCell = model.firstCell ?? findFirstCell(steps.at(-1).depth, model.spacing);
+  const moves = new Uint8Array(MOVE_BYTES * steps.length),
+    view = new DataView(moves.buffer);
   steps.forEach(({ depth }, n) => {
-    const move = { depth, bevel: first(bevelKey, inputs[n]), controls: first(controlsKey, inputs[n]) };
-    const [next, more] = planMove(position, move, lattice);
-    position = next;
-    stops.push(...more);
+    view.setFloat64(MOVE_BYTES * n, depth, true);
+    view.setBigInt64(MOVE_BYTES * n + 8, BigInt(first(bevelKey, inputs[n])), true);
+    view.setBigInt64(MOVE_BYTES * n + 16, BigInt(first(controlsKey, inputs[n])), true);
   });
-  const more = {
-    rays: 1 + Math.max(...stops.map((stop) => stop.ray)),
-    deepest: Math.max(...steps.map((step) => step.depth)),
-  };
-  const packed = packStops(
-    stops,
-    (stop) => stop.bevel,
-    (stop) => stop.controls,
-  );
-  const problem = makeProblem(heap, ...pack(model, lattice, inputs, packed, stops.length, values, more));
-  const last = stops.at(-1),
-    points = last.cell + 1,
+  const room = steps.length * (Math.ceil(deepest / model.spacing) + 4);
+  const stops = heap.borrow(() => {
+    const at = heap.take(STOP_BYTES * room),
+      rays = heap.take(MOVE_BYTES * room);
+    const count = heap.call.nf_plan(
+      firstCell, model.spacing, heap.put(moves), BigInt(steps.length), rays, at, BigInt(room),
+    ); // prettier-ignore
+    return new Uint8Array(heap.memory.buffer, at, STOP_BYTES * Number(count)).slice();
+  });
+  const problem = makeProblem(heap, ...pack(model, firstCell, inputs, stops, values, { rays: room, deepest }));
+  const last = new DataView(stops.buffer, stops.byteLength - STOP_BYTES),
+    points = Number(last.getBigInt64(8, true)) + 1,
     found = makeShapes(heap, problem, points);
   simulate(heap, problem, found);
   const shapes = Array.from({ length: values.sets }, (_, i) =>
-    readShape(heap, problem, found, points, last.tip, i),
+    readShape(heap, problem, found, points, i),
   );
   return { shapes, positions: (i, s) => positions(heap, shapes[i], s) };
 }

@@ -1,5 +1,5 @@
-// The stops of a session's moves: where the tip halts, and which ray cuts its path there. `mechanics/plan.py` lists the
-// same ones for whole insertions. They depend on depths and on changes of the inputs, never on the solution.
+// The stops of a needle's moves: where the tip halts, and which ray cuts its path there. `mechanics/plan.py` lists the
+// same ones. They depend on depths and on changes of the inputs, never on the solution.
 #pragma once
 
 #include "needle.hpp"
@@ -31,12 +31,13 @@ INLINE bool same(double depth, double other) { return absolute(depth - other) <=
 // Of `rays` no more than `room` are written.
 template <class Halt>
 void plan_move(Position& position, const Move& move, Lattice lattice, CutRay* rays, Index room, Halt halt) {
+    auto ray = [&](Index number) { return rays[number < room ? number : room - 1]; };
     auto stop = [&](double depth, Index flags) {
         position.cell = lattice.cell(depth);
         double point = lattice.depth(position.cell);
         position.permanent = same(point, depth), position.tip = position.permanent ? point : depth;
-        Index ray = position.rays > 0 ? position.rays - 1 : 0;
-        halt(Stop{position.tip, position.cell, ray, 0, 0, flags + position.permanent * PERMANENT});
+        Index number = position.rays > 0 ? position.rays - 1 : 0, bevel = position.rays > 0 ? ray(number).bevel : move.bevel;
+        halt(Stop{position.tip, position.cell, number, bevel, move.inputs, flags + position.permanent * PERMANENT});
     };
     auto alike = [&](const auto& one) { return one.bevel == move.bevel && one.inputs == move.inputs; };
     if (!position.begun) {
@@ -45,7 +46,6 @@ void plan_move(Position& position, const Move& move, Lattice lattice, CutRay* ra
     }
     bool held = position.inputs == move.inputs, changed = position.changed || !alike(position);
     double here = position.tip;
-    auto ray = [&](Index number) { return rays[number < room ? number : room - 1]; };
     if (move.depth > here + SAME_DEPTH_MM) {
         // A cell goes on along its ray unless something has changed; at a constraint point a new cell begins.
         bool begins = position.rays == 0 || position.permanent || changed || !alike(ray(position.rays - 1));
