@@ -186,6 +186,19 @@ def test_a_session_in_javascript_is_the_session(seed: int) -> None:
             assert found["status"] == shape.status
 
 
+def test_a_session_makes_room_for_more_turns_than_it_has_cells() -> None:
+    needle, tissue = Needle(12.0, 2e4), Tissue([0.5], [1.0])
+    session = Session(needle, tissue, Bevel(0.1))
+    moves: list[dict[str, Any]] = []
+    for turn in range(40):
+        session.step(0.1, bevel=Bevel(0.1, (-1) ** turn))
+        moves += [{"inputs": {"bevel": {"side": (-1) ** turn}}}, {"move": 0.1}]
+    begin = write_inputs(Bevel(0.1), Controls())
+    model = write_model(needle, tissue, session.rules, 1.0)
+    found = run_node({"model": model, "begin": begin, "moves": moves})[-1]
+    assert {name: found[name] for name in write_shape(session.now.shape)} == write_shape(session.now.shape)
+
+
 def test_a_deep_batch_in_javascript_is_the_batch() -> None:
     """140 mm and 200 sets: the memory of the module grows."""
     rng = np.random.default_rng(0)

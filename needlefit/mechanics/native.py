@@ -91,7 +91,7 @@ _DERIVATIVES = {"law_by", "turn_by", "column_of", "guide_columns"}
 FAULTS = (
     "",
     "a size is not positive, or too large",
-    "the mesh has sizes that are not above 0 or too many nodes, or its elements do not divide a cell",
+    "mesh or layers: sizes not above 0, too many nodes, elements that do not divide a cell",
     "a stop lies outside of the depths, rays, bevels or inputs",
     "the guides of an input are more than there is room for",
     "a column of a derivative lies outside of the Jacobian",
@@ -405,7 +405,11 @@ class SessionMemory:
     def copy(self) -> "SessionMemory":
         """Return an independent copy."""
         other = object.__new__(SessionMemory)
-        other._library, other._laws, other._fixed = self._library, self._laws, self._fixed  # these never change
+        other._library, other._laws, other._fixed = (
+            self._library,
+            self._laws,
+            self._fixed,
+        )  # these never change
         other._take(self, self._fits)
         return other
 
