@@ -286,6 +286,7 @@ def test_a_session_refuses_what_it_has_no_room_for() -> None:
         with pytest.raises(TypeError):
             session.advance(problem, depth, 0, 0)
     assert session.advance(small, 10.0, 0, 0) == (11, 11)
+    session.accept()
     with pytest.raises(native.RayRoomError, match="11"):  # the problem has room for ten
         session.advance(small, 9.5, 1, 0)
         session.accept()
