@@ -381,7 +381,8 @@ EXPORT void nf_law(
     if (by) fit_slope_series(series, layer.law, &by, mu, thickness, layer.limit);
     Seen<double> seen;
     for (Index i = 0; i < count; i++) {
-        evaluate_modulus(layer, size[i], k[i], tangent[i], seen);
+        Modulus<double> found = evaluate_modulus(layer, size[i], seen);
+        k[i] = found.value, tangent[i] = found.slope;
         if (by) slope[i] = evaluate_by_shape<double>(layer, series, &by, size[i]);
     }
     about[0] = layer.limit, about[1] = layer.curvature;

@@ -161,21 +161,21 @@ struct Derivatives {
         const Point& point = needle.grid->points[q];
         const Layer<Real>& layer = needle.layers[point.layer];
         const Reaction<Real>& at = points[q];
-        Real g = all_lanes<Real>(1.0);
         PointLoads found{at.pull, point.share * at.pull, at.force, Real{}};
         found.near = found.near - found.other;
-        if (needle.constants->friction || column(FRICTION) >= 0) {
+        Real slope;
+        bool rubs = needle.constants->friction || column(FRICTION) >= 0;
+        if (rubs) {
             const Node<Real>&a = node_at(needle.front + e - 1), &b = node_at(needle.front + e);
-            Real slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
-            Real square = slope * slope / (1.0 + slope * slope);
-            g = 1.0 - layer.friction * square;
-            found.friction = -at.force * square / g;
+            slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
+            found.friction = find_force_by_friction(layer, at.force, slope);
         }
         if (column(SHAPE) >= 0)
             for (Index p = 0; p < problem.shapes; p++) {
                 Index row = point.layer * problem.shapes + p;
-                Real by = evaluate_by_shape(layer, slope_series + row * SERIES_TERMS, law_by + row * W, absolute(at.e));
-                by_shape[p] = point.weight * by * at.e * g;
+                by_shape[p] = point.weight * find_force_by_shape(
+                    layer, slope_series + row * SERIES_TERMS, law_by + row * W, at.e, rubs ? &slope : nullptr
+                );
             }
         return found;
     }
@@ -273,12 +273,10 @@ struct Derivatives {
         Hermite<Real> shape(x, length), by = Hermite<Real>::change(x, length, drift, grows);
         const Node<Real>&p = node_at(a), &q = node_at(a + 1);
         auto dot = [&](const Real* n) { return n[0] * p.u + n[1] * p.slope + n[2] * q.u + n[3] * q.slope; };
-        Real e = dot(shape.n) - c, slope = dot(shape.m), modulus, tangent, g, g_slope;
+        Real e = dot(shape.n) - c, slope = dot(shape.m);
         Seen<Real> ignored;
-        evaluate_modulus(needle.layers[layer], absolute(e), modulus, tangent, ignored);
-        evaluate_friction(needle.layers[layer].friction, slope, g, g_slope);
-        Real force = modulus * e * g;
-        Real force_by = tangent * g * (dot(by.n) - c_by) + modulus * e * g_slope * dot(by.m);
+        Force<Real> at = find_force(needle.layers[layer], e, &slope, ignored);
+        Real force = at.value, force_by = at.by_e * (dot(by.n) - c_by) + at.by_slope * dot(by.m);
         Real first = gain * force + weight * force_by, second = weight * force;
         load[0].u += first * shape.n[0] + second * by.n[0], load[0].slope += first * shape.n[1] + second * by.n[1];
         load[1].u += first * shape.n[2] + second * by.n[2], load[1].slope += first * shape.n[3] + second * by.n[3];

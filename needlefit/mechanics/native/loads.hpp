@@ -21,11 +21,9 @@ struct BentNeedle {
 // The load -k e g at a point s mm in the element that begins at node e; c is the y of the cut there.
 inline double evaluate_load(const BentNeedle& needle, const Layer<double>& layer, Index e, double s, double c) {
     Hermite<double> shape(s - needle.x[e], needle.x[e + 1] - needle.x[e]);
-    double away = needle.sum(shape.n, e) - c, turn = needle.sum(shape.m, e), modulus, tangent, g, by;
+    double away = needle.sum(shape.n, e) - c, slope = needle.sum(shape.m, e);
     Seen<double> ignored;
-    evaluate_modulus(layer, absolute(away), modulus, tangent, ignored);
-    evaluate_friction(layer.friction, turn, g, by);
-    return -modulus * away * g;
+    return -find_force(layer, away, &slope, ignored).value;
 }
 
 // The y of the cut at a depth: of the constraint point that it belongs to, or linear between two.

@@ -94,6 +94,12 @@ inline Grid take_grid(Arena& arena, const Problem& problem) {
     return {0, arena.take<double>(nodes), arena.take<Index>(nodes + 1), arena.take<Point>(problem.points())};
 }
 
+// The reaction at a quadrature point: e, and with the point's weight d(k e g)/de and k e g.
+template <class Real>
+struct Reaction {
+    Real e, pull, force;
+};
+
 // The straight path that the tip cuts, in all lanes.
 template <class Real>
 struct Ray {
@@ -329,20 +335,17 @@ struct Insertion {
     ) const {
         const Layer<Real>& layer = layers[point.layer];
         Real u = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
-        Real e = u - cut_at(point), modulus, tangent;
-        evaluate_modulus(layer, absolute(e), modulus, tangent, seen);
-        Real pull = point.weight * tangent, force = point.weight * modulus * e, bent{};
+        Real slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
+        Real e = u - cut_at(point);
+        Force<Real> force = find_force(layer, e, rubbing ? &slope : nullptr, seen);
+        Real pull = point.weight * force.by_e, value = point.weight * force.value, load = pull * u - value;
         if (rubbing) {
-            Real slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
-            Real g, by_slope;
-            evaluate_friction(layer.friction, slope, g, by_slope);
-            by_slope = force * by_slope;
+            Real by_slope = point.weight * force.by_slope;
             rubbing->add_point(shape, behind, by_slope);
-            bent = by_slope * slope;
-            pull = pull * g, force = force * g;
+            load = load + by_slope * slope;
         }
-        k.add_point(shape, behind, pull, pull * u - force + bent);
-        return {e, pull, force};
+        k.add_point(shape, behind, pull, load);
+        return {e, pull, value};
     }
 
     // The equations of element e >= 1; `keep(q, reaction)` receives what its points add.
@@ -442,8 +445,8 @@ struct Insertion {
                 const double* n = point.shape.n;
                 Real u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
                 Real away = u - cut_at(point);
-                Real modulus = evaluate_modulus(layers[point.layer], absolute(away), seen);
-                Real load = pulls[q] * u - point.weight * (modulus * away);
+                Real force = find_force<Real>(layers[point.layer], away, nullptr, seen).value;
+                Real load = pulls[q] * u - point.weight * force;
                 for (int j = 0; j < 4; j++) f[j] += load * n[j];
             }
             if (e == 1)

@@ -38,12 +38,6 @@ struct Layer {
     }
 };
 
-// The reaction at a quadrature point: e, and with the point's weight d(k e g)/de and k e g.
-template <class Real>
-struct Reaction {
-    Real e, pull, force;
-};
-
 // What the passes learn on the way: lanes in which tissue is crushed (|e| beyond the thickness or the law's table),
 // and lanes in which the exact law was evaluated.
 template <class Real>
@@ -53,11 +47,9 @@ struct Seen {
 
 constexpr double MAX_FACTORED_COMPRESSION = 0.5;  // where tissue is crushed, it resists as at this d, linearly
 
-// k and d(k e)/de of the lanes beyond their polynomial.
+// k and d(k e)/de from the law itself, for lanes beyond its polynomial.
 template <class Real>
-__attribute__((noinline)) void evaluate_exactly(
-    const Layer<Real>& layer, const Real& size, Real& k, Real& tangent, Seen<Real>& seen
-) {
+__attribute__((noinline)) Modulus<Real> evaluate_exactly(const Layer<Real>& layer, const Real& size, Seen<Real>& seen) {
     Mask<Real> beyond = size > layer.limit;
     const Law<Real>& law = layer.law;
     Real d = size / layer.thickness, end = law.terms > 0 ? all_lanes<Real>(1.0) : law.gather(0);
@@ -65,33 +57,26 @@ __attribute__((noinline)) void evaluate_exactly(
     Real most = select<Real>(end < MAX_FACTORED_COMPRESSION, end, all_lanes<Real>(MAX_FACTORED_COMPRESSION));
     d = select<Real>(over, most, d);
     Modulus<Real> found = evaluate_law(law, d);
-    k = select<Real>(beyond, layer.mu * found.value, k);
-    Real risen = select<Real>(over, found.value, found.value + d * found.slope);
-    tangent = select<Real>(beyond, layer.mu * risen, tangent);
     seen.crushed = seen.crushed | (beyond & over);
     seen.exact = seen.exact | beyond;
+    Real risen = select<Real>(over, found.value, found.value + d * found.slope);
+    return {layer.mu * found.value, layer.mu * risen};
 }
 
 // k at |e| = size, and d(k e)/de.
 template <class Real>
-INLINE void evaluate_modulus(const Layer<Real>& layer, const Real& size, Real& k, Real& tangent, Seen<Real>& seen) {
+INLINE Modulus<Real> evaluate_modulus(const Layer<Real>& layer, const Real& size, Seen<Real>& seen) {
     const Real* c = layer.series;
-    Real slope = c[5];
-    k = c[5] * size + c[4];
+    Real slope = c[5], k = c[5] * size + c[4];
     for (int j = 3; j >= 0; j--) slope = slope * size + k, k = k * size + c[j];  // Horner's scheme, for both
-    tangent = k + size * slope;
-    if (__builtin_expect(any(size > layer.limit), 0)) evaluate_exactly(layer, size, k, tangent, seen);
-}
-
-// k at |e| = size alone.
-template <class Real>
-INLINE Real evaluate_modulus(const Layer<Real>& layer, const Real& size, Seen<Real>& seen) {
-    const Real* c = layer.series;
-    Real k = c[5];
-    for (int j = 4; j >= 0; j--) k = k * size + c[j];
-    Real tangent;
-    if (__builtin_expect(any(size > layer.limit), 0)) evaluate_exactly(layer, size, k, tangent, seen);
-    return k;
+    Modulus<Real> found{k, k + size * slope};
+    Mask<Real> beyond = size > layer.limit;
+    if (__builtin_expect(any(beyond), 0)) {
+        Modulus<Real> exact = evaluate_exactly(layer, size, seen);
+        found.value = select<Real>(beyond, exact.value, found.value);
+        found.slope = select<Real>(beyond, exact.slope, found.slope);
+    }
+    return found;
 }
 
 // dk/dp at |e| = size for a shape parameter p: from the polynomial, beyond its range from the exact law.
@@ -108,12 +93,43 @@ INLINE Real evaluate_by_shape(const Layer<Real>& layer, const Real* series, cons
     return found;
 }
 
-// g and dg/du'.
+// ---- the force ------------------------------------------------------------------------------------------------------
+
+// sin^2(atan u').
 template <class Real>
-INLINE void evaluate_friction(const Real& gamma, const Real& slope, Real& g, Real& g_slope) {
-    Real square = slope * slope;
-    g = 1.0 - gamma * square / (1.0 + square);
-    g_slope = -2.0 * gamma * slope / ((1.0 + square) * (1.0 + square));
+INLINE Real rise(const Real& slope) {
+    return slope * slope / (1.0 + slope * slope);
+}
+
+// k e g, N/mm, and its derivatives by e and by u'.
+template <class Real>
+struct Force {
+    Real value, by_e, by_slope;
+};
+
+// The force at a point of the shaft; without friction `slope` is null.
+template <class Real>
+INLINE Force<Real> find_force(const Layer<Real>& layer, const Real& e, const Real* slope, Seen<Real>& seen) {
+    Modulus<Real> k = evaluate_modulus(layer, absolute(e), seen);
+    Force<Real> found{k.value * e, k.slope, Real{}};
+    if (slope) {
+        Real g = 1.0 - layer.friction * rise(*slope), more = 1.0 + *slope * *slope;
+        found.by_slope = found.value * (-2.0 * layer.friction * *slope / (more * more));
+        found.value = found.value * g, found.by_e = found.by_e * g;
+    }
+    return found;
+}
+// Its derivative by mu is the force over mu. By gamma and by a shape parameter, whose polynomial is `series`:
+template <class Real>
+INLINE Real find_force_by_friction(const Layer<Real>& layer, const Real& force, const Real& slope) {
+    return -force * rise(slope) / (1.0 - layer.friction * rise(slope));
+}
+template <class Real>
+INLINE Real find_force_by_shape(
+    const Layer<Real>& layer, const Real* series, const double* const* by, const Real& e, const Real* slope
+) {
+    Real found = evaluate_by_shape(layer, series, by, absolute(e)) * e;
+    return slope ? found * (1.0 - layer.friction * rise(*slope)) : found;
 }
 
 }  // namespace needlefit
