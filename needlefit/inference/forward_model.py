@@ -24,8 +24,9 @@ from needlefit.inference.simulated_points import (
 from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
-from needlefit.mechanics.linearize import MAX_TOLERANCE_MM, Jacobian, linearize_steps
+from needlefit.mechanics.linearize import Jacobian, linearize_steps
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.prepared import MAX_TOLERANCE_MM
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Self
 
@@ -15,6 +15,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.insertion_limits import count_element_solves
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.prepared import PreparedInsertion
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue
@@ -41,6 +42,8 @@ class Batch:
         Of the base in every step, mm and 1.
     guide_x : (B,) array
         Where the one guide before the tissue stands, mm; there must be one.
+    prepared : mapping
+        The insertion as the kernel reads it, by kinds of derivatives; filled when it is first used.
     """
 
     needle: Needle
@@ -55,6 +58,9 @@ class Batch:
     base_y: Floats | None = None
     base_slope: Floats | None = None
     guide_x: Floats | None = None
+    prepared: dict[tuple[str, ...] | None, PreparedInsertion] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         sizes = {}
@@ -95,6 +101,21 @@ class Batch:
                 fix="divide the sets among several batches, one call after the other",
             )
 
+    def with_sets(self, **values: Floats) -> Self:
+        """Return the same insertion with other sets of the same parameters; both share what is prepared.
+
+        Raises
+        ------
+        ModelError
+            If these are not the parameters that this batch varies.
+        """
+        given = {name for name in VARYING_FIELDS if getattr(self, name) is not None}
+        if values.keys() != given:
+            raise ModelError(f"sets of {', '.join(values)}", expected=f"of {', '.join(sorted(given))}")
+        other = replace(self, **values)
+        object.__setattr__(other, "prepared", self.prepared)
+        return other
+
     def pick(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
         """Return set i as the arguments of `simulate.simulate_steps`."""
         needle, steps = self.vary_inputs(i)
@@ -130,7 +151,7 @@ class Batch:
         return needle, tuple(change_step(step) for step in self.steps)
 
 
-VARYING_FIELDS = tuple(field.name for field in fields(Batch))[4:]
+VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]
 """What a set may give."""
 
 

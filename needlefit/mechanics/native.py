@@ -102,20 +102,39 @@ class Problem(ctypes.Structure):
         """
         problem = cls(**numbers)
         problem.arrays = {}
-        sizes = {name: getattr(problem, name) for name in _SIZES}
-        sizes |= {"any": -1, "layers-1": problem.layers - 1, "inputs": len(arrays["held_tip"])}
-        sizes |= {"inputs+1": sizes["inputs"] + 1, "bevels": len(arrays["turn"]), "stop_count+": -1}
-        for name, array in arrays.items():
-            dtype, shape = _ARRAYS[name]
-            check_array(name, array, dtype, tuple(sizes[n] if isinstance(n, str) else n for n in shape))
-            setattr(problem, name, array.ctypes.data)
-            problem.arrays[name] = array
+        problem._point_to(arrays)
         problem.check_stops()
         for name in ("before", "within"):
             first = arrays[f"{name}_first"]
             if first[0] != 0 or first[-1] != len(arrays[name]) or np.any(np.diff(first) < 0):
                 raise TypeError(f"{name}_first does not divide the {len(arrays[name])} guides")
         return problem
+
+    def with_sets(self, sets: int, arrays: Mapping[str, np.ndarray]) -> "Problem":
+        """Return the same insertion with other parameter sets; `arrays` are those with an axis of sets.
+
+        Raises
+        ------
+        TypeError
+            If one of them is missing, or is not as `make` asks for.
+        """
+        if arrays.keys() != {name for name in self.arrays if "sets" in _ARRAYS[name][1]}:
+            raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
+        problem = Problem.from_buffer_copy(self)
+        problem.sets, problem.arrays = sets, dict(self.arrays)
+        problem._point_to(arrays)
+        return problem
+
+    def _point_to(self, arrays: Mapping[str, np.ndarray]) -> None:
+        self.arrays |= arrays
+        inputs, bevels = len(self.arrays["held_tip"]), len(self.arrays["turn"])
+        sizes = {name: getattr(self, name) for name in _SIZES}
+        sizes |= {"any": -1, "layers-1": self.layers - 1, "inputs": inputs, "inputs+1": inputs + 1}
+        sizes |= {"bevels": bevels, "stop_count+": -1}
+        for name, array in arrays.items():
+            dtype, shape = _ARRAYS[name]
+            check_array(name, array, dtype, tuple(sizes[n] if isinstance(n, str) else n for n in shape))
+            setattr(self, name, array.ctypes.data)
 
     def check_stops(self) -> None:
         """Raise TypeError where a stop points outside the arrays."""
@@ -418,14 +437,22 @@ def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Float
 def compute_position_derivatives(
     x: Floats, u: Floats, slope: Floats, s: Floats, x_by: Floats, u_by: Floats, slope_by: Floats
 ) -> Floats:
-    """Return the derivatives (K, 2, P) of a needle's points, from those of its nodes, (N, P) each."""
-    parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
-    nodes, wanted, columns = len(parts[0]), len(parts[3]), parts[5].shape[1]
-    for name, array in zip(("x_by", "u_by", "slope_by"), parts[4:], strict=True):
-        check_array(name, array, float, (nodes, columns))
-    room, found = np.empty((nodes, 2, columns)), np.empty((wanted, 2, columns))
+    """Return the derivatives (B, K, 2, P) of the points of B needles with nodes (B, N) at coordinates (K,).
+
+    `u_by` and `slope_by` (B, N, P) are those of the nodes; `x_by` (N, P) is of all needles.
+    """
+    (count, nodes), columns = x.shape, x_by.shape[-1]
+    for name, array in (("x", x), ("u", u), ("slope", slope)):
+        check_array(name, array, float, (count, nodes))
+    check_array("s", s, float, (-1,))
+    check_array("x_by", x_by, float, (nodes, columns))
+    for name, array in (("u_by", u_by), ("slope_by", slope_by)):
+        check_array(name, array, float, (count, nodes, columns))
+    found = np.empty((count, len(s), 2, columns))
+    memory = make_memory(8 * count_lanes() * (6 * nodes + (4 * nodes + 2) * columns))
     load_library().nf_position_derivatives(
-        *map(c_int64, (nodes, wanted, columns)), *map(_at, (*parts, room, found))
+        *map(c_int64, (count, nodes, len(s), columns)),
+        *map(_at, (x, u, slope, s, x_by, u_by, slope_by, memory, found)),
     )
     return found
 
