@@ -188,6 +188,10 @@ class NeedleShapes:
             STATUS_NAMES[self.status[i]], int(self.iterations[i]), self.scales[i],
         )  # fmt: skip
 
+    def take(self, sets: slice) -> "NeedleShapes":
+        """Return some of the sets; their arrays are views."""
+        return NeedleShapes(*(getattr(self, one.name)[sets] for one in fields(self)))
+
     @classmethod
     def from_shapes(cls, shapes: Sequence[NeedleShape]) -> Self:
         """Return several shapes of the same insertion as one batch."""
