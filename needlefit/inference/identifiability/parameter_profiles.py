@@ -14,9 +14,10 @@ from needlefit.inference.identifiability.precision import add_estimated_noise, l
 from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile
 from needlefit.inference.parameters import Parameters, without_prior
 from needlefit.inference.problem import Problem
+from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.progress import Stop, never_stop
-from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
+from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
 
 FREED_ALPHA_BOUNDS = (-3.0, 5.0)
 """Bounds of a fixed alpha once it is freed: tissues and gels lie well within."""
@@ -142,7 +143,7 @@ def profile_parameters(
 
     parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_alphas(noisy)]
     work = partial(_profile_one, noisy, optimum, elsewhere, scale)
-    every = dict(run_parts(work, parts, pool, jobs, TaskStop(stop), loaded=True))
+    every = dict(run_side_by_side(work, parts, pool, jobs, TaskStop(stop)))
     found = tuple(every[n] for n in sorted(every))
     spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
     at_fit = noisy.residuals(np.array(fit.theta))
