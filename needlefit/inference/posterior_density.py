@@ -293,7 +293,7 @@ class PosteriorDensity:
     def _whiten(
         self, model: PreparedModel, nodes: Sequence[Nodes], sets: Sequence[Values], jobs: int
     ) -> Iterator[Floats]:
-        """Yield of each insertion the whitened residuals (B, m + c, R) at its nodes, those of the pose last."""
+        """Yield the whitened residuals (B, m + c, R) of each insertion at its nodes, those of the pose last."""
         points = iter(model.read_points(sets, _list_places(nodes), jobs))
         for one, some in zip(self.observations, nodes, strict=True):
             stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)

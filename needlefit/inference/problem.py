@@ -251,8 +251,18 @@ class Problem:
         none.
 
         For the posterior that is the one with depths and bevel as stated, one needle instead of 2 d + 1 or
-        more; for the metric objective the plain squares of the deflections' errors.
+        more; for the metric objective the plain squares of the deflections' errors. Each is made once, so
+        that searches that use it evaluate it together.
         """
+        if minimized not in self._approaches:
+            self._approaches[minimized] = self._make_approach(minimized)
+        return self._approaches[minimized]
+
+    @cached_property
+    def _approaches(self) -> "dict[ObjectiveName, Problem | None]":
+        return {}
+
+    def _make_approach(self, minimized: ObjectiveName) -> "Problem | None":
         if minimized == "metric":
             squares = LikelihoodRecord(noise="independent", depths="fixed", bevel_spread=0.0)
             return replace(self, likelihood=squares, noise=UNIFORM_NOISE)

@@ -60,7 +60,7 @@ def run_side_by_side(
         try:
             return () if stop() else (search(item),)
         finally:
-            group.end_one()
+            group.end_search()
 
     try:
         if not items:
@@ -75,6 +75,24 @@ def run_side_by_side(
                 stop.leave()  # before the threads are waited for
     finally:
         stop.leave()
+
+
+def map_side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Return `function` of each item; within a search of `run_side_by_side` each item is a search itself."""
+    group: _Group | None = getattr(_this_thread, "group", None)
+    if group is None or len(items) < 2:
+        return [function(item) for item in items]
+    part = group.divide(len(items))
+
+    def run(item: Item) -> Result:
+        _this_thread.group = group
+        try:
+            return function(item)
+        finally:
+            part.end_search()
+
+    with ThreadPoolExecutor(len(items)) as threads:
+        return list(threads.map(run, items))
 
 
 _this_thread = threading.local()
@@ -93,14 +111,26 @@ class _Group:
     """Searches that evaluate together."""
 
     def __init__(self, searches: int, jobs: int) -> None:
-        self._left, self._jobs = searches, jobs
+        self._left, self._parts, self._jobs = searches, 0, jobs
         self._changed = threading.Condition()
         self._waiting: list[_Request] = []
 
-    def end_one(self) -> None:
+    def end_search(self) -> None:
         """Count one search less."""
         with self._changed:
             self._left -= 1
+            self._changed.notify_all()
+
+    def divide(self, parts: int) -> "_Part":
+        """Count a search as so many, until all of them have ended."""
+        with self._changed:
+            self._parts += parts - 1
+        return _Part(self, parts)
+
+    def end_part(self) -> None:
+        """Count one part of a search less."""
+        with self._changed:
+            self._parts -= 1
             self._changed.notify_all()
 
     def evaluate(self, function: "_Function[Value]", theta: Floats) -> Value:
@@ -109,7 +139,7 @@ class _Group:
         with self._changed:
             self._waiting.append(request)
             while not request.ended:
-                if len(self._waiting) >= min(self._left, MAX_SEARCHES):
+                if len(self._waiting) >= min(self._left, MAX_SEARCHES) + self._parts:
                     self._evaluate_all()
                 else:
                     self._changed.wait()
@@ -138,3 +168,18 @@ class _Group:
                 return
             for one in requests:
                 one.error, one.ended = error, True
+
+
+class _Part:
+    """Parts that stand for one search; the last that ends is that search again."""
+
+    def __init__(self, group: _Group, parts: int) -> None:
+        self._group, self._left, self._lock = group, parts, threading.Lock()
+
+    def end_search(self) -> None:
+        """Count one part less."""
+        with self._lock:
+            self._left -= 1
+            last = self._left == 0
+        if not last:
+            self._group.end_part()

@@ -91,7 +91,6 @@ class Evaluation:
         self.values = values
         self.problem = insertion.pack(sets, values)
         self.shapes = native.make_shapes(self.problem, insertion.points)
-        self.lanes = 1 if sets == 1 else native.count_lanes()
 
     @property
     def sets(self) -> int:
@@ -106,11 +105,13 @@ class Evaluation:
 
 def run_evaluations(evaluations: Sequence[Evaluation], threads: int) -> None:
     """Let the kernel fill the shapes of all evaluations, the longest insertions first, on so many threads."""
-    tasks = [(one, start) for one in evaluations for start in range(0, one.sets, one.lanes)]
+    width = native.count_lanes()
+    tasks = [(one, start) for one in evaluations for start in range(0, one.sets, width)]
     # Longest first: a long task that begins last would leave the other threads idle.
     tasks.sort(key=lambda task: -task[0].insertion.nodes_solved)  # stable: blocks of one batch stay in order
     waiting = deque(tasks)
-    most = max((native.measure_memory(one.problem, one.lanes) for one in evaluations), default=0)
+    widths = [(one, 1 if one.sets == 1 else width) for one in evaluations]
+    most = max((native.measure_memory(one.problem, lanes) for one, lanes in widths), default=0)
 
     def run() -> None:
         memory = native.make_memory(most)
@@ -119,7 +120,8 @@ def run_evaluations(evaluations: Sequence[Evaluation], threads: int) -> None:
                 one, start = waiting.popleft()
             except IndexError:
                 return
-            native.simulate(one.problem, one.shapes, start, one.lanes, memory)
+            lanes = 1 if start + 1 == one.sets else width
+            native.simulate(one.problem, one.shapes, start, lanes, memory)
 
     threads = min(threads, len(tasks))
     if threads <= 1:

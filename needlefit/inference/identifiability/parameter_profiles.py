@@ -136,7 +136,8 @@ def profile_parameters(
     ends = _select_separate(
         noisy, [fit.theta, *(s.theta for s in sorted(fit.starts, key=lambda s: s.objective))]
     )
-    minima = [minimize_squares(noisy, end) for end in ends]
+    descend, never = partial(minimize_squares, noisy), TaskStop(never_stop)
+    minima = [one for _, one in sorted(run_side_by_side(descend, ends, THIS_PROCESS, jobs, never))]
     optimum = min(minima, key=lambda one: one.value)
     elsewhere = [*ends[1:], 0.5 * (noisy.lower + noisy.upper)]
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
