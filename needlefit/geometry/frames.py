@@ -140,10 +140,10 @@ def align_lateral(moving: Floats, fixed: Floats) -> Floats:
 
 
 def differentiate_align_lateral(fixed: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (N, 2, P) of `align_lateral(moving, fixed)`, given those of `moving`."""
+    """Return the derivatives (..., N, 2, P) of `align_lateral(moving, fixed)`, given those of `moving`."""
     columns = np.linalg.qr(make_tracker_columns(fixed[:, 0]))[0]
     derivatives = slopes.copy()
-    derivatives[:, 1] -= columns @ (columns.T @ slopes[:, 1])
+    derivatives[..., 1, :] -= columns @ (columns.T @ slopes[..., 1, :])
     return derivatives
 
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -109,9 +110,7 @@ def _tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
     return {name: np.array([values[name] for values in sets]) for name in sets[0]}
 
 
-def _stack_values(
-    table: Mapping[str, Floats], medium: MediumRecord, insertion: Insertion
-) -> dict[str, Floats]:
+def _stack_values(table: Mapping[str, Floats], medium: MediumRecord, insertion: Insertion) -> dict[str, Any]:
     """Return the parameter values of a batch of one insertion."""
     guide = table.get("guide_distance_mm")
     strength = insertion.bevel_factor * table[medium.bevel_parameter]

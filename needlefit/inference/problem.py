@@ -176,7 +176,7 @@ class Problem:
         for goal, simulated in zip(goals, points, strict=True):
             aligned = align(goal.pose, simulated, goal.measured)
             total += [metric_misfit(one, goal.measured, self.weights) for one in aligned]
-        return np.where(np.isnan(total), np.inf, total / len(goals)).tolist()
+        return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
     def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
         goals, sets = self.compared_points, self._list_values(thetas)
@@ -234,7 +234,7 @@ class Problem:
         return density
 
     def _log_densities(self, thetas: Floats, jobs: int) -> list[float]:
-        return self.density.log_densities(self._list_values(thetas), jobs).tolist()
+        return list(map(float, self.density.log_densities(self._list_values(thetas), jobs)))
 
     def _gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
         return self.density.gradients(self._list_values(thetas), jobs)

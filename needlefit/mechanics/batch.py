@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +112,8 @@ class Batch:
         given = {name for name in VARYING_FIELDS if getattr(self, name) is not None}
         if values.keys() != given:
             raise ModelError(f"sets of {', '.join(values)}", expected=f"of {', '.join(sorted(given))}")
-        other = replace(self, **values)
+        changed: dict[str, Any] = dict(values)
+        other = replace(self, **changed)
         object.__setattr__(other, "prepared", self.prepared)
         return other
 

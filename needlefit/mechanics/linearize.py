@@ -151,15 +151,15 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
     assert insertion.columns is not None
     x = evaluation.shapes.arrays["x"][evaluation.some, :count]
     by_x = _differentiate_nodes(x, insertion, evaluation.values.get("guide_x"), evaluation.some)
-    shape = (evaluation.sets, count, 0), (evaluation.sets, insertion.points, 0)
     if not insertion.columns.total:
-        return Jacobians((), by_x, *(np.empty(size) for size in shape for _ in range(2)), converged)
+        nodes, points = (np.empty((evaluation.sets, size, 0)) for size in (count, insertion.points))
+        return Jacobians((), by_x, nodes, nodes, points, points, converged)
     arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints", "track")]
     if not evaluation.valid.all():
         for array in arrays:
             array[~evaluation.valid] = np.nan
     u, slope = (np.ascontiguousarray(array[:, :count]) for array in arrays[:2])
-    return Jacobians(insertion.columns.names, by_x, u, slope, *arrays[2:], converged)
+    return Jacobians(insertion.columns.names, by_x, u, slope, arrays[2], arrays[3], converged)
 
 
 def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
@@ -170,16 +170,21 @@ def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -
     s : (K,) array
         Beam coordinates on the needle, mm.
     """
-    parts = (np.ascontiguousarray(part)[None] for part in (shape.x, shape.u, shape.slope))
-    by = (np.ascontiguousarray(part)[None] for part in (jacobian.u, jacobian.slope))
-    wanted = np.ascontiguousarray(s, dtype=np.float64)
-    return native.compute_position_derivatives(*parts, wanted, np.ascontiguousarray(jacobian.x), *by)[0]
+    x, u, slope, u_by, slope_by = (
+        np.ascontiguousarray(part)[None]
+        for part in (shape.x, shape.u, shape.slope, jacobian.u, jacobian.slope)
+    )
+    wanted, x_by = np.ascontiguousarray(s, dtype=np.float64), np.ascontiguousarray(jacobian.x)
+    found: Floats = native.compute_position_derivatives(x, u, slope, wanted, x_by, u_by, slope_by)[0]
+    return found
 
 
 def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
     """Return the derivatives (B, K, 2, P) of `compute_batch_positions(shapes, s)`."""
-    parts = (np.ascontiguousarray(part, dtype=np.float64) for part in (shapes.x, shapes.u, shapes.slope, s))
-    return native.compute_position_derivatives(*parts, jacobians.x, jacobians.u, jacobians.slope)
+    x, u, slope, wanted = (
+        np.ascontiguousarray(part, dtype=np.float64) for part in (shapes.x, shapes.u, shapes.slope, s)
+    )
+    return native.compute_position_derivatives(x, u, slope, wanted, jacobians.x, jacobians.u, jacobians.slope)
 
 
 def find_columns(wrt: tuple[str, ...], tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> Columns:

@@ -61,13 +61,14 @@ class PreparedInsertion:
 
         Every call gives values of the same names.
         """
-        given, options = (self.needle, self.tissue, self.steps), {"sets": sets, "values": values}
+        needle, tissue, steps, rules = self.needle, self.tissue, self.steps, self.rules
+        plan, columns = self._packed, self.columns
         if self._problem is None:
             self._problem = pack_problem(
-                *given, self.lattice, self.rules, self._packed, columns=self.columns, **options
+                needle, tissue, steps, self.lattice, rules, plan, sets=sets, values=values, columns=columns
             )
             return self._problem
-        _, arrays = pack_sets(*given, self.rules, self._packed, columns=self.columns, **options)
+        _, arrays = pack_sets(needle, tissue, steps, rules, plan, sets=sets, values=values, columns=columns)
         return self._problem.with_sets(sets, arrays)
 
 
