@@ -1,4 +1,4 @@
-"""Derivatives of many parameter sets at once are those of single ones, to the bit, and those of complex steps."""
+"""Derivatives of many sets at once are those of single ones, to the bit, and those of complex steps."""
 
 from dataclasses import fields, replace
 

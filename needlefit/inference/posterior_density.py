@@ -30,6 +30,10 @@ from needlefit.schemas.medium import MediumRecord
 Values = Mapping[str, float]
 
 
+SETS_AT_ONCE = 256
+"""Sets of values whose needles are held at once: those of thousands would take gigabytes."""
+
+
 @dataclass(frozen=True)
 class PosteriorDensity:
     """The posterior of a medium's parameters, given some insertions; functions of all values (Pa, mm).
@@ -59,7 +63,10 @@ class PosteriorDensity:
 
     def log_densities(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
         """Return `log_density` (B,) of many sets of values at once, on `jobs` threads."""
-        return self._add_up(list(self.whitened_residuals(sets, jobs)), sets)
+        parts = [sets[start : start + SETS_AT_ONCE] for start in range(0, len(sets), SETS_AT_ONCE)]
+        return np.concatenate(
+            [self._add_up(list(self.whitened_residuals(part, jobs)), part) for part in parts]
+        )
 
     def _add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
         """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""
@@ -293,7 +300,7 @@ class PosteriorDensity:
     def _whiten(
         self, model: PreparedModel, nodes: Sequence[Nodes], sets: Sequence[Values], jobs: int
     ) -> Iterator[Floats]:
-        """Yield the whitened residuals (B, m + c, R) of each insertion at its nodes, those of the pose last."""
+        """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last."""
         points = iter(model.read_points(sets, _list_places(nodes), jobs))
         for one, some in zip(self.observations, nodes, strict=True):
             stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)
