@@ -203,9 +203,10 @@ class PreparedModel:
             shapes, jacobians = found[one]
             by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (F B, K, 2, Q)
             by_theta = one.chain(slopes, parameters, jacobians.names)
-            moves = by.reshape(len(by), -1, by.shape[-1]) @ by_theta
+            moves = by.reshape(len(by), 2 * len(at), by.shape[-1]) @ by_theta
             moves[~shapes.converged] = np.nan
-            return read_batch_points(one.insertion, shapes, at), moves.reshape(*by.shape[:3], -1)
+            moves = moves.reshape(len(by), len(at), 2, by_theta.shape[-1])
+            return read_batch_points(one.insertion, shapes, at), moves
 
         points, moves = self._read(s, len(sets), read, 2)
         return points, moves
@@ -268,7 +269,7 @@ class _Simulation:
         found = np.empty((len(self.factors), sets, len(names), free))
         for q, name in enumerate(names):
             found[:, :, q] = rows[name]
-        return found.reshape(-1, len(names), free)
+        return found.reshape(len(self.factors) * sets, len(names), free)
 
 
 def _make_steps(values: Mapping[str, float], insertion: Insertion, medium: MediumRecord) -> tuple[Step, ...]:

@@ -87,6 +87,10 @@ class Batch:
         self._check_size()
 
     def __len__(self) -> int:
+        return self._count
+
+    @cached_property
+    def _count(self) -> int:
         return len(next(v for v in (getattr(self, name) for name in VARYING_FIELDS) if v is not None))
 
     def _check_size(self) -> None:

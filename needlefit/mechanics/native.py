@@ -79,6 +79,7 @@ _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
     "column_of": (np.int64, (9,)),
     "guide_columns": (np.int64, ("any", 3)),
 }
+_SET_ARRAYS = {name for name, (_, shape) in _ARRAYS.items() if "sets" in shape}
 
 
 class Problem(ctypes.Structure):
@@ -90,6 +91,7 @@ class Problem(ctypes.Structure):
         *((name, c_void_p) for name in _ARRAYS),
     ]
     arrays: dict[str, np.ndarray]
+    sizes: dict[str, int]
 
     @classmethod
     def make(cls, numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> "Problem":
@@ -101,8 +103,8 @@ class Problem(ctypes.Structure):
             If an array has not the type, shape or layout that the kernel reads, or an index points outside.
         """
         problem = cls(**numbers)
-        problem.arrays = {}
-        problem._point_to(arrays)
+        problem.arrays = dict(arrays)
+        problem._point_to(arrays, problem._list_sizes())
         problem.check_stops()
         for name in ("before", "within"):
             first = arrays[f"{name}_first"]
@@ -118,22 +120,24 @@ class Problem(ctypes.Structure):
         TypeError
             If one of them is missing, or is not as `make` asks for.
         """
-        if arrays.keys() != {name for name in self.arrays if "sets" in _ARRAYS[name][1]}:
+        if arrays.keys() != self.arrays.keys() & _SET_ARRAYS:
             raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
         problem = Problem.from_buffer_copy(self)
-        problem.sets, problem.arrays = sets, dict(self.arrays)
-        problem._point_to(arrays)
+        problem.sets, problem.arrays = sets, self.arrays | arrays
+        problem._point_to(arrays, self.sizes | {"sets": sets})
         return problem
 
-    def _point_to(self, arrays: Mapping[str, np.ndarray]) -> None:
-        self.arrays |= arrays
+    def _list_sizes(self) -> dict[str, int]:
         inputs, bevels = len(self.arrays["held_tip"]), len(self.arrays["turn"])
-        sizes = {name: getattr(self, name) for name in _SIZES}
+        sizes: dict[str, int] = {name: getattr(self, name) for name in _SIZES}
         sizes |= {"any": -1, "layers-1": self.layers - 1, "inputs": inputs, "inputs+1": inputs + 1}
-        sizes |= {"bevels": bevels, "stop_count+": -1}
+        return sizes | {"bevels": bevels, "stop_count+": -1}
+
+    def _point_to(self, arrays: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None:
+        self.sizes = sizes
         for name, array in arrays.items():
             dtype, shape = _ARRAYS[name]
-            check_array(name, array, dtype, tuple(sizes[n] if isinstance(n, str) else n for n in shape))
+            check_array(name, array, dtype, tuple([sizes[n] if isinstance(n, str) else n for n in shape]))
             setattr(self, name, array.ctypes.data)
 
     def check_stops(self) -> None:

@@ -30,6 +30,10 @@ class Columns(NamedTuple):
         return len(self.names)
 
 
+SHAPE_COLUMN = 1
+"""Place of the laws' shape parameters in `Columns.first`."""
+
+
 class PackedStops(NamedTuple):
     """Stops of the tip, and the numbers of the steps whose bevels and controls they name."""
 
@@ -107,8 +111,11 @@ def pack_layers(
     """Return sizes and arrays of the layers; `values` (sets, n) replace those of the tissue."""
 
     def repeat(name: str) -> Floats:
-        given = values.get(name)
-        return np.ascontiguousarray(np.broadcast_to(getattr(tissue, name) if given is None else given, shape))
+        if name in values:
+            return values[name]
+        found = np.empty(shape)
+        found[:] = getattr(tissue, name)
+        return found
 
     shape = (sets, tissue.layers)
     coefficients, exponents = compile_law(tissue.law, repeat("alpha").ravel())
@@ -207,7 +214,7 @@ def pack_sets(
     }
     if "guide_x" in values:
         arrays["guide_x"] = values["guide_x"]
-    if columns is not None and columns.total:
+    if columns is not None and columns.first[SHAPE_COLUMN] >= 0:
         arrays["law_by"] = _differentiate_laws(tissue, sets, values, arrays["law"].shape)
     return sizes, arrays
 
