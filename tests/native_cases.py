@@ -6,21 +6,20 @@ import numpy as np
 from mechanics_cases import random_batch, random_needle, random_rules, random_steps, random_tissue
 
 from needlefit.mechanics import native
-from needlefit.mechanics.lanes import _Job as Job
-from needlefit.mechanics.linearize import DERIVATIVE_KINDS, _make_columns
+from needlefit.mechanics.lanes import _evaluate
+from needlefit.mechanics.linearize import DERIVATIVE_KINDS, find_columns
 from needlefit.mechanics.packing import pack_problem, plan_insertion
 
 
 def make_problem(rng: np.random.Generator) -> native.Problem:
     """Return a random insertion with all derivatives, or one with several parameter sets."""
     if rng.random() < 0.5:
-        return Job(random_batch(rng, int(rng.integers(2, 12)), within=True, friction=0.3)).problem
+        return _evaluate(random_batch(rng, int(rng.integers(2, 12)), within=True, friction=0.3), None).problem
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
     steps = random_steps(rng, int(rng.integers(0, 4)))
     lattice, packed = plan_insertion(steps, needle.length, rules)
-    depths = tuple(sorted({guide.x for step in steps for guide in step.controls.guides}))
-    _, columns = _make_columns(DERIVATIVE_KINDS, tissue.law, tissue.layers, depths, rules.path_angle)
+    columns = find_columns(DERIVATIVE_KINDS, tissue, steps, rules)
     return pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
 
 

@@ -50,7 +50,7 @@ def test_profiles_of_parameters(problem, fit):
 
 
 def test_profiles_along_which_draws_begin(problem, fit):
-    alone, copied = (trace_profiles(problem, np.array(fit.theta), where) for where in POOLS)
+    alone, copied = (trace_profiles(problem, np.array(fit.theta), 2, where) for where in POOLS)
     assert len(alone) > 3
     assert [one.theta.tobytes() for one in alone] == [one.theta.tobytes() for one in copied]
     assert [one.information.tobytes() for one in alone] == [one.information.tobytes() for one in copied]

@@ -78,7 +78,8 @@ def test_nothing_uncertain_is_the_density_as_measured():
         assert made.axes == () and len(made.insertions) == 1
         white = np.arange(5.0)[None]
         assert one(white, made, 2.0) == pytest.approx(-0.5 * 30 / 4 - 5 * math.log(2))
-        assert linear_residuals([white], make_group(made), 2.0, 0.0)[0] == pytest.approx(white[0] / 2)
+        found = linear_residuals([white[None]], make_group(made), np.array([2.0]), np.zeros(1))[0]
+        assert found[0] == pytest.approx(white[0] / 2)
 
 
 def test_nodes_move_one_boundary_or_the_entry():
@@ -165,12 +166,15 @@ def test_the_residuals_of_the_linear_density_and_their_slopes():
     white, by = rng.normal(size=(7, 6)), rng.normal(size=(7, 6, 2))
 
     def both(theta):
-        return np.append(*linear_residuals([white + by @ theta], make_group(made), 1.3, 0.0))
+        moved = (white + by @ theta)[None]
+        return np.append(*(part[0] for part in linear_residuals([moved], make_group(made), *at)))
 
-    found, log_det = linear_residuals([white], make_group(made), 1.3, 0.0)
+    at = np.array([1.3]), np.zeros(1)
+    found, log_det = (part[0] for part in linear_residuals([white[None]], make_group(made), *at))
     shrunk = one(white, made, 1.3) + 6 * math.log(1.3)
     assert -0.5 * (found @ found + log_det) == pytest.approx(shrunk)
-    exact = np.vstack(linearize_residuals([white], [by], make_group(made), (1.3, 0.0), np.zeros(2))[2:])
+    slopes = linearize_residuals([white[None]], [by[None]], make_group(made), at, np.zeros(2))[2:]
+    exact = np.vstack([part[0] for part in slopes])
     np.testing.assert_allclose(exact, difference_jacobian(both, np.zeros(2), np.full(2, 1e-5)), atol=1e-7)
 
 
@@ -317,7 +321,8 @@ def test_deviations_of_bevels_that_sum_to_zero_have_the_density_of_their_covaria
     got = log_marginals([white[None] for white in whites], group, np.array([1.3]), np.array([SPREAD]))[0]
     exact = multivariate_normal(cov=covariance).logpdf(first)
     assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9)
-    residuals, log_det = linear_residuals(whites, group, 1.3, SPREAD)
+    at = np.array([1.3]), np.array([SPREAD])
+    residuals, log_det = (part[0] for part in linear_residuals([white[None] for white in whites], group, *at))
     assert -0.5 * (residuals @ residuals + log_det) - 18 * math.log(1.3) == pytest.approx(got, abs=1e-9)
 
 

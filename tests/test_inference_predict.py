@@ -9,8 +9,8 @@ from inference_cases import NEEDLE, TRUTH, insertion, medium
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import make_tissue
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions
-from needlefit.mechanics.linearize import MAX_TOLERANCE_MM
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.prepared import MAX_TOLERANCE_MM
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
@@ -35,7 +35,8 @@ def test_a_prediction_is_the_simulation_that_the_medium_describes() -> None:
     planned = insertion(31.3, (12.0,), (1, 2), -1)
     got = predict(TRUTH, unusual(*UNUSUAL), NEEDLE, planned)
     met = Tissue(mu=[0.3, 20.0], alpha=[1.0, -1.0], boundaries=[12.0], thickness=[3.0], law="neo_hookean")
-    meant = simulate(NEEDLE, met, Bevel(0.08, -1), 31.3, Controls(), ModelOptions(2.0, 1.0, MAX_TOLERANCE_MM))
+    options = ModelOptions(2.0, 1.0, MAX_TOLERANCE_MM)
+    meant = simulate(NEEDLE, met, Bevel(0.08, -1), 31.3, Controls(), options)
     assert got.constraints[1, 0] == pytest.approx(1.3)  # 31.3 = 15 cells of 2 mm and 1.3 mm
     np.testing.assert_array_equal(got.u, meant.u)
 

@@ -252,7 +252,8 @@ def test_damaged_arguments_of_the_other_functions_are_errors(seed: int) -> None:
          [x, 0 * x, 0 * x, np.column_stack((depths, depths)), 0 * points]),
         (native.compute_positions, [x[None], x[None], x[None], depths]),
         (native.compute_deflections, [x, x, x, depths]),
-        (native.compute_position_derivatives, [x, x, x, depths, *np.zeros((3, 13, 2))]),
+        (native.compute_position_derivatives,
+         [x[None], x[None], x[None], depths, np.zeros((13, 2)), *np.zeros((2, 1, 13, 2))]),
         (lambda n, e: native.evaluate_law(n, int(rng.integers(-1, 4)), 1.0, 9.0, e), [np.ones(4), depths]),
         (native.measure_table_range, [np.ones(2 + native.TABLE_PIECES * native.TABLE_TERMS)]),
     ]  # fmt: skip

@@ -24,7 +24,7 @@ from native_cases import read_numbers
 from hatch_build import FLAGS, ZIG_FLAGS
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, ModelOptions
-from needlefit.mechanics.linearize import DERIVATIVE_KINDS, _make_columns
+from needlefit.mechanics.linearize import DERIVATIVE_KINDS, find_columns
 from needlefit.mechanics.packing import pack_problem, plan_insertion
 
 pytestmark = pytest.mark.on_demand
@@ -82,8 +82,7 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.P
     )
     if all(len(step.controls.before) == 1 for step in steps):
         values["guide_x"] = rng.uniform(-30, -2, sets)
-    depths = tuple(sorted({guide.x for step in steps for guide in step.controls.guides}))
-    columns = _make_columns(DERIVATIVE_KINDS, tissue.law, tissue.layers, depths, rules.path_angle)[1]
+    columns = find_columns(DERIVATIVE_KINDS, tissue, steps, rules)
     columns = columns if rng.random() < 0.3 else None
     lattice, packed = plan_insertion(steps, needle.length, rules)
     problem = pack_problem(

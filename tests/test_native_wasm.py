@@ -74,6 +74,7 @@ def write_model(
     needle: Needle, tissue: Tissue, rules: ModelOptions, first_cell: float | None
 ) -> dict[str, Any]:
     sizes, arrays = pack_layers(tissue, 1, {})
+    arrays |= {"boundaries": tissue.boundaries}
     layers = {name: array.ravel().tolist() for name, array in arrays.items()}
     return layers | {
         "length": needle.length, "rigidity": needle.flexural_rigidity, "terms": sizes["terms"],

@@ -91,7 +91,9 @@ def test_derivatives_by_residuals_and_spread_are_those_of_differences():
         return [white + theta[1] * step for white, step in zip(chosen, steps, strict=True)]
 
     def residuals(theta):
-        return np.append(*linear_residuals(at(theta), group, SCALE, SPREAD * math.exp(theta[0])))
+        many = [white[None] for white in at(theta)]
+        found = linear_residuals(many, group, np.array([SCALE]), np.array([SPREAD * math.exp(theta[0])]))
+        return np.append(*(part[0] for part in found))
 
     def log_density(theta):
         return np.atleast_1d(density(made, at(theta), SPREAD * math.exp(theta[0])))
@@ -102,9 +104,11 @@ def test_derivatives_by_residuals_and_spread_are_those_of_differences():
     np.testing.assert_allclose(
         [by_spread, by_step], difference_jacobian(log_density, np.zeros(2), small)[0], rtol=1e-6
     )
-    exact = np.vstack(linearize_residuals(chosen, by, group, (SCALE, SPREAD), np.array([1.0, 0.0]))[2:])
+    many, at_one = [white[None] for white in chosen], (np.array([SCALE]), np.array([SPREAD]))
+    slopes = linearize_residuals(many, [one[None] for one in by], group, at_one, np.array([1.0, 0.0]))[2:]
+    exact = np.vstack([part[0] for part in slopes])
     np.testing.assert_allclose(exact, difference_jacobian(residuals, np.zeros(2), small), atol=1e-7)
-    found, log_det = linear_residuals(chosen, group, SCALE, SPREAD)
+    found, log_det = (part[0] for part in linear_residuals(many, group, *at_one))
     assert -0.5 * (found @ found + log_det) == pytest.approx(
         density(made, chosen) + 2 * ROWS * math.log(SCALE)
     )

@@ -104,18 +104,23 @@ def align_rigid(moving: ArrayLike, fixed: ArrayLike) -> Floats:
 
 
 def differentiate_align_rigid(moving: ArrayLike, fixed: ArrayLike, slopes: Floats) -> Floats:
-    """Return the derivatives (N, 2, P) of `align_rigid(moving, fixed)`, given those of `moving`."""
+    """Return the derivatives (..., N, 2, P) of `align_rigid(moving, fixed)`, given those of `moving`."""
     m, f = np.asarray(moving, dtype=np.float64), np.asarray(fixed, dtype=np.float64)
-    a, b, da = m - m.mean(axis=0), f - f.mean(axis=0), slopes - slopes.mean(axis=0)
-    across, along = np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)
-    turned = np.einsum("np,n->p", da[:, 0], b[:, 1]) - np.einsum("np,n->p", da[:, 1], b[:, 0])
+    a, b = m - m.mean(axis=-2, keepdims=True), f - f.mean(axis=0)
+    da = slopes - slopes.mean(axis=-3, keepdims=True)
+    dx, dy = da[..., 0, :], da[..., 1, :]  # (..., N, P)
+    across = np.sum(a[..., 0] * b[:, 1] - a[..., 1] * b[:, 0], axis=-1)
+    along = np.sum(a * b, axis=(-2, -1))
+    by_across, by_along = b[:, 1] @ dx - b[:, 0] @ dy, b[:, 0] @ dx + b[:, 1] @ dy  # (..., P)
     # across and along are the sine and cosine of the best angle, times `size`.
     size = np.hypot(across, along)
-    turn = (along * turned - across * np.einsum("nip,ni->p", da, b)) / size**2  # (P,), of the angle
-    c, s = along / size, across / size
-    rotation, quarter = np.array([[c, s], [-s, c]]), np.array([[-s, c], [-c, -s]])
-    derivatives: Floats = np.einsum("nip,ij->njp", da, rotation) + (a @ quarter)[:, :, None] * turn
-    return derivatives
+    turn = (along[..., None] * by_across - across[..., None] * by_along) / size[
+        ..., None
+    ] ** 2  # of the angle
+    c, s = (part[..., None] for part in (along / size, across / size))
+    x, y = -s * a[..., 0] - c * a[..., 1], c * a[..., 0] - s * a[..., 1]  # (..., N) turned by a quarter
+    c, s, turn = c[..., None], s[..., None], turn[..., None, :]
+    return np.stack((c * dx - s * dy + x[..., None] * turn, s * dx + c * dy + y[..., None] * turn), axis=-2)
 
 
 def make_tracker_columns(depth: Floats) -> Floats:
@@ -135,10 +140,10 @@ def align_lateral(moving: Floats, fixed: Floats) -> Floats:
 
 
 def differentiate_align_lateral(fixed: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (N, 2, P) of `align_lateral(moving, fixed)`, given those of `moving`."""
+    """Return the derivatives (..., N, 2, P) of `align_lateral(moving, fixed)`, given those of `moving`."""
     columns = np.linalg.qr(make_tracker_columns(fixed[:, 0]))[0]
     derivatives = slopes.copy()
-    derivatives[:, 1] -= columns @ (columns.T @ slopes[:, 1])
+    derivatives[..., 1, :] -= columns @ (columns.T @ slopes[..., 1, :])
     return derivatives
 
 

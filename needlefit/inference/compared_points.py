@@ -113,7 +113,7 @@ def align(pose: Pose, simulated: Floats, measured: Floats) -> Floats:
 
 
 def differentiate_align(pose: Pose, simulated: Floats, measured: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (K, 2, P) of `align`, given those of the simulated points (K, 2)."""
+    """Return the derivatives (..., K, 2, P) of `align`, given those of the simulated points (..., K, 2)."""
     if pose == "free":
         return differentiate_align_rigid(simulated, measured, slopes)
     return differentiate_align_lateral(measured, slopes) if pose == "tracker" else slopes

@@ -4,8 +4,8 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -17,18 +17,17 @@ from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.inference.parameters import Parameters, make_tissue
 from needlefit.inference.simulated_points import (
     find_end,
-    read_batch_deflections,
-    read_derivatives,
-    read_points,
+    read_batch_derivatives,
+    read_batch_points,
     share_simulations,
 )
-from needlefit.inference.ties import dimension, is_shape_parameter
+from needlefit.inference.ties import BEVEL_PARAMETERS, dimension, is_shape_parameter
 from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.lanes import linearize_batches, simulate_batches
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.linearize import MAX_TOLERANCE_MM, Jacobian, linearize_steps
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.prepared import MAX_TOLERANCE_MM
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
@@ -103,7 +102,8 @@ def make_batch(
     sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
 ) -> Batch:
     """Return a batch of one insertion with many parameter sets, for `simulate_batches`; see `predict`."""
-    return _make_batch(sets[0], _tabulate_sets(sets), medium, needle, insertion)
+    values = _stack_values(_tabulate_sets(sets), medium, insertion)
+    return Batch(*make_simulation_inputs(sets[0], medium, needle, insertion), **values)
 
 
 def stack_shape(table: Mapping[str, Any], law: str, sequence: Sequence[int]) -> Floats:
@@ -119,29 +119,17 @@ def _tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
     return {name: np.array([values[name] for values in sets]) for name in sets[0]}
 
 
-def _make_batch(
-    first: Mapping[str, float],
-    table: Mapping[str, Floats],
-    medium: MediumRecord,
-    needle: Needle,
-    insertion: Insertion,
-) -> Batch:
+def _stack_values(table: Mapping[str, Floats], medium: MediumRecord, insertion: Insertion) -> dict[str, Any]:
+    """Return the parameter values of a batch of one insertion."""
     guide = table.get("guide_distance_mm")
-    angle = medium.advance == "path_angle"
     strength = insertion.bevel_factor * table[medium.bevel_parameter]
-    return Batch(
-        needle,
-        make_tissue(first, insertion.sequence, insertion.boundaries, medium),
-        _make_steps(first, insertion, medium),
-        make_options(medium),
+    values = {
         # files and theta hold Pa, the mechanics N and mm: 1 Pa = 1e-6 MPa
-        mu=np.column_stack([table[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence]),
-        shape=stack_shape(table, medium.law, insertion.sequence),
-        offset=None if angle else strength,
-        cut_angle=np.radians(strength) if angle else None,
-        # the lanes prefer one place for all
-        guide_x=None if guide is None or np.ptp(guide) == 0 else -guide,
-    )
+        "mu": np.column_stack([table[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence]),
+        "shape": stack_shape(table, medium.law, insertion.sequence),
+    }
+    values |= {"cut_angle": np.radians(strength)} if medium.advance == "path_angle" else {"offset": strength}
+    return values if guide is None else values | {"guide_x": -guide}
 
 
 def simulate_deflections(
@@ -156,26 +144,141 @@ def simulate_deflections(
 
     Of a tip track they are the tips at depths `s`. NaN where a solve failed.
     """
-    sources = share_simulations(insertions, medium.constraint_spacing_mm)
-    shapes = simulate_each(sets, medium, needle, sources, jobs)
-    trios = zip(sources, shapes, s, strict=True)
-    return tuple(read_batch_deflections(*trio) for trio in trios)
+    points = PreparedModel(medium, needle, insertions).read_points(sets, s, jobs)
+    return tuple(one[..., 1] for one in points)
 
 
-def simulate_each(
-    sets: Sequence[Mapping[str, float]],
-    medium: MediumRecord,
-    needle: Needle,
-    insertions: Sequence[Insertion],
-    jobs: int,
-) -> list[NeedleShapes]:
-    """Return the shapes of B sets of values in each insertion; one that is listed twice is simulated once."""
-    different = {id(insertion): insertion for insertion in insertions}
-    table = _tabulate_sets(sets)
-    batches = [_make_batch(sets[0], table, medium, needle, one) for one in different.values()]
-    # all go into one call, so that threads stay busy
-    shapes = dict(zip(different, simulate_batches(batches, jobs), strict=True))
-    return [shapes[id(insertion)] for insertion in insertions]
+class PreparedModel:
+    """The forward model of some insertions, of which what does not depend on the values is computed once.
+
+    What B sets of values give does not depend on their number, nor on the number of threads. Insertions that
+    are read from the same simulation are simulated once, and those that differ in their bevel alone together.
+
+    Raises
+    ------
+    DataError
+        If a moved guide's readings are too close: see `share_simulations`.
+    """
+
+    def __init__(self, medium: MediumRecord, needle: Needle, insertions: Sequence[Insertion]) -> None:
+        self._medium, self._needle, self._insertions = medium, needle, tuple(insertions)
+        self._simulations: list[_Simulation] = []
+        self._places: list[tuple[_Simulation, int]] = []  # of each insertion, and the number of its bevel
+        found: dict[tuple[int, ...], _Simulation] = {}
+        for one in share_simulations(insertions, medium.constraint_spacing_mm):
+            # the parts of an insertion that was changed in its bevel alone are the same objects
+            key = tuple(id(getattr(one, part.name)) for part in fields(one) if part.name != "bevel_factor")
+            if key not in found:
+                found[key] = _Simulation(replace(one, bevel_factor=1.0), [])
+            factors = found[key].factors
+            if one.bevel_factor not in factors:
+                factors.append(one.bevel_factor)
+            self._places.append((found[key], factors.index(one.bevel_factor)))
+        self._simulations = list(found.values())
+
+    def simulate(self, sets: Sequence[Mapping[str, float]], jobs: int = 1) -> list[NeedleShapes]:
+        """Return the shapes of B sets of values in each insertion."""
+        # all go into one call, so that threads stay busy
+        shapes = dict(zip(self._simulations, simulate_batches(self._make_batches(sets), jobs), strict=True))
+        return [shapes[one].take(slice(row * len(sets), (row + 1) * len(sets))) for one, row in self._places]
+
+    def read_points(
+        self, sets: Sequence[Mapping[str, float]], s: Sequence[Floats], jobs: int = 1
+    ) -> list[Floats]:
+        """Return the points (B, K, 2) of each insertion at its `s` (K,), mm; NaN where a solve failed.
+
+        See `simulated_points.read_points`.
+        """
+        shapes = simulate_batches(self._make_batches(sets), jobs)
+        found = dict(zip(self._simulations, shapes, strict=True))
+        return self._read(
+            s, len(sets), lambda one, at: (read_batch_points(one.insertion, found[one], at),), 1
+        )[0]
+
+    def differentiate(
+        self,
+        sets: Sequence[Mapping[str, float]],
+        parameters: Parameters,
+        s: Sequence[Floats],
+        jobs: int = 1,
+    ) -> tuple[list[Floats], list[Floats]]:
+        """Return `read_points` of each insertion, and the derivatives (B, K, 2, P) by theta."""
+        pairs = linearize_batches(self._make_batches(sets), _select_kinds(parameters), jobs)
+        found = dict(zip(self._simulations, pairs, strict=True))
+        every = [parameters.slopes(values) for values in sets]
+        slopes = {name: np.array([one[name] for one in every]) for name in every[0]}  # (B, P) each
+
+        def read(one: _Simulation, at: Floats) -> tuple[Floats, Floats]:
+            shapes, jacobians = found[one]
+            by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (F B, K, 2, Q)
+            by_theta = one.chain(slopes, parameters, jacobians.names)
+            moves = by.reshape(len(by), 2 * len(at), by.shape[-1]) @ by_theta
+            moves[~shapes.converged] = np.nan
+            moves = moves.reshape(len(by), len(at), 2, by_theta.shape[-1])
+            return read_batch_points(one.insertion, shapes, at), moves
+
+        points, moves = self._read(s, len(sets), read, 2)
+        return points, moves
+
+    def _make_batches(self, sets: Sequence[Mapping[str, float]]) -> list[Batch]:
+        table = _tabulate_sets(sets)
+        return [one.make_batch(sets[0], table, self._medium, self._needle) for one in self._simulations]
+
+    def _read(
+        self,
+        s: Sequence[Floats],
+        count: int,
+        read: "Callable[[_Simulation, Floats], tuple[Floats, ...]]",
+        parts: int,
+    ) -> list[list[Floats]]:
+        """Return the parts that `read` gives of every insertion, (B, ...) each."""
+        kept: dict[tuple[_Simulation, bytes], tuple[Floats, ...]] = {}
+        found: list[list[Floats]] = [[] for _ in range(parts)]
+        for (one, row), at in zip(self._places, s, strict=True):
+            key = one, at.tobytes()
+            if key not in kept:
+                kept[key] = read(one, at)
+            for into, part in zip(found, kept[key], strict=True):
+                into.append(part[row * count : (row + 1) * count])
+        return found
+
+
+@dataclass(eq=False)
+class _Simulation:
+    """One insertion with F bevels: a batch of F B sets, bevel by bevel."""
+
+    insertion: Insertion
+    factors: list[float]
+    _batch: Batch | None = None
+
+    def make_batch(
+        self, first: Mapping[str, float], table: Mapping[str, Floats], medium: MediumRecord, needle: Needle
+    ) -> Batch:
+        """Return the batch of B sets of values, given as (B,) of each parameter; `first` are those of one."""
+        name = medium.bevel_parameter
+        count = len(self.factors)
+        values = {key: np.tile(array, count) for key, array in table.items()} if count > 1 else dict(table)
+        values[name] = np.concatenate([factor * table[name] for factor in self.factors])
+        stacked = _stack_values(values, medium, self.insertion)
+        if self._batch is None:
+            self._batch = Batch(*make_simulation_inputs(first, medium, needle, self.insertion), **stacked)
+            return self._batch
+        return self._batch.with_sets(**stacked)
+
+    def chain(self, slopes: Mapping[str, Floats], parameters: Parameters, names: Sequence[str]) -> Floats:
+        """Return the derivatives (F B, Q, P) by theta of the Q parameters that mechanics differentiate by.
+
+        `slopes` (B, P) are those of the values.
+        """
+        bevels = {
+            name: np.multiply.outer(self.factors, slopes[name]) for name in BEVEL_PARAMETERS if name in slopes
+        }
+        rows = _chain_rule({**slopes, **bevels}, parameters, self.insertion)
+        sets, free = next(iter(slopes.values())).shape
+        found = np.empty((len(self.factors), sets, len(names), free))
+        for q, name in enumerate(names):
+            found[:, :, q] = rows[name]
+        return found.reshape(len(self.factors) * sets, len(names), free)
 
 
 def _make_steps(values: Mapping[str, float], insertion: Insertion, medium: MediumRecord) -> tuple[Step, ...]:
@@ -268,54 +371,8 @@ def predict_with_derivatives(
     ModelError
         If the needle does not reach the depth.
     """
-    return linearize_insertion(values, parameters, medium, needle, insertion).read(s)
-
-
-@dataclass(frozen=True)
-class LinearizedInsertion:
-    """A simulated insertion and its derivatives.
-
-    Attributes
-    ----------
-    by_theta : (Q, P) array
-        Derivatives by theta of the Q parameters that `jacobian` differentiates by.
-    """
-
-    insertion: Insertion
-    shape: NeedleShape
-    jacobian: Jacobian
-    by_theta: Floats
-
-    def read(self, s: Floats) -> tuple[Floats, Floats]:
-        """Return the points (K, 2) at `s` and their derivatives (K, 2, P); see `read_points`."""
-        points = read_points(self.insertion, self.shape, s)
-        if not self.shape.converged:
-            return points, np.full((len(s), 2, self.by_theta.shape[1]), np.nan)
-        return points, read_derivatives(self.insertion, self.shape, self.jacobian, s) @ self.by_theta
-
-
-def linearize_insertion(
-    values: Mapping[str, float],
-    parameters: Parameters,
-    medium: MediumRecord,
-    needle: Needle,
-    insertion: Insertion,
-    slopes: Mapping[str, Floats] | None = None,
-) -> LinearizedInsertion:
-    """Return the simulated insertion and its derivatives; see `predict_with_derivatives`.
-
-    Parameters
-    ----------
-    slopes : mapping, optional
-        `parameters.slopes(values)`, where it is used for many insertions.
-    """
-    by_parameter = _chain_rule(parameters.slopes(values) if slopes is None else slopes, parameters, insertion)
-    shape, jacobian = linearize_steps(
-        *make_simulation_inputs(values, medium, needle, insertion), wrt=_select_kinds(parameters)
-    )
-    rows = [by_parameter[name] for name in jacobian.names]
-    by_theta = np.array(rows).reshape(len(rows), len(parameters.free))  # also where nothing is free
-    return LinearizedInsertion(insertion, shape, jacobian, by_theta)
+    points, slopes = PreparedModel(medium, needle, [insertion]).differentiate([values], parameters, [s])
+    return points[0][0], slopes[0][0]
 
 
 def _select_kinds(parameters: Parameters) -> tuple[str, ...]:

@@ -1,20 +1,13 @@
 """The posterior density of one fit, its exact gradient, and its residuals for least squares."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion
-from needlefit.inference.forward_model import (
-    LinearizedInsertion,
-    linearize_insertion,
-    predict,
-    simulate_each,
-)
+from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.marginal import (
     count_residuals,
     linear_residuals,
@@ -26,27 +19,19 @@ from needlefit.inference.likelihood.marginal import (
 from needlefit.inference.likelihood.nodes import BEVEL, NodeGroup, Nodes, group_nodes
 from needlefit.inference.likelihood.observation import (
     Observation,
-    whiten_deflections,
     whiten_derivatives,
     whiten_residuals,
 )
 from needlefit.inference.parameters import BEVEL_SPREAD_BOUNDS, NOISE_SCALE_BOUNDS, Parameters
-from needlefit.inference.simulated_points import (
-    read_batch_deflections,
-    read_batch_points,
-    read_points,
-    share_simulations,
-)
 from needlefit.inference.ties import BEVEL_SPREAD, NOISE_SCALE
-from needlefit.mechanics.batch import NeedleShapes
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
 
 Values = Mapping[str, float]
-Simulate = Callable[[Insertion], NeedleShape]
-T = TypeVar("T")
-Linearize = Callable[[Insertion], LinearizedInsertion]
+
+
+SETS_AT_ONCE = 256
+"""Sets of values whose needles are held at once: those of thousands would take gigabytes."""
 
 
 @dataclass(frozen=True)
@@ -74,18 +59,18 @@ class PosteriorDensity:
 
     def log_density(self, values: Values) -> float:
         """Return the logarithm of likelihood and stated prior; NaN where a solve fails."""
-        simulate = self._simulation(values)
-        white = [self._white(one, one.nodes, simulate)[None] for one in self.observations]
-        return float(self._add_up(white, [values])[0])
+        return float(self.log_densities([values])[0])
 
-    def log_densities(self, sets: Sequence[Values], jobs: int) -> Floats:
+    def log_densities(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
         """Return `log_density` (B,) of many sets of values at once, on `jobs` threads."""
-        return self._add_up(list(self.whitened_residuals(sets, jobs)), sets)
+        parts = [sets[start : start + SETS_AT_ONCE] for start in range(0, len(sets), SETS_AT_ONCE)]
+        return np.concatenate(
+            [self._add_up(list(self.whitened_residuals(part, jobs)), part) for part in parts]
+        )
 
     def _add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
         """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""
-        scale = np.array([self._scale(values) for values in sets])
-        spread = np.array([self._spread(values) for values in sets])
+        scale, spread = self._scales(sets)
         total = np.array([self._log_prior(values) for values in sets])
         for members, group in self._groups:
             total += sum(self.observations[k].log_norm for k in members)
@@ -94,11 +79,7 @@ class PosteriorDensity:
 
     def whitened_residuals(self, sets: Sequence[Values], jobs: int) -> Iterator[Floats]:
         """Yield of each insertion the whitened residuals (B, m, R) of many sets of values at its m nodes."""
-        nodes = [insertion for observation in self.observations for insertion in observation.nodes.insertions]
-        sources = [self._sources[id(insertion)] for insertion in nodes]
-        shapes = iter(simulate_each(sets, self.medium, self.needle, sources, jobs))
-        for observation in self.observations:
-            yield _white_each(observation, [next(shapes) for _ in observation.nodes.s])
+        return self._whiten(self._model, [one.nodes for one in self.observations], sets, jobs)
 
     def estimate_bevel(
         self, sets: Sequence[Values], insertion: tuple[str, int], jobs: int
@@ -120,69 +101,93 @@ class PosteriorDensity:
         if not known:
             return np.zeros(len(sets)), np.ones(len(sets))
         white = list(replace(self, observations=known).whitened_residuals(sets, jobs))
-        scale = np.array([self._scale(values) for values in sets])
-        spread = np.array([self._spread(values) for values in sets])
+        scale, spread = self._scales(sets)
         group = NodeGroup(tuple(one.nodes for one in known), (surface,))
         mean, covariance = solve_shared(white, group, scale, spread)
         return mean[:, 0], np.sqrt(covariance[:, 0, 0])
 
     def gradient(self, values: Values) -> tuple[float, Floats]:
         """Return `log_density` and its derivatives (P,) by theta; NaN where a solve fails."""
+        return self.gradients([values])[0]
+
+    def gradients(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[float, Floats]]:
+        """Return `gradient` of many sets of values at once, on `jobs` threads."""
+        pairs = self._differentiate(self._model, [one.nodes for one in self.observations], sets, jobs)
+        totals = self._add_up([white for white, _ in pairs], sets)
+        return [
+            (float(totals[b]), self._slope(values, [(white[b], by[b]) for white, by in pairs]))
+            for b, values in enumerate(sets)
+        ]
+
+    def _slope(self, values: Values, pairs: Sequence[tuple[Floats, Floats]]) -> Floats:
+        """Return the derivatives (P,) of the log density, given those of white (m, R), (m, R, P)."""
         scale, spread = self._scale(values), self._spread(values)
         stated, names = self.parameters.prior.residuals(values), self.parameters.free
         slope = -(stated @ self.parameters.prior.slopes(names))
         slope = slope + self._by_half_normal * (1 - self._spread_in_sd(values) ** 2)
-        linearize = self._linearization(values)
-        pairs = [self._white_and_slopes(one, one.nodes, linearize) for one in self.observations]
-        total = float(self._add_up([white[None] for white, _ in pairs], [values])[0])
         for members, group in self._groups:
             found, by_spread = mixing_matrices([pairs[k][0] for k in members], group, scale, spread)
             slope = slope + self._by_spread * by_spread
             for k, mixed in zip(members, found, strict=True):
                 white, by = pairs[k]
-                slope = slope - np.einsum("mr,mrp->p", mixed @ white, by)
+                slope = slope - (mixed @ white).reshape(-1) @ by.reshape(-1, by.shape[-1])
                 # d/d(ln scale) of the log density: |residual|^2 of the mixture, minus one per row for the
                 # normalising factor
                 more = np.sum(mixed * (white @ white.T)) - self.observations[k].rows
                 slope = slope + self._by_scale * more
-        return total, slope
+        return slope
 
     def residuals(self, values: Values) -> Floats:
         """Return residuals (R,): of the insertions, of the normalising factor, and of the prior."""
-        scale, spread, simulate = self._scale(values), self._spread(values), self._simulation(values)
-        white = [self._white(one, nodes, simulate) for one, nodes in self._linear]
+        scale, spread = self._scales([values])
+        white = list(self._whiten(self._linear_model, [nodes for _, nodes in self._linear], [values], 1))
         pairs = [
             linear_residuals([white[k] for k in members], group, scale, spread)
             for members, group in self._linear_groups
         ]
-        normal = self._normal(values, sum(log_det for _, log_det in pairs))
-        return np.concatenate([*self._in_order(r for r, _ in pairs), normal, self._prior_residuals(values)])
+        parts = [part[0] for part in self._in_order(part for part, _ in pairs)]
+        normal = self._normal(values, sum(float(log_det[0]) for _, log_det in pairs))
+        return np.concatenate([*parts, normal, self._prior_residuals(values)])
 
     def jacobian(self, values: Values) -> tuple[Floats, Floats]:
         """Return `residuals` and their derivatives (R, P) by theta; NaN where a solve fails."""
-        scale, spread, linearize = self._scale(values), self._spread(values), self._linearization(values)
-        log_det, by_det, parts, slopes = 0.0, np.zeros(len(self.parameters.free)), [], []
-        pairs = [self._white_and_slopes(one, nodes, linearize) for one, nodes in self._linear]
+        return self.jacobians([values])[0]
+
+    def jacobians(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[Floats, Floats]]:
+        """Return `jacobian` of many sets of values at once, on `jobs` threads."""
+        at = self._scales(sets)
+        log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
+        parts, slopes = [], []
+        pairs = self._differentiate(self._linear_model, [nodes for _, nodes in self._linear], sets, jobs)
         for members, group in self._linear_groups:
             white = [pairs[k][0] for k in members]
             # residuals are white / scale: d/d(ln scale) is minus the residual
             by = [pairs[k][1] - pairs[k][0][..., None] * self._by_scale for k in members]
-            part, more, part_slopes, more_slopes = linearize_residuals(
-                white, by, group, (scale, spread), self._by_spread
-            )
+            part, more, part_slopes, more_slopes = linearize_residuals(white, by, group, at, self._by_spread)
             log_det, by_det = log_det + more, by_det + more_slopes
             parts.append(part)
             slopes.append(part_slopes)
-        normal = self._normal(values, log_det)
+        whole, by_whole = (np.concatenate(self._in_order(some), axis=1) for some in (parts, slopes))
+        return [
+            self._append_prior(values, (whole[b], by_whole[b]), (log_det[b], by_det[b]))
+            for b, values in enumerate(sets)
+        ]
+
+    def _append_prior(
+        self, values: Values, own: tuple[Floats, Floats], determinant: tuple[float, Floats]
+    ) -> tuple[Floats, Floats]:
+        """Return the residuals of the insertions with those of the normalising factor and the prior, and the
+        derivatives of both; `determinant` is log det and its derivatives (P,).
+        """
+        normal = self._normal(values, float(determinant[0]))
         # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
-        by_normal = 0.5 * by_det + self._rows * self._by_scale - self._by_half_normal
+        by_normal = 0.5 * determinant[1] + self._rows * self._by_scale - self._by_half_normal
         stated = [self.parameters.prior.slopes(self.parameters.free)]
         if self._by_half_normal.any():
             stated.append(self._spread_in_sd(values) * self._by_half_normal[None])
-        tail = [normal, self._prior_residuals(values)]
         return (
-            np.concatenate([*self._in_order(parts), *tail]),
-            np.concatenate([*self._in_order(slopes), by_normal / normal[:, None], *stated]),
+            np.concatenate([own[0], normal, self._prior_residuals(values)]),
+            np.concatenate([own[1], by_normal / normal[:, None], *stated]),
         )
 
     @cached_property
@@ -196,11 +201,11 @@ class PosteriorDensity:
         return tuple(counts)
 
     def _in_order(self, parts: Iterable[Floats]) -> list[Floats]:
-        """Return the residuals of groups, (R,) or (R, P) each, insertion by insertion."""
+        """Return the residuals of groups, (B, R) or (B, R, P) each, insertion by insertion."""
         found: dict[int, Floats] = {}
         for (members, _), part in zip(self._linear_groups, parts, strict=True):
             ends = np.cumsum([self.residual_counts[k] for k in members])[:-1]
-            found |= dict(zip(members, np.split(part, ends), strict=True))
+            found |= dict(zip(members, np.split(part, ends, axis=1), strict=True))
         return [found[k] for k in sorted(found)]
 
     @cached_property
@@ -234,6 +239,12 @@ class PosteriorDensity:
     def _by_half_normal(self) -> Floats:
         """The same, where the spread has its half-normal prior; else zeros."""
         return self._by_spread * (BEVEL_SPREAD in self.parameters.half_normal)
+
+    def _scales(self, sets: Sequence[Values]) -> tuple[Floats, Floats]:
+        """Return the scales of the noise and the bevel's spreads, (B,) each."""
+        pairs = [(self._scale(values), self._spread(values)) for values in sets]
+        scale, spread = np.array(pairs).T.copy()
+        return scale, spread
 
     def _scale(self, values: Values) -> float:
         return values.get(NOISE_SCALE, self.scale)
@@ -273,62 +284,49 @@ class PosteriorDensity:
         return any(nodes.axes or (nodes.bevel and spreads) for nodes in group.nodes)
 
     @cached_property
-    def _sources(self) -> dict[int, Insertion]:
-        """Which insertion is simulated for that of each node, by its identity."""
-        nodes = [insertion for observation in self.observations for insertion in observation.nodes.insertions]
-        sources = share_simulations(nodes, self.medium.constraint_spacing_mm)
-        return {id(insertion): source for insertion, source in zip(nodes, sources, strict=True)}
+    def _model(self) -> PreparedModel:
+        """The forward model of all nodes."""
+        return self._prepare([one.nodes for one in self.observations])
 
-    def _once(self, compute: Callable[[Insertion], T]) -> Callable[[Insertion], T]:
-        """Return `compute` of an insertion's source; what several observations share is computed once."""
-        kept: dict[int, T] = {}
+    @cached_property
+    def _linear_model(self) -> PreparedModel:
+        """The forward model of the nodes that linear effects need."""
+        return self._prepare([nodes for _, nodes in self._linear])
 
-        def computed(insertion: Insertion) -> T:
-            source = self._sources[id(insertion)]
-            if id(source) not in kept:
-                kept[id(source)] = compute(source)
-            return kept[id(source)]
+    def _prepare(self, nodes: Sequence[Nodes]) -> PreparedModel:
+        every = [insertion for some in nodes for insertion in some.insertions]
+        return PreparedModel(self.medium, self.needle, every)
 
-        return computed
+    def _whiten(
+        self, model: PreparedModel, nodes: Sequence[Nodes], sets: Sequence[Values], jobs: int
+    ) -> Iterator[Floats]:
+        """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last."""
+        points = iter(model.read_points(sets, _list_places(nodes), jobs))
+        for one, some in zip(self.observations, nodes, strict=True):
+            stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)
+            yield _append_curves(one, whiten_residuals(one, stacked))
 
-    def _simulation(self, values: Values) -> Simulate:
-        return self._once(lambda insertion: predict(values, self.medium, self.needle, insertion))
-
-    def _linearization(self, values: Values) -> Linearize:
-        slopes = self.parameters.slopes(values)
-        return self._once(
-            lambda insertion: linearize_insertion(
-                values, self.parameters, self.medium, self.needle, insertion, slopes
-            )
-        )
-
-    def _white(self, observation: Observation, nodes: Nodes, simulate: Simulate) -> Floats:
-        """Return the whitened residuals (m + c, R) of one insertion at some nodes; the pose's curves last."""
-        pairs = zip(nodes.insertions, nodes.s, strict=True)
-        points = [read_points(insertion, simulate(insertion), s) for insertion, s in pairs]
-        return np.concatenate([whiten_residuals(observation, np.array(points)), observation.pose_curves])
-
-    def _white_and_slopes(
-        self, observation: Observation, nodes: Nodes, linearize: Linearize
-    ) -> tuple[Floats, Floats]:
-        """Return the same and the derivatives (m, R, P) by theta."""
-        white, by = [], []
-        for insertion, s in zip(nodes.insertions, nodes.s, strict=True):
-            points, slopes = linearize(insertion).read(s)
-            white.append(whiten_residuals(observation, points))
-            by.append(whiten_derivatives(observation, points, slopes))
-        by += [np.zeros_like(by[0])] * len(observation.pose_curves)
-        return np.array([*white, *observation.pose_curves]), np.array(by)
+    def _differentiate(
+        self, model: PreparedModel, nodes: Sequence[Nodes], sets: Sequence[Values], jobs: int
+    ) -> list[tuple[Floats, Floats]]:
+        """Return of each insertion the same, and the derivatives (B, m + c, R, P) by theta."""
+        found = []
+        points, slopes = map(iter, model.differentiate(sets, self.parameters, _list_places(nodes), jobs))
+        for one, some in zip(self.observations, nodes, strict=True):
+            stacked, by = (np.stack([next(part) for _ in some.s], axis=1) for part in (points, slopes))
+            white = _append_curves(one, whiten_residuals(one, stacked))
+            by_white = np.zeros((*white.shape, by.shape[-1]))
+            by_white[:, : len(some.s)] = whiten_derivatives(one, stacked, by)
+            found.append((white, by_white))
+        return found
 
 
-def _white_each(observation: Observation, shapes: Sequence[NeedleShapes]) -> Floats:
-    """Return the whitened residuals (B, m, R) of B needles at the m nodes; NaN where a solve failed."""
-    trios = list(zip(observation.nodes.insertions, shapes, observation.nodes.s, strict=True))
-    if observation.pose == "free":
-        points = np.stack([read_batch_points(*trio) for trio in trios], axis=1)
-        return whiten_residuals(observation, points)
-    # what is not aligned is compared in its deflection alone
-    deflections = np.stack([read_batch_deflections(*trio) for trio in trios], axis=1)
-    white = whiten_deflections(observation, deflections)
-    constant = np.broadcast_to(observation.pose_curves, (len(white), *observation.pose_curves.shape))
-    return np.concatenate([white, constant], axis=1)
+def _list_places(nodes: Sequence[Nodes]) -> list[Floats]:
+    """Return where the points of all nodes lie on the beam, (K,) mm each."""
+    return [s for some in nodes for s in some.s]
+
+
+def _append_curves(observation: Observation, white: Floats) -> Floats:
+    """Return whitened residuals (B, m, R) with the curves of the pose behind them."""
+    curves = np.broadcast_to(observation.pose_curves, (len(white), *observation.pose_curves.shape))
+    return np.concatenate([white, curves], axis=1)

@@ -30,11 +30,12 @@ from needlefit.inference.compared_points import (
     make_curve,
     select_points,
 )
-from needlefit.inference.forward_model import predict, predict_with_derivatives
+from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, make_observation
 from needlefit.inference.likelihood.operators import Discrepancy
 from needlefit.inference.parameters import Parameters, Theta, with_hyperparameters
 from needlefit.inference.posterior_density import PosteriorDensity
+from needlefit.inference.side_by_side import evaluate
 from needlefit.inference.ties import BEVEL_SPREAD
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
@@ -163,27 +164,39 @@ class Problem:
 
     def objective(self, theta: Theta) -> float:
         """Return the mean of `metric_misfit` over insertions, mm; infinite if any solve fails."""
-        values, total = self.values(theta), 0.0
-        for insertion, goal in zip(self.insertions, self.compared_points, strict=True):
-            shape = predict(values, self.medium, self.dataset.needle, insertion)
-            if not shape.converged:
-                return float("inf")
-            compared = align_points(goal, make_curve(shape, insertion))
-            total += metric_misfit(*compared, self.weights)
-        return total / len(self.insertions)
+        return evaluate(self._objectives, np.asarray(theta))
 
     def objective_gradient(self, theta: Theta) -> tuple[float, Floats]:
         """Return `objective` and its exact gradient (P,); NaN where a solve fails."""
-        values, total, slope = self.values(theta), 0.0, np.zeros(len(self.names))
-        for insertion, goal in zip(self.insertions, self.compared_points, strict=True):
-            points, slopes = predict_with_derivatives(
-                values, self.parameters, self.medium, self.dataset.needle, insertion, goal.s
-            )
-            slopes = differentiate_align(goal.pose, points, goal.measured, slopes)
-            points = align(goal.pose, points, goal.measured)
-            total += metric_misfit(points, goal.measured, self.weights)
-            slope += metric_misfit_gradient(points, goal.measured, self.weights, slopes)
-        return total / len(self.insertions), slope / len(self.insertions)
+        return evaluate(self._objective_gradients, np.asarray(theta))
+
+    def _objectives(self, thetas: Floats, jobs: int) -> list[float]:
+        goals, total = self.compared_points, np.zeros(len(thetas))
+        points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)
+        for goal, simulated in zip(goals, points, strict=True):
+            aligned = align(goal.pose, simulated, goal.measured)
+            total += [metric_misfit(one, goal.measured, self.weights) for one in aligned]
+        return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
+
+    def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
+        goals, sets = self.compared_points, self._list_values(thetas)
+        total, slope = np.zeros(len(sets)), np.zeros((len(sets), len(self.names)))
+        pairs = self._model.differentiate(sets, self.parameters, [goal.s for goal in goals], jobs)
+        for goal, simulated, by in zip(goals, *pairs, strict=True):
+            slopes = differentiate_align(goal.pose, simulated, goal.measured, by)
+            aligned = align(goal.pose, simulated, goal.measured)
+            for b in range(len(sets)):
+                total[b] += metric_misfit(aligned[b], goal.measured, self.weights)
+                slope[b] += metric_misfit_gradient(aligned[b], goal.measured, self.weights, slopes[b])
+        return [(float(total[b]) / len(goals), slope[b] / len(goals)) for b in range(len(sets))]
+
+    def _list_values(self, thetas: Floats) -> list[dict[str, float]]:
+        return [self.values(theta) for theta in thetas]
+
+    @cached_property
+    def _model(self) -> PreparedModel:
+        """The forward model of the insertions as measured."""
+        return PreparedModel(self.medium, self.dataset.needle, self.insertions)
 
     def residuals(self, theta: Theta) -> Floats:
         """Return the whitened residuals (R,) of all insertions in turn; NaN where a solve fails.
@@ -196,13 +209,13 @@ class Problem:
 
     def jacobian(self, theta: Theta) -> tuple[Floats, Floats]:
         """Return the residuals (R,) and their exact derivatives (R, P) by theta; NaN where a solve fails."""
-        return self.density.jacobian(self.values(theta))
+        return evaluate(self._jacobians, np.asarray(theta))
 
     def gradient(self, theta: Theta) -> tuple[float, Floats]:
         """Return `log_posterior` and its exact gradient (P,); NaN where a solve fails or theta is outside."""
         if not self._inside(theta):
             return float("-inf"), np.full(len(self.names), np.nan)
-        return self.density.gradient(self.values(theta))
+        return evaluate(self._gradients, np.asarray(theta))
 
     def log_posterior(self, theta: Theta) -> float:
         """Return the log of the unnormalised posterior density in theta.
@@ -210,15 +223,24 @@ class Problem:
         The prior is flat in theta within the bounds (moduli and lengths are log-uniform), times what the
         medium states. -inf outside, NaN where a solve fails: the density is not known there.
         """
-        return self.density.log_density(self.values(theta)) if self._inside(theta) else float("-inf")
+        return evaluate(self._log_densities, np.asarray(theta)) if self._inside(theta) else float("-inf")
 
     def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
         """Return `log_posterior` (W,) of many thetas (W, P) at once, on `jobs` threads."""
         density = np.full(len(thetas), -np.inf)
         inside = np.flatnonzero(np.all((thetas >= self.lower) & (thetas <= self.upper), axis=1))
         if len(inside):
-            density[inside] = self.density.log_densities([self.values(thetas[w]) for w in inside], jobs)
+            density[inside] = self._log_densities(thetas[inside], jobs)
         return density
+
+    def _log_densities(self, thetas: Floats, jobs: int) -> list[float]:
+        return list(map(float, self.density.log_densities(self._list_values(thetas), jobs)))
+
+    def _gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
+        return self.density.gradients(self._list_values(thetas), jobs)
+
+    def _jacobians(self, thetas: Floats, jobs: int) -> list[tuple[Floats, Floats]]:
+        return self.density.jacobians(self._list_values(thetas), jobs)
 
     def _inside(self, theta: Theta) -> bool:
         at = np.asarray(theta)
@@ -229,8 +251,18 @@ class Problem:
         none.
 
         For the posterior that is the one with depths and bevel as stated, one needle instead of 2 d + 1 or
-        more; for the metric objective the plain squares of the deflections' errors.
+        more; for the metric objective the plain squares of the deflections' errors. Each is made once, so
+        that searches that use it evaluate it together.
         """
+        if minimized not in self._approaches:
+            self._approaches[minimized] = self._make_approach(minimized)
+        return self._approaches[minimized]
+
+    @cached_property
+    def _approaches(self) -> "dict[ObjectiveName, Problem | None]":
+        return {}
+
+    def _make_approach(self, minimized: ObjectiveName) -> "Problem | None":
         if minimized == "metric":
             squares = LikelihoodRecord(noise="independent", depths="fixed", bevel_spread=0.0)
             return replace(self, likelihood=squares, noise=UNIFORM_NOISE)

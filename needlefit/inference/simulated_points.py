@@ -14,7 +14,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import DataError
 from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions
-from needlefit.mechanics.linearize import Jacobian, differentiate_positions
+from needlefit.mechanics.linearize import Jacobians, differentiate_batch_positions
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 
 DEPTH_TOLERANCE_MM = 1e-9
@@ -39,28 +39,27 @@ def read_points(insertion: Insertion | None, shape: NeedleShape, s: Floats) -> F
     return compute_positions(shape, s)
 
 
-def read_derivatives(insertion: Insertion, shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
-    """Return the derivatives (K, 2, P) of `read_points` with respect to the Jacobian's parameters."""
-    if isinstance(insertion, TipTrack):
-        moved = extrapolate_tip(shape.constraints[:, 0], jacobian.tip_track.T, s).T  # (K, P)
-        return np.stack([np.zeros_like(moved), moved], axis=1)
-    return differentiate_positions(shape, jacobian, s)
-
-
-def read_batch_deflections(insertion: Insertion, shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return the y (B, K) of `read_points` of many simulations of one insertion; NaN where a solve failed."""
-    if isinstance(insertion, TipTrack):
-        tip = extrapolate_tip(shapes.constraints[0, :, 0], shapes.tip_track[:, :, 0], s)
-        return np.where(shapes.converged[:, None], tip, np.nan)
-    return compute_batch_positions(shapes, s)[:, :, 1]
-
-
 def read_batch_points(insertion: Insertion, shapes: NeedleShapes, s: Floats) -> Floats:
     """Return `read_points` (B, K, 2) of many simulations of one insertion."""
-    if isinstance(insertion, TipTrack):
-        y = read_batch_deflections(insertion, shapes, s)
-        return np.stack([np.broadcast_to(s, y.shape), y], axis=-1)
-    return compute_batch_positions(shapes, s)
+    if not isinstance(insertion, TipTrack):
+        return compute_batch_positions(shapes, s)
+    found = np.full((len(shapes), len(s), 2), np.nan)
+    found[..., 0] = s
+    tip = extrapolate_tip(shapes.constraints[0, :, 0], shapes.tip_track[:, :, 0], s)
+    found[..., 1] = np.where(shapes.converged[:, None], tip, np.nan)
+    return found
+
+
+def read_batch_derivatives(
+    insertion: Insertion, shapes: NeedleShapes, jacobians: Jacobians, s: Floats
+) -> Floats:
+    """Return the derivatives (B, K, 2, P) of `read_batch_points` by the Jacobians' parameters."""
+    if not isinstance(insertion, TipTrack):
+        return differentiate_batch_positions(shapes, jacobians, s)
+    found = np.zeros((len(shapes), len(s), 2, len(jacobians.names)))
+    moved = extrapolate_tip(shapes.constraints[0, :, 0], jacobians.tip_track.transpose(0, 2, 1), s)
+    found[:, :, 1] = moved.transpose(0, 2, 1)
+    return found
 
 
 def extrapolate_tip(passed: Floats, tip: Floats, depth: Floats) -> Floats:

@@ -2,9 +2,9 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import InitVar, dataclass, field, fields, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.insertion_limits import count_element_solves
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.prepared import PreparedInsertion
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue
@@ -43,6 +44,10 @@ class Batch:
         Of the base in every step, mm and 1.
     guide_x : (B,) array
         Where the one guide before the tissue stands, mm; there must be one.
+    alpha : (B, n) array
+        In place of `shape`, of a law whose one parameter is alpha.
+    prepared : mapping
+        The insertion as the kernel reads it, by kinds of derivatives; filled when it is first used.
     """
 
     needle: Needle
@@ -57,8 +62,14 @@ class Batch:
     base_y: Floats | None = None
     base_slope: Floats | None = None
     guide_x: Floats | None = None
+    alpha: InitVar[Floats | None] = None
+    prepared: dict[tuple[str, ...] | None, PreparedInsertion] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, alpha: Floats | None) -> None:
+        if alpha is not None:
+            object.__setattr__(self, "shape", np.asarray(alpha)[:, None])
         sizes = {}
         for name in VARYING_FIELDS:
             value = getattr(self, name)
@@ -81,6 +92,10 @@ class Batch:
         self._check_size()
 
     def __len__(self) -> int:
+        return self._count
+
+    @cached_property
+    def _count(self) -> int:
         return len(next(v for v in (getattr(self, name) for name in VARYING_FIELDS) if v is not None))
 
     def _check_size(self) -> None:
@@ -94,6 +109,22 @@ class Batch:
                 expected=f"at most {MAX_BATCH_ELEMENT_SOLVES:.3g}, and {MAX_BATCH_NODES:.3g} nodes",
                 fix="divide the sets among several batches, one call after the other",
             )
+
+    def with_sets(self, **values: Floats) -> Self:
+        """Return the same insertion with other sets of the same parameters; both share what is prepared.
+
+        Raises
+        ------
+        ModelError
+            If these are not the parameters that this batch varies.
+        """
+        given = {name for name in VARYING_FIELDS if getattr(self, name) is not None}
+        if values.keys() != given:
+            raise ModelError(f"sets of {', '.join(values)}", expected=f"of {', '.join(sorted(given))}")
+        changed: dict[str, Any] = dict(values)
+        other = replace(self, **changed)
+        object.__setattr__(other, "prepared", self.prepared)
+        return other
 
     def pick(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
         """Return set i as the arguments of `simulate.simulate_steps`."""
@@ -130,7 +161,7 @@ class Batch:
         return needle, tuple(change_step(step) for step in self.steps)
 
 
-VARYING_FIELDS = tuple(field.name for field in fields(Batch))[4:]
+VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]
 """What a set may give."""
 
 
@@ -166,6 +197,10 @@ class NeedleShapes:
             self.x[i], self.u[i], self.slope[i], self.constraints[i], self.tip_track[i],
             STATUS_NAMES[self.status[i]], int(self.iterations[i]), self.scales[i],
         )  # fmt: skip
+
+    def take(self, sets: slice) -> "NeedleShapes":
+        """Return some of the sets; their arrays are views."""
+        return NeedleShapes(*(getattr(self, one.name)[sets] for one in fields(self)))
 
     @classmethod
     def from_shapes(cls, shapes: Sequence[NeedleShape]) -> Self:

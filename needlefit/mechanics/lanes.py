@@ -2,8 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from queue import Empty, SimpleQueue
 
 import numpy as np
 
@@ -11,8 +9,8 @@ from needlefit.arrays import Bools, Floats
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import VARYING_FIELDS, Batch, NeedleShapes
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.packing import pack_problem, plan_insertion
-from needlefit.mechanics.simulate import list_depths
+from needlefit.mechanics.linearize import Jacobians, find_columns, read_jacobians
+from needlefit.mechanics.prepared import Evaluation, PreparedInsertion, run_evaluations
 from needlefit.mechanics.validity import compute_batch_scales
 
 
@@ -37,78 +35,77 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     ModelError
         If a needle is too short for its steps.
     """
-    jobs = [_Job(batch) for batch in batches]
-    tasks = [(job, start) for job in jobs for start in range(0, len(job.batch), job.lanes)]
-    # Longest first: a long task that begins last would leave the other threads idle.
-    tasks.sort(key=lambda task: -task[0].cost)  # stable: blocks of one batch stay in order
-    threads = min(threads or len(os.sched_getaffinity(0)), len(tasks))
-    most = max((job.memory for job in jobs), default=0)
-    spare = SimpleQueue[Floats]()  # of tasks that have ended
-
-    def run(task: tuple["_Job", int]) -> None:
-        job, start = task
-        try:
-            memory = spare.get_nowait()
-        except Empty:
-            memory = native.make_memory(most)
-        native.simulate(job.problem, job.shapes, start, job.lanes, memory)
-        spare.put(memory)
-
-    if threads <= 1:
-        for task in tasks:
-            run(task)
-    else:
-        with ThreadPoolExecutor(threads) as pool:  # the kernel runs without the interpreter
-            for _ in pool.map(run, tasks):
-                pass
-    return tuple(job.read() for job in jobs)
+    return tuple(_read_shapes(*pair) for pair in _run(batches, None, threads))
 
 
-class _Job:
-    """A batch in the form that the kernel reads."""
+def linearize_batches(
+    batches: Sequence[Batch], wrt: Sequence[str], threads: int | None = None
+) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
+    """Simulate as `simulate_batches` does, and differentiate every shape.
 
-    def __init__(self, batch: Batch) -> None:
-        self.batch, self.valid = batch, _find_valid(batch)
-        needle, steps, rules = batch.needle, batch.steps, batch.rules
-        some = int(np.argmax(self.valid))
-        if (
-            self.valid.any()
-        ):  # depths and controls are alike in all valid sets: so one of them is used for all
-            needle, steps = batch.vary_inputs(some)
-        lattice, packed = plan_insertion(steps, needle.length, rules)
-        # What is no parameter is replaced by one; `read` discards the result.
-        values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
-        if self.valid.any() and not self.valid.all():
-            values = {name: _replace_rows(array, ~self.valid, some) for name, array in values.items()}
-        elif not self.valid.any():
-            values = {}
-        self.problem = pack_problem(
-            needle, batch.tissue, steps, lattice, rules, packed, sets=len(batch), values=values
+    Parameters
+    ----------
+    wrt : sequence of str
+        Kinds of parameters, as `linearize` takes them.
+
+    Returns
+    -------
+    tuple of (NeedleShapes, Jacobians)
+        Solved to `MAX_TOLERANCE_MM` at least; what a set gives is what `linearize_steps` gives.
+
+    Raises
+    ------
+    ModelError
+        If a needle is too short for its steps, or there is no such kind of parameter.
+    """
+    pairs = [(*pair, _read_shapes(*pair)) for pair in _run(batches, tuple(wrt), threads)]
+    return tuple((shapes, read_jacobians(one, shapes.converged)) for _, one, shapes in pairs)
+
+
+def _run(
+    batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None
+) -> list[tuple[Batch, Evaluation]]:
+    evaluations = [_evaluate(batch, wrt) for batch in batches]
+    run_evaluations(evaluations, threads or len(os.sched_getaffinity(0)))
+    return list(zip(batches, evaluations, strict=True))
+
+
+def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
+    """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`."""
+    valid = _find_valid(batch)
+    if wrt not in batch.prepared:
+        # depths and controls are alike in all valid sets: so one of them is used for all
+        steps = batch.vary_inputs(int(np.argmax(valid)))[1] if valid.any() else batch.steps
+        columns = None if wrt is None else find_columns(wrt, batch.tissue, steps, batch.rules)
+        batch.prepared[wrt] = PreparedInsertion(
+            batch.needle, batch.tissue, steps, batch.rules, columns=columns
         )
-        self.shapes = native.make_shapes(self.problem, packed.last.cell + 1)
-        self.depths = list_depths(packed.last, lattice)
-        self.lanes = 1 if len(batch) == 1 else native.count_lanes()
-        self.memory = native.measure_memory(self.problem, self.lanes)
-        self.cost = float(packed.stops["tip"].sum())  # nodes to be solved for, about
-
-    def read(self) -> NeedleShapes:
-        """Return the shapes of all sets."""
-        a, count = self.shapes.arrays, int(self.shapes.arrays["nodes"][0])
-        points = np.empty((*a["constraints"].shape, 2))
-        points[:, :, 0], points[:, :, 1] = self.depths, a["constraints"]
-        scales = _make_scales(self.batch, self.valid, float(self.depths[-1]))
-        x, u, slope = (np.ascontiguousarray(a[name][:, :count]) for name in ("x", "u", "slope"))
-        if not self.valid.all():
-            wrong = ~self.valid
-            a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
-            u[wrong] = slope[wrong] = a["track"][wrong] = points[wrong, 1:, 1] = np.nan
-        return NeedleShapes(x, u, slope, points, a["track"], a["status"], a["passes"], scales)
+    insertion = batch.prepared[wrt]
+    values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
+    if not valid.any():  # numbers that a needle may have, in place of what is none
+        values = {name: _make_default(batch, name, array) for name, array in values.items()}
+    return Evaluation(insertion, len(batch), values, valid)
 
 
-def _replace_rows(array: Floats, wrong: Bools, some: int) -> Floats:
-    replaced = array.copy()
-    replaced[wrong] = array[some]
-    return replaced
+def _make_default(batch: Batch, name: str, array: Floats) -> Floats:
+    defaults = {"mu": batch.tissue.mu, "shape": batch.tissue.shape, "rigidity": batch.needle.flexural_rigidity}
+    defaults["guide_x"] = 0.5 * (max(step.depth for step in batch.steps) - batch.needle.length)
+    return np.ascontiguousarray(np.broadcast_to(defaults.get(name, 0.0), array.shape))
+
+
+def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
+    """Return the shapes of all sets."""
+    a, count, valid = evaluation.shapes.arrays, evaluation.nodes, evaluation.valid
+    depths = evaluation.insertion.depths
+    points = np.empty((*a["constraints"].shape, 2))
+    points[:, :, 0], points[:, :, 1] = depths, a["constraints"]
+    scales = _make_scales(batch, valid, float(depths[-1]))
+    x, u, slope = (np.ascontiguousarray(a[name][:, :count]) for name in ("x", "u", "slope"))
+    if not valid.all():
+        wrong = ~valid
+        a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
+        u[wrong] = slope[wrong] = a["track"][wrong] = points[wrong, 1:, 1] = np.nan
+    return NeedleShapes(x, u, slope, points, a["track"], a["status"], a["passes"], scales)
 
 
 def _find_valid(batch: Batch) -> Bools:

@@ -2,21 +2,23 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
+from needlefit.mechanics.batch import NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import Columns, pack_problem, plan_insertion
+from needlefit.mechanics.packing import Columns
 from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.prepared import Evaluation, PreparedInsertion, run_evaluations
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import list_depths, read_shape
+from needlefit.mechanics.simulate import read_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import compute_scales
 
@@ -29,9 +31,6 @@ DERIVATIVE_KINDS = (
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
 _DEFAULT_WRT = ("mu", "shape", "offset")
-
-MAX_TOLERANCE_MM = 1e-9
-"""Newton tolerance of the shape that is differentiated, mm; at this, `simulate_steps` gives the same shape."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +61,33 @@ class Jacobian:
     slope: Floats
     constraints: Floats
     tip_track: Floats
+
+
+@dataclass(frozen=True)
+class Jacobians:
+    """Derivatives of `NeedleShapes`: the fields of `Jacobian` with a leading axis of B sets, but for `x`.
+
+    Attributes
+    ----------
+    x : (N, P) array
+        The same for all sets.
+    u, slope : (B, N, P) arrays
+    constraints, tip_track : (B, M + 1, P) arrays
+    converged : (B,) array of bool
+        All derivatives of other sets are NaN.
+    """
+
+    names: tuple[str, ...]
+    x: Floats
+    u: Floats
+    slope: Floats
+    constraints: Floats
+    tip_track: Floats
+    converged: Bools
+
+    def __getitem__(self, i: int) -> Jacobian:
+        u, points, track = self.u[i], self.constraints[i], self.tip_track[i]
+        return Jacobian(self.names, self.x if self.converged[i] else u, u, self.slope[i], points, track)
 
 
 def linearize(
@@ -110,23 +136,31 @@ def linearize_steps(
 
     Parameters and returns are those of `simulate_steps` and `linearize`.
     """
-    lattice, packed = plan_insertion(steps, needle.length, rules, lattice)
-    guide_depths = tuple(
-        sorted({guide.x for step in steps for guide in step.controls.guides})
-    )  # from the base on
-    names, columns = _make_columns(tuple(wrt), tissue.law, tissue.layers, guide_depths, rules.path_angle)
-    rules = replace(rules, tolerance=min(rules.tolerance, MAX_TOLERANCE_MM))
-    problem = pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
-    shapes = native.make_shapes(problem, packed.last.cell + 1)
-    native.simulate(problem, shapes, 0, 1)
-    scales = compute_scales(tissue, needle.flexural_rigidity, packed.last.tip, lattice.spacing)
-    shape = read_shape(shapes, list_depths(packed.last, lattice), scales)
-    by_x = _differentiate_nodes(shape.x, steps[-1].controls, columns)
-    if not names:
-        return shape, Jacobian((), by_x, by_x, by_x, *(np.empty((len(shape.constraints), 0)),) * 2)
-    u, slope = (shapes.arrays[name][0, : len(shape.x)].copy() for name in ("u_by", "slope_by"))
-    points, track = (shapes.arrays[name][0].copy() for name in ("constraints_by", "track_by"))
-    return shape, Jacobian(names, by_x if shape.converged else u, u, slope, points, track)
+    columns = find_columns(tuple(wrt), tissue, steps, rules)
+    insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
+    one = Evaluation(insertion, 1, {}, np.ones(1, dtype=bool))
+    run_evaluations([one], 1)
+    spacing = insertion.lattice.spacing
+    scales = compute_scales(tissue, needle.flexural_rigidity, float(insertion.depths[-1]), spacing)
+    shape = read_shape(one.shapes, insertion.depths, scales)
+    return shape, read_jacobians(one, np.array([shape.converged]))[0]
+
+
+def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
+    """Return the derivatives of all sets of an evaluation with columns that was run."""
+    insertion, count = evaluation.insertion, evaluation.nodes
+    assert insertion.columns is not None
+    x = evaluation.shapes.arrays["x"][evaluation.some, :count]
+    by_x = _differentiate_nodes(x, insertion, evaluation.values.get("guide_x"), evaluation.some)
+    if not insertion.columns.total:
+        nodes, points = (np.empty((evaluation.sets, size, 0)) for size in (count, insertion.points))
+        return Jacobians((), by_x, nodes, nodes, points, points, converged)
+    arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints", "track")]
+    if not evaluation.valid.all():
+        for array in arrays:
+            array[~evaluation.valid] = np.nan
+    u, slope = (np.ascontiguousarray(array[:, :count]) for array in arrays[:2])
+    return Jacobians(insertion.columns.names, by_x, u, slope, arrays[2], arrays[3], converged)
 
 
 def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
@@ -137,16 +171,39 @@ def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -
     s : (K,) array
         Beam coordinates on the needle, mm.
     """
-    return native.compute_position_derivatives(
-        shape.x, shape.u, shape.slope, s, jacobian.x, jacobian.u, jacobian.slope
+    x, u, slope, u_by, slope_by = (
+        np.ascontiguousarray(part)[None]
+        for part in (shape.x, shape.u, shape.slope, jacobian.u, jacobian.slope)
     )
+    wanted, x_by = np.ascontiguousarray(s, dtype=np.float64), np.ascontiguousarray(jacobian.x)
+    found: Floats = native.compute_position_derivatives(x, u, slope, wanted, x_by, u_by, slope_by)[0]
+    return found
+
+
+def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
+    """Return the derivatives (B, K, 2, P) of `compute_batch_positions(shapes, s)`."""
+    x, u, slope, wanted = (
+        np.ascontiguousarray(part, dtype=np.float64) for part in (shapes.x, shapes.u, shapes.slope, s)
+    )
+    return native.compute_position_derivatives(x, u, slope, wanted, jacobians.x, jacobians.u, jacobians.slope)
+
+
+def find_columns(wrt: tuple[str, ...], tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> Columns:
+    """Return the columns of the derivatives of an insertion by kinds of parameters, of `DERIVATIVE_KINDS`.
+
+    Raises
+    ------
+    ModelError
+        If there is no such kind of parameter.
+    """
+    guide_depths = sorted({guide.x for step in steps for guide in step.controls.guides})  # from the base on
+    return _make_columns(wrt, tissue.law, tissue.layers, tuple(guide_depths), rules.path_angle)
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same columns over and over
 def _make_columns(
     wrt: tuple[str, ...], law: str, layers: int, guide_depths: tuple[float, ...], path_angle: bool
-) -> tuple[tuple[str, ...], Columns]:
-    """Return the columns' names, and the columns."""
+) -> Columns:
     wrong = [kind for kind in wrt if kind not in DERIVATIVE_KINDS]
     if wrong:
         raise ModelError(
@@ -165,7 +222,7 @@ def _make_columns(
     }
     # The bevel's strength has one column in the kernel; that of the rule which is not used stays 0.
     kinds = [kind for kind in DERIVATIVE_KINDS[:-1] if kind != ("offset" if path_angle else "cut_angle")]
-    return tuple(names), Columns(len(names), np.array([first[kind] for kind in kinds]), guides)
+    return Columns(tuple(names), np.array([first[kind] for kind in kinds]), guides)
 
 
 def _list_names(kind: str, law: str, layers: int, guides: int) -> list[str]:
@@ -180,11 +237,19 @@ def _list_names(kind: str, law: str, layers: int, guides: int) -> list[str]:
     return [kind]
 
 
-def _differentiate_nodes(x: Floats, controls: Controls, columns: Columns) -> Floats:
-    """Return how the nodes (N,) move along the needle: those of guides that hold it, with their own x."""
+def _differentiate_nodes(
+    x: Floats, insertion: PreparedInsertion, guide_x: Floats | None, some: int
+) -> Floats:
+    """Return how the nodes (N,) of a set move along the needle: those of guides that hold it move with it.
+
+    The first guide stands at `guide_x` (B,) of this set, where that is given.
+    """
+    columns, controls = insertion.columns, insertion.steps[-1].controls
+    assert columns is not None
     nodes = np.zeros((len(x), columns.total))
-    for guide in controls.guides:
+    for number, guide in enumerate(controls.guides):
         column = columns.guides[guide.x][0]
+        place = guide.x if guide_x is None or number else guide_x[some]
         if column >= 0:
-            nodes[:-1][x[:-1] == guide.x, column] = 1.0  # none holds the tip
+            nodes[:-1][x[:-1] == place, column] = 1.0  # none holds the tip
     return nodes

@@ -112,6 +112,10 @@ def check_fault(fault: int) -> None:
     if fault:
         raise TypeError(FAULTS[fault])
 
+SHAPE_COLUMN = 1
+"""Place of the laws' shape parameters in `column_of`: `ColumnKind` of `native/derivatives.hpp`."""
+_SET_ARRAYS = {name for name, (_, shape) in _ARRAYS.items() if "sets" in shape}
+
 
 class Problem(ctypes.Structure):
     """An insertion and its parameter sets: `struct Problem` of `native/needle.hpp` describes each field."""
@@ -125,6 +129,7 @@ class Problem(ctypes.Structure):
     room: int  # for the nodes of a shape
     max_points: int  # constraint points of a shape
     max_quadrature: int  # quadrature points of a shape
+    sizes: dict[str, int]
 
     @classmethod
     def make(cls, numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> "Problem":
@@ -139,19 +144,18 @@ class Problem(ctypes.Structure):
         problem = cls(**numbers)
         if problem.shapes > MAX_SHAPES:
             raise TypeError(f"a law has {problem.shapes} shape parameters; the kernel takes {MAX_SHAPES}")
-        problem.arrays = {}
-        sizes = {name: getattr(problem, name) for name in _SIZES}
+        sizes: dict[str, int] = {name: getattr(problem, name) for name in _SIZES}
         if max(sizes.values()) > 1 << 48 or min(sizes.values()) < 0:  # beyond, a C integer has wrapped around
             raise TypeError(f"the sizes of a problem are {sizes}")
-        sizes |= {"any": -1, "layers - 1": problem.layers - 1, "inputs + 1": problem.inputs + 1}
         needed = _ARRAYS.keys() - {"guide_x"} - (set() if problem.columns else _DERIVATIVES)
+        if problem.columns and "column_of" in arrays and arrays["column_of"][SHAPE_COLUMN] < 0:
+            needed -= {"law_by"}
         if missing := needed - arrays.keys():
             raise TypeError(f"a problem without {sorted(missing)}")
-        for name, array in arrays.items():
-            dtype, shape = _ARRAYS[name]
-            check_array(name, array, dtype, tuple(sizes[n] if isinstance(n, str) else n for n in shape))
-            setattr(problem, name, array.ctypes.data)
-            problem.arrays[name] = array
+        problem.arrays = dict(arrays)
+        problem._point_to(
+            arrays, sizes | {"any": -1, "layers - 1": problem.layers - 1, "inputs + 1": problem.inputs + 1}
+        )
         guides = len(arrays["before"]) + len(arrays["within"])
         if (
             len(arrays["stops"]) < problem.stop_count
@@ -163,6 +167,30 @@ class Problem(ctypes.Structure):
         check_fault(load_library().nf_check(byref(problem), found))
         problem.room, problem.max_points, problem.max_quadrature = found
         return problem
+
+    def with_sets(self, sets: int, arrays: Mapping[str, np.ndarray]) -> "Problem":
+        """Return the same insertion with other parameter sets; `arrays` are those with an axis of sets.
+
+        Raises
+        ------
+        TypeError
+            If one of them is missing, or is not as `make` asks for.
+        """
+        if arrays.keys() != self.arrays.keys() & _SET_ARRAYS:
+            raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
+        problem = Problem.from_buffer_copy(self)
+        problem.sets, problem.arrays = sets, self.arrays | arrays
+        problem.room, problem.max_points = self.room, self.max_points
+        problem.max_quadrature = self.max_quadrature
+        problem._point_to(arrays, self.sizes | {"sets": sets})
+        return problem
+
+    def _point_to(self, arrays: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None:
+        self.sizes = sizes
+        for name, array in arrays.items():
+            dtype, shape = _ARRAYS[name]
+            check_array(name, array, dtype, tuple([sizes[n] if isinstance(n, str) else n for n in shape]))
+            setattr(self, name, array.ctypes.data)
 
 
 def check_array(name: str, array: np.ndarray, dtype: Any, shape: tuple[int, ...]) -> None:  # noqa: ANN401
@@ -566,15 +594,20 @@ def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Float
 def compute_position_derivatives(
     x: Floats, u: Floats, slope: Floats, s: Floats, x_by: Floats, u_by: Floats, slope_by: Floats
 ) -> Floats:
-    """Return the derivatives (K, 2, P) of a needle's points, from those of its nodes, (N, P) each."""
+    """Return the derivatives (B, K, 2, P) of the points of B needles with nodes (B, N) at coordinates (K,).
+
+    `u_by` and `slope_by` (B, N, P) are those of the nodes; `x_by` (N, P) is of all needles.
+    """
     parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
-    _check_shape(*parts[:3])
-    nodes, wanted, columns = len(parts[0]), len(parts[3]), parts[5].shape[-1]
-    for name, array in zip(("x_by", "u_by", "slope_by"), parts[4:], strict=True):
-        check_array(name, array, float, (nodes, columns))
-    room, found = np.empty((nodes, 2, columns)), np.empty((wanted, 2, columns))
+    count, nodes, columns = len(x), max(x.shape[-1], 2), x_by.shape[-1]
+    sizes = [(count, nodes)] * 3 + [(-1,), (nodes, columns)] + [(count, nodes, columns)] * 2
+    for name, array, size in zip(("x", "u", "slope", "s", "x_by", "u_by", "slope_by"), parts, sizes, strict=True):
+        check_array(name, array, float, size)
+    found = np.empty((count, len(s), 2, columns))
+    memory = make_memory(8 * count_lanes() * (6 * nodes + (4 * nodes + 2) * columns))
     load_library().nf_position_derivatives(
-        *map(c_int64, (nodes, wanted, columns)), *map(_at, (*parts, room, found))
+        *map(c_int64, (count, nodes, len(s), columns)),
+        *map(_at, (*parts, memory, found)),
     )
     return found
 

@@ -18,11 +18,16 @@ from needlefit.mechanics.tissue import Tissue
 
 
 class Columns(NamedTuple):
-    """Columns of derivatives: how many, the first of each kind (-1: not asked for), and those of each guide."""
+    """Columns of derivatives: their names, the first of each kind (-1: not asked for), those of each guide."""
 
-    total: int
+    names: tuple[str, ...]
     first: Ints  # (9,) of `ColumnKind` in `native/derivatives.hpp`
     guides: Mapping[float, Sequence[int]]  # by a guide's x: of its x, y and slope
+
+    @property
+    def total(self) -> int:
+        """Their number."""
+        return len(self.names)
 
 
 class PackedStops(NamedTuple):
@@ -103,8 +108,11 @@ def pack_layers(
     """Return sizes and arrays of the layers; `values` (sets, n) replace those of the tissue."""
 
     def repeat(name: str) -> Floats:
-        given = values.get(name)
-        return np.ascontiguousarray(np.broadcast_to(getattr(tissue, name) if given is None else given, size))
+        if name in values:
+            return values[name]
+        found = np.empty(size)
+        found[:] = getattr(tissue, name)
+        return found
 
     size = (sets, tissue.layers)
     coefficients, exponents = compile_law(tissue.law, values.get("shape", tissue.shape))
@@ -117,7 +125,7 @@ def pack_layers(
     }  # fmt: skip
     arrays = {name: repeat(name) for name in ("mu", "thickness", "friction")}
     arrays["law"] = np.ascontiguousarray(np.broadcast_to(law, (*size, law.shape[-1])))
-    return sizes, arrays | {"boundaries": tissue.boundaries}
+    return sizes, arrays
 
 
 def evaluate_layer(tissue: Tissue, layer: int, size: Floats, number: int = 0) -> native.EvaluatedLaw:
@@ -167,66 +175,95 @@ def pack_problem(
     ModelError
         If a law cannot be interpolated at its shape parameters.
     """
+    counts, arrays = _pack_shared(tissue, steps, packed, columns)
+    more, of_sets = pack_sets(needle, tissue, steps, rules, packed, sets=sets, values=values, columns=columns)
+    counts |= more | {"sets": sets, "max_iterations": rules.max_iterations}
+    numbers = {
+        "length": needle.length, "first_cell": lattice.first_cell, "spacing": lattice.spacing,
+        "element": rules.element, "part": rules.cut_switch, "tangent": rules.tangent,
+        "tolerance": rules.tolerance, "deepest": max(step.depth for step in steps),
+    }  # fmt: skip
+    if columns is not None and columns.total:
+        arrays["turn_by"] = _differentiate_turns(steps, packed, rules)
+    return native.Problem.make(counts | numbers | sizes, arrays | of_sets)
+
+
+def pack_sets(
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    rules: ModelOptions,
+    packed: PackedStops,
+    *,
+    sets: int = 1,
+    values: Mapping[str, Floats] | None = None,
+    columns: Columns | None = None,
+) -> tuple[dict[str, int], dict[str, Floats]]:
+    """Return the arrays of a problem that have an axis of sets, and the sizes of layers and their laws.
+
+    Parameters and errors are those of `pack_problem`.
+    """
     values = values or {}
     bevels = [steps[i].bevel for i in packed.bevels]
     controls = [steps[i].controls for i in packed.controls]
     strength = values.get("cut_angle" if rules.path_angle else "offset")
-    turn_by = np.array([bevel.side / rules.bevel_strength(bevel)[1] for bevel in bevels])
     turn = [np.full(sets, compute_turn(bevel, rules)) for bevel in bevels]
     if strength is not None:
-        turn = list(turn_by[:, None] * strength)
+        turn = list(_differentiate_turns(steps, packed, rules)[:, None] * strength)
     base = np.empty((len(controls), sets, 3))
     for i, one in enumerate(controls):
         base[i, :, 0] = values.get("base_y", one.base_y)
         base[i, :, 1] = values.get("base_slope", one.base_slope)
         base[i, :, 2] = one.stage_slope
     of_layers, arrays = pack_layers(tissue, sets, values)
-    before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
     rigidity = values.get("rigidity")
     arrays |= {
-        "stops": packed.stops,
         "rigidity": np.full(sets, needle.flexural_rigidity) if rigidity is None else rigidity,
         "turn": np.ascontiguousarray(turn),
         "base": base,
+    }
+    if "guide_x" in values:
+        arrays["guide_x"] = values["guide_x"]
+    if columns is not None and columns.first[native.SHAPE_COLUMN] >= 0:
+        arrays["law_by"] = _differentiate_laws(tissue, sets, values, of_layers["numbers"])
+    return of_layers, arrays
+
+
+def _differentiate_turns(steps: Sequence[Step], packed: PackedStops, rules: ModelOptions) -> Floats:
+    """Return the derivatives (bevels,) of the slope that a bevel adds to the cut, by the bevel's strength."""
+    bevels = [steps[i].bevel for i in packed.bevels]
+    return np.array([bevel.side / rules.bevel_strength(bevel)[1] for bevel in bevels])
+
+
+def _pack_shared(
+    tissue: Tissue, steps: Sequence[Step], packed: PackedStops, columns: Columns | None
+) -> tuple[dict[str, int], dict[str, np.ndarray]]:
+    """Return the sizes and arrays of a problem that do not depend on its parameter sets."""
+    controls = [steps[i].controls for i in packed.controls]
+    before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
+    arrays: dict[str, np.ndarray] = {
+        "stops": packed.stops,
+        "boundaries": tissue.boundaries,
         "before_first": np.cumsum([0, *map(len, before)]),
         "within_first": np.cumsum([0, *map(len, within)]),
         "before": list_guides([guide for some in before for guide in some]),
         "within": list_guides([guide for some in within for guide in some]),
         "held_tip": np.array([list_tip(one) for one in controls]),
     }
-    if "guide_x" in values:
-        arrays["guide_x"] = values["guide_x"]
     if columns is not None and columns.total:
-        arrays |= _pack_columns(columns, tissue, sets, values, controls, int(of_layers["numbers"])) | {
-            "turn_by": turn_by
-        }
-    counts = of_layers | {
-        "sets": sets, "stop_count": len(packed.stops), "rays": packed.rays,
-        "bevels": len(bevels), "inputs": len(controls),
-        "guides": max(len(one.guides) for one in controls), "columns": columns.total if columns else 0,
-        "max_iterations": rules.max_iterations,
+        rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
+        arrays["column_of"] = columns.first
+        arrays["guide_columns"] = np.array(rows, dtype=np.int64).reshape(-1, 3)
+    sizes = {
+        "stop_count": len(packed.stops), "rays": packed.rays, "columns": columns.total if columns else 0,
+        "bevels": len(packed.bevels), "inputs": len(controls),
+        "guides": max(len(one.guides) for one in controls),
     }  # fmt: skip
-    numbers = {
-        "length": needle.length, "first_cell": lattice.first_cell, "spacing": lattice.spacing,
-        "element": rules.element, "part": rules.cut_switch, "tangent": rules.tangent,
-        "tolerance": rules.tolerance, "deepest": max(step.depth for step in steps),
-    }  # fmt: skip
-    return native.Problem.make(counts | numbers | sizes, arrays)
+    return sizes, arrays
 
 
-def _pack_columns(
-    columns: Columns,
-    tissue: Tissue,
-    sets: int,
-    values: Mapping[str, Floats],
-    controls: Sequence[Controls],
-    numbers: int,
-) -> dict[str, np.ndarray]:
+def _differentiate_laws(
+    tissue: Tissue, sets: int, values: Mapping[str, Floats], numbers: int
+) -> Floats:
     by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
-    size = (sets, tissue.layers, len(tissue.shape), numbers)
-    rows = [columns.guides[guide.x] for one in controls for guide in one.guides]
-    return {
-        "law_by": np.ascontiguousarray(np.broadcast_to(by, size)),
-        "column_of": columns.first,
-        "guide_columns": np.array(rows, dtype=np.int64).reshape(-1, 3),
-    }
+    return np.ascontiguousarray(np.broadcast_to(by, (sets, tissue.layers, len(tissue.shape), numbers)))

@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.layers import find_layers
-from needlefit.inference.forward_model import predict, simulate_each
+from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.nodes import find_bevel_factors, shift_depths
 from needlefit.inference.likelihood.quadrature import make_spline_weights
 from needlefit.inference.simulated_points import read_batch_points, read_points
@@ -143,7 +143,7 @@ def simulate_planned(
         which: Sequence[Mapping[str, float]], nodes: Sequence[tuple[Insertion, Floats]]
     ) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
-        shapes = simulate_each(which, medium, needle, [one for one, _ in nodes], jobs)
+        shapes = PreparedModel(medium, needle, [one for one, _ in nodes]).simulate(which, jobs)
         found = [read_batch_points(one, shape, at) for (one, at), shape in zip(nodes, shapes, strict=True)]
         return np.array(found), shapes[0].valid
 

@@ -14,10 +14,11 @@ from needlefit.inference.identifiability.precision import add_estimated_noise, l
 from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile
 from needlefit.inference.parameters import without_prior
 from needlefit.inference.problem import Problem
+from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.inference.ties import dimension
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.progress import Stop, never_stop
-from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
+from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
 
 
 def find_fixed_shape(problem: Problem) -> dict[str, tuple[str, ...]]:
@@ -136,14 +137,15 @@ def profile_parameters(
     ends = _select_separate(
         noisy, [fit.theta, *(s.theta for s in sorted(fit.starts, key=lambda s: s.objective))]
     )
-    minima = [minimize_squares(noisy, end) for end in ends]
+    descend, never = partial(minimize_squares, noisy), TaskStop(never_stop)
+    minima = [one for _, one in sorted(run_side_by_side(descend, ends, THIS_PROCESS, jobs, never))]
     optimum = min(minima, key=lambda one: one.value)
     elsewhere = [*ends[1:], 0.5 * (noisy.lower + noisy.upper)]
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
 
     parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_shape(noisy)]
     work = partial(_profile_one, noisy, optimum, elsewhere, scale)
-    every = dict(run_parts(work, parts, pool, jobs, TaskStop(stop), loaded=True))
+    every = dict(run_side_by_side(work, parts, pool, jobs, TaskStop(stop)))
     found = tuple(every[n] for n in sorted(every))
     spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
     at_fit = noisy.residuals(np.array(fit.theta))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -13,6 +14,7 @@ from needlefit.inference.identifiability.gauss_newton import (
     SumOfSquares,
     minimize_squares,
 )
+from needlefit.inference.side_by_side import map_side_by_side
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,13 @@ class ProfilePath:
     evaluations: int = 0
     retries: int = 0
 
+    def add(self, other: "ProfilePath") -> None:
+        """Add what another path has, whose points are not among these."""
+        self.points += other.points
+        self.at_bound = [one or more for one, more in zip(self.at_bound, other.at_bound, strict=True)]
+        self.evaluations += other.evaluations
+        self.retries += other.retries
+
 
 @dataclass(frozen=True)
 class _PathSettings:
@@ -109,9 +118,10 @@ def trace_profile(
     settings = _PathSettings(target, k, elsewhere, scale, target.approach("posterior"), steps)
     spent, retries = 0, 0
     for _ in range(MAX_RESTARTS):
+        sides = map_side_by_side(partial(_trace_side, settings, optimum), (-1, 1))
         path = ProfilePath([optimum], evaluations=spent, retries=retries)
-        for side in (-1, 1):
-            _trace_side(settings, path, optimum, side)
+        for one in sides:
+            path.add(one)
         better = select_best(path.points)
         if better.value > optimum.value - MIN_IMPROVEMENT:
             break
@@ -125,8 +135,9 @@ def select_best(points: Sequence[LocalMinimum]) -> LocalMinimum:
     return min(points, key=lambda point: point.value)
 
 
-def _trace_side(settings: _PathSettings, path: ProfilePath, optimum: LocalMinimum, side: int) -> None:
-    """Add the points of one side; where another branch is lower at its end, go on along that."""
+def _trace_side(settings: _PathSettings, optimum: LocalMinimum, side: int) -> ProfilePath:
+    """Return the points of one side; where another branch is lower at its end, go on along that."""
+    path = ProfilePath()
     found, step = [optimum], _first_step(settings, optimum)
     for _ in range(MAX_RESTARTS):
         step = _step_outward(settings, path, found, (side, step))
@@ -134,6 +145,7 @@ def _trace_side(settings: _PathSettings, path: ProfilePath, optimum: LocalMinimu
             break
     path.at_bound[side > 0] = found[-1].theta[settings.k] == _get_bound(settings, side)
     path.points += found[1:]
+    return path
 
 
 def _step_outward(
@@ -214,11 +226,8 @@ def _compute_point(
     if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
         return point
     path.retries += 1
-    tries = [
-        _minimize_held(settings, path, start, place)
-        for start in (last.theta, optimum.theta, *settings.elsewhere)
-    ]
-    return select_best([point, *tries])
+    starts = (last.theta, optimum.theta, *settings.elsewhere)
+    return select_best([point, *_minimize_each(settings, path, starts, place)])
 
 
 def _join_lower_branch(settings: _PathSettings, path: ProfilePath, found: list[LocalMinimum]) -> bool:
@@ -248,11 +257,9 @@ def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, here: L
     """
     k, place = settings.k, float(here.theta[settings.k])
     if settings.cheaper is None:
-        return select_best([_minimize_held(settings, path, start, place) for start in settings.elsewhere])
-    same, *ends = [
-        minimize_squares(settings.cheaper, _set_held(settings, start, place), k)
-        for start in (here.theta, *settings.elsewhere)
-    ]
+        return select_best(_minimize_each(settings, path, settings.elsewhere, place))
+    starts = [_set_held(settings, start, place) for start in (here.theta, *settings.elsewhere)]
+    same, *ends = map_side_by_side(partial(minimize_squares, settings.cheaper, held=k), starts)
     near = [end for end in ends if end.value < same.value + MAX_BRANCH_RISE]
     others = [end for end in near if not _is_same_minimum(same, end)]
     return _minimize_held(settings, path, select_best(others).theta, place) if others else here
@@ -264,11 +271,17 @@ def _is_same_minimum(one: LocalMinimum, other: LocalMinimum) -> bool:
 
 
 def _minimize_held(settings: _PathSettings, path: ProfilePath, start: Floats, place: float) -> LocalMinimum:
-    point = minimize_squares(
-        settings.target, _set_held(settings, start, place), settings.k, min_gain=settings.steps.min_gain
-    )
-    path.evaluations += point.evaluations
-    return point
+    return _minimize_each(settings, path, [start], place)[0]
+
+
+def _minimize_each(
+    settings: _PathSettings, path: ProfilePath, starts: Sequence[Floats], place: float
+) -> list[LocalMinimum]:
+    """Return the minimum from each start, with the parameter held at `place`."""
+    search = partial(minimize_squares, settings.target, held=settings.k, min_gain=settings.steps.min_gain)
+    points = map_side_by_side(search, [_set_held(settings, start, place) for start in starts])
+    path.evaluations += sum(point.evaluations for point in points)
+    return points
 
 
 def _set_held(settings: _PathSettings, start: Floats, place: float) -> Floats:

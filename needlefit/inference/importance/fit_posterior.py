@@ -32,8 +32,9 @@ from needlefit.inference.sampling.log_density import (
     approximate_by_information,
     approximate_by_laplace,
 )
+from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import never_stop
-from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop, run_parts
+from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
 
 MAX_LOG_DENSITY_GAP = 10.0
 """A start that ended with a log density this much below the best one's found no mode."""
@@ -83,12 +84,14 @@ def sample_about_modes(
     evaluator, bounds = Evaluator(problem, jobs), (problem.lower, problem.upper)
     approximations = [approximate_by_laplace(evaluator, end, *bounds) for end in ends]
     if effort.profiles:
-        points = trace_profiles(problem, ends[0], pool)
+        points = trace_profiles(problem, ends[0], jobs, pool)
         approximations += [approximate_by_information(one.information, one.theta, *bounds) for one in points]
     return sample_by_importance(evaluator, approximations, bounds, rng, effort)
 
 
-def trace_profiles(problem: Problem, mode: Floats, pool: TaskPool = THIS_PROCESS) -> list[LocalMinimum]:
+def trace_profiles(
+    problem: Problem, mode: Floats, jobs: int = 1, pool: TaskPool = THIS_PROCESS
+) -> list[LocalMinimum]:
     """Return points along the profiles, about a mode (P,), of parameters neither tied nor a spread.
 
     A plateau beside the peak, where the data no longer tell a layer from none, may hold a tenth of the
@@ -99,7 +102,7 @@ def trace_profiles(problem: Problem, mode: Floats, pool: TaskPool = THIS_PROCESS
     optimum = minimize_squares(problem, mode)
     traced = [k for k, name in enumerate(problem.names) if name not in stated]
     work, stop = partial(_trace_one, problem, optimum), TaskStop(never_stop)
-    found = dict(run_parts(work, traced, pool, 1, stop, loaded=True))
+    found = dict(run_side_by_side(work, traced, pool, jobs, stop))
     points = [one for n in range(len(traced)) for one in found[n]]
     return [one for one in points if one.value - optimum.value <= 2 * MAX_LOG_DENSITY_GAP]
 

@@ -214,49 +214,56 @@ def _fold_axes(group: NodeGroup, rules: Sequence[QuadratureRule]) -> list[tuple[
 
 
 def linear_residuals(
-    whites: Sequence[Floats], group: NodeGroup, scale: float, spread: float
-) -> tuple[Floats, float]:
-    """Return residuals (R + D,) and log det of the linear density, -(|residuals|^2 + log det) / 2.
+    whites: Sequence[Floats], group: NodeGroup, scale: Floats, spread: Floats
+) -> tuple[Floats, Floats]:
+    """Return residuals (B, R + D) and log det (B,) of the linear density, -(|residuals|^2 + log det) / 2.
 
     These are the residuals at the conditions that fit best, and these D conditions' own, in standard
-    deviations, insertion by insertion; `count_residuals` says how many belong to each.
+    deviations, insertion by insertion; `count_residuals` says how many belong to each. `whites` are
+    (B, m, R), `scale` and `spread` (B,).
     """
     first, slopes = _stack(whites, group, scale, spread)
     stiff, best = _fit_conditions(first, slopes)
-    found = np.concatenate([first + best @ slopes, best])
-    return found[_order(group, [white.shape[1] for white in whites])], float(_log_det(stiff))
+    found = np.concatenate([first + (best[:, None] @ slopes)[:, 0], best], axis=1)
+    return found[:, _order(group, [white.shape[2] for white in whites])], _log_det(stiff)
 
 
 def _fit_conditions(first: Floats, slopes: Floats) -> tuple[Floats, Floats]:
-    """Return the precision (D, D) of the conditions, and those (D,) that fit residuals (R,) best."""
-    stiff = np.eye(len(slopes)) + slopes @ slopes.T
-    return stiff, np.asarray(-np.linalg.solve(stiff, slopes @ first))
+    """Return the precision (B, D, D) of the conditions, and those (B, D) that fit residuals (B, R) best."""
+    stiff = np.eye(slopes.shape[1]) + slopes @ slopes.transpose(0, 2, 1)
+    return stiff, np.asarray(-np.linalg.solve(stiff, slopes @ first[..., None])[..., 0])
 
 
 def linearize_residuals(
     whites: Sequence[Floats],
     by: Sequence[Floats],
     group: NodeGroup,
-    at: tuple[float, float],
+    at: tuple[Floats, Floats],
     by_log_spread: Floats,
-) -> tuple[Floats, float, Floats, Floats]:
-    """Return `linear_residuals` and their derivatives (R + D, P) and (P,), given those of white, (m, R, P).
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return `linear_residuals` and their derivatives (B, R + D, P) and (B, P), given those of white,
+    (B, m, R, P).
 
     `at` are scale and spread; `by_log_spread` (P,) are the derivatives of the latter's logarithm.
     """
     first, slopes = _stack(whites, group, *at)
-    by_first, by_slopes = _stack(by, group, *at)  # (R, P), (D, R, P)
+    by_first, by_slopes = _stack(by, group, *at)  # (B, R, P), (B, D, R, P)
     by_slopes = by_slopes + (_bevel_rows(group)[:, None] * slopes)[..., None] * by_log_spread
     stiff, best = _fit_conditions(first, slopes)
-    left = first + best @ slopes  # (R,)
-    by_left = by_first + np.tensordot(best, by_slopes, axes=1)  # (R, P), conditions held
+    sets, conditions, rows, free = by_slopes.shape
+    flat = by_slopes.reshape(sets, conditions, rows * free)
+    left = first + (best[:, None] @ slopes)[:, 0]  # (B, R)
+    by_left = by_first + (best[:, None] @ flat).reshape(sets, rows, free)  # conditions held
     # derivative of the normal equations stiff @ best = -slopes @ first; terms in by_slopes @ left are not
     # zero off the optimum
-    by_best = -np.linalg.solve(stiff, np.einsum("drp,r->dp", by_slopes, left) + slopes @ by_left)
-    by_det = 2 * np.einsum("dr,drp->p", np.linalg.solve(stiff, slopes), by_slopes)
-    order = _order(group, [white.shape[1] for white in whites])
-    found = np.concatenate([left, best])[order], float(_log_det(stiff))
-    return *found, np.concatenate([by_left + slopes.T @ by_best, by_best])[order], by_det
+    by_pull = (left[:, None, None] @ by_slopes)[:, :, 0] + slopes @ by_left  # (B, D, P)
+    by_best = -np.linalg.solve(stiff, by_pull)
+    weights = np.linalg.solve(stiff, slopes).reshape(sets, 1, conditions * rows)
+    by_det = 2 * (weights @ by_slopes.reshape(sets, conditions * rows, free))[:, 0]
+    order = _order(group, [white.shape[2] for white in whites])
+    found = np.concatenate([left, best], axis=1)[:, order], _log_det(stiff)
+    by_found = np.concatenate([by_left + slopes.transpose(0, 2, 1) @ by_best, by_best], axis=1)
+    return *found, by_found[:, order], by_det
 
 
 def count_residuals(group: NodeGroup, rows: Sequence[int]) -> list[int]:
@@ -269,29 +276,32 @@ def count_residuals(group: NodeGroup, rows: Sequence[int]) -> list[int]:
     return counts
 
 
-def _stack(whites: Sequence[Floats], group: NodeGroup, scale: float, spread: float) -> tuple[Floats, Floats]:
-    """Return all residuals (R,) as measured, and their slopes (D, R) by a deviation of each condition.
+def _stack(
+    whites: Sequence[Floats], group: NodeGroup, scale: Floats, spread: Floats
+) -> tuple[Floats, Floats]:
+    """Return all residuals (B, R) as measured, and their slopes (B, D, R) by a deviation of each condition.
 
-    The conditions are each insertion's own depths and bevel, then the surfaces. Of derivatives (m, R, P) in
-    place of `whites` (m, R) it returns those of both, (R, P) and (D, R, P).
+    The conditions are each insertion's own depths and bevel, then the surfaces. Of derivatives (B, m, R, P)
+    in place of `whites` (B, m, R) it returns those of both, (B, R, P) and (B, D, R, P).
     """
-    ends = np.cumsum([0, *(white.shape[1] for white in whites)])
+    ends = np.cumsum([0, *(white.shape[2] for white in whites)])
     sizes = np.cumsum([0, *_count_own(group)])
-    more = whites[0].shape[2:]
-    first = np.empty((ends[-1], *more))
-    slopes = np.zeros((sizes[-1] + len(group.surfaces), ends[-1], *more))
+    sets, more = len(scale), whites[0].shape[3:]
+    first = np.empty((sets, ends[-1], *more))
+    slopes = np.zeros((sets, sizes[-1] + len(group.surfaces), ends[-1], *more))
     members = zip(whites, group.nodes, group.own, group.shared, strict=True)
     for k, (white, nodes, own, shared) in enumerate(members):
-        rest = white.shape[1:]  # (R,) or (R, P)
-        flat = white.reshape(len(white), math.prod(rest)) / scale  # (m, R P)
-        turned = weigh_linear(nodes, np.array([spread]))[0] @ flat  # (1 + d, R P)
+        rest = white.shape[2:]  # (R,) or (R, P)
+        flat = white.reshape(sets, white.shape[1], math.prod(rest)) / scale[:, None, None]  # (B, m, R P)
+        turned = weigh_linear(nodes, spread) @ flat  # (B, 1 + d, R P)
         at, here = slice(ends[k], ends[k + 1]), sizes[k]
-        first[at] = turned[0].reshape(rest)
-        slopes[here : here + len(own), at] = (own[:, None] * turned[1:]).reshape(len(own), *rest)
-        (loads,) = load_effects(nodes, np.array([spread]))
-        effects = loads[:, None] * (nodes.effects @ flat)
-        slopes[here + len(own) : here + len(own) + len(loads), at] = effects.reshape(len(loads), *rest)
-        slopes[sizes[-1] :, at] = (shared.T @ turned[1:]).reshape(shared.shape[1], *rest)
+        first[:, at] = turned[:, 0].reshape(sets, *rest)
+        slopes[:, here : here + len(own), at] = (own[:, None] * turned[:, 1:]).reshape(sets, len(own), *rest)
+        loads = load_effects(nodes, spread)  # (B, l)
+        effects = loads[:, :, None] * (nodes.effects @ flat)
+        here += len(own)
+        slopes[:, here : here + loads.shape[1], at] = effects.reshape(sets, loads.shape[1], *rest)
+        slopes[:, sizes[-1] :, at] = (shared.T @ turned[:, 1:]).reshape(sets, shared.shape[1], *rest)
     return first, slopes
 
 

@@ -381,10 +381,10 @@ def whiten_deflections(observation: Observation, deflections: Floats) -> Floats:
 
 
 def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (R, P) of `whiten_residuals`, given those of the points, (K, 2, P)."""
+    """Return the derivatives (..., R, P) of `whiten_residuals`, given those of the points, (..., K, 2, P)."""
     if observation.pose == "free":
         slopes = differentiate_align_rigid(simulated, observation.measured, slopes)
-    white: Floats = observation.whitening @ slopes[:, 1]
+    white: Floats = observation.whitening @ slopes[..., 1, :]
     return white
 
 

@@ -19,6 +19,7 @@ from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
 from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
 from needlefit.inference.objective import ObjectiveFunction, SupportsPosterior, make_objective
 from needlefit.inference.optimize.local_search import search, select_algorithms
+from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import Stop
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.project.threads import one_thread
@@ -217,7 +218,12 @@ def _load_finished(callbacks: Callbacks, design: Floats) -> dict[int, Start]:
 def _search_each(what: _SearchTask, start_points: list[StartPoint], callbacks: Callbacks) -> Iterator[Start]:
     """Yield the search from each place as it ends, in the calling thread."""
     stop = TaskStop(callbacks.stop)
-    for _, start in run_parts(partial(what.run, stop), start_points, callbacks.pool, callbacks.jobs, stop):
+    # searches with random numbers take turns, so that none of them may wait for another
+    stochastic = any(
+        one.stochastic for one in select_algorithms(what.recipe.algorithm, what.objective_function)
+    )
+    run = run_parts if stochastic else run_side_by_side
+    for _, start in run(partial(what.run, stop), start_points, callbacks.pool, callbacks.jobs, stop):
         yield start
 
 

@@ -397,6 +397,14 @@ EXPORT void nf_table_range(const double* table, double* range) {
     *range = canonical(measure_table_range(table));
 }
 
+// How many of the needles from `first` on can be computed side by side: those whose nodes are at the same x, or one.
+Index count_alike(const double* x, Index needles, Index count, Index first) {
+    Index here = needles - first < LANES ? needles - first : LANES, at = first * count;
+    for (Index i = 0; i < here * count; i++)
+        if (x[at + i] != x[at + i % count]) return 1;
+    return here;
+}
+
 // The points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates s (K). `memory` has room for
 // 6 (N + 2) LANES numbers.
 EXPORT void nf_positions(
@@ -405,10 +413,9 @@ EXPORT void nf_positions(
 ) {
     using Lanes = LanesOf<LANES>::Vector;
     DefaultArithmetic arithmetic;
-    for (Index first = 0; first < needles;) {
-        Index here = needles - first < LANES ? needles - first : LANES, at = first * count;
-        for (Index i = 0; i < here * count; i++)
-            if (x[at + i] != x[at + i % count]) here = 1;
+    for (Index first = 0, here; first < needles; first += here) {
+        here = count_alike(x, needles, count, first);
+        Index at = first * count;
         Arena arena{memory};
         if (here == 1)
             compute_positions<double>(
@@ -420,7 +427,6 @@ EXPORT void nf_positions(
                 here, count, wanted, x + at, u + at, slope + at, s, arena.take<ShapeNode<Lanes>>(count),
                 out + first * wanted * 2
             );
-        first += here;
     }
     make_canonical(out, needles * wanted * 2);
 }
@@ -438,13 +444,24 @@ EXPORT void nf_deflections(
     }
 }
 
+// The derivatives (B, K, 2, P) of the points of B needles, from those of their nodes: x_by (N, P) of all of them, u_by
+// and slope_by (B, N, P). `memory` has room for LANES (6 N + (4 N + 2) P) numbers, at a multiple of 64.
 EXPORT void nf_position_derivatives(
-    Index count, Index wanted, Index columns, const double* x, const double* u, const double* slope, const double* s,
-    const double* x_by, const double* u_by, const double* slope_by, double* memory, double* out
+    Index needles, Index count, Index wanted, Index columns, const double* x, const double* u, const double* slope,
+    const double* s, const double* x_by, const double* u_by, const double* slope_by, char* memory, double* out
 ) {
     DefaultArithmetic arithmetic;
-    compute_position_derivatives(count, wanted, columns, x, u, slope, s, x_by, u_by, slope_by, memory, out);
-    make_canonical(out, 2 * wanted * columns);
+    for (Index first = 0, here; first < needles; first += here) {
+        here = count_alike(x, needles, count, first);
+        Index at = first * count, at_by = at * columns;
+        auto compute = here == 1 ? compute_position_derivatives<double>
+                                 : compute_position_derivatives<LanesOf<LANES>::Vector>;
+        compute(
+            here, count, wanted, columns, x + at, u + at, slope + at, s, x_by, u_by + at_by, slope_by + at_by, memory,
+            out + first * wanted * 2 * columns
+        );
+    }
+    make_canonical(out, needles * wanted * 2 * columns);
 }
 
 // Elementary functions, to be tested: 0 exponential, 1 logarithm, 2 ln(1 - x), 3 sine, 4 cosine; 5, 6 in lanes.

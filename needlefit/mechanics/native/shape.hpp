@@ -84,50 +84,72 @@ void compute_positions(
     }
 }
 
-// Add to `into` (2, P) the derivatives of the integrals over the first `upto` mm of element e. Where nodes move along
-// the needle, what the ends of an element gain its neighbours lose.
-inline void add_position_derivatives(
-    double* into, Index e, double upto, Index columns, const double* x, const double* u, const double* slope,
-    const double* x_by, const double* u_by, const double* slope_by
+// Add to `into` (2, P) the derivatives of the integrals over the first `upto` mm of element e, from those of its ends,
+// `by` (2, P) each. Where nodes move along the needle, what the ends of an element gain its neighbours lose.
+template <class Real>
+INLINE void add_position_derivatives(
+    Real* into, Index e, double upto, Index columns, const double* x, const double* x_by, const ShapeNode<Real>* nodes,
+    const Real* by
 ) {
     double length = x[e + 1] - x[e];
     const GaussRule& rule = choose_rule(length);
-    const double *xa = x_by + e * columns, *xb = xa + columns, *ua = u_by + e * columns, *ub = ua + columns;
-    const double *sa = slope_by + e * columns, *sb = sa + columns;
+    const ShapeNode<Real>&a = nodes[e], &b = nodes[e + 1];
+    const double *xa = x_by + e * columns, *xb = xa + columns;
+    const Real *ua = by + 2 * e * columns, *sa = ua + columns, *ub = sa + columns, *sb = ub + columns;
     for (int i = 0; i < rule.count; i++) {
         double at = rule.at[i] * upto;
         Hermite<double> shape(at, length);
         const double* m = shape.m;
-        double sine, cosine;
-        sine_cosine<double>(m[0] * u[e] + m[1] * slope[e] + m[2] * u[e + 1] + m[3] * slope[e + 1], sine, cosine);
-        double ahead = -rule.weight[i] * upto * sine, aside = rule.weight[i] * upto * cosine;
+        Real sine, cosine;
+        sine_cosine<Real>(m[0] * a.u + m[1] * a.slope + m[2] * b.u + m[3] * b.slope, sine, cosine);
+        Real ahead = -rule.weight[i] * upto * sine, aside = rule.weight[i] * upto * cosine;
         for (Index p = 0; p < columns; p++) {
-            double turn = m[0] * ua[p] + m[1] * sa[p] + m[2] * ub[p] + m[3] * sb[p];
+            Real turn = m[0] * ua[p] + m[1] * sa[p] + m[2] * ub[p] + m[3] * sb[p];
             if (xa[p] != 0.0 || xb[p] != 0.0) {
-                Hermite<double> by = Hermite<double>::change(at, length, -xa[p], xb[p] - xa[p]);
-                turn += by.m[0] * u[e] + by.m[1] * slope[e] + by.m[2] * u[e + 1] + by.m[3] * slope[e + 1];
+                Hermite<double> by_x = Hermite<double>::change(at, length, -xa[p], xb[p] - xa[p]);
+                turn += by_x.m[0] * a.u + by_x.m[1] * a.slope + by_x.m[2] * b.u + by_x.m[3] * b.slope;
             }
             into[p] += ahead * turn, into[columns + p] += aside * turn;
         }
     }
 }
 
-// The derivatives (K, 2, P) of a needle's points, from those of its nodes (N, P); `reached` has room for (N, 2, P).
-inline void compute_position_derivatives(
-    Index count, Index wanted, Index columns, const double* x, const double* u, const double* slope, const double* s,
-    const double* x_by, const double* u_by, const double* slope_by, double* reached, double* out
+// The derivatives (K, 2, P) of the points of each lane's needle, whose nodes x and `x_by` (N, P) are alike, from those
+// of its nodes, (W, N, P); `room` has 6 N + (4 N + 2) P numbers.
+template <class Real>
+void compute_position_derivatives(
+    Index needles, Index count, Index wanted, Index columns, const double* x, const double* u, const double* slope,
+    const double* s, const double* x_by, const double* u_by, const double* slope_by, char* room, double* out
 ) {
-    for (Index p = 0; p < columns; p++) reached[p] = 0.0, reached[columns + p] = u_by[p];
-    for (Index e = 0; e < count - 1; e++) {
-        double *from = reached + 2 * e * columns, *into = from + 2 * columns;
-        for (Index p = 0; p < 2 * columns; p++) into[p] = from[p];
-        add_position_derivatives(into, e, x[e + 1] - x[e], columns, x, u, slope, x_by, u_by, slope_by);
+    auto gather = [&](const double* values, Index size, Index i) {
+        Real found{};
+        for (int lane = 0; lane < Traits<Real>::lanes; lane++)
+            set_lane(found, lane, values[(lane < needles ? lane : needles - 1) * size + i]);
+        return found;
+    };
+    ShapeNode<Real>* nodes = reinterpret_cast<ShapeNode<Real>*>(room);
+    Real *by = reinterpret_cast<Real*>(nodes + count), *reached = by + 2 * count * columns;
+    Real* found = reached + 2 * count * columns;
+    for (Index i = 0; i < count; i++) {
+        nodes[i].u = gather(u, count, i), nodes[i].slope = gather(slope, count, i);
+        for (Index p = 0; p < columns; p++) {
+            by[2 * i * columns + p] = gather(u_by, count * columns, i * columns + p);
+            by[(2 * i + 1) * columns + p] = gather(slope_by, count * columns, i * columns + p);
+        }
     }
+    auto integrate = [&](Real* into, Index e, double upto) {
+        const Real* from = reached + 2 * e * columns;
+        for (Index p = 0; p < 2 * columns; p++) into[p] = from[p];
+        add_position_derivatives(into, e, upto, columns, x, x_by, nodes, by);
+    };
+    for (Index p = 0; p < columns; p++) reached[p] = Real{}, reached[columns + p] = by[p];
+    for (Index e = 0; e < count - 1; e++) integrate(reached + 2 * (e + 1) * columns, e, x[e + 1] - x[e]);
     for (Index k = 0; k < wanted; k++) {
         Index e = find_element(x, count, s[k]);
-        double *from = reached + 2 * e * columns, *into = out + 2 * k * columns;
-        for (Index p = 0; p < 2 * columns; p++) into[p] = from[p];
-        add_position_derivatives(into, e, s[k] - x[e], columns, x, u, slope, x_by, u_by, slope_by);
+        integrate(found, e, s[k] - x[e]);
+        for (int lane = 0; lane < Traits<Real>::lanes && lane < needles; lane++)
+            for (Index p = 0; p < 2 * columns; p++)
+                out[2 * columns * (lane * wanted + k) + p] = get_lane(found[p], lane);
     }
 }
 

@@ -1,0 +1,185 @@
+"""Run searches side by side: what all of them are to evaluate next is evaluated in one call.
+
+The kernel computes several parameter sets in little more than the time of one. A search evaluates one set
+after the other; so several searches run as threads, each waits until all have asked, and one of them
+evaluates the sets of all. What a set gives does not depend on those beside it, hence no search depends on the
+others.
+"""
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
+from needlefit.project.tasks import TaskPool, TaskStop, run_parts
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Value = TypeVar("Value")
+
+MAX_SEARCHES = 16
+"""Searches that run side by side: two blocks of lanes."""
+
+_Function = Callable[[Floats, int], Sequence[Value]]
+"""Thetas (B, P) and a number of threads -> B values."""
+
+
+def evaluate(function: "_Function[Value]", theta: Floats) -> Value:
+    """Return `function` at one theta (P,), evaluated together with what searches beside this one ask for."""
+    group: _Group | None = getattr(_this_thread, "group", None)
+    if group is None:
+        return function(np.asarray(theta)[None], 1)[0]
+    value: Value = group.evaluate(function, np.asarray(theta))
+    return value
+
+
+def run_side_by_side(
+    search: Callable[[Item], Result], items: Sequence[Item], pool: TaskPool, jobs: int, stop: TaskStop
+) -> Iterator[tuple[int, Result]]:
+    """Yield the number of each item and what its search gives, as they end; a remote pool runs each alone.
+
+    Parameters
+    ----------
+    jobs : int
+        Threads of an evaluation.
+    stop : TaskStop
+        Once it is requested, no further search begins; it is requested in the end.
+    """
+    if pool.remote:
+        yield from run_parts(search, items, pool, jobs, stop, loaded=True)
+        return
+    group = _Group(len(items), jobs)
+
+    def run(item: Item) -> tuple[Result, ...]:
+        _this_thread.group = group
+        try:
+            return () if stop() else (search(item),)
+        finally:
+            group.end_search()
+
+    try:
+        if not items:
+            return
+        with ThreadPoolExecutor(min(len(items), MAX_SEARCHES)) as threads:
+            futures = {threads.submit(run, item): n for n, item in enumerate(items)}
+            try:
+                for future in as_completed(futures):
+                    for result in future.result():
+                        yield futures[future], result
+            finally:
+                stop.leave()  # before the threads are waited for
+    finally:
+        stop.leave()
+
+
+def map_side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Return `function` of each item; within a search of `run_side_by_side` each item is a search itself."""
+    group: _Group | None = getattr(_this_thread, "group", None)
+    if group is None or len(items) < 2:
+        return [function(item) for item in items]
+    part = group.divide(len(items))
+
+    def run(item: Item) -> Result:
+        _this_thread.group = group
+        try:
+            return function(item)
+        finally:
+            part.end_search()
+
+    with ThreadPoolExecutor(len(items)) as threads:
+        return list(threads.map(run, items))
+
+
+_this_thread = threading.local()
+
+
+@dataclass
+class _Request:
+    function: "_Function[Any]"
+    theta: Floats
+    value: Any = None
+    error: Exception | None = None
+    ended: bool = False
+
+
+class _Group:
+    """Searches that evaluate together."""
+
+    def __init__(self, searches: int, jobs: int) -> None:
+        self._left, self._parts, self._jobs = searches, 0, jobs
+        self._changed = threading.Condition()
+        self._waiting: list[_Request] = []
+
+    def end_search(self) -> None:
+        """Count one search less."""
+        with self._changed:
+            self._left -= 1
+            self._changed.notify_all()
+
+    def divide(self, parts: int) -> "_Part":
+        """Count a search as so many, until all of them have ended."""
+        with self._changed:
+            self._parts += parts - 1
+        return _Part(self, parts)
+
+    def end_part(self) -> None:
+        """Count one part of a search less."""
+        with self._changed:
+            self._parts -= 1
+            self._changed.notify_all()
+
+    def evaluate(self, function: "_Function[Value]", theta: Floats) -> Value:
+        """Return `function` at theta (P,), once all searches that run wait for a value."""
+        request = _Request(function, theta)
+        with self._changed:
+            self._waiting.append(request)
+            while not request.ended:
+                if len(self._waiting) >= min(self._left, MAX_SEARCHES) + self._parts:
+                    self._evaluate_all()
+                else:
+                    self._changed.wait()
+        if request.error is not None:
+            raise request.error
+        value: Value = request.value
+        return value
+
+    def _evaluate_all(self) -> None:
+        requests, self._waiting = self._waiting, []
+        while requests:
+            same = [one for one in requests if one.function == requests[0].function]
+            requests = [one for one in requests if one.function != same[0].function]
+            self._evaluate_together(same)
+        self._changed.notify_all()
+
+    def _evaluate_together(self, requests: Sequence[_Request]) -> None:
+        try:
+            values = requests[0].function(np.array([one.theta for one in requests]), self._jobs)
+            for one, value in zip(requests, values, strict=True):
+                one.value, one.ended = value, True
+        except Exception as error:  # each search gets its own, and goes on or ends by it
+            if len(requests) > 1 and isinstance(error, EVALUATION_ERRORS):
+                for one in requests:
+                    self._evaluate_together([one])
+                return
+            for one in requests:
+                one.error, one.ended = error, True
+
+
+class _Part:
+    """Parts that stand for one search; the last that ends is that search again."""
+
+    def __init__(self, group: _Group, parts: int) -> None:
+        self._group, self._left, self._lock = group, parts, threading.Lock()
+
+    def end_search(self) -> None:
+        """Count one part less."""
+        with self._lock:
+            self._left -= 1
+            last = self._left == 0
+        if not last:
+            self._group.end_part()

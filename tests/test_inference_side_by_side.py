@@ -1,0 +1,126 @@
+"""Searches that run side by side evaluate together, and none depends on another."""
+
+import threading
+from functools import partial
+
+import numpy as np
+import pytest
+
+from needlefit.errors import ModelError
+from needlefit.inference import side_by_side
+from needlefit.inference.side_by_side import MAX_SEARCHES, evaluate, map_side_by_side, run_side_by_side
+from needlefit.project.progress import never_stop
+from needlefit.project.tasks import THIS_PROCESS, TaskStop
+
+LIMIT_S = 20.0
+
+
+class Recorded:
+    """Squares of thetas, and how many were asked for at once."""
+
+    def __init__(self) -> None:
+        self.sizes: list[int] = []
+
+    def square(self, thetas: np.ndarray, jobs: int) -> list[float]:
+        self.sizes.append(len(thetas))
+        if np.any(thetas < 0):
+            raise ModelError("below zero")
+        return [float(theta[0]) ** 2 for theta in thetas]
+
+
+def search(recorded: Recorded, steps: int) -> float:
+    return sum(evaluate(recorded.square, np.array([float(k)])) for k in range(steps))
+
+
+def run(work, items, stop=None) -> dict:
+    found = {}
+
+    def collect() -> None:
+        try:
+            found.update(run_side_by_side(work, items, THIS_PROCESS, 1, stop or TaskStop(never_stop)))
+        except Exception as error:
+            found["error"] = error
+
+    thread = threading.Thread(target=collect, daemon=True)
+    thread.start()
+    thread.join(LIMIT_S)
+    assert not thread.is_alive(), "searches wait for each other"
+    if "error" in found:
+        raise found["error"]
+    return found
+
+
+@pytest.mark.parametrize("count", [1, 2, MAX_SEARCHES, 2 * MAX_SEARCHES + 3])
+def test_all_searches_of_equal_length_evaluate_together(count: int) -> None:
+    recorded = Recorded()
+    found = run(partial(search, recorded), [4] * count)
+    assert found == dict.fromkeys(range(count), 14.0)
+    assert sum(recorded.sizes) == 4 * count and recorded.sizes[0] == min(count, MAX_SEARCHES)
+
+
+def test_searches_of_different_lengths_all_end() -> None:
+    recorded, steps = Recorded(), [1, 5, 0, 9, 2, 30]
+    found = run(partial(search, recorded), steps)
+    assert found == {n: search(Recorded(), count) for n, count in enumerate(steps)}
+    assert recorded.sizes[:2] == [5, 4] and recorded.sizes[-1] == 1
+
+
+def test_different_functions_are_evaluated_apart() -> None:
+    one, other = Recorded(), Recorded()
+    found = run(lambda n: search((one, other)[n % 2], 3), [0, 1, 2, 3])
+    assert set(found.values()) == {5.0} and one.sizes == other.sizes == [2, 2, 2]
+
+
+def test_a_theta_that_fails_is_the_error_of_its_search_alone() -> None:
+    recorded = Recorded()
+
+    def fail(value: float) -> str:
+        try:
+            return f"{evaluate(recorded.square, np.array([value])):g}"
+        except ModelError as error:
+            return type(error).__name__
+
+    assert run(fail, [2.0, -1.0, 3.0]) == {0: "4", 1: "ModelError", 2: "9"}
+    assert recorded.sizes == [3, 1, 1, 1]
+
+
+def test_a_bug_ends_the_run_and_no_search_waits_for_ever() -> None:
+    def broken(thetas: np.ndarray, jobs: int) -> list[float]:
+        raise ZeroDivisionError if len(thetas) < 3 else KeyError("bug")
+
+    with pytest.raises(KeyError):
+        run(lambda value: evaluate(broken, np.array([value])), [1.0, 2.0, 3.0])
+
+
+def test_parts_of_a_search_evaluate_together_with_the_other_searches() -> None:
+    recorded = Recorded()
+
+    def divide(parts: int) -> float:
+        return sum(map_side_by_side(partial(search, recorded), [3] * parts)) + search(recorded, 2)
+
+    assert run(divide, [1, 4, 2]) == {n: 5.0 * parts + 1.0 for n, parts in enumerate([1, 4, 2])}
+    assert recorded.sizes == [7, 7, 7, 3, 3]
+
+
+def test_parts_may_be_divided_again() -> None:
+    recorded = Recorded()
+
+    def divide(level: int) -> float:
+        if level == 0:
+            return search(recorded, 3)
+        return sum(map_side_by_side(divide, [level - 1] * 3))
+
+    assert run(divide, [2, 2]) == {0: 45.0, 1: 45.0}
+    assert recorded.sizes == [18, 18, 18]
+
+
+def test_without_others_each_evaluation_is_its_own() -> None:
+    recorded = Recorded()
+    assert map_side_by_side(partial(search, recorded), [2, 3]) == [1.0, 5.0]
+    assert recorded.sizes == [1] * 5 and not hasattr(side_by_side._this_thread, "group")
+
+
+def test_a_stop_begins_no_further_search() -> None:
+    stop = TaskStop(never_stop)
+    stop.leave()
+    assert run(partial(search, Recorded()), [3] * 40, stop) == {}
