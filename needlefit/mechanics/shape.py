@@ -107,8 +107,9 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
             f"beam coordinates {wanted.min():g} ... {wanted.max():g} mm leave the needle",
             expected=f"{shape.x[0]:g} ... {shape.x[-1]:g} mm",
         )
-    parts = (np.ascontiguousarray(part)[None] for part in (shape.x, shape.u, shape.slope))
-    return native.compute_positions(*parts, wanted)[0]
+    x, u, slope = (np.ascontiguousarray(part)[None] for part in (shape.x, shape.u, shape.slope))
+    found: Floats = native.compute_positions(x, u, slope, wanted)[0]
+    return found
 
 
 def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
