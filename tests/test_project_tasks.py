@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -63,12 +64,6 @@ if __name__ == "__main__":
             assert [n for n, _, _ in found] == [1, 2, 3, 4] and {one for *_, one in found} == {expected}
             assert len({process for _, process, _ in found} - {os.getpid()}) == 2
             assert threading.active_count() == 1
-        for loaded in (False, True):
-            stop = tasks.TaskStop(lambda: False)
-            parts = dict(tasks.run_parts(tell, [1, 2, 3, 4, 5], pool, 1, stop, loaded))
-            assert [parts[k][0] for k in range(5)] == [1, 2, 3, 4, 5]
-            assert (parts[0][1] == os.getpid()) is not loaded
-            assert len({parts[k][1] for k in range(1, 5)} - {os.getpid()}) == 2
         for items, error in (([0, 0], ZeroDivisionError), ([1, 2], ConfigError)):
             try:
                 list(pool.run(fail_or_die, items))
@@ -88,6 +83,12 @@ if __name__ == "__main__":
 @pytest.fixture
 def long(monkeypatch):
     monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
+
+
+@pytest.fixture
+def remote(pool):
+    """The same processes, as if they were on another machine."""
+    return replace(pool, remote=True)
 
 
 @pytest.mark.sweep
@@ -138,14 +139,14 @@ def test_processes_serve_again_after_a_stop_and_an_error(pool):
     assert time.monotonic() < begun + 60
 
 
-def test_short_parts_stay_in_this_process(pool):
-    found = dict(run_parts(find_process, [0.0] * 4, pool, 1, TaskStop(never_stop)))
+def test_short_parts_stay_in_this_process(remote):
+    found = dict(run_parts(find_process, [0.0] * 4, remote, 1, TaskStop(never_stop)))
     assert found == dict.fromkeys(range(4), os.getpid())
 
 
 @pytest.mark.sweep
-def test_long_parts_go_to_the_pool_after_the_first(pool, long):
-    found = dict(run_parts(find_process, [0.3] * 5, pool, 1, TaskStop(never_stop)))
+def test_long_parts_go_to_a_remote_pool_after_the_first(remote, long):
+    found = dict(run_parts(find_process, [0.3] * 5, remote, 1, TaskStop(never_stop)))
     assert sorted(found) == [0, 1, 2, 3, 4] and found.pop(0) == os.getpid()
     assert os.getpid() not in found.values() and len(set(found.values())) == 2
 
@@ -154,11 +155,11 @@ def test_long_parts_go_to_the_pool_after_the_first(pool, long):
 @pytest.mark.parametrize(
     "changed", [{}, {"algorithm": "praxis"}, {"minimize": "metric", "algorithm": "slsqp"}]
 )
-def test_a_search_in_processes_has_the_same_bytes(pool, long, changed):
+def test_a_search_in_processes_has_the_same_bytes(remote, long, changed):
     problem, search = two_layers(count=2), squares_recipe(starts=5, evaluations=60, **changed)
     fits = [
         minimize(problem, search, random_stream(1, "starts"), Callbacks(pool=where))
-        for where in (THIS_PROCESS, pool)
+        for where in (THIS_PROCESS, remote)
     ]
     assert fits[0] == fits[1]
 
@@ -171,20 +172,20 @@ def test_a_part_that_is_stopped_returns_what_it_has(pool):
     assert len(found) == 2 and all(slept < 60 for _, slept in found)
 
 
-def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(pool, long):
+def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(remote, long):
     problem, search = two_layers(count=2), squares_recipe(starts=50, algorithm="praxis", evaluations=20_000)
     ended: list[Start] = []
     # once the first start has ended, the others are in the processes
-    callbacks = Callbacks(report=ended.append, stop=lambda: bool(ended), pool=pool)
+    callbacks = Callbacks(report=ended.append, stop=lambda: bool(ended), pool=remote)
     part = minimize(problem, search, random_stream(1, "starts"), callbacks)
     assert part.interrupted and math.isfinite(part.objective)
 
 
 @pytest.mark.sweep
-def test_profiles_in_processes_have_the_same_bytes(pool, long):
+def test_profiles_in_processes_have_the_same_bytes(remote, long):
     problem = two_layers(count=2)
     fit = minimize(problem, squares_recipe(starts=2), random_stream(1, "starts"))
-    found = [profile_parameters(problem, fit, pool=where) for where in (THIS_PROCESS, pool)]
+    found = [profile_parameters(problem, fit, pool=where) for where in (THIS_PROCESS, remote)]
     assert len(found[0].parameters) >= 3 and repr(found[0]) == repr(found[1])
 
 

@@ -178,11 +178,12 @@ def test_the_same_study_predicts_the_same(job, few_draws):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
-def test_copies_of_the_process_predict_the_same(job, few_draws, monkeypatch):
+def test_a_remote_pool_predicts_the_same(job, few_draws, monkeypatch):
     monkeypatch.setattr(tasks, "can_fork", lambda: True)
+    monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
     few = of(job, *(replace(one, specimen="another") for one in job.folds[0].validate[:3]))
     new = [NewSpecimens(job, few, few_draws.thetas[0]) for _ in range(2)]
-    pairs = (new[0], THIS_PROCESS), (new[1], LocalPool(2))
+    pairs = (new[0], THIS_PROCESS), (new[1], LocalPool(2, remote=True))
     alone, copied = (list(predict_held_out(job, few, few_draws, one, 2, pool)) for one, pool in pairs)
     assert len(alone) == 3 and repr(alone) == repr(copied)  # repr: NaN equals itself
     assert new[0].estimates and repr(new[0].estimates) == repr(new[1].estimates)

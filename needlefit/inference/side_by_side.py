@@ -51,7 +51,7 @@ def run_side_by_side(
         Once it is requested, no further search begins; it is requested in the end.
     """
     if pool.remote:
-        yield from run_parts(search, items, pool, jobs, stop, loaded=True)
+        yield from run_parts(search, items, pool, jobs, stop)
         return
     group = _Group(len(items), jobs)
 

@@ -179,7 +179,7 @@ class Problem(ctypes.Structure):
         if arrays.keys() != self.arrays.keys() & _SET_ARRAYS:
             raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
         problem = Problem.from_buffer_copy(self)
-        problem.sets, problem.arrays = sets, self.arrays | arrays
+        problem.sets, problem.arrays = sets, {**self.arrays, **arrays}
         problem.room, problem.max_points = self.room, self.max_points
         problem.max_quadrature = self.max_quadrature
         problem._point_to(arrays, self.sizes | {"sets": sets})

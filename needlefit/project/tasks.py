@@ -41,10 +41,7 @@ STOP_POLL_S = 0.2
 
 
 MIN_SHARED_S = 8.0
-"""Seconds of work that are worth new processes: each takes two or three of processor time to begin."""
-
-MIN_COPIED_S = 0.5
-"""Seconds of work that are worth forked processes: two begin and end within 0.1 s."""
+"""Seconds of work that are worth sending to other machines."""
 
 
 class TaskPool(Protocol):
@@ -164,22 +161,17 @@ def run_parts(
     pool: TaskPool,
     threads: int,
     stop: TaskStop,
-    loaded: bool = False,
 ) -> Iterator[tuple[int, Result]]:
     """Yield results as `TaskPool.run` does, of parts that may be short.
 
-    The first one shows how long they take, and loads what they need, which forked processes then have: if the
-    others take long they go to the pool, else they stay in this process, on so many threads. If all that they
-    need is `loaded`, forked processes get the first one too. `stop` is requested in the end.
+    Of a remote pool the first one shows how long they take: if the others take long they go to the pool. Else
+    they stay in this process, on so many threads. `stop` is requested in the end.
     """
     begun, left = time.perf_counter(), list(range(len(items)))
     try:
-        if pool is not THIS_PROCESS and len(items) > 1 and not stop():
-            copied = not pool.remote and can_fork()
-            if not (copied and loaded):
-                yield left.pop(0), work(items[0])
-            expected = (time.perf_counter() - begun) * len(left)
-            if (copied and loaded) or expected > (MIN_COPIED_S if copied else MIN_SHARED_S):
+        if pool.remote and len(items) > 1 and not stop():
+            yield left.pop(0), work(items[0])
+            if (time.perf_counter() - begun) * len(left) > MIN_SHARED_S:
                 for n, result in pool.run(work, [items[n] for n in left], stop):
                     yield left[n], result
                 return

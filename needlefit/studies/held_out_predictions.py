@@ -174,7 +174,7 @@ def predict_held_out(
         if new is not None and bands
         else frozenset(),
     )
-    parts = run_parts(predict.predict, given, pool, side_by_side, TaskStop(never_stop), loaded=True)
+    parts = run_parts(predict.predict, given, pool, side_by_side, TaskStop(never_stop))
     found = dict(parts)
     yield from filter(None, (found[n] for n in range(len(given))))
 

@@ -55,7 +55,7 @@ class NewSpecimens:
         moving = insertions if list_groups(self.job.parameters) else ()
         others = {name for insertion in moving for name in self.list_others(insertion)}
         wanted = sorted(others - self.estimates.keys())
-        found = dict(run_parts(self._search, wanted, pool, jobs, TaskStop(never_stop), loaded=True))
+        found = dict(run_parts(self._search, wanted, pool, jobs, TaskStop(never_stop)))
         self.estimates |= {specimen: found[n] for n, specimen in enumerate(wanted)}
         for insertion in insertions:
             self.find_spread(insertion)

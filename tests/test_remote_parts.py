@@ -1,4 +1,4 @@
-"""Parts of one fit in copies of this process: what they give has the same bytes as without."""
+"""Parts of one fit on a remote pool, here copies of this process: they give the same bytes as without."""
 
 import sys
 
@@ -15,13 +15,13 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, LocalPool
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
-POOLS = THIS_PROCESS, LocalPool(2)
+POOLS = THIS_PROCESS, LocalPool(2, remote=True)
 
 
 @pytest.fixture(autouse=True)
 def copied(monkeypatch):
     monkeypatch.setattr(tasks, "can_fork", lambda: True)
-    monkeypatch.setattr(tasks, "MIN_COPIED_S", 0.0)
+    monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
 
 
 @pytest.fixture(scope="module")
