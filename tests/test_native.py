@@ -184,8 +184,15 @@ def damage(rng: np.random.Generator, numbers: dict[str, float], arrays: dict[str
         number = str(rng.choice(native._NUMBERS))
         numbers[number] = float(rng.choice(NUMBERS)) * (1.0 if rng.random() < 0.7 else numbers[number])
     elif kind == 2:
-        wrong = [array[:-1], np.concatenate((array, array)), array[..., None], array[::-1], np.zeros(array.shape, "f4")
-                 if array.dtype.fields is None else array["tip"], np.zeros(0)]  # fmt: skip
+        other = np.zeros(array.shape, "f4") if array.dtype.fields is None else array["tip"]
+        wrong = [
+            array[:-1],
+            np.concatenate((array, array)),
+            array[..., None],
+            array[::-1],
+            other,
+            np.zeros(0),
+        ]
         arrays[name] = wrong[rng.integers(len(wrong))]
     elif kind == 3:
         del arrays[name]

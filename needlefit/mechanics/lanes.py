@@ -88,9 +88,15 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
 
 
 def _make_default(batch: Batch, name: str, array: Floats) -> Floats:
-    defaults = {"mu": batch.tissue.mu, "shape": batch.tissue.shape, "rigidity": batch.needle.flexural_rigidity}
-    defaults["guide_x"] = 0.5 * (max(step.depth for step in batch.steps) - batch.needle.length)
-    return np.ascontiguousarray(np.broadcast_to(defaults.get(name, 0.0), array.shape))
+    """Return numbers of a set that the insertion can have, in place of an array without any."""
+    found = np.zeros_like(array)
+    if name in ("mu", "shape"):
+        found[:] = getattr(batch.tissue, name)
+    elif name == "rigidity":
+        found[:] = batch.needle.flexural_rigidity
+    elif name == "guide_x":
+        found[:] = 0.5 * (max(step.depth for step in batch.steps) - batch.needle.length)
+    return found
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:

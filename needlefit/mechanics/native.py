@@ -103,7 +103,8 @@ BAD_POINTS = 7
 
 
 _RETURN_NUMBERS = (
-    "lanes", "check", "memory", "simulate", "session_advance", "session_rays", "equilibrium", "quadrature", "balance",
+    "lanes", "check", "memory", "simulate", "session_advance", "session_rays", "equilibrium", "quadrature",
+    "balance",
 )  # fmt: skip
 
 
@@ -111,6 +112,7 @@ def check_fault(fault: int) -> None:
     """Raise TypeError for a fault that the kernel has found."""
     if fault:
         raise TypeError(FAULTS[fault])
+
 
 SHAPE_COLUMN = 1
 """Place of the laws' shape parameters in `column_of`: `ColumnKind` of `native/derivatives.hpp`."""
@@ -366,7 +368,7 @@ class SessionMemory:
         return tuple(sizes)
 
     def _lay_out(self, problem: Problem) -> None:
-        """Make what a step writes to, and keep the arguments of its call, which take longer to make than to use."""
+        """Make once what a step writes to and the arguments of its call."""
         self._next = make_memory(self._sizes[1])
         self._shapes, self._done = Shapes.make(1, problem.room, problem.max_points), (c_int64 * 3)()
         self._out = byref(self._shapes)
@@ -386,7 +388,7 @@ class SessionMemory:
         Raises
         ------
         TypeError
-            If the problem has other sizes than the one that the session began with, or the depth lies outside.
+            If the problem has other sizes than that with which the session began, or the depth lies outside.
         RayRoomError
             If the problem has room for fewer rays than there would be.
         """
@@ -408,7 +410,7 @@ class SessionMemory:
         return stops, points
 
     def read(self, points: int) -> tuple[Floats, Floats, Floats, int, int]:
-        """Return x, u, slope (3, N), y (points,) and track (points, 2) of the last step, status and passes."""
+        """Return x, u, slope (3, N), y (points,), track (points, 2), status and passes of the last step."""
         shapes, a = self._shapes, self._shapes.arrays
         return (
             shapes.nodes_of_sets[:, 0, : a["nodes"][0]].copy(), a["constraints"].ravel()[:points],
@@ -601,7 +603,9 @@ def compute_position_derivatives(
     parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
     count, nodes, columns = len(x), max(x.shape[-1], 2), x_by.shape[-1]
     sizes = [(count, nodes)] * 3 + [(-1,), (nodes, columns)] + [(count, nodes, columns)] * 2
-    for name, array, size in zip(("x", "u", "slope", "s", "x_by", "u_by", "slope_by"), parts, sizes, strict=True):
+    for name, array, size in zip(
+        ("x", "u", "slope", "s", "x_by", "u_by", "slope_by"), parts, sizes, strict=True
+    ):
         check_array(name, array, float, size)
     found = np.empty((count, len(s), 2, columns))
     memory = make_memory(8 * count_lanes() * (6 * nodes + (4 * nodes + 2) * columns))

@@ -1,4 +1,4 @@
-"""Bring insertions into the form that the kernel reads: stops, inputs, layers, and what differs between sets."""
+"""Bring insertions into the form that the kernel reads: stops, inputs, layers, and parameter sets."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from needlefit.mechanics.tissue import Tissue
 
 
 class Columns(NamedTuple):
-    """Columns of derivatives: their names, the first of each kind (-1: not asked for), those of each guide."""
+    """Columns of derivatives: their names, the first of each kind (-1: none), those of each guide."""
 
     names: tuple[str, ...]
     first: Ints  # (9,) of `ColumnKind` in `native/derivatives.hpp`
@@ -43,7 +43,7 @@ class PackedStops(NamedTuple):
 def plan_insertion(
     steps: Sequence[Step], length: float, rules: ModelOptions, lattice: Lattice | None = None
 ) -> tuple[Lattice, PackedStops]:
-    """Return the lattice of constraint points of a needle of `length` (mm), by default the usual one, and its stops.
+    """Return the lattice of constraint points, by default the usual one, and the stops of a needle (mm long).
 
     Raises
     ------
@@ -262,8 +262,6 @@ def _pack_shared(
     return sizes, arrays
 
 
-def _differentiate_laws(
-    tissue: Tissue, sets: int, values: Mapping[str, Floats], numbers: int
-) -> Floats:
+def _differentiate_laws(tissue: Tissue, sets: int, values: Mapping[str, Floats], numbers: int) -> Floats:
     by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
     return np.ascontiguousarray(np.broadcast_to(by, (sets, tissue.layers, len(tissue.shape), numbers)))

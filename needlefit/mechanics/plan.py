@@ -283,7 +283,7 @@ def find_input_path(
     Parameters
     ----------
     rays : sequence of (start, bevel, controls)
-        The depth where each ray begins, mm, the bevel that cuts it, and the controls under which it was begun.
+        The depth where each ray begins, mm, the bevel that cuts it, the controls under which it was begun.
     changed : bool
         Whether inputs have changed since the tip came to its depth.
     last : Step

@@ -109,7 +109,7 @@ def equilibrium(
 def pack_equilibrium(
     needle: Needle, tissue: Tissue, depths: Floats, controls: Controls, rules: ModelOptions
 ) -> native.Problem:
-    """Return the problem of a needle with constraint points at `depths` (M + 1,), mm, the last under the tip."""
+    """Return the problem of a needle with constraint points at `depths` (M + 1,), mm, the last at the tip."""
     spacing, depth = rules.spacing, float(depths[-1])
     stop = TipStop(depth, 1, False, 0, False, 0, 0)
     step = Step(max(depth, spacing), Bevel(), controls)
@@ -124,10 +124,9 @@ def read_shape(shapes: native.Shapes, depths: Floats, scales: Floats, i: int = 0
     """Return the shape of one set, with constraint points at `depths` (M + 1,); NaN where it failed."""
     a, count = shapes.arrays, int(shapes.arrays["nodes"][0])
     points = np.column_stack((depths, a["constraints"][i]))
-    return NeedleShape(
-        a["x"][i, :count].copy(), a["u"][i, :count].copy(), a["slope"][i, :count].copy(), points, a["track"][i].copy(),
-        STATUS_NAMES[a["status"][i]], int(a["passes"][i]), scales,
-    )  # fmt: skip
+    x, u, slope = shapes.nodes_of_sets[:, i, :count].copy()
+    status = STATUS_NAMES[a["status"][i]]
+    return NeedleShape(x, u, slope, points, a["track"][i].copy(), status, int(a["passes"][i]), scales)
 
 
 def list_depths(stop: TipStop, lattice: Lattice) -> Floats:

@@ -1,10 +1,10 @@
 """Decide which parameters the data determine, and which only in combination.
 
 A parameter is called determined if the shapes could determine it (its standard deviation is below
-`MAX_LOG_SD` in the logarithm, `MAX_SHAPE_SD` for shape parameters of a law, and below the part `MAX_SD_RATIO`
-of the prior's), if it stays so with ties loosened and an error of the model (`conditions`), if the starts that
-ended within tolerance of the best agree on it (their range is below `MAX_RANGE_SD` such deviations), and if it
-does not lie at a bound.
+`MAX_LOG_SD` in the logarithm, `MAX_SHAPE_SD` for shape parameters of a law, and below the part
+`MAX_SD_RATIO` of the prior's), if it stays so with ties loosened and an error of the model (`conditions`), if
+the starts that ended within tolerance of the best agree on it (their range is below `MAX_RANGE_SD` such
+deviations), and if it does not lie at a bound.
 
 Standard deviations and directions are those of the posterior's draws where there are any and no bound cuts
 them off, else by the information. That is J^T J of the whitened residuals plus that of the stated prior or,
