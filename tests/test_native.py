@@ -311,7 +311,7 @@ def test_simulate_refuses_sets_shapes_and_memory_that_are_none() -> None:
         (shapes, 0, 3, memory),
         (shapes, 0, lanes, memory[16:]),
         (shapes, 0, lanes, memory[1:]),
-        (native.Shapes.make(problem.sets, problem.room - 1, 1, problem.columns), 0, lanes, memory),
+        (native.Shapes.make(problem.sets, problem.nodes - 1, 1, problem.columns), 0, lanes, memory),
         (native.Shapes.make(problem.sets, problem.room, 1, problem.columns + 1), 0, lanes, memory),
         (native.Shapes.make(0, problem.room, 1, problem.columns), 0, lanes, memory),
     ]

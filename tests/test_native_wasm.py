@@ -94,7 +94,7 @@ def write_inputs(bevel: Bevel, controls: Controls) -> dict[str, Any]:
 def write_shape(shape: NeedleShape) -> dict[str, Any]:
     return {
         "status": shape.status, "passes": shape.iterations, "depth": shape.depth, "x": to_hex(shape.x),
-        "u": to_hex(shape.u), "slope": to_hex(shape.slope), "constraints": to_hex(shape.constraints[:, 1]),
+        "u": to_hex(shape.u), "slope": to_hex(shape.slope), "constraints": to_hex(shape.constraints.ravel()),
         "track": to_hex(shape.tip_track),
     }  # fmt: skip
 

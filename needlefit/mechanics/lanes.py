@@ -101,17 +101,15 @@ def _make_default(batch: Batch, name: str, array: Floats) -> Floats:
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
     """Return the shapes of all sets."""
-    a, count, valid = evaluation.shapes.arrays, evaluation.nodes, evaluation.valid
-    depths = evaluation.insertion.depths
-    points = np.empty((*a["constraints"].shape, 2))
-    points[:, :, 0], points[:, :, 1] = depths, a["constraints"]
-    scales = _make_scales(batch, valid, float(depths[-1]))
-    x, u, slope = (np.ascontiguousarray(a[name][:, :count]) for name in ("x", "u", "slope"))
+    a, valid = evaluation.shapes.arrays, evaluation.valid
     if not valid.all():
         wrong = ~valid
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
-        u[wrong] = slope[wrong] = a["track"][wrong] = points[wrong, 1:, 1] = np.nan
-    return NeedleShapes(x, u, slope, points, a["track"], a["status"], a["passes"], scales)
+        a["u"][wrong] = a["slope"][wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1] = np.nan
+    scales = _make_scales(batch, valid, evaluation.insertion.depth)
+    return NeedleShapes(
+        a["x"], a["u"], a["slope"], a["constraints"], a["track"], a["status"], a["passes"], scales
+    )
 
 
 def _find_valid(batch: Batch) -> Bools:

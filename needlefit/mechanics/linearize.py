@@ -140,27 +140,26 @@ def linearize_steps(
     insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
     one = Evaluation(insertion, 1, {}, np.ones(1, dtype=bool))
     run_evaluations([one], 1)
-    spacing = insertion.lattice.spacing
-    scales = compute_scales(tissue, needle.flexural_rigidity, float(insertion.depths[-1]), spacing)
-    shape = read_shape(one.shapes, insertion.depths, scales)
+    scales = compute_scales(tissue, needle.flexural_rigidity, insertion.depth, insertion.lattice.spacing)
+    shape = read_shape(one.shapes, scales)
     return shape, read_jacobians(one, np.array([shape.converged]))[0]
 
 
 def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
     """Return the derivatives of all sets of an evaluation with columns that was run."""
-    insertion, count = evaluation.insertion, evaluation.nodes
+    insertion = evaluation.insertion
     assert insertion.columns is not None
-    x = evaluation.shapes.arrays["x"][evaluation.some, :count]
+    x = evaluation.shapes.arrays["x"][evaluation.some]
     by_x = _differentiate_nodes(x, insertion, evaluation.values.get("guide_x"), evaluation.some)
     if not insertion.columns.total:
-        nodes, points = (np.empty((evaluation.sets, size, 0)) for size in (count, insertion.points))
+        nodes, points = (np.empty((evaluation.sets, size, 0)) for size in (len(x), insertion.points))
         return Jacobians((), by_x, nodes, nodes, points, points, converged)
     arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints", "track")]
     if not evaluation.valid.all():
         for array in arrays:
             array[~evaluation.valid] = np.nan
-    u, slope = (np.ascontiguousarray(array[:, :count]) for array in arrays[:2])
-    return Jacobians(insertion.columns.names, by_x, u, slope, arrays[2], arrays[3], converged)
+    u, slope, points, track = arrays
+    return Jacobians(insertion.columns.names, by_x, u, slope, points, track, converged)
 
 
 def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:

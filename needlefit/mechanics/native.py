@@ -8,6 +8,7 @@ with the sizes here, and what the numbers mean is checked by `native/checks.hpp`
 import ctypes
 import hashlib
 import json
+import math
 import os
 import sys
 from collections.abc import Mapping
@@ -103,8 +104,8 @@ BAD_POINTS = 7
 
 
 _RETURN_NUMBERS = (
-    "lanes", "check", "memory", "simulate", "session_advance", "session_rays", "equilibrium", "quadrature",
-    "balance",
+    "lanes", "check", "nodes", "memory", "simulate", "session_advance", "session_rays", "equilibrium",
+    "quadrature", "balance",
 )  # fmt: skip
 
 
@@ -128,7 +129,8 @@ class Problem(ctypes.Structure):
         *((name, c_void_p) for name in _ARRAYS),
     ]
     arrays: dict[str, np.ndarray]
-    room: int  # for the nodes of a shape
+    room: int  # for the nodes of any shape
+    nodes: int = 0  # of the shape at the last stop, once it is known
     max_points: int  # constraint points of a shape
     max_quadrature: int  # quadrature points of a shape
     sizes: dict[str, int]
@@ -182,7 +184,7 @@ class Problem(ctypes.Structure):
             raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
         problem = Problem.from_buffer_copy(self)
         problem.sets, problem.arrays = sets, {**self.arrays, **arrays}
-        problem.room, problem.max_points = self.room, self.max_points
+        problem.room, problem.nodes, problem.max_points = self.room, self.nodes, self.max_points
         problem.max_quadrature = self.max_quadrature
         problem._point_to(arrays, self.sizes | {"sets": sets})
         return problem
@@ -236,15 +238,20 @@ class Shapes(ctypes.Structure):
     @classmethod
     def make(cls, sets: int, room: int, points: int, columns: int = 0) -> "Shapes":
         """Return room for the shapes of so many sets, nodes, constraint points and columns of derivatives."""
-        nodes = np.empty((3, sets, room))
-        arrays: dict[str, np.ndarray] = dict(zip(("x", "u", "slope"), nodes, strict=True))
-        arrays |= {"constraints": np.empty((sets, points)), "track": np.empty((sets, points, 2))}
-        arrays |= {name: np.zeros(sets, np.int64) for name in ("status", "passes")} | {
-            "nodes": np.zeros(1, np.int64)
-        }
+        sizes: dict[str, tuple[int, ...]] = {"nodes": (3, sets, room)}
+        sizes |= dict.fromkeys(("constraints", "track"), (sets, points, 2))
         if columns:
-            arrays |= {name: np.empty((sets, room, columns)) for name in ("u_by", "slope_by")}
-            arrays |= {name: np.empty((sets, points, columns)) for name in ("constraints_by", "track_by")}
+            sizes |= dict.fromkeys(("u_by", "slope_by"), (sets, room, columns))
+            sizes |= dict.fromkeys(("constraints_by", "track_by"), (sets, points, columns))
+        # One piece of memory, which the allocator keeps from call to call: new pages take long.
+        memory, end, arrays = np.empty(sum(map(math.prod, sizes.values()))), 0, dict[str, np.ndarray]()
+        for name, size in sizes.items():
+            begin, end = end, end + math.prod(size)
+            arrays[name] = memory[begin:end].reshape(size)
+        nodes = arrays["nodes"]
+        arrays |= dict(zip(("x", "u", "slope"), nodes, strict=True))
+        arrays |= {name: np.zeros(sets, np.int64) for name in ("status", "passes")}
+        arrays["nodes"] = np.zeros(1, np.int64)
         made = cls(room=room, points=points, **{name: array.ctypes.data for name, array in arrays.items()})
         made.arrays, made.nodes_of_sets, made.sets, made.columns = arrays, nodes, sets, columns
         return made
@@ -340,7 +347,10 @@ def make_shapes(problem: Problem, points: int) -> Shapes:
     """Return room for the shapes of a problem, with so many constraint points behind the tip and under it."""
     if not 0 <= points <= problem.max_points:
         raise TypeError(f"{points} constraint points; the problem has {problem.max_points}")
-    return Shapes.make(problem.sets, problem.room, points, problem.columns)
+    if problem.nodes == 0:
+        x = np.empty(problem.room)
+        problem.nodes = int(load_library().nf_nodes(byref(problem), _at(x)))
+    return Shapes.make(problem.sets, problem.nodes, points, problem.columns)
 
 
 class CutRay(NamedTuple):
@@ -410,12 +420,13 @@ class SessionMemory:
         return stops, points
 
     def read(self, points: int) -> tuple[Floats, Floats, Floats, int, int]:
-        """Return x, u, slope (3, N), y (points,), track (points, 2), status and passes of the last step."""
-        shapes, a = self._shapes, self._shapes.arrays
-        return (
-            shapes.nodes_of_sets[:, 0, : a["nodes"][0]].copy(), a["constraints"].ravel()[:points],
-            a["track"].ravel()[: 2 * points].reshape(-1, 2).copy(), a["status"][0], a["passes"][0],
-        )  # fmt: skip
+        """Return x, u, slope (3, N), constraints, track (points, 2), status and passes of the last step."""
+        a = self._shapes.arrays
+        nodes = self._shapes.nodes_of_sets[:, 0, : a["nodes"][0]]
+        constraints, track = (
+            a[n].ravel()[: 2 * points].reshape(-1, 2).copy() for n in ("constraints", "track")
+        )
+        return nodes.copy(), constraints, track, a["status"][0], a["passes"][0]
 
     def accept(self) -> None:
         """Let the needle stand where the last `advance` has brought it."""

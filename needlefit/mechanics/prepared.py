@@ -13,7 +13,6 @@ from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import Columns, pack_problem, pack_sets, plan_insertion
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.simulate import list_depths
 from needlefit.mechanics.tissue import Tissue
 
 MAX_TOLERANCE_MM = 1e-9
@@ -50,7 +49,7 @@ class PreparedInsertion:
         self.needle, self.tissue, self.steps, self.rules, self.columns = needle, tissue, steps, rules, columns
         self.lattice, self._packed = plan_insertion(steps, needle.length, rules, lattice)
         self.points = self._packed.last.cell + 1
-        self.depths = list_depths(self._packed.last, self.lattice)
+        self.depth = self._packed.last.tip
         self.nodes_solved = float(
             self._packed.stops["tip"].sum()
         )  # about: it orders insertions by their cost
@@ -97,11 +96,6 @@ class Evaluation:
     def sets(self) -> int:
         """B: the number of parameter sets."""
         return len(self.valid)
-
-    @property
-    def nodes(self) -> int:
-        """N: the number of nodes, once it was run."""
-        return int(self.shapes.arrays["nodes"][0])
 
 
 def run_evaluations(evaluations: Sequence[Evaluation], threads: int) -> None:

@@ -98,8 +98,6 @@ class Session:
         self._rays = math.ceil(self._deepest / rules.spacing)
         self._hold(controls)
         self._memory = native.SessionMemory(self._problem)
-        self._depths = first_cell + rules.spacing * np.arange(-1.0, self._problem.max_points - 1)
-        self._depths[0] = 0.0  # of the constraint points, mm
         self._shape = self.go(self.last)
 
     @property
@@ -249,12 +247,8 @@ class Session:
         return self._advance(step, bevel, controls)
 
     def _read(self, points: int) -> NeedleShape:
-        (x, u, slope), y, track, status, passes = self._memory.read(points)
-        tip = float(x[-1])
-        constraints = np.empty((points, 2))
-        constraints[:, 0], constraints[:, 1] = self._depths[:points], y
-        constraints[-1, 0] = tip
-        scales = self._scales[bisect_left(self._boundaries, tip)]
+        (x, u, slope), constraints, track, status, passes = self._memory.read(points)
+        scales = self._scales[bisect_left(self._boundaries, x[-1])]
         return NeedleShape(x, u, slope, constraints, track, STATUS_NAMES[status], int(passes), scales)
 
     def _write(self, step: Step) -> None:

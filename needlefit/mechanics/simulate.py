@@ -73,7 +73,7 @@ def simulate_steps(
     shapes = native.make_shapes(problem, packed.last.cell + 1)
     native.simulate(problem, shapes, 0, 1)
     scales = compute_scales(tissue, needle.flexural_rigidity, packed.last.tip, lattice.spacing)
-    return read_shape(shapes, list_depths(packed.last, lattice), scales)
+    return read_shape(shapes, scales)
 
 
 def equilibrium(
@@ -120,17 +120,9 @@ def pack_equilibrium(
     )  # fmt: skip
 
 
-def read_shape(shapes: native.Shapes, depths: Floats, scales: Floats, i: int = 0) -> NeedleShape:
-    """Return the shape of one set, with constraint points at `depths` (M + 1,); NaN where it failed."""
-    a, count = shapes.arrays, int(shapes.arrays["nodes"][0])
-    points = np.column_stack((depths, a["constraints"][i]))
-    x, u, slope = shapes.nodes_of_sets[:, i, :count].copy()
+def read_shape(shapes: native.Shapes, scales: Floats, i: int = 0) -> NeedleShape:
+    """Return the shape of one set; NaN where it failed."""
+    a = shapes.arrays
+    x, u, slope, points, track = (a[n][i].copy() for n in ("x", "u", "slope", "constraints", "track"))
     status = STATUS_NAMES[a["status"][i]]
-    return NeedleShape(x, u, slope, points, a["track"][i].copy(), status, int(a["passes"][i]), scales)
-
-
-def list_depths(stop: TipStop, lattice: Lattice) -> Floats:
-    """Return the depths (cell + 1,) of the constraint points behind the tip and of the one under it, mm."""
-    depths = lattice.first_cell + lattice.spacing * np.arange(-1.0, stop.cell)
-    depths[0], depths[-1] = 0.0, stop.tip
-    return depths
+    return NeedleShape(x, u, slope, points, track, status, int(a["passes"][i]), scales)

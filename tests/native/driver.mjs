@@ -45,7 +45,7 @@ while (at < file.length) {
     x: room,
     u: room,
     slope: room,
-    constraints: points,
+    constraints: 2 * points,
     track: 2 * points,
     status: 1,
     passes: 1,

@@ -19,7 +19,7 @@ constexpr int LANES = NEEDLEFIT_LANES;
 struct Shapes {
     Index room, points;
     double *x, *u, *slope;  // (S, room) of the chain's nodes, base first
-    double* constraints;    // (S, points) y
+    double* constraints;    // (S, points, 2) depth and y
     double* track;          // (S, points, 2)
     Index* status;          // (S)
     Index* passes;          // (S)
@@ -40,6 +40,7 @@ template <class Real>
 void write_shapes(const Insertion<Real>& insertion, const Shapes& out) {
     const Problem& problem = insertion.problem;
     Index front = insertion.front, count = insertion.progress->nodes;
+    Lattice lattice = problem.lattice();
     *out.nodes = front + count;
     for (int lane = 0; lane < Traits<Real>::lanes && insertion.set + lane < problem.sets; lane++) {
         Index set = insertion.set + lane;
@@ -55,7 +56,8 @@ void write_shapes(const Insertion<Real>& insertion, const Shapes& out) {
         }
         for (Index m = 0; m < out.points; m++) {
             Index at = set * out.points + m;
-            out.constraints[at] = lane_of(insertion.y[m]);
+            out.constraints[2 * at] = m + 1 < out.points ? lattice.depth(m) : insertion.progress->tip;
+            out.constraints[2 * at + 1] = lane_of(insertion.y[m]);
             out.track[2 * at] = lane_of(insertion.track[m].u), out.track[2 * at + 1] = lane_of(insertion.track[m].slope);
         }
     }
@@ -85,7 +87,7 @@ void write_derivatives(const Derivatives<Real>& derivatives, const Shapes& out) 
 }
 
 template <class Real>
-void simulate(const Problem& problem, Index first, char* memory, const Shapes& out) {
+Fault simulate(const Problem& problem, Index first, char* memory, const Shapes& out) {
     Insertion<Real> insertion(problem);
     Derivatives<Real> derivatives(insertion);
     insertion.set = first;
@@ -98,8 +100,10 @@ void simulate(const Problem& problem, Index first, char* memory, const Shapes& o
         else
             insertion.advance(problem.stops[s]);
     }
+    if (insertion.front + insertion.progress->nodes > out.room) return BAD_OUTPUT;
     write_shapes(insertion, out);
     if (problem.columns > 0) write_derivatives(derivatives, out);
+    return SOUND;
 }
 
 template <class Real>
@@ -110,8 +114,7 @@ Index measure(const Problem& problem) {
 }
 
 inline Fault check_output(const Problem& problem, const Shapes& out) {
-    bool good = out.room >= Insertion<double>(problem).chain() && within(out.points, 0, problem.cells() + 1) &&
-                (problem.columns == 0 || out.u_by);
+    bool good = within(out.points, 0, problem.cells() + 1) && (problem.columns == 0 || out.u_by);
     return good ? SOUND : BAD_OUTPUT;
 }
 
@@ -129,6 +132,15 @@ EXPORT Index nf_check(const Problem* problem, Index* sizes) {
     return SOUND;
 }
 
+// How many nodes the chain has at the last stop; `x` has room for those of any.
+EXPORT Index nf_nodes(const Problem* problem, double* x) {
+    DefaultArithmetic arithmetic;
+    Insertion<double> needle(*problem);
+    needle.own_grid.x = x;
+    const Stop& stop = problem->stops[problem->stop_count - 1];
+    return 1 + problem->count_before(stop.inputs) + needle.place_nodes_at(stop.tip, stop.inputs);
+}
+
 // Bytes that a block of `lanes` sets needs, aligned to 64.
 EXPORT Index nf_memory(const Problem* problem, Index lanes) {
     DefaultArithmetic arithmetic;
@@ -139,11 +151,8 @@ EXPORT Index nf_memory(const Problem* problem, Index lanes) {
 EXPORT Index nf_simulate(const Problem* problem, Index first, Index lanes, char* memory, const Shapes* out) {
     DefaultArithmetic arithmetic;
     if (Fault fault = check_output(*problem, *out)) return fault;
-    if (lanes == 1)
-        simulate<double>(*problem, first, memory, *out);
-    else
-        simulate<LanesOf<LANES>::Vector>(*problem, first, memory, *out);
-    return SOUND;
+    if (lanes == 1) return simulate<double>(*problem, first, memory, *out);
+    return simulate<LanesOf<LANES>::Vector>(*problem, first, memory, *out);
 }
 
 // The stops of some moves from first contact on, for a lattice of constraint points; `rays` and `stops` have room for so
@@ -241,6 +250,7 @@ EXPORT Index nf_session_advance(
     shapes.points = done[1];
     if (out->points < shapes.points || check_output(*problem, shapes)) return BAD_OUTPUT;
     for (Index s = 0; s < count; s++) session.advance(session.stops[s]);
+    if (count > 0 && session.front + session.progress->nodes > shapes.room) return BAD_OUTPUT;
     if (count > 0) write_shapes<double>(session, shapes);
     return SOUND;
 }

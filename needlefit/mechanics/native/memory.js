@@ -130,7 +130,7 @@ export function makeShapes(heap, problem, points) {
     x: room,
     u: room,
     slope: room,
-    constraints: points,
+    constraints: 2 * points,
     track: 2 * points,
     status: 1,
     passes: 1,
@@ -191,7 +191,7 @@ export function readShape(heap, problem, shapes, points, set = 0) {
     x,
     u: read("u", problem.room, count),
     slope: read("slope", problem.room, count),
-    constraints: read("constraints", points, points),
+    constraints: read("constraints", 2 * points, 2 * points),
     track: read("track", 2 * points, 2 * points),
   };
 }

@@ -281,13 +281,16 @@ struct Insertion {
     // Make the grid of a tip at any depth, with nodes at the guides that hold the needle.
     template <class DepthOf>
     void make_grid(double tip, Index inputs, Index cells, DepthOf depth_of) {
-        Index held = count_held(tip, inputs);
-        double* depths = own_grid.x + problem.nodes() - held;  // a place that the nodes do not need yet
-        for (Index i = 0; i < held; i++) depths[i] = problem.first_within(inputs)[i].x;
-        own_grid.nodes = place_nodes(own_grid.x, tip, problem.lattice(), problem.element, depths, held);
+        own_grid.nodes = place_nodes_at(tip, inputs);
         place_points(own_grid, depth_of, cells, problem.boundaries, problem.layers, problem.part);
         grid = &own_grid;
         last = own_grid.nodes - 1;
+    }
+    Index place_nodes_at(double tip, Index inputs) {
+        Index held = count_held(tip, inputs);
+        double* depths = own_grid.x + problem.nodes() - held;  // a place that the nodes do not need yet
+        for (Index i = 0; i < held; i++) depths[i] = problem.first_within(inputs)[i].x;
+        return place_nodes(own_grid.x, tip, problem.lattice(), problem.element, depths, held);
     }
     // How many guides in the tissue the tip has passed.
     Index count_held(double tip, Index inputs) const {
@@ -435,7 +438,7 @@ struct Insertion {
     }
 
     // Renew the right-hand side of the past at `state`, with the tangents that are kept.
-    INLINE void renew_loads(const Node<Real>* state, Index to, const M& chosen, Seen<Real>& seen) {
+    INLINE void renew_loads(const Node<Real>* state, Index to, const Chosen<Real>& chosen, Seen<Real>& seen) {
         Real total[4]{};
         for (Index e = 1; e <= to; e++) {
             Real f[4]{};
@@ -444,8 +447,7 @@ struct Insertion {
                 const Point& point = grid->points[q];
                 const double* n = point.shape.n;
                 Real u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
-                Real away = u - cut_at(point);
-                Real force = find_force<Real>(layers[point.layer], away, nullptr, seen).value;
+                Real force = find_force<Real>(layers[point.layer], u - cut_at(point), nullptr, seen).value;
                 Real load = pulls[q] * u - point.weight * force;
                 for (int j = 0; j < 4; j++) f[j] += load * n[j];
             }
@@ -455,7 +457,7 @@ struct Insertion {
                 append_load(total, f, past[e - 1], chosen);
         }
         if (to > 0)
-            for (int j = 0; j < 4; j++) super->f[j] = select<Real>(chosen, total[j], super->f[j]);
+            for (int j = 0; j < 4; j++) super->f[j] = chosen(total[j], super->f[j]);
     }
 
     // Guess node i from the last two stops: it moves on as it, or the node one cell behind it, moved. `older_count` is
@@ -501,32 +503,33 @@ struct Insertion {
             if (kinds[i] != FREE) impose(fronts[i], i);
         for (Index i = condensed; i <= last; i++) impose(next[i], front + i);
         sweep<false>(next, condensed, ignored);
+        Chosen<Real> present(alive);
         substitute_back(condensed, [&](Index i, const Node<Real>& solved) {
             Node<Real>& node = i < front ? fronts[i] : next[i - front];
-            node = {select<Real>(alive, solved.u, node.u), select<Real>(alive, solved.slope, node.slope)};
+            node = {present(solved.u, node.u), present(solved.slope, node.slope)};
         });
         M busy = alive, failed{};
         Real before = all_lanes<Real>(__builtin_inf());
         for (int n = 0; n < MAX_PASSES && any(busy); n++) {
             Seen<Real> seen;
+            Chosen<Real> moving(busy);
             bool chord = n < CHORD_PASSES && (n > 0 || last % RENEWED_NODES > 0);
             if (chord)
-                renew_loads(next, condensed, busy, seen);
+                renew_loads(next, condensed, moving, seen);
             else if (condensed > 0)
                 condense(next, 1, condensed, busy, seen);
             sweep<false>(next, condensed, seen);
             Real change{}, product{};
             substitute_back(condensed, [&](Index i, const Node<Real>& solved) {
                 Node<Real>& node = i < front ? fronts[i] : next[i - front];
-                Real step = absolute(solved.u - node.u), turn = absolute(solved.slope - node.slope), away = step;
+                Real step = absolute(solved.u - node.u), away = step;
                 if (condensed > 0 && i >= front && i <= front + condensed)
                     away = absolute(solved.u - past[i - front].reference);
-                Index e = i < front ? 0 : i - front + (i - front < last);
-                const Real& bend = grid->first[e] < grid->first[e + 1] ? layers[grid->points[grid->first[e]].layer].curvature : constants->curvature;
+                Index e = i < front ? 0 : i - front + (i - front < last), first = grid->first[e];
+                const Real& bend = first < grid->first[e + 1] ? layers[grid->points[first].layer].curvature : constants->curvature;
                 product = greater_of(bend * step * away, product);
-                step = select<Real>(turn <= step, step, turn);  // written so that a NaN remains
-                change = select<Real>(step <= change, change, step);
-                node = {select<Real>(busy, solved.u, node.u), select<Real>(busy, solved.slope, node.slope)};
+                change = select<Real>(step <= change, change, step);  // written so that a NaN remains
+                node = {moving(solved.u, node.u), moving(solved.slope, node.slope)};
             });
             *passes = select<Real>(busy, *passes + 1.0, *passes);
             Real ahead = chord ? CHORD_ERROR * product : constants->curvature * (change * change);

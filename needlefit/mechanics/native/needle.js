@@ -18,7 +18,7 @@
 //          guides: [{x, y, slope}],                  slope null: turns freely; x >= 0: in the tissue
 //          tip: null or {y, slope}}                  tracked; slope null: free
 // shape: {status, passes, depth, x, u, slope,        Float64Array of the nodes, base first
-//         constraints, track}                        (m + 1) y of the cut; (m + 1, 2) of the tip there
+//         constraints, track}                        (m + 1, 2): depth and y of the cut; of the tip there
 
 import {
   BAD_POINTS,
@@ -259,10 +259,8 @@ export class Session {
       { call } = heap;
     return heap.borrow(() => {
       const depth = shape.depth,
-        cells = shape.constraints.length - 1;
-      const depths = Float64Array.from({ length: cells + 1 }, (_, m) => model.firstCell + model.spacing * (m - 1));
-      depths[0] = 0;
-      depths[cells] = depth;
+        cells = shape.constraints.length / 2 - 1,
+        depths = shape.constraints.filter((_, i) => i % 2 === 0);
       const first = cells > 0 ? depths[1] : model.spacing;
       const more = {
         rays: 1,
@@ -288,7 +286,7 @@ export class Session {
         ),
       );
       if (count < 0) check(BAD_POINTS);
-      const points = heap.put(Float64Array.from([...depths].flatMap((d, m) => [d, shape.constraints[m]])));
+      const points = heap.put(shape.constraints);
       const bent = heap.structure(
         [shape.x.length, cells],
         [],

@@ -63,10 +63,10 @@ INLINE void append(Element<Real>& super, const Element<Real>& k, double span, do
 
 // The same of the right-hand side alone: `total` of the super-element so far, `f` of the element.
 template <class Real>
-INLINE void append_load(Real* total, const Real* f, PastNode<Real>& node, const Mask<Real>& chosen) {
+INLINE void append_load(Real* total, const Real* f, PastNode<Real>& node, const Chosen<Real>& chosen) {
     Real r0 = total[2] + f[0], r1 = total[3] + f[1];
-    node.z0 = select<Real>(chosen, node.i00 * r0 + node.i01 * r1, node.z0);
-    node.z1 = select<Real>(chosen, node.i01 * r0 + node.i11 * r1, node.z1);
+    node.z0 = chosen(node.i00 * r0 + node.i01 * r1, node.z0);
+    node.z1 = chosen(node.i01 * r0 + node.i11 * r1, node.z1);
     total[0] -= node.h00 * r0 + node.h10 * r1, total[1] -= node.h01 * r0 + node.h11 * r1;
     total[2] = f[2] - node.g00 * r0 - node.g10 * r1, total[3] = f[3] - node.g01 * r0 - node.g11 * r1;
 }

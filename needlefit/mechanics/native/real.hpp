@@ -76,6 +76,17 @@ INLINE bool any(const M& mask) {
     return found != 0;
 }
 
+// The lanes that take part in something; most often all of them do, and nothing has to be selected.
+template <class Real>
+struct Chosen {
+    Mask<Real> lanes;
+    bool all;
+    INLINE explicit Chosen(const Mask<Real>& given) : lanes(given), all(!any(!given)) {}
+    INLINE Real operator()(const Real& found, const Real& kept) const {
+        return all ? found : select<Real>(lanes, found, kept);
+    }
+};
+
 template <class Real>
 INLINE Real absolute(const Real& value) {
     return select<Real>(value < 0.0, -value, value);
