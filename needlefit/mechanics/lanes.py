@@ -83,14 +83,22 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
     insertion = batch.prepared[wrt]
     values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
     if not valid.any():  # numbers that a needle may have, in place of what is none
-        values = {name: np.full_like(array, _find_default(batch, name)) for name, array in values.items()}
+        values = {name: _repeat_own(batch, name, array.shape) for name, array in values.items()}
     return Evaluation(insertion, len(batch), values, valid)
 
 
-def _find_default(batch: Batch, name: str) -> float:
-    if name == "guide_x":
-        return 0.5 * (max(step.depth for step in batch.steps) - batch.needle.length)
-    return 1.0 if name in ("mu", "alpha", "rigidity") else 0.0
+def _repeat_own(batch: Batch, name: str, shape: tuple[int, ...]) -> Floats:
+    """Return the value that a batch's own tissue, needle or steps have, for all sets."""
+    step = batch.steps[0]
+    own = {
+        "rigidity": batch.needle.flexural_rigidity,
+        "offset": step.bevel.offset,
+        "cut_angle": step.bevel.cut_angle,
+        "base_y": step.controls.base_y,
+        "base_slope": step.controls.base_slope,
+        "guide_x": step.controls.guides[0].x if name == "guide_x" else 0.0,
+    }
+    return np.full(shape, own[name] if name in own else getattr(batch.tissue, name))
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
