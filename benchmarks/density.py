@@ -21,7 +21,7 @@ from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
-VALUES = {"mu1_pa": 3.5e5, "mu2_pa": 2.85e7, "bevel_mm": 0.109}
+VALUES = {"mu1_pa": 3.5e5, "mu2_pa": 2.85e7, "mu3_pa": 3.5e5, "mu4_pa": 2.85e7, "bevel_mm": 0.109}
 SETS, LANES = 64, 8
 
 
