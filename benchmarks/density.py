@@ -18,6 +18,7 @@ from needlefit.datasets.read import read
 from needlefit.inference.problem import make_problem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.threads import one_thread
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
@@ -36,6 +37,7 @@ def milliseconds(work: Callable[[], object], rounds: int) -> float:
     return float(np.median(times))
 
 
+@one_thread
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
