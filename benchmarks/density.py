@@ -1,4 +1,4 @@
-"""What one evaluation of the log posterior costs, by what is made of uncertain depths.
+"""What one evaluation of the log posterior and its derivatives costs, by what is made of uncertain depths.
 
     python benchmarks/density.py [--json] [--insertions 9] [--rounds 10]
 
@@ -18,11 +18,12 @@ from needlefit.datasets.read import read
 from needlefit.inference.problem import make_problem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.threads import one_thread
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
-VALUES = {"mu1_pa": 3.5e5, "mu2_pa": 2.85e7, "bevel_mm": 0.109}
-SETS = 64
+VALUES = {"mu1_pa": 3.5e5, "mu2_pa": 2.85e7, "mu3_pa": 3.5e5, "mu4_pa": 2.85e7, "bevel_mm": 0.109}
+SETS, LANES = 64, 8
 
 
 def milliseconds(work: Callable[[], object], rounds: int) -> float:
@@ -36,6 +37,7 @@ def milliseconds(work: Callable[[], object], rounds: int) -> float:
     return float(np.median(times))
 
 
+@one_thread
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -55,7 +57,11 @@ def main() -> None:
         alone = milliseconds(lambda: task.log_posterior(theta), options.rounds)  # noqa: B023
         slope = milliseconds(lambda: task.gradient(theta), options.rounds)  # noqa: B023
         together = milliseconds(lambda: task.log_posteriors(many), options.rounds) / SETS  # noqa: B023
-        rows.append({"depths": depths, "log_posterior": alone, "gradient": slope, f"one_of_{SETS}": together})
+        jacobian = milliseconds(lambda: task.jacobian(theta), options.rounds)  # noqa: B023
+        few = [task.values(one) for one in many[:LANES]]
+        lanes = milliseconds(lambda: task.density.jacobians(few), options.rounds) / LANES  # noqa: B023
+        row = {"depths": depths, "log_posterior": alone, "gradient": slope, f"one_of_{SETS}": together}
+        rows.append(row | {"jacobian": jacobian, f"jacobian_of_{LANES}": lanes})
     if options.json:
         print(json.dumps(rows, indent=2))
         return

@@ -20,6 +20,7 @@ from needlefit.mechanics.linearize import (
     linearize_steps,
 )
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.prepared import PreparedInsertion
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.tissue import Tissue
 
@@ -131,3 +132,24 @@ def test_what_is_prepared_serves_other_sets() -> None:
             assert_same_bits(one[i], expected[i])
     with pytest.raises(ModelError, match="mu"):
         first.with_sets(mu=other.mu)
+
+
+def test_sets_that_the_prepared_problem_cannot_take_are_type_errors() -> None:
+    insertion = PreparedInsertion(NEEDLE, RUBBING, STEPS, ModelOptions())
+    problem = insertion.pack(2, {})
+    arrays = {
+        name: problem.arrays[name]
+        for name in ("rigidity", "mu", "thickness", "friction", "law", "turn", "base")
+    }
+    assert problem.with_sets(2, arrays).sets == 2
+    for wrong in (
+        {name: arrays[name] for name in arrays if name != "mu"},
+        arrays | {"guide_x": np.zeros(2)},
+        arrays | {"mu": arrays["mu"][:1]},
+        arrays | {"turn": arrays["turn"][:, :1]},
+        arrays | {"base": arrays["base"].astype(np.float32)},
+    ):
+        with pytest.raises(TypeError):
+            problem.with_sets(2, wrong)
+    with pytest.raises(TypeError):
+        problem.with_sets(3, arrays)

@@ -161,8 +161,7 @@ class PreparedModel:
     """
 
     def __init__(self, medium: MediumRecord, needle: Needle, insertions: Sequence[Insertion]) -> None:
-        self._medium, self._needle, self._insertions = medium, needle, tuple(insertions)
-        self._simulations: list[_Simulation] = []
+        self._medium, self._needle = medium, needle
         self._places: list[tuple[_Simulation, int]] = []  # of each insertion, and the number of its bevel
         found: dict[tuple[int, ...], _Simulation] = {}
         for one in share_simulations(insertions, medium.constraint_spacing_mm):
@@ -174,7 +173,7 @@ class PreparedModel:
             if one.bevel_factor not in factors:
                 factors.append(one.bevel_factor)
             self._places.append((found[key], factors.index(one.bevel_factor)))
-        self._simulations = list(found.values())
+        self._simulations = tuple(found.values())
 
     def simulate(self, sets: Sequence[Mapping[str, float]], jobs: int = 1) -> list[NeedleShapes]:
         """Return the shapes of B sets of values in each insertion."""
@@ -191,9 +190,12 @@ class PreparedModel:
         """
         shapes = simulate_batches(self._make_batches(sets), jobs)
         found = dict(zip(self._simulations, shapes, strict=True))
-        return self._read(
-            s, len(sets), lambda one, at: (read_batch_points(one.insertion, found[one], at),), 1
-        )[0]
+
+        def read(one: _Simulation, at: Floats) -> tuple[Floats, ...]:
+            return (read_batch_points(one.insertion, found[one], at),)
+
+        (points,) = self._read(s, len(sets), read, 1)
+        return points
 
     def differentiate(
         self,
@@ -231,7 +233,7 @@ class PreparedModel:
         read: "Callable[[_Simulation, Floats], tuple[Floats, ...]]",
         parts: int,
     ) -> list[list[Floats]]:
-        """Return the parts that `read` gives of every insertion, (B, ...) each."""
+        """Return the parts that `read` gives of every insertion, (B, ...) each; what is alike is read once."""
         kept: dict[tuple[_Simulation, bytes], tuple[Floats, ...]] = {}
         found: list[list[Floats]] = [[] for _ in range(parts)]
         for (one, row), at in zip(self._places, s, strict=True):

@@ -83,20 +83,22 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
     insertion = batch.prepared[wrt]
     values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
     if not valid.any():  # numbers that a needle may have, in place of what is none
-        values = {name: _make_default(batch, name, array) for name, array in values.items()}
+        values = {name: _repeat_own(batch, name, array.shape) for name, array in values.items()}
     return Evaluation(insertion, len(batch), values, valid)
 
 
-def _make_default(batch: Batch, name: str, array: Floats) -> Floats:
-    """Return numbers of a set that the insertion can have, in place of an array without any."""
-    found = np.zeros_like(array)
-    if name in ("mu", "shape"):
-        found[:] = getattr(batch.tissue, name)
-    elif name == "rigidity":
-        found[:] = batch.needle.flexural_rigidity
-    elif name == "guide_x":
-        found[:] = 0.5 * (max(step.depth for step in batch.steps) - batch.needle.length)
-    return found
+def _repeat_own(batch: Batch, name: str, shape: tuple[int, ...]) -> Floats:
+    """Return the value that a batch's own tissue, needle or steps have, for all sets."""
+    step = batch.steps[0]
+    own = {
+        "rigidity": batch.needle.flexural_rigidity,
+        "offset": step.bevel.offset,
+        "cut_angle": step.bevel.cut_angle,
+        "base_y": step.controls.base_y,
+        "base_slope": step.controls.base_slope,
+        "guide_x": step.controls.guides[0].x if name == "guide_x" else 0.0,
+    }
+    return np.full(shape, own[name] if name in own else getattr(batch.tissue, name))
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
