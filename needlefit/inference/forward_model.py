@@ -224,7 +224,7 @@ class PreparedModel:
         read: "Callable[[_Simulation, Floats], tuple[Floats, ...]]",
         parts: int,
     ) -> list[list[Floats]]:
-        """Return the parts that `read` gives of every insertion, (B, ...) each; what is alike is read once."""
+        """Return the parts that `read` gives of every insertion, (B, ...) each; equal ones are read once."""
         kept: dict[tuple[_Simulation, bytes], tuple[Floats, ...]] = {}
         found: list[list[Floats]] = [[] for _ in range(parts)]
         for (one, row), at in zip(self._places, s, strict=True):
