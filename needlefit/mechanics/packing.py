@@ -18,7 +18,7 @@ from needlefit.mechanics.tissue import Tissue
 
 
 class Columns(NamedTuple):
-    """Columns of derivatives: their names, the first of each kind (-1: not asked), and those of each guide."""
+    """Columns of derivatives: their names, the first of each kind (-1: none), those of each guide."""
 
     names: tuple[str, ...]
     first: Ints  # (9,) of `ColumnKind` in `native/derivatives.hpp`
