@@ -139,33 +139,32 @@ struct Derivatives {
 
     // ---- right-hand sides -------------------------------------------------------------------------------------------
 
-    // The shape functions of element e at a quadrature point; those of element 0 depend on the lane.
-    INLINE Hermite<Real> shape_at(Index e, const Point& point) const {
-        Hermite<Real> found;
-        if (e == 0) {
-            Real start = needle.front_x[needle.front - 1];
-            return Hermite<Real>(point.x - start, needle.grid->x[0] - start);
-        }
-        for (int j = 0; j < 4; j++) {
-            found.n[j] = all_lanes<Real>(point.shape.n[j]), found.m[j] = all_lanes<Real>(point.shape.m[j]);
-        }
-        return found;
+    // Visit all quadrature points with their element, number and shape functions; those of element 0 depend on the lane.
+    template <class Visit>
+    INLINE void visit_points(Visit visit) const {
+        const Grid& grid = *needle.grid;
+        Real start = needle.front_x[needle.front - 1];
+        for (Index q = 0; q < grid.first[1]; q++)
+            visit(Index(0), q, Hermite<Real>(grid.points[q].x - start, grid.x[0] - start));
+        for (Index e = 1; e <= needle.last; e++)
+            for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) visit(e, q, grid.points[q].shape);
     }
+    INLINE bool rubs() const { return needle.constants->friction || column(FRICTION) >= 0; }
 
     // Minus the residual's derivatives at one quadrature point, over its shape functions: by the constraint point it
     // belongs to (`near`, `other`), by the logarithm of mu (`force`), by friction and by the shape parameters.
     struct PointLoads {
         Real near, other, force, friction;
     };
-    INLINE PointLoads find_loads(Index e, Index q, const Hermite<Real>& shape, Real* by_shape) const {
+    template <class Shape>
+    INLINE PointLoads find_loads(Index e, Index q, const Hermite<Shape>& shape, Real* by_shape) const {
         const Point& point = needle.grid->points[q];
         const Layer<Real>& layer = needle.layers[point.layer];
         const Reaction<Real>& at = points[q];
         PointLoads found{at.pull, point.share * at.pull, at.force, Real{}};
         found.near = found.near - found.other;
         Real slope;
-        bool rubs = needle.constants->friction || column(FRICTION) >= 0;
-        if (rubs) {
+        if (rubs()) {
             const Node<Real>&a = node_at(needle.front + e - 1), &b = node_at(needle.front + e);
             slope = shape.m[0] * a.u + shape.m[1] * a.slope + shape.m[2] * b.u + shape.m[3] * b.slope;
             found.friction = find_force_by_friction(layer, at.force, slope);
@@ -174,7 +173,7 @@ struct Derivatives {
             for (Index p = 0; p < problem.shapes; p++) {
                 Index row = point.layer * problem.shapes + p;
                 by_shape[p] = point.weight * find_force_by_shape(
-                    layer, slope_series + row * SERIES_TERMS, law_by + row * W, at.e, rubs ? &slope : nullptr
+                    layer, slope_series + row * SERIES_TERMS, law_by + row * W, at.e, rubs() ? &slope : nullptr
                 );
             }
         return found;
@@ -342,26 +341,23 @@ struct Derivatives {
         Index shapes = problem.shapes, width = shapes + 2;
         for (Index m = 0; m < 2 * (stop.cell + 1); m++) by_constraint[m] = Real{};
         for (Index i = 0; i < problem.layers * 2 * width; i++) by_layer[i] = Real{};
-        const Grid& grid = *needle.grid;
         Real by_shape[MAX_SHAPES];
-        for (Index e = 0; e <= needle.last; e++) {
+        visit_points([&](Index e, Index q, const auto& shape) {
             Index i = e + needle.front - 1;
-            for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) {
-                const Point& point = grid.points[q];
-                Hermite<Real> shape = shape_at(e, point);
-                PointLoads loads = find_loads(e, q, shape, by_shape);
-                for (int r = 0; r < 2; r++) {
-                    const Node<Real>&a = rows[i][r], &b = rows[i + 1][r];
-                    Real at = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
-                    by_constraint[2 * point.near + r] += at * loads.near;
-                    if (point.share != 0.0) by_constraint[2 * point.other + r] += at * loads.other;
-                    Real* sums = by_layer + (2 * point.layer + r) * width;
-                    sums[0] += at * loads.force, sums[1] += at * loads.friction;
-                    if (column(SHAPE) >= 0)
-                        for (Index p = 0; p < shapes; p++) sums[2 + p] += at * by_shape[p];
-                }
+            const Point& point = needle.grid->points[q];
+            PointLoads loads = find_loads(e, q, shape, by_shape);
+            for (int r = 0; r < 2; r++) {
+                const Node<Real>&a = rows[i][r], &b = rows[i + 1][r];
+                Real at = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
+                by_constraint[2 * point.near + r] += at * loads.near;
+                if (point.share != 0.0) by_constraint[2 * point.other + r] += at * loads.other;
+                Real* sums = by_layer + (2 * point.layer + r) * width;
+                sums[0] += at * loads.force;
+                if (rubs()) sums[1] += at * loads.friction;
+                if (column(SHAPE) >= 0)
+                    for (Index p = 0; p < shapes; p++) sums[2 + p] += at * by_shape[p];
             }
-        }
+        });
     }
 
     void differentiate_tip(const Stop& stop) {
@@ -397,31 +393,27 @@ struct Derivatives {
     INLINE Real* row_of(Index node, Index component) { return whole + (2 * node + component) * columns; }
 
     void differentiate_shape() {
-        const Grid& grid = *needle.grid;
         Index size = tip_node() + 1, shapes = problem.shapes;
         for (Index i = 0; i < size * 2 * columns; i++) whole[i] = Real{};
         Real by_shape[MAX_SHAPES];
-        for (Index e = 0; e <= needle.last; e++)
-            for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) {
-                const Point& point = grid.points[q];
-                Hermite<Real> shape = shape_at(e, point);
-                PointLoads loads = find_loads(e, q, shape, by_shape);
-                for (Index j = 0; j < 4; j++) {
-                    Real* into = row_of(e + needle.front - 1 + j / 2, j % 2);
-                    const Real& n = shape.n[j];
-                    const Real *near = constraints + point.near * columns, *other = constraints + point.other * columns;
-                    for (Index p = 0; p < columns; p++) into[p] += n * loads.near * near[p];
-                    if (point.share != 0.0)
-                        for (Index p = 0; p < columns; p++) into[p] += n * loads.other * other[p];
-                    if (column(MU) >= 0)
-                        into[column(MU) + point.layer] -= n * loads.force / needle.layers[point.layer].mu;
-                    if (column(RIGIDITY) >= 0) into[column(RIGIDITY)] += n * loads.force / needle.constants->rigidity;
-                    if (column(FRICTION) >= 0) into[column(FRICTION) + point.layer] -= n * loads.friction;
-                    if (column(SHAPE) >= 0)
-                        for (Index p = 0; p < shapes; p++)
-                            into[column(SHAPE) + p * problem.layers + point.layer] -= n * by_shape[p];
-                }
+        visit_points([&](Index e, Index q, const auto& shape) {
+            const Point& point = needle.grid->points[q];
+            PointLoads loads = find_loads(e, q, shape, by_shape);
+            const Real *near = constraints + point.near * columns, *other = constraints + point.other * columns;
+            for (Index j = 0; j < 4; j++) {
+                Real *into = row_of(e + needle.front - 1 + j / 2, j % 2), n = shape.n[j] + Real{};
+                for (Index p = 0; p < columns; p++) into[p] += n * loads.near * near[p];
+                if (point.share != 0.0)
+                    for (Index p = 0; p < columns; p++) into[p] += n * loads.other * other[p];
+                if (column(MU) >= 0)
+                    into[column(MU) + point.layer] -= n * loads.force / needle.layers[point.layer].mu;
+                if (column(RIGIDITY) >= 0) into[column(RIGIDITY)] += n * loads.force / needle.constants->rigidity;
+                if (column(FRICTION) >= 0) into[column(FRICTION) + point.layer] -= n * loads.friction;
+                if (column(SHAPE) >= 0)
+                    for (Index p = 0; p < shapes; p++)
+                        into[column(SHAPE) + p * problem.layers + point.layer] -= n * by_shape[p];
             }
+        });
         for (Index i = 0; i < size; i++)  // what is prescribed has no equation that could be loaded
             for (Index component = 0; component < needle.kinds[i]; component++)
                 for (Index p = 0; p < columns; p++) row_of(i, component)[p] = Real{};
