@@ -1,6 +1,6 @@
 """The Jacobian is the derivative: complex steps through the equations, and what is known beforehand."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import complex_step
 import numpy as np
@@ -306,3 +306,18 @@ def test_a_failed_needle_has_no_derivatives() -> None:
 def test_unknown_kinds_are_refused_and_the_known_ones_listed() -> None:
     with pytest.raises(ModelError, match="`depth`"):
         linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth"))
+
+
+KIND_OF = {
+    "Needle.flexural_rigidity": "rigidity", "Tissue.mu": "mu", "Tissue.shape": "shape",
+    "Tissue.friction": "friction", "Tissue.boundaries": "boundaries", "Bevel.offset": "offset",
+    "Bevel.cut_angle": "cut_angle", "Controls.base_y": "base_y", "Controls.base_slope": "base_slope",
+    "Controls.stage_slope": "stage_slope", "Controls.guides": "guides",
+}  # fmt: skip
+NO_KIND = {"Needle.length", "Tissue.thickness", "Tissue.law", "Bevel.side", "Controls.tip"}
+
+
+def test_every_input_of_the_model_has_derivatives_or_is_listed_without() -> None:
+    inputs = {f"{of.__name__}.{one.name}" for of in (Needle, Tissue, Bevel, Controls) for one in fields(of)}
+    assert inputs == KIND_OF.keys() | NO_KIND
+    assert set(DERIVATIVE_KINDS) == set(KIND_OF.values())
