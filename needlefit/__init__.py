@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from needlefit.inference.problem import Problem
     from needlefit.mechanics.batch import Batch, NeedleShapes
     from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-    from needlefit.mechanics.lanes import simulate_batches
-    from needlefit.mechanics.linearize import Jacobian, linearize
+    from needlefit.mechanics.lanes import linearize_batches, simulate_batches
+    from needlefit.mechanics.linearize import Jacobian, Jacobians, linearize
     from needlefit.mechanics.needle import Needle
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.session import Session
@@ -30,6 +30,7 @@ __all__ = [
     "Controls",
     "Guide",
     "Jacobian",
+    "Jacobians",
     "ModelOptions",
     "Needle",
     "NeedleShape",
@@ -43,6 +44,7 @@ __all__ = [
     "TrackedTip",
     "fit",
     "linearize",
+    "linearize_batches",
     "load_dataset",
     "load_run",
     "minimize",
@@ -61,6 +63,7 @@ _HOMES = {
     "Controls": "mechanics.control",
     "Guide": "mechanics.control",
     "Jacobian": "mechanics.linearize",
+    "Jacobians": "mechanics.linearize",
     "Needle": "mechanics.needle",
     "NeedleShape": "mechanics.shape",
     "NeedleShapes": "mechanics.batch",
@@ -76,6 +79,7 @@ _HOMES = {
     "simulate_batches": "mechanics.lanes",
     "fit": "api",
     "linearize": "mechanics.linearize",
+    "linearize_batches": "mechanics.lanes",
     "load_dataset": "api",
     "load_run": "api",
     "minimize": "inference.optimize",

@@ -232,14 +232,14 @@ class Shapes(ctypes.Structure):
     ]
     arrays: dict[str, np.ndarray]
     nodes_of_sets: Floats  # (3, sets, room) x, u and slope
+    cut_of_sets: Floats  # (2, sets, points, 2) constraints and track
     sets: int
     columns: int
 
     @classmethod
     def make(cls, sets: int, room: int, points: int, columns: int = 0) -> "Shapes":
         """Return room for the shapes of so many sets, nodes, constraint points and columns of derivatives."""
-        sizes: dict[str, tuple[int, ...]] = {"nodes": (3, sets, room)}
-        sizes |= dict.fromkeys(("constraints", "track"), (sets, points, 2))
+        sizes: dict[str, tuple[int, ...]] = {"nodes": (3, sets, room), "cut": (2, sets, points, 2)}
         if columns:
             sizes |= dict.fromkeys(("u_by", "slope_by"), (sets, room, columns))
             sizes |= dict.fromkeys(("constraints_by", "track_by"), (sets, points, columns))
@@ -248,12 +248,13 @@ class Shapes(ctypes.Structure):
         for name, size in sizes.items():
             begin, end = end, end + math.prod(size)
             arrays[name] = memory[begin:end].reshape(size)
-        nodes = arrays["nodes"]
-        arrays |= dict(zip(("x", "u", "slope"), nodes, strict=True))
+        nodes, cut = arrays["nodes"], arrays.pop("cut")
+        arrays |= dict(zip(("x", "u", "slope", "constraints", "track"), (*nodes, *cut), strict=True))
         arrays |= {name: np.zeros(sets, np.int64) for name in ("status", "passes")}
         arrays["nodes"] = np.zeros(1, np.int64)
         made = cls(room=room, points=points, **{name: array.ctypes.data for name, array in arrays.items()})
-        made.arrays, made.nodes_of_sets, made.sets, made.columns = arrays, nodes, sets, columns
+        made.arrays, made.nodes_of_sets, made.cut_of_sets = arrays, nodes, cut
+        made.sets, made.columns = sets, columns
         return made
 
 
@@ -279,6 +280,8 @@ def load_library() -> ctypes.CDLL:
         raise NeedlefitError("the library of the kernel is of another version", fix=_FIX)
     for name in _RETURN_NUMBERS:
         getattr(library, f"nf_{name}").restype = c_int64
+    # Stated, so that a step makes no objects of its numbers.
+    library.nf_session_advance.argtypes = [*[c_void_p] * 6, c_double, c_int64, c_int64, c_void_p]
     return library
 
 
@@ -382,6 +385,7 @@ class SessionMemory:
         self._next = make_memory(self._sizes[1])
         self._shapes, self._done = Shapes.make(1, problem.room, problem.max_points), (c_int64 * 3)()
         self._out = byref(self._shapes)
+        self._nodes, self._cut = self._shapes.nodes_of_sets[:, 0], self._shapes.cut_of_sets.reshape(2, -1)
         self._at = [_at(part) for part in (self._fixed, self._now, self._next, self._scratch)]
         self._fits, self._problem = problem, byref(problem)
 
@@ -410,7 +414,7 @@ class SessionMemory:
         done = self._done
         fault = self._library.nf_session_advance(
             self._problem, fixed, now, after, scratch, self._out,
-            c_double(depth), c_int64(bevel), c_int64(controls), done,
+            depth, bevel, controls, done,
         )  # fmt: skip
         stops, points, rays = done
         if fault:
@@ -422,11 +426,8 @@ class SessionMemory:
     def read(self, points: int) -> tuple[Floats, Floats, Floats, int, int]:
         """Return x, u, slope (3, N), constraints, track (points, 2), status and passes of the last step."""
         a = self._shapes.arrays
-        nodes = self._shapes.nodes_of_sets[:, 0, : a["nodes"][0]]
-        constraints, track = (
-            a[n].ravel()[: 2 * points].reshape(-1, 2).copy() for n in ("constraints", "track")
-        )
-        return nodes.copy(), constraints, track, a["status"][0], a["passes"][0]
+        cut = self._cut[:, : 2 * points].copy().reshape(2, points, 2)
+        return self._nodes[:, : a["nodes"][0]].copy(), cut[0], cut[1], a["status"][0], a["passes"][0]
 
     def accept(self) -> None:
         """Let the needle stand where the last `advance` has brought it."""
