@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from packaging.tags import sys_tags
 
 COMPILER = "ziglang==0.17.1"
 FOLDER = Path("needlefit", "mechanics", "native")
@@ -79,12 +80,14 @@ def digest_sources(folder: Path) -> str:
 
 def describe_build(folder: Path) -> dict[str, str]:
     """Return what a library is made from; the same description gives the same library."""
-    compiler = os.environ.get("NEEDLEFIT_CXX") or COMPILER
+    compiler, target = os.environ.get("NEEDLEFIT_CXX") or COMPILER, find_target()
+    commands = list_commands(folder, target).values()
+    flags = [flag for command in commands for flag in command if flag != sys.executable]
     return {
         "sources": digest_sources(folder),
-        "target": find_target(),
+        "target": target,
         "compiler": compiler,
-        "flags": " ".join([*FLAGS, *ZIG_FLAGS, *SHARED, WASM]),
+        "flags": " ".join(dict.fromkeys(flags)),
     }
 
 
@@ -126,12 +129,15 @@ def build(folder: Path) -> None:
         commands = list_commands(folder, made_from["target"])
         libraries = {name: Path(place, name) for name in commands}
         for name, command in commands.items():
-            made = subprocess.run(
-                [*command, str(folder / "abi.cpp"), "-o", str(libraries[name])],
-                env=os.environ | caches, capture_output=True, text=True, check=False,
-            )  # fmt: skip
+            compiler = " ".join(command[:4])
+            try:
+                made = subprocess.run(
+                    [*command, str(folder / "abi.cpp"), "-o", str(libraries[name])],
+                    env=os.environ | caches, capture_output=True, text=True, check=False,
+                )  # fmt: skip
+            except OSError as error:
+                sys.exit(f"needlefit: the compiler {compiler} could not be run: {error.strerror}")
             if made.returncode != 0:
-                compiler = " ".join(command[:4])
                 sys.exit(f"needlefit: the kernel could not be compiled by {compiler}\n{made.stderr}")
         for old in folder.glob("kernel*"):
             old.unlink()
@@ -157,11 +163,9 @@ class KernelHook(BuildHookInterface[Any]):
         names = [INDEX, *json.loads((folder / INDEX).read_text())["files"]]
         build_data["artifacts"] += [f"/{(FOLDER / name).as_posix()}" for name in names]
         build_data["pure_python"] = False
-        target = find_target()
-        if target in TARGETS and not os.environ.get("NEEDLEFIT_CXX"):
-            build_data["tag"] = f"py3-none-{TARGETS[target][1]}"
-        else:
-            build_data["infer_tag"] = True
+        target, own = find_target(), os.environ.get("NEEDLEFIT_CXX")
+        # what a system compiler has built is for systems like this one
+        build_data["tag"] = f"py3-none-{next(sys_tags()).platform if own else TARGETS[target][1]}"
 
 
 def build_wheels(out: str) -> None:

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from plugin_cases import install, plugin_folder
 
+from needlefit.errors import ModelError
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
-from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.laws import LAWS, Numbers, TissueLaw
 from needlefit.mechanics.linearize import linearize_steps
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import simulate_steps
@@ -86,3 +87,35 @@ def test_a_set_outside_of_the_laws_bounds_is_no_number(law: str) -> None:
     (shapes,) = simulate_batches([Batch(NEEDLE, tissue, STEPS, shape=shape)])
     assert shapes.converged.tolist() == [True, not outside, True]
     np.testing.assert_array_equal(shapes.u[0], shapes.u[2])
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_numbers_out_of_bounds_fail_alone_whatever_the_order(turned: bool) -> None:
+    order = [1, 0] if turned else [0, 1]
+    offset = np.array([0.1, 1e16])[order]
+    (shapes,) = simulate_batches([Batch(NEEDLE, make_tissue("ogden", 1), STEPS, offset=offset)])
+    assert shapes.status[order].tolist() == [0, 3]
+
+
+def test_alpha_of_a_batch_is_that_of_a_law_with_nothing_else() -> None:
+    alpha = np.ones((3, LAYERS))
+    assert Batch(NEEDLE, make_tissue("ogden", 1), STEPS, alpha=alpha).shape.shape == (3, 1, LAYERS)
+    for law, more in (("gent", {}), ("two_term_ogden", {}), ("ogden", {"shape": np.ones((3, 1, LAYERS))})):
+        with pytest.raises(ModelError, match="alpha"):
+            Batch(NEEDLE, make_tissue(law, 1), STEPS, alpha=alpha, **more)
+
+
+def test_a_law_without_shape_parameters_may_be_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """exp(2 (1 - lambda)) is no sum of powers; a table and the reference agree."""
+
+    class Exponential(TissueLaw):
+        name, label = "exponential", "exponential foundation"
+
+        def k(self, stretch: Numbers) -> Numbers:
+            return 3 * np.exp(2 * (1 - stretch))
+
+    assert "exponential" not in LAWS.names()
+    monkeypatch.setitem(LAWS._builtin, "exponential", Exponential())
+    tissue = Tissue([0.4, 2.0], boundaries=[7.3], thickness=5.0, law="exponential")
+    fast, slow = (solve(NEEDLE, tissue, STEPS) for solve in (simulate_steps, reference.simulate_steps))
+    np.testing.assert_allclose(fast.u, slow.u, rtol=0, atol=1e-7)

@@ -14,6 +14,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.insertion_limits import count_element_solves
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.prepared import PreparedInsertion
 from needlefit.mechanics.shape import NeedleShape, Status
@@ -69,6 +70,11 @@ class Batch:
 
     def __post_init__(self, alpha: Floats | None) -> None:
         if alpha is not None:
+            if LAWS[self.tissue.law].shape_names != ("alpha",) or self.shape is not None:
+                raise ModelError(
+                    "a batch is given alpha",
+                    expected="shape, or alpha alone, of a law with no other parameter",
+                )
             object.__setattr__(self, "shape", np.asarray(alpha)[:, None])
         sizes = {}
         for name in VARYING_FIELDS:

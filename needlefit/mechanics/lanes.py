@@ -1,6 +1,5 @@
 """Simulate many insertions with many parameter sets: vector instructions within one, threads between."""
 
-import os
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +11,8 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.linearize import Jacobians, find_columns, read_jacobians
 from needlefit.mechanics.prepared import Evaluation, PreparedInsertion, run_evaluations
 from needlefit.mechanics.validity import compute_batch_scales
+from needlefit.project.threads import count_cores
+from needlefit.schemas.limits import MAX_NUMBER
 
 
 def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tuple[NeedleShapes, ...]:
@@ -66,7 +67,7 @@ def _run(
     batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None
 ) -> list[tuple[Batch, Evaluation]]:
     evaluations = [_evaluate(batch, wrt) for batch in batches]
-    run_evaluations(evaluations, threads or len(os.sched_getaffinity(0)))
+    run_evaluations(evaluations, threads or count_cores())
     return list(zip(batches, evaluations, strict=True))
 
 
@@ -121,7 +122,7 @@ def _find_valid(batch: Batch) -> Bools:
     for name in VARYING_FIELDS:
         values = getattr(batch, name)
         if values is not None:
-            accepted = np.isfinite(values)
+            accepted = np.abs(values) <= MAX_NUMBER  # NaN compares as false
             if name in ("mu", "rigidity"):
                 accepted &= values > 0
             if name == "shape":

@@ -5,12 +5,13 @@ d = 1 - lambda. Its error is measured between the points each time: the table en
 where it exceeds `TABLE_TOLERANCE`, and tissue that is compressed further is over-compressed.
 """
 
+import math
 from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.native import (
@@ -54,19 +55,21 @@ def compile_law(name: str, shape: Floats) -> tuple[Floats, Floats]:
     law, by_layer = LAWS[name], np.swapaxes(shape, -1, -2)
     if isinstance(law, PowerLaw):
         return law.power_terms(by_layer)
-    layers = by_layer.shape[-2]
-    tables = [_make_table(name, tuple(row)) for row in by_layer.reshape(-1, shape.shape[-2]).tolist()]
-    for row, table in enumerate(tables):
-        if table is None:
-            layer = row % layers
-            values = by_layer.reshape(-1, shape.shape[-2])[row].tolist()
-            stated = [f"{one.name} = {value:g}" for one, value in zip(law.parameters, values, strict=True)]
-            raise ModelError(
-                f"layer {layer + 1}: the tissue law `{name}` cannot be interpolated at {', '.join(stated)}",
-                expected=f"k > 0, smooth and not too steep up to |e| / t = {LEAST_COMPRESSION:g}",
-                fix="choose other values, or narrower bounds for them",
-            )
-    return np.array(tables).reshape(*by_layer.shape[:-1], -1), np.empty((*by_layer.shape[:-1], 0))
+    different, places = _list_different(by_layer)
+    tables = _make_tables(name, different.tobytes(), *different.shape)
+    short = tables[places, 0] < LEAST_COMPRESSION - _END  # (..., n)
+    if short.any():
+        at = tuple(np.argwhere(short)[0])
+        stated = [
+            f"{one.name} = {value:g}"
+            for one, value in zip(law.parameters, by_layer[at].tolist(), strict=True)
+        ]
+        raise ModelError(
+            f"layer {at[-1] + 1}: the tissue law `{name}` cannot be interpolated at {', '.join(stated)}",
+            expected=f"k > 0, smooth and not too steep up to |e| / t = {LEAST_COMPRESSION:g}",
+            fix="choose other values, or narrower bounds for them",
+        )
+    return tables[places], np.empty((*places.shape, 0))
 
 
 def differentiate_law(name: str, shape: Floats) -> Floats:
@@ -78,38 +81,51 @@ def differentiate_law(name: str, shape: Floats) -> Floats:
     law, by_layer = LAWS[name], np.swapaxes(shape, -1, -2)
     if isinstance(law, PowerLaw):
         return np.concatenate(law.term_slopes, axis=1)
-    count = shape.shape[-2]
-    tables = [
-        _make_slope_table(name, tuple(row), number)
-        for row in by_layer.reshape(-1, count).tolist()
-        for number in range(count)
-    ]
-    return np.array(tables).reshape(*by_layer.shape, -1)
+    different, places = _list_different(by_layer)
+    return _make_slope_tables(name, different.tobytes(), *different.shape)[places]
 
 
-@lru_cache(maxsize=1024)  # a fit simulates many insertions with the same parameters
-def _make_table(name: str, shape: tuple[float, ...]) -> Floats | None:
-    """Return the table of one layer, see `native/law.hpp`; None if it would not reach far enough."""
+def _list_different(by_layer: Floats) -> tuple[Floats, Ints]:
+    """Return the different rows (R, p) of shape parameters (..., p), and which each layer (...) has."""
+    rows = by_layer.reshape(math.prod(by_layer.shape[:-1]), by_layer.shape[-1])
+    if rows.shape[1] == 0:
+        return rows[:1], np.zeros(by_layer.shape[:-1], dtype=np.int64)
+    different, places = np.unique(rows, axis=0, return_inverse=True)
+    return different, places.reshape(by_layer.shape[:-1])
+
+
+@lru_cache(maxsize=8)  # a fit simulates many insertions with the same parameters
+def _make_tables(name: str, rows: bytes, count: int, parameters: int) -> Floats:
+    """Return the tables of R different layers, see `native/law.hpp`: (R, numbers)."""
+    stretch, shape = _repeat(rows, count, parameters, _STRETCH)
     with np.errstate(all="ignore"):
-        k = LAWS[name].k(_STRETCH, *_repeat(shape, _STRETCH))
-        table = k[:, :TABLE_TERMS] @ _TO_COEFFICIENTS
-        error = np.abs(table @ _TO_BETWEEN - k[:, TABLE_TERMS:])
-        good = np.all(error <= TABLE_TOLERANCE * k[:, TABLE_TERMS:], axis=1) & np.all(k > 0, axis=1)
-    covered = _PIECE * (TABLE_PIECES if good.all() else int(np.argmin(good))) - _END
-    if covered < LEAST_COMPRESSION - _END:
-        return None
-    whole = np.concatenate(([covered, 0.0], np.nan_to_num(table).ravel()))
-    whole[1] = measure_table_range(whole)
-    return whole
+        k = LAWS[name].k(stretch, *shape)  # (R, pieces, points)
+        series = k[..., :TABLE_TERMS] @ _TO_COEFFICIENTS
+        error = np.abs(series @ _TO_BETWEEN - k[..., TABLE_TERMS:])
+        good = np.all(error <= TABLE_TOLERANCE * k[..., TABLE_TERMS:], axis=-1) & np.all(k > 0, axis=-1)
+    pieces = np.where(good.all(axis=1), TABLE_PIECES, np.argmin(good, axis=1))
+    tables = np.zeros((count, 2 + TABLE_PIECES * TABLE_TERMS))
+    tables[:, 0], tables[:, 2:] = _PIECE * pieces - _END, np.nan_to_num(series).reshape(count, -1)
+    for row in np.flatnonzero(pieces):
+        tables[row, 1] = measure_table_range(tables[row])
+    return tables
 
 
-@lru_cache(maxsize=1024)
-def _make_slope_table(name: str, shape: tuple[float, ...], number: int) -> Floats:
-    stretch = _STRETCH[:, :TABLE_TERMS]
+@lru_cache(maxsize=8)
+def _make_slope_tables(name: str, rows: bytes, count: int, parameters: int) -> Floats:
+    """Return the derivatives of tables by their shape parameters, (R, p, numbers)."""
+    stretch, shape = _repeat(rows, count, parameters, _STRETCH[:, :TABLE_TERMS])
+    slopes = np.zeros((count, parameters, 2 + TABLE_PIECES * TABLE_TERMS))
     with np.errstate(all="ignore"):
-        slope = LAWS[name].dk_dshape(number, stretch, *_repeat(shape, stretch))
-        return np.concatenate(([0.0, 0.0], np.nan_to_num(slope @ _TO_COEFFICIENTS).ravel()))
+        for number in range(parameters):
+            series = LAWS[name].dk_dshape(number, stretch, *shape) @ _TO_COEFFICIENTS
+            slopes[:, number, 2:] = np.nan_to_num(series).reshape(count, -1)
+    return slopes
 
 
-def _repeat(shape: tuple[float, ...], stretch: Floats) -> list[Floats]:
-    return [np.full_like(stretch, value) for value in shape]
+def _repeat(rows: bytes, count: int, parameters: int, stretch: Floats) -> tuple[Floats, list[Floats]]:
+    """Return stretches and shape parameters as arrays of one size, (R, pieces, points)."""
+    shape = np.frombuffer(rows).reshape(count, parameters)
+    size = (count, *stretch.shape)
+    columns = [np.broadcast_to(column[:, None, None], size).copy() for column in shape.T]
+    return np.broadcast_to(stretch, size).copy(), columns

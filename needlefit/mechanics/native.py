@@ -274,9 +274,16 @@ def load_library() -> ctypes.CDLL:
         If it is missing, damaged, of another version, or older than the sources beside it.
     """
     given = os.environ.get(LIBRARY_VARIABLE)
-    library = ctypes.CDLL(given) if given else _load_own()
-    library.nf_abi_version.restype = c_int64
-    if library.nf_abi_version() != ABI_VERSION:
+    try:
+        library = ctypes.CDLL(given) if given else _load_own()
+        library.nf_abi_version.restype = c_int64
+        version = int(library.nf_abi_version())
+    except (OSError, AttributeError) as error:
+        raise NeedlefitError(
+            f"the library of the kernel cannot be loaded: {error}",
+            fix=f"unset {LIBRARY_VARIABLE}, or let it name a library of this kernel" if given else _FIX,
+        ) from error
+    if version != ABI_VERSION:
         raise NeedlefitError("the library of the kernel is of another version", fix=_FIX)
     for name in _RETURN_NUMBERS:
         getattr(library, f"nf_{name}").restype = c_int64
@@ -289,7 +296,8 @@ def _load_own() -> ctypes.CDLL:
     try:
         index = json.loads((FOLDER / "libraries.json").read_text())
         contents = {name: (FOLDER / name).read_bytes() for name in index["files"]}
-    except (OSError, ValueError, KeyError) as error:
+        sources_then, target = index["made_from"]["sources"], index["made_from"]["target"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise NeedlefitError(f"the library of the kernel is missing ({error})", fix=_FIX) from error
     damaged = [
         name for name, one in contents.items() if hashlib.sha256(one).hexdigest() != index["files"][name]
@@ -299,12 +307,12 @@ def _load_own() -> ctypes.CDLL:
     # As `digest_sources` in hatch_build.py, which is not installed. A wheel has the sources too, unchanged.
     sources = sorted(path for path in FOLDER.iterdir() if path.suffix in (".hpp", ".cpp"))
     digest = hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in sources)).hexdigest()
-    if sources and digest != index["made_from"]["sources"]:
+    if sources and digest != sources_then:
         raise NeedlefitError("the sources of the kernel are newer than its library", fix=_FIX)
     suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
     names = sorted(name for name in contents if name.endswith(suffix))
     if not names:
-        raise NeedlefitError(f"the library of the kernel is for {index['made_from']['target']}", fix=_FIX)
+        raise NeedlefitError(f"the library of the kernel is for {target}", fix=_FIX)
     library = ctypes.CDLL(str(FOLDER / names[0]))  # of several the one that every processor runs
     if len(names) > 1:
         level = library.nf_processor_level()

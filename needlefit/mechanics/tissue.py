@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics.laws import LAWS, TissueLaw
+from needlefit.mechanics.native import MAX_SHAPES
 from needlefit.mechanics.needle import is_bounded
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.scene import LayerRecord
@@ -80,6 +81,8 @@ class Tissue:
     def alpha(self) -> Floats:
         """The shape parameter alpha of all layers, (n,), of a law that has it."""
         names = LAWS[self.law].shape_names
+        if "alpha" not in names:
+            raise ModelError(f"the tissue law `{self.law}` has no alpha", expected=f"of {', '.join(names)}")
         found: Floats = self.shape[names.index("alpha")]
         return found
 
@@ -93,7 +96,7 @@ class Tissue:
         """Return the tissue that validated layer records describe (Pa become MPa)."""
         names = LAWS[law].shape_names
         for number, layer in enumerate(layers, start=1):
-            # a law without shape parameters takes no notice of an alpha
+            # a law without shape parameters ignores an alpha
             stated = layer.shape_values if names else layer.shape
             _check_names(names, stated, f"layer {number} of the tissue law `{law}`")
         return cls(
@@ -126,9 +129,13 @@ def _to_layer_array(name: str, value: ArrayLike, size: int) -> Floats:
 def _to_shape_array(law: TissueLaw, given: Mapping[str, ArrayLike] | ArrayLike, size: int) -> Floats:
     """Return the shape parameters of a law in `size` layers, (p, size).
 
-    A law without any takes no notice of an alpha that is left from another law.
+    A law without any ignores an alpha that is left from another law.
     """
     names = law.shape_names
+    if len(names) > MAX_SHAPES:
+        raise ModelError(
+            f"the tissue law `{law.name}` has {len(names)} shape parameters", expected=f"at most {MAX_SHAPES}"
+        )
     if not names:
         return np.empty((0, size))
     if not isinstance(given, Mapping):

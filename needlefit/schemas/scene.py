@@ -149,6 +149,12 @@ class LayerRecord(Record):
     friction: float = Field(default=0.0, ge=0)
     """Coefficient of friction between needle and tissue."""
 
+    @model_validator(mode="after")
+    def _state_alpha_once(self) -> Self:
+        if self.alpha is not None and "alpha" in self.shape:
+            raise ValueError("alpha is stated twice, as a key of the layer and in shape: leave one out")
+        return self
+
     @property
     def shape_values(self) -> dict[str, float]:
         """All shape parameters by name, `alpha` among them."""

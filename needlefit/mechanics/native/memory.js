@@ -98,9 +98,10 @@ export function makeProblem(heap, fields, arrays) {
     before_first: f.inputs + 1,
     within_first: f.inputs + 1,
     held_tip: 2 * f.inputs,
+    guide_x: f.sets,
   };
   for (const [name, count] of Object.entries(counts)) {
-    if (arrays[name].length !== count)
+    if ((arrays[name] || name !== "guide_x") && arrays[name].length !== count)
       throw new TypeError(`${name} has ${arrays[name].length} numbers, not ${count}`);
   }
   const addresses = ARRAYS.map((name) => (arrays[name] ? heap.put(arrays[name]) : 0));

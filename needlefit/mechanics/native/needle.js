@@ -59,6 +59,19 @@ function completeInputs(inputs) {
   };
 }
 
+/** Throw a RangeError for what is no needle, no tissue or no inputs at a depth. */
+function checkInputs(model, inputs, depth) {
+  const { guides } = inputs,
+    base = depth - model.length,
+    ends = [base, ...guides.map((guide) => guide.x)];
+  for (const name of ["mu", "thickness"])
+    if (!model[name].every((value) => value > 0)) throw new RangeError(`${name} is not above 0`);
+  if (!(model.rigidity > 0 && base < 0)) throw new RangeError("the needle is too short, or its rigidity not above 0");
+  if (guides.length > MAX_GUIDES) throw new RangeError(`${guides.length} guides; there may be ${MAX_GUIDES}`);
+  if (ends.some((x, i) => i > 0 && !(x > ends[i - 1])))
+    throw new RangeError(`base and guides stand at ${ends} mm; they must increase`);
+}
+
 const listGuides = (guides) => guides.flatMap((guide) => [guide.x, guide.y, guide.slope ?? NaN]);
 const listTip = (tip) => (tip ? [tip.y, tip.slope ?? NaN] : [NaN, NaN]);
 const listBase = (base) => [base.y, base.slope, base.stageSlope];
@@ -192,8 +205,8 @@ export class Session {
   }
 
   /** Insert by so many mm; returns the shape. If that has not converged, the needle has stayed as it was. */
-  advance(distance, inputs = this.inputs) {
-    return this.#go(this.depth + distance, inputs);
+  advance(distance) {
+    return this.#go(this.depth + Number(distance), this.inputs);
   }
 
   /** Retract by so many mm, at most to the entry. */
@@ -208,10 +221,8 @@ export class Session {
 
   #go(given, inputs) {
     const depth = Math.abs(given) < SAME_DEPTH ? 0 : given;
-    const front = Math.max(0, -Math.min(0, ...inputs.guides.map((guide) => guide.x)));
-    if (!(depth >= 0 && depth <= this.deepest && depth + front < this.model.length)) {
-      throw new RangeError(`the needle cannot be ${depth} mm deep`);
-    }
+    if (!(depth >= 0 && depth <= this.deepest)) throw new RangeError(`the needle cannot be ${depth} mm deep`);
+    checkInputs(this.model, inputs, depth);
     const before = this.inputs,
       { heap } = this;
     this.inputs = inputs;
@@ -329,12 +340,14 @@ const fill = (array, length) => {
   return filled;
 };
 
-function positions(heap, shape, s) {
+function positions(heap, shape, given) {
+  const s = Float64Array.from(given);
+  if (!s.every((one) => one >= shape.x[0] && one <= shape.depth)) throw new RangeError("s lies beyond the needle");
   return heap.borrow(() => {
     const nodes = shape.x.length,
       out = heap.take(16 * s.length);
     const memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()));
-    const arrays = [shape.x, shape.u, shape.slope, Float64Array.from(s)].map((array) => heap.put(array));
+    const arrays = [shape.x, shape.u, shape.slope, s].map((array) => heap.put(array));
     heap.call.nf_positions(1n, BigInt(nodes), BigInt(s.length), ...arrays, memory, out);
     return heap.floats(out, 2 * s.length).slice();
   });
@@ -353,6 +366,10 @@ function positions(heap, shape, s) {
 export async function simulateBatch(kernel, model, steps, values) {
   const heap = await Heap.make(kernel),
     inputs = steps.map((step) => completeInputs(step.inputs ?? {}));
+  values = Object.fromEntries(
+    Object.entries(values).map(([name, value]) => [name, name === "sets" ? value : Float64Array.from(value)]),
+  );
+  steps.forEach(({ depth }, n) => checkInputs({ ...model, ...values, rigidity: model.rigidity }, inputs[n], depth));
   const first = (key, one) => inputs.findIndex((other) => key(other) === key(one));
   const deepest = Math.max(...steps.map((step) => step.depth)),
     firstCell = model.firstCell ?? findFirstCell(steps.at(-1).depth, model.spacing);
