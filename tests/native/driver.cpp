@@ -43,8 +43,10 @@ int main(int, char** arguments) {
         fread(s, 8, wanted, in.file);
         Index sizes[3];
         if (nf_check(&problem, sizes)) return 1;
-        Index room = sizes[0], sets = problem.sets, columns = problem.columns;
-        Index counts[OUTPUTS] = {room, room, room, points, 2 * points, 1, 1, 0, room * columns, room * columns,
+        double* x = static_cast<double*>(calloc(sizes[0], 8));
+        Index room = nf_nodes(&problem, x), sets = problem.sets, columns = problem.columns;
+        free(x);
+        Index counts[OUTPUTS] = {room, room, room, 2 * points, 2 * points, 1, 1, 0, room * columns, room * columns,
                                  points * columns, points * columns};
         void* outputs[OUTPUTS];
         for (int i = 0; i < OUTPUTS; i++) counts[i] = i == 7 ? 8 : 8 * sets * counts[i], outputs[i] = calloc(counts[i] + 8, 1);

@@ -33,8 +33,9 @@ while (at < file.length) {
     if (count >= 0) arrays[name] = new Type(Uint8Array.from(bytes(count)).buffer);
   }
   const s = Uint8Array.from(bytes(number()));
-  const problem = makeProblem(heap, fields, arrays),
-    shapes = makeShapes(heap, problem, points);
+  const problem = makeProblem(heap, fields, arrays);
+  problem.room = Number(heap.call.nf_nodes(problem.at, heap.take(8 * problem.room)));
+  const shapes = makeShapes(heap, problem, points);
   new Uint8Array(heap.memory.buffer).fill(0, shapes.x, shapes.at);
   simulate(heap, problem, shapes);
   const { sets, columns } = fields,
