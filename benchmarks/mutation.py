@@ -1,6 +1,6 @@
 """Mutation testing: whether the tests notice when the code is changed.
 
-    python -m pip install cosmic-ray tree-sitter-cpp
+    python -m pip install cosmic-ray "tree-sitter-cpp[core]"
     python benchmarks/mutation.py [AREA ...] [--mutants 26] [--seed 17] [--out FILE [--again]]
 
 In each area so many places are drawn at random, and of each place one of the changes that cosmic-ray knows:

@@ -274,6 +274,21 @@ def test_guides_of_several_steps_at_one_place_are_one_guide() -> None:
     np.testing.assert_allclose(found.u[:, 1], slope, atol=1e-6)
 
 
+@pytest.mark.parametrize("lower", [False, True])
+def test_a_boundary_of_a_layer_without_extent_moves_as_a_finite_difference(lower: bool) -> None:
+    """Toward where the layer has an extent."""
+    rules, step = ModelOptions(tolerance=1e-11), 1e-4 if lower else -1e-4
+
+    def make_tissue(move: float) -> Tissue:
+        boundaries = [9.37, 9.37 + move] if lower else [9.37 + move, 9.37]
+        return Tissue(mu=[0.2, 33, 1], alpha=[1, -1, 2], boundaries=boundaries)
+
+    at = [simulate(NEEDLE, make_tissue(n * step), Bevel(0.085), 20.0, rules=rules).u for n in range(3)]
+    slope = (-3 * at[0] + 4 * at[1] - at[2]) / (2 * step)
+    _, found = linearize(NEEDLE, make_tissue(0.0), Bevel(0.085), 20.0, rules=rules, wrt=("boundaries",))
+    np.testing.assert_allclose(found.u[:, int(lower)], slope, rtol=0, atol=2e-5 * np.abs(slope).max())
+
+
 def test_points_in_the_plane_move_as_finite_differences() -> None:
     controls = Controls(base_slope=0.01, guides=(Guide(-15.0, 0.2, None), Guide(4.6, 0.3, in_tissue=True)))
     rules = ModelOptions(tolerance=1e-11)
