@@ -115,6 +115,7 @@ def test_a_scheduler_that_is_lost_while_tasks_run_is_an_error_that_names_resume(
 @pytest.mark.sweep
 def test_the_workers_are_counted_at_most_once_a_second_and_all_of_them(address):
     with connect(address) as pool:
+        pool.client.wait_for_workers(2, timeout=30)  # one may have been killed, and begins again
         counted, find = [], pool.client.nthreads
         pool.client.nthreads = lambda: counted.append(time.monotonic()) or find()
         assert pool.size == 2
