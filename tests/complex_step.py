@@ -61,7 +61,7 @@ def follow(
     c, rays, tip, slopes, cut = {0: 0j}, {}, (0.0, 0j, 0j), {}, 0j
     for stop in plan_stops(steps, lattice, needle.length):
         if stop.starts_ray:
-            rays[stop.ray] = tip
+            rays[stop.ray] = *tip[:2], rules.tangent * tip[2]
             if rules.path_angle:
                 c[0] = cut if tip[0] == 0 else c[0]
                 before = slopes[stop.cell - 2] if stop.extrapolates else tip[2]
@@ -83,18 +83,18 @@ def follow(
             for node in np.flatnonzero(real == guide.x):
                 nodes[node] += inputs.guides[guide.x][0]
                 state[node] += inputs.guides[guide.x][1:] * held.reshape(-1, 2)[node]
-        state = _equilibrium(inputs, nodes, x_c, y_c, state.ravel(), held, rules.path_angle).reshape(-1, 2)
+        state = _equilibrium(inputs, nodes, x_c, y_c, state.ravel(), held, rules).reshape(-1, 2)
         tip = (stop.tip, state[-1, 0], state[-1, 1])
         slopes[stop.cell] = tip[2]
         cut = c[stop.cell] if stop.cell > 0 else tip[1]
     return tuple(a.imag / H for a in (nodes, state[:, 0], state[:, 1], y_c))
 
 
-def _equilibrium(inputs, nodes, x_c, y_c, u, held, linear):
+def _equilibrium(inputs, nodes, x_c, y_c, u, held, rules):
     K_b = _bending(nodes, inputs.rigidity)
-    x, w, layer, nearest = _quadrature(nodes, x_c, inputs.boundaries, linear)
+    x, w, layer, nearest = _quadrature(nodes, x_c, inputs.boundaries, rules)
     c = y_c[nearest]
-    if linear:  # at complex places too
+    if rules.path_angle:  # at complex places too
         cell = np.clip(np.searchsorted(x_c, x.real) - 1, 0, len(x_c) - 2)
         c = y_c[cell] + (x - x_c[cell]) * (np.diff(y_c) / np.diff(x_c))[cell]
     N, dN = _shapes(nodes, x)
@@ -133,17 +133,17 @@ def _bending(nodes, EI):
     return K
 
 
-def _quadrature(nodes, x_c, boundaries, linear):
+def _quadrature(nodes, x_c, boundaries, rules):
     """Split at whatever lies strictly between entry and tip, as complex places in the order of real ones."""
-    halfway = (x_c[1:] + x_c[:-1]) / 2
-    inner = np.concatenate((nodes, halfway, boundaries, x_c if linear else x_c[:0]))
+    change = (1 - rules.switch) * x_c[:-1] + rules.switch * x_c[1:]
+    inner = np.concatenate((nodes, change, boundaries, x_c if rules.path_angle else x_c[:0]))
     inner = inner[(inner.real > 0) & (inner.real < x_c[-1])]
     edges = np.concatenate(([0j], inner[np.argsort(inner.real, kind="stable")], [x_c[-1] + 0j]))
     edges = edges[np.concatenate(([True], np.diff(edges.real) > 0))]
     middle, half = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
     x = (middle[:, None] + half[:, None] * np.array([-1, 1]) / math.sqrt(3)).ravel()
     layer = np.searchsorted(boundaries.real, x.real)
-    nearest = np.argmin(np.abs(x.real[:, None] - x_c), axis=1)
+    nearest = np.searchsorted(change, x.real)
     return x, np.repeat(half, 2), layer, nearest
 
 

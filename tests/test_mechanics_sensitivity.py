@@ -117,6 +117,13 @@ def test_jacobian_along_steps_equals_complex_steps(seed: int) -> None:
     check(needle, tissue, steps, rules, lattice)
 
 
+@pytest.mark.parametrize(("switch", "tangent"), [(0.3, 1.0), (0.8, 0.5), (0.0, 0.0), (1.0, 0.2)])
+def test_jacobian_under_other_rules_of_advance(switch: float, tangent: float) -> None:
+    tissue = Tissue(mu=[0.5, 8.0, 0.3], alpha=[3.0, -2.0, 1.0], boundaries=[5.37, 9.71])
+    rules = ModelOptions(tolerance=SHARP, switch=switch, tangent=tangent)
+    check(NEEDLE, tissue, [Step(14.3, Bevel(0.1), Controls(base_y=0.3))], rules)
+
+
 def test_jacobian_beyond_the_series_of_the_law() -> None:
     """A base moved sideways compresses thin tissue by a third; the law is evaluated, not its series."""
     tissue = Tissue(mu=[0.05, 0.1], alpha=[8.0, -3.0], boundaries=[5.3], thickness=[3.0], friction=[0.2])
