@@ -67,10 +67,10 @@ nitpick_ignore_regex = [
     ("py:class", r"(annotated_types\.)?(Ge|Gt|Le|Lt|MaxLen|MinLen)|FieldInfo|NoneType"),
     # What begins with an underscore has no entry, even where a signature names it.
     ("py:class", r"(needlefit\.[\w.]+\.)?_\w+"),
-    # Imported for type checkers alone, from a package that may not be installed (distributed).
-    ("py:class", r"Client|SpecCluster"),
+    # Imported for type checkers alone: from a package that may not be installed, or that takes long to load.
+    ("py:class", r"Client|SpecCluster|Curve|Row"),
     # Type variables: what stands for them is the caller's.
-    ("py:class", r"(needlefit\.[a-z.]+\.)?(R|T|Given|Item|Result|Returned|Value)"),
+    ("py:class", r"(needlefit\.[\w.]+\.)?(R|T|Given|Item|Result|Returned|Value)"),
 ]
 
 
