@@ -62,13 +62,13 @@ nitpick_ignore_regex = [
     # Types of others, which signatures name: without a network there is nothing to link them to.
     ("py:.*", r"(numpy|np|scipy|pandas|xarray|arviz|matplotlib|pydantic|pydantic_core|typer)\..*"),
     ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp)\..*"),
-    ("py:.*", r"(collections|contextlib|pathlib|types|typing)\..*"),
+    ("py:.*", r"(collections|contextlib|ctypes|dataclasses|pathlib|types|typing)\..*"),
     # Bounds in the types of keys.
     ("py:class", r"(annotated_types\.)?(Ge|Gt|Le|Lt|MaxLen|MinLen)|FieldInfo|NoneType"),
     # What begins with an underscore has no entry, even where a signature names it.
     ("py:class", r"(needlefit\.[\w.]+\.)?_\w+"),
     # Imported for type checkers alone: from a package that may not be installed, or that takes long to load.
-    ("py:class", r"Client|SpecCluster|Curve|Row"),
+    ("py:class", r"Client|SpecCluster|Curve|Pose|Row"),
     # Type variables: what stands for them is the caller's.
     ("py:class", r"(needlefit\.[\w.]+\.)?(R|T|Given|Item|Result|Returned|Value)"),
 ]

@@ -119,7 +119,7 @@ class TissueLaw(ABC):
         return [[f"{name}{number}" for number in numbers] for name in self.shape_names]
 
     def draw_shape(self, rng: np.random.Generator, size: tuple[int, ...]) -> Floats:
-        """Return random values for checks, (parameters, *size)."""
+        """Return random values for checks: an array of `size` for each parameter."""
         drawn = [rng.uniform(*parameter.tested, size) for parameter in self.parameters]
         return np.array(drawn).reshape(len(self.parameters), *size)
 
