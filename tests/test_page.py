@@ -922,3 +922,21 @@ def test_reset_and_the_game_keep_the_fitted_parameters(page) -> None:
         page.click(button)
         state = until(page, "state => state.depth_mm === 0")
         assert [one["mu_pa"] for one in state["layers"]] == fitted
+
+
+def test_all_shape_parameters_of_a_law_have_a_field(chromium, tmp_path) -> None:
+    scene = tmp_path / "gent.toml"
+    scene.write_text(
+        'schema = 1\ndepth_mm = 20.0\nlaw = "gent"\n[needle]\nlength_mm = 150.0\nouter_diameter_mm = 1.27\n'
+        'youngs_modulus_gpa = 80.0\n[bevel]\noffset_mm = 0.085\n[[layers]]\nname = "gel"\ntop_mm = 0.0\n'
+        "mu_pa = 2e5\nshape = { jm = 2.0 }\n"
+    )
+    running = Server(tmp_path, str(scene))
+    try:
+        with opened(chromium, running) as page:
+            page.wait_for_function(
+                "document.querySelector('#tissue-fields input[aria-label=\"gel Jm\"]')?.value"
+            )
+            assert float(page.input_value('#tissue-fields input[aria-label="gel Jm"] >> nth=0')) == 2.0
+    finally:
+        running.end()

@@ -113,7 +113,13 @@ def test_the_page_gets_every_shape_parameter_with_symbol_and_limits() -> None:
     )  # fmt: skip
     viewed_scene = ViewedScene("gent", "gent", "", record, 1.0)
     message = encode_scene(viewed_scene, SteeredNeedle(Scene.from_record(record), 1.0))
-    assert message["shape_parameters"] == [{"name": "jm", "symbol": "Jm", "unit": ""}]
+    (jm,) = message["shape_parameters"]
+    assert {name: jm[name] for name in ("name", "symbol", "unit")} == {
+        "name": "jm",
+        "symbol": "Jm",
+        "unit": "",
+    }
+    assert jm["explanation"]
     assert message["fitted"]["layers"] == [
         {"mu_pa": pytest.approx(2e5), "jm": 5.0},
         {"mu_pa": pytest.approx(3e5), "jm": 0.3},

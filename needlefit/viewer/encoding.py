@@ -52,7 +52,8 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "spacing_mm": scene.rules.spacing,
         "first_cell_mm": steering.first_cell,
         "shape_parameters": [
-            {"name": one.name, "symbol": one.symbol, "unit": one.unit} for one in LAWS[tissue.law].parameters
+            {"name": one.name, "symbol": one.symbol, "unit": one.unit, "explanation": one.explanation}
+            for one in LAWS[tissue.law].parameters
         ],
         "fitted": _encode_parameters(tissue) | _encode_strength(first, scene.rules),
         "limits": _encode_limits(scene),

@@ -3,6 +3,7 @@
 import * as act from "./actions.js";
 import { makeField, setHome, show } from "./fields.js";
 import { strengthOf } from "./bevel.js";
+import { DEFINITIONS } from "./definitions.js";
 import { asMpa, degrees, fromMpa, slope } from "./numbers.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
@@ -49,7 +50,8 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, 
     const modulus = { unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05 };
     const mu = { ...modulus, name: `${called} μ`, symbol: "μ", limits: limits.mu_pa };
     setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted.layers[i].mu_pa);
-    for (const { name, symbol, unit } of shapes) {
+    for (const { name, symbol, unit, explanation } of shapes) {
+      DEFINITIONS[symbol] ??= `${explanation}.`;
       const [low, high] = limits[name];
       const step = Math.min(0.1, (high - low) / 100);
       const about = { name: `${called} ${symbol}`, symbol, unit, write: asShape, limits: limits[name], step };
