@@ -38,33 +38,16 @@ while (at < file.length) {
   const shapes = makeShapes(heap, problem, points);
   new Uint8Array(heap.memory.buffer).fill(0, shapes.x, shapes.at);
   simulate(heap, problem, shapes);
-  const { sets, columns } = fields,
-    { room } = problem;
   const write = (address, count) =>
     parts.push(Buffer.from(new Uint8Array(heap.memory.buffer, address, count).slice()));
-  const counts = {
-    x: room,
-    u: room,
-    slope: room,
-    constraints: 2 * points,
-    track: 2 * points,
-    status: 1,
-    passes: 1,
-    nodes: 0,
-    u_by: room * columns,
-    slope_by: room * columns,
-    constraints_by: points * columns,
-    track_by: points * columns,
-  };
-  for (const [name, count] of Object.entries(counts))
-    write(shapes[name], name === "nodes" ? 8 : 8 * sets * count);
+  for (const [name, count] of Object.entries(shapes.counts)) write(shapes[name], 8 * count);
   const nodes = Number(heap.integers(shapes.nodes, 1)[0]),
     wanted = s.length / 8;
   const coordinates = heap.put(s),
     out = heap.take(2 * s.length);
   const memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()));
-  for (let set = 0; set < sets; set++) {
-    const of = (name) => shapes[name] + 8 * set * room;
+  for (let set = 0; set < fields.sets; set++) {
+    const of = (name) => shapes[name] + 8 * set * problem.room;
     heap.call.nf_positions(
       1n,
       BigInt(nodes),

@@ -123,48 +123,31 @@ export function makeProblem(heap, fields, arrays) {
   };
 }
 
-/** Take room for the shapes of all sets; addresses by name. */
+/** Take room for the shapes of all sets; addresses by name, and the `counts` of 64-bit numbers there. */
 export function makeShapes(heap, problem, points) {
   const { sets, columns } = problem.fields,
     { room } = problem;
   const counts = {
-    x: room,
-    u: room,
-    slope: room,
-    constraints: 2 * points,
-    track: 2 * points,
-    status: 1,
-    passes: 1,
+    x: sets * room,
+    u: sets * room,
+    slope: sets * room,
+    constraints: 2 * sets * points,
+    track: 2 * sets * points,
+    status: sets,
+    passes: sets,
+    nodes: 1,
+    u_by: sets * room * columns,
+    slope_by: sets * room * columns,
+    constraints_by: sets * points * columns,
+    track_by: sets * points * columns,
   };
-  const shapes = { points };
-  for (const [name, count] of Object.entries(counts)) shapes[name] = heap.take(8 * sets * count);
-  shapes.nodes = heap.take(8);
-  for (const [name, count] of [
-    ["u_by", room],
-    ["slope_by", room],
-    ["constraints_by", points],
-    ["track_by", points],
-  ]) {
-    shapes[name] = columns ? heap.take(8 * sets * count * columns) : 0;
-  }
-  const names = [
-    "x",
-    "u",
-    "slope",
-    "constraints",
-    "track",
-    "status",
-    "passes",
-    "nodes",
-    "u_by",
-    "slope_by",
-    "constraints_by",
-    "track_by",
-  ];
+  const shapes = { points, counts };
+  for (const [name, count] of Object.entries(counts))
+    shapes[name] = columns || !name.endsWith("_by") ? heap.take(8 * count) : 0;
   shapes.at = heap.structure(
     [room, points],
     [],
-    names.map((name) => shapes[name]),
+    Object.keys(counts).map((name) => shapes[name]),
   );
   return shapes;
 }
