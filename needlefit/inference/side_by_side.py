@@ -8,7 +8,7 @@ others.
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
-from needlefit.project.tasks import TaskPool, TaskStop, run_parts
+from needlefit.project.tasks import TaskPool, TaskStop, as_they_end, run_parts
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -62,19 +62,8 @@ def run_side_by_side(
         finally:
             group.end_search()
 
-    try:
-        if not items:
-            return
-        with ThreadPoolExecutor(min(len(items), MAX_SEARCHES)) as threads:
-            futures = {threads.submit(run, item): n for n, item in enumerate(items)}
-            try:
-                for future in as_completed(futures):
-                    for result in future.result():
-                        yield futures[future], result
-            finally:
-                stop.leave()  # before the threads are waited for
-    finally:
-        stop.leave()
+    with ThreadPoolExecutor(max(1, min(len(items), MAX_SEARCHES))) as threads:
+        yield from as_they_end({threads.submit(run, item): n for n, item in enumerate(items)}, stop)
 
 
 def map_side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:

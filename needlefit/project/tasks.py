@@ -12,7 +12,7 @@ import os
 import pickle
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     Future,
@@ -178,12 +178,7 @@ def run_parts(
         if threads > 1:
             with ThreadPoolExecutor(threads) as side_by_side:
                 futures = {side_by_side.submit(_unless_stopped, work, items[n], stop): n for n in left}
-                try:
-                    for future in as_completed(futures):
-                        for result in future.result():
-                            yield futures[future], result
-                finally:
-                    stop.leave()  # before the threads are waited for
+                yield from as_they_end(futures, stop)
             return
         for n in left:
             if stop():
@@ -191,6 +186,18 @@ def run_parts(
             yield n, work(items[n])
     finally:
         stop.leave()
+
+
+def as_they_end(
+    futures: Mapping[Future[tuple[Result, ...]], int], stop: TaskStop
+) -> Iterator[tuple[int, Result]]:
+    """Yield the number of each future and its result, if it has one; `stop` is requested in the end."""
+    try:
+        for future in as_completed(futures):
+            for result in future.result():
+                yield futures[future], result
+    finally:
+        stop.leave()  # before the threads are waited for
 
 
 def _unless_stopped(work: Callable[[Item], Result], item: Item, stop: Stop) -> tuple[Result, ...]:
