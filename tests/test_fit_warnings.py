@@ -25,7 +25,7 @@ from needlefit.studies.fit_warnings import (
     noise_floor_warnings,
 )
 from needlefit.studies.folds import make_folds, warn_shared_specimens
-from needlefit.studies.job import Settings, prepare
+from needlefit.studies.job import DATA_WARNINGS, Settings, prepare
 from needlefit.studies.kinds.cross_validation.run import run as run_fit
 from needlefit.studies.report import warning_blocks
 from needlefit.studies.run import Run
@@ -243,7 +243,11 @@ def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, ca
     err = capsys.readouterr().err
     warnings = json.loads((flipped / "reports/fit/run.json").read_text())["warnings"]
     assert {one["kind"] for one in warnings} >= CAUSE_AND_EFFECT
-    assert err.count("needlefit: warning: ") == len(warnings) and "data/insertions.csv:2" in err
+    # That of the data is printed before the fit begins, and again with all others at its end.
+    assert [one["kind"] for one in warnings if one["kind"] in DATA_WARNINGS] == ["bevel_side"]
+    assert err.count("needlefit: warning: ") == 1 + len(warnings)
+    assert err.count(" (needlefit explain ") == len(warnings)
+    assert err.count("data/insertions.csv:2") == 2
 
 
 HELD_OUT = """
