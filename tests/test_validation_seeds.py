@@ -19,7 +19,7 @@ from needlefit.studies.kinds.seeds.run import (
     compare_methods,
     explain_losses,
 )
-from needlefit.studies.paper.cells import (
+from needlefit.studies.paper_cells import (
     generalisation_threshold,
     tabulate_cells,
     tabulate_generalisation,

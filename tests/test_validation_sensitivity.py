@@ -13,7 +13,7 @@ from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.sensitivity.run import apply_variation
 from needlefit.studies.kinds.sensitivity.schema import VariationRecord
-from needlefit.studies.paper.cells import prepare_jobs
+from needlefit.studies.paper_cells import prepare_jobs
 from needlefit.studies.study_files import load_study
 
 RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")

@@ -164,6 +164,14 @@ class StudyReport:
     explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = explain_by_report
     headline: Callable[[str], str] = headline_fault
 
+    def write(self, result: Run, folder: Path) -> Path:
+        """Write a result, as `write_run`; called by `Run.save`, which cannot import this module."""
+        return write_run(result, folder)
+
+    def format_notebook_html(self, result: Run) -> str:
+        """Return what a notebook shows of a run: title, warnings, results in words, tables."""
+        return _format_notebook_html(result)
+
 
 MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."
 """Of synthetic data that are not the twin's."""
@@ -267,8 +275,7 @@ def verdict_blocks(result: Run, named: bool = False) -> list[Block]:
     return [document.verdict(f"{head}{one.sentence}.", one.status) for one in judge_run(result)]
 
 
-def format_notebook_html(result: Run) -> str:
-    """Return what a notebook shows of a run: title, warnings, results in words, tables."""
+def _format_notebook_html(result: Run) -> str:
     page = find_kind(result.kind).report
     warned = compose_warnings(list_run_warnings(result), linked=False)
     blocks = state_blocks(result) + _fault_blocks(result)

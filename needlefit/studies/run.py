@@ -121,14 +121,10 @@ class Run:
         ConfigError
             If `folder` holds anything that needlefit did not write, or that was changed since.
         """
-        from needlefit.studies.report import write_run  # late: it imports what draws figures
-
-        return write_run(self, Path(folder))
+        return find_kind(self.kind).report.write(self, Path(folder))
 
     def _repr_html_(self) -> str:
-        from needlefit.studies.report import format_notebook_html
-
-        return format_notebook_html(self)
+        return find_kind(self.kind).report.format_notebook_html(self)
 
 
 _PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "faults", "run")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from needlefit.reporting.number_format import format_mm
+from needlefit.studies.kind import find_kind
 
 if TYPE_CHECKING:
     from needlefit.studies.run import Run
@@ -61,8 +62,6 @@ def judge_run(result: "Run") -> tuple[Verdict, ...]:
     A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come first.
     Those of a preliminary recipe are marked.
     """
-    from needlefit.studies.kind import find_kind  # late: kinds import this module
-
     report = find_kind(result.kind).report
     verdicts = report.judge(result)
     if (result.run.get("recipe") or {}).get("preliminary"):

@@ -16,7 +16,7 @@ from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.calibration.synthetic_truth import find_true_value
 from needlefit.studies.kinds.cross_validation.result_rows import make_predictors
 from needlefit.studies.kinds.seeds.schema import SeedsRecord
-from needlefit.studies.paper.cells import (
+from needlefit.studies.paper_cells import (
     ERROR_COLUMNS,
     LoadedFit,
     compute_floors,

@@ -26,7 +26,7 @@ from needlefit.project.toml_lines import add_study_context
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.seeds.one_twin import TRUTH, list_frames, run_on_twin
 from needlefit.studies.kinds.seeds.schema import SeedsRecord
-from needlefit.studies.paper.cells import (
+from needlefit.studies.paper_cells import (
     CELL_KEYS,
     find_paper_numbers,
     load_fits,

@@ -26,7 +26,7 @@ from needlefit.project.toml_lines import add_study_context
 from needlefit.schemas.medium import use_path_angle
 from needlefit.studies.job import Job, Settings, adapt_parameters
 from needlefit.studies.kinds.sensitivity.schema import SensitivityRecord, VariationRecord
-from needlefit.studies.paper.cells import (
+from needlefit.studies.paper_cells import (
     CELL_KEYS,
     ERROR_COLUMNS,
     compute_floors,
