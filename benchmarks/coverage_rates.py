@@ -25,7 +25,7 @@ from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
-from needlefit.studies.kinds.calibration.measurement import simulate_measurement
+from needlefit.studies.simulated_data import simulate_measurement
 
 HOW = {
     "independent, depths fixed": LikelihoodRecord(noise="independent", depths="fixed"),

@@ -29,7 +29,7 @@ from needlefit.project.locate import find_file
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
-from needlefit.studies.kinds.calibration.measurement import simulate_measurement
+from needlefit.studies.simulated_data import simulate_measurement
 
 TRUE = {"mu1_pa": 3e5, "alpha1": 1.0, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": needles.BEVEL}
 MEDIUM = MediumRecord.model_validate(

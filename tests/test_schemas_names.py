@@ -14,7 +14,7 @@ from needlefit.imaging.scan_table import make_scans, read_scans
 from needlefit.project.load import check as check_tables
 from needlefit.project.locate import find_studies, find_study_or_fit, shipped_folder
 from needlefit.schemas.names import file_name_fault, name_fault, spreadsheet_text
-from needlefit.studies.kinds.tracks.schema import TrackFitRecord
+from needlefit.schemas.tracks import TrackFitRecord
 
 BAD = [
     "=1+1",

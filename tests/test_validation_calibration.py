@@ -17,8 +17,10 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
-from needlefit.studies.kinds.calibration.measurement import simulate_measurement
-from needlefit.studies.kinds.calibration.rank_statistics import (
+from needlefit.studies.kinds.calibration.replicate import Experiment, replicate, simulate_experiment
+from needlefit.studies.kinds.calibration.run import average_tips
+from needlefit.studies.kinds.calibration.schema import CONTROLS
+from needlefit.studies.rank_statistics import (
     RANK_DRAWS,
     count_covered,
     count_limits,
@@ -29,9 +31,7 @@ from needlefit.studies.kinds.calibration.rank_statistics import (
     tabulate_coverage,
     tabulate_ecdfs,
 )
-from needlefit.studies.kinds.calibration.replicate import Experiment, replicate, simulate_experiment
-from needlefit.studies.kinds.calibration.run import average_tips
-from needlefit.studies.kinds.calibration.schema import CONTROLS
+from needlefit.studies.simulated_data import simulate_measurement
 
 ENOUGH = {"sigma": 80, "prior": 20, "pose": 10, "shuffled": 8}
 """Replicates by which each control is noticed."""

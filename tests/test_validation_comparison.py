@@ -25,7 +25,6 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.calibration.measurement import simulate_measurement
 from needlefit.studies.kinds.comparison.candidates import MAX_NOISE_FACTOR, candidate_job, fit_candidate
 from needlefit.studies.kinds.comparison.report import summarize
 from needlefit.studies.kinds.comparison.run import (
@@ -37,6 +36,7 @@ from needlefit.studies.kinds.comparison.run import (
 )
 from needlefit.studies.kinds.comparison.schema import ComparisonRecord
 from needlefit.studies.runner import run_analysis
+from needlefit.studies.simulated_data import simulate_measurement
 from tests.inference_cases import NEEDLE, NOISE, dataset, insertion, measure, medium, squares_recipe
 
 TRUTH = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}

@@ -11,13 +11,6 @@ from test_cli import run
 from needlefit.project.locate import find_file
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.calibration.rank_statistics import (
-    RANK_DRAWS,
-    count_covered,
-    place_pit,
-    tabulate_coverage,
-    tabulate_ecdfs,
-)
 from needlefit.studies.kinds.calibration.run import add_intervals
 from needlefit.studies.kinds.calibration.schema import CalibrationRecord
 from needlefit.studies.kinds.calibration.synthetic_truth import (
@@ -26,6 +19,13 @@ from needlefit.studies.kinds.calibration.synthetic_truth import (
     find_true_value,
     prepare_synthetic,
     replicate_synthetic,
+)
+from needlefit.studies.rank_statistics import (
+    RANK_DRAWS,
+    count_covered,
+    place_pit,
+    tabulate_coverage,
+    tabulate_ecdfs,
 )
 from needlefit.studies.study_files import load_study
 from needlefit.synthetic.truth import draw_specimen

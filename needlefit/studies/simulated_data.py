@@ -1,32 +1,186 @@
-"""Simulate data for analyses in memory: needles of the model, measured with stated errors.
-
-A whole dataset for a comparison, and specimens drawn about a known mean for a recovery.
-"""
+"""Simulate measured needles in memory: single ones, or a dataset, with the errors that it states."""
 
 import hashlib
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.inspection import make_noise
-from needlefit.errors import ConfigError, FitError
+from needlefit.datasets.select import list_bevels
+from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.errors import ConfigError
+from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame
-from needlefit.inference.importance.fit_posterior import sample_about_fit
-from needlefit.inference.importance.sampler import Effort
-from needlefit.inference.optimize import minimize
-from needlefit.inference.problem import Problem
-from needlefit.inference.specimen_spread import KERNELS_PER_SPECIMEN, Specimen, make_specimen
+from needlefit.geometry.smoothing_spline import design_matrix
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.nodes import (
+    BEVEL,
+    Surface,
+    draw_boundary_errors,
+    find_bevel_factors,
+    shift_depths,
+)
+from needlefit.inference.likelihood.observation import (
+    SESSION_SD_RAD,
+    add_headings,
+    list_session_axes,
+    points_covariance,
+    pose_modes,
+    pose_sds,
+)
+from needlefit.inference.likelihood.operators import SectionData, select_sections
+from needlefit.inference.simulated_points import read_points
+from needlefit.inference.ties import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
-from needlefit.studies.job import Job
-from needlefit.studies.kinds.calibration.measurement import simulate_measurement
+
+MIN_WEIGHT = 1e-12
+"""Of a cross-section that counts for nothing: its noise must stay finite."""
+
+FREE_POSE_SHIFT_SD_MM = 10.0
+"""Standard deviation of where a shape lies whose pose is free, mm."""
+
+TRACKER_FRAME_SD = (FREE_POSE_SHIFT_SD_MM, 0.1)
+"""Standard deviations of the shift, mm, and the slope of a tracker's frame."""
+
+
+def simulate_measurement(
+    dataset: Dataset,
+    insertion: Insertion,
+    values: Mapping[str, float],
+    medium: MediumRecord,
+    rng: np.random.Generator,
+    shared: dict[tuple[object, ...], float] | None = None,
+) -> Insertion | None:
+    """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
+
+    The needle is simulated at depths of layers and tip that err as stated about the insertion's, with a bevel
+    of its own. Measured are its deflections at the arc lengths of `insertion.planar`, or its tips at the
+    depths of a tip track, moved by a pose drawn from its prior and by the noise of the points, which is
+    `noise_scale` of `values` times as large as stated. Where cross-sections are stored, they are measured,
+    with their own noise. Where poses are free, the shape or the tracker's frame lies anywhere. There is none
+    where the needle has no solution, or bends as no curve of its length does.
+
+    `shared` holds the errors, in standard deviations, of the surfaces of each specimen; it is filled as
+    needed, and to be given again for every insertion measured with them.
+    """
+    errors = {} if shared is None else shared
+    scale = values.get(NOISE_SCALE, 1.0)
+    known = select_sections(insertion, dataset.needle) if dataset.pose == "known" else None
+    s = _list_beam_coordinates(insertion) if known is None else known.s
+    deep = insertion.depth_sd * rng.standard_normal()
+    wrong = draw_boundary_errors(insertion, errors, rng)
+    deviation = _draw_bevel(dataset, insertion, errors, rng)
+    factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
+    true, at = shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
+    shape = predict(values, medium, dataset.needle, true)
+    if not shape.converged:
+        return None
+    points = read_points(true, shape, at)
+    if known is not None:
+        slope = np.gradient(points[:, 1], points[:, 0])
+        moved = pose_modes(points, slope) @ (pose_sds(insertion, dataset.noise) * rng.standard_normal(3))
+        return _measure_sections(insertion, known, points[:, 0], moved + points[:, 1], scale, rng)
+    cov = scale**2 * points_covariance(s, dataset.noise, insertion.sd)
+    if dataset.pose == "known":
+        spread = pose_modes(points) * pose_sds(insertion, dataset.noise)
+        cov = cov + spread @ spread.T
+    y = points[:, 1] + np.linalg.cholesky(cov) @ rng.standard_normal(len(s))
+    if dataset.pose == "tracker":
+        frame = _draw_frame(insertion.specimen, dataset.noise, errors, rng)
+        tips = insertion.with_planar(np.column_stack([s, y + frame[0] + frame[1] * s]))
+        return _measure_headings(tips, shape, frame[1:], scale * dataset.noise.heading_sd, rng)
+    along_x = np.diff(s) ** 2 - np.diff(y) ** 2
+    if np.any(along_x <= 0):
+        return None
+    # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power
+    planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), y])
+    return insertion.with_planar(_move_randomly(planar, rng) if dataset.pose == "free" else planar)
+
+
+def _draw_bevel(
+    dataset: Dataset, insertion: Insertion, shared: dict[Surface, float], rng: np.random.Generator
+) -> float:
+    """Return by how many SDs a bevel deviates; the same for all depths of one insertion."""
+    ((specimen, number),) = list_bevels(dataset, (insertion,))
+    return shared.setdefault((specimen, BEVEL, number), float(rng.standard_normal()))
+
+
+def draw_bevels(
+    dataset: Dataset, insertions: Sequence[Insertion], rng: np.random.Generator
+) -> dict[Surface, float]:
+    """Draw by how many SDs between insertions each bevel deviates; the deviations sum to zero.
+
+    They are those of a problem with `centred_bevels`, and go to `simulate_measurement` as `shared`.
+    """
+    bevels = tuple(dict.fromkeys(list_bevels(dataset, insertions)))
+    drawn = rng.standard_normal(len(bevels))
+    pairs = zip(bevels, (drawn - drawn.mean()).tolist(), strict=True)
+    return {(specimen, BEVEL, number): deviation for (specimen, number), deviation in pairs}
+
+
+def _measure_sections(
+    insertion: Insertion, known: SectionData, x: Floats, y: Floats, scale: float, rng: np.random.Generator
+) -> Insertion:
+    """Return the insertion with cross-sections at `x`, `y` (K,), and the spline through them, with noise."""
+    stored = known.stored
+    own = stored.sigma / np.sqrt(np.maximum(stored.weights, MIN_WEIGHT)) * rng.standard_normal(len(y))
+    shared = np.linalg.cholesky(known.shared + MIN_WEIGHT * np.eye(len(y))) @ rng.standard_normal(len(y))
+    seen = np.column_stack([x, y + scale * (own + shared)])
+    q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.planar)), known.s, stored.q)
+    measured = insertion.with_planar(design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen)
+    world = insertion.frame.to_world(np.column_stack([seen, np.zeros(len(y))]))
+    return replace(measured, sections=replace(stored, points=world))
+
+
+def _list_beam_coordinates(insertion: Insertion) -> Floats:
+    """Return where the points of an insertion lie on the needle, or at which depths its tip was, (K,) mm."""
+    if isinstance(insertion, TipTrack):
+        return insertion.depths
+    along = arc_length(insertion.planar)
+    beam: Floats = along * (insertion.depth / along[-1])
+    return beam
+
+
+def _draw_frame(session: str, noise: Noise, shared: dict[Surface, float], rng: np.random.Generator) -> Floats:
+    """Return shift (mm), slope and offset of headings (rad) of a run in a tracker's frame: (3,)."""
+    frame = np.append(rng.standard_normal(2) * TRACKER_FRAME_SD, 0.0)
+    for part, axis in enumerate(list_session_axes(session, noise.slope_sd, 2)):
+        if axis.surface not in shared:
+            shared[axis.surface] = float(rng.standard_normal())
+        err = axis.own * rng.standard_normal() + axis.shared * shared[axis.surface]
+        frame[1 + part] = err * SESSION_SD_RAD / axis.shared
+    return frame
+
+
+def _measure_headings(
+    track: Insertion, shape: NeedleShape, turned: Floats, sd: float, rng: np.random.Generator
+) -> Insertion:
+    """Return the track with the headings of a simulated one, turned by slope and offset, with noise `sd`."""
+    if not sd or not isinstance(track, TipTrack) or track.heading is None:
+        return track
+    places, operator = add_headings(track, track.heading)
+    path = operator[len(track.depths) :] @ read_points(track, shape, places[:, 0])[:, 1]
+    seen = path + turned.sum() + sd * rng.standard_normal(len(path))
+    return replace(track, heading=np.append(track.heading[:1], np.arctan(seen)))
+
+
+def _move_randomly(planar: Floats, rng: np.random.Generator) -> Floats:
+    """Return points (K, 2) turned by any angle, and moved."""
+    angle = rng.uniform(0.0, 2 * np.pi)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    moved_: Floats = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
+    return moved_
+
 
 POINT_SPACING_MM = 1.0
 """Distance of measured points along a needle, mm."""
@@ -103,58 +257,3 @@ def _assemble_dataset(name: str, record: SyntheticDataRecord, insertions: tuple[
         digest=hashlib.sha256(text.encode()).hexdigest(),
         outer_diameter=record.needle.outer_diameter_mm,
     )
-
-
-SPECIMEN_STARTS, SPECIMEN_EFFORT = 2, Effort(draws=120, min_ess=150.0)
-"""For each simulated specimen: its search, and the importance sampling of its posterior."""
-
-NEEDLE_POINTS = 30
-"""At which a made-up needle is measured, about."""
-
-MAX_SPECIMEN_DRAWS = 100
-"""Draws of a specimen among which one must have a solution."""
-
-
-def simulate_specimen(job: Job, mean: Floats, spread: float, rng: np.random.Generator) -> Problem:
-    """Return the problem of one specimen drawn about the mean, with needles measured with stated errors.
-
-    Raises
-    ------
-    FitError
-        If hardly any such specimen has a solution.
-    """
-    everything = job.problem(job.folds[0])
-    for _ in range(MAX_SPECIMEN_DRAWS):
-        theta = mean + spread * rng.standard_normal(len(mean))
-        if np.any(theta < everything.lower) or np.any(theta > everything.upper):
-            continue
-        values = everything.values(theta)
-        shared: dict[tuple[object, ...], float] = {}
-        measurements = [
-            simulate_measurement(job.dataset, _thin_points(one), values, job.medium, rng, shared)
-            for one in job.folds[0].tune
-        ]
-        known = tuple(one for one in measurements if one is not None)
-        if len(known) == len(measurements):
-            return replace(everything, insertions=known)
-    raise FitError(
-        "specimens about this mean have no solution, or lie outside the bounds",
-        where="recovery",
-        fix="choose a mean farther within the bounds, or smaller spreads",
-    )
-
-
-def _thin_points(insertion: Insertion) -> Insertion:
-    """Return an insertion with about `NEEDLE_POINTS` of its points: neighbours err alike."""
-    step = max(1, len(insertion.planar) // NEEDLE_POINTS)
-    kept = np.arange(len(insertion.planar) - 1, -1, -step)[::-1]
-    sd = None if insertion.sd is None else insertion.sd[kept]
-    return replace(insertion, planar=insertion.planar[kept], sd=sd, sections=None)
-
-
-def infer_specimen(job: Job, problem: Problem, rng: np.random.Generator) -> Specimen:
-    """Return the posterior of a simulated specimen, from a flat prior."""
-    recipe = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"})
-    found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
-    chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))
-    return make_specimen(found.thetas[chosen])

@@ -11,8 +11,8 @@ from needlefit.project.locate import find_file
 from needlefit.project.toml_lines import add_file_context
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import StudyRecord
+from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.tracks.schema import TrackStudyRecord
 
 
 def load_study(path: Path) -> FileRecord:

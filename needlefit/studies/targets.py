@@ -12,9 +12,9 @@ from needlefit.project.result_warnings import warnings_entry
 from needlefit.project.toml_lines import add_file_context
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies import provenance
 from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.tracks.schema import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.run import Run
 from needlefit.studies.study_files import load_study
 

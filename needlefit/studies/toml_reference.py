@@ -30,9 +30,9 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracker import TrackerRecord
+from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.kind import KINDS
 from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
-from needlefit.studies.kinds.tracks.schema import TrackStudyRecord
 
 EXAMPLES = "docs/examples"
 

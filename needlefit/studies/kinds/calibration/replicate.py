@@ -20,11 +20,11 @@ from needlefit.inference.ties import NOISE_SCALE
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.job import Job
-from needlefit.studies.kinds.calibration.measurement import draw_bevels, simulate_measurement
 from needlefit.studies.kinds.calibration.quantities import RankedQuantities, best_determined_direction
-from needlefit.studies.kinds.calibration.rank_statistics import RANK_DRAWS, rank_truth
 from needlefit.studies.kinds.calibration.schema import Control
 from needlefit.studies.planned_insertions import simulate_design
+from needlefit.studies.rank_statistics import RANK_DRAWS, rank_truth
+from needlefit.studies.simulated_data import draw_bevels, simulate_measurement
 
 UNDERSTATED_SD_FACTOR = 0.7
 """Factor on the true deviation of the noise that the control "sigma" assumes."""

@@ -17,7 +17,6 @@ from needlefit.reporting.figures.style import TEXT_WIDTH_IN, plot
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.csv_tables import ANY_COLUMNS
-from needlefit.studies.kinds.calibration.rank_statistics import RANK_DRAWS
 from needlefit.studies.kinds.calibration.run import NESTED_FRAMES
 from needlefit.studies.kinds.calibration.summary import (
     describe_figure,
@@ -29,6 +28,7 @@ from needlefit.studies.kinds.calibration.summary import (
     scope_note,
     summarize_calibration,
 )
+from needlefit.studies.rank_statistics import RANK_DRAWS
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import Difference, TableComparison

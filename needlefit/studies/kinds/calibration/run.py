@@ -20,13 +20,6 @@ from needlefit.studies.checkpoint import open_checkpoint
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.calibration.quantities import best_determined_direction
-from needlefit.studies.kinds.calibration.rank_statistics import (
-    RANK_DRAWS,
-    Counts,
-    find_failing,
-    tabulate_coverage,
-    tabulate_ecdfs,
-)
 from needlefit.studies.kinds.calibration.replicate import Experiment, replicate
 from needlefit.studies.kinds.calibration.schema import CalibrationRecord
 from needlefit.studies.kinds.calibration.synthetic_truth import (
@@ -37,6 +30,13 @@ from needlefit.studies.kinds.calibration.synthetic_truth import (
 )
 from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
 from needlefit.studies.proportions import wilson_interval
+from needlefit.studies.rank_statistics import (
+    RANK_DRAWS,
+    Counts,
+    find_failing,
+    tabulate_coverage,
+    tabulate_ecdfs,
+)
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 from needlefit.studies.targets import begin_run, prepare_target, prepare_with_held_out, target_name

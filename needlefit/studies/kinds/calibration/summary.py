@@ -8,15 +8,15 @@ from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.kinds.calibration.quantities import DESIGN, FIT, LIKELIHOOD, TIP
-from needlefit.studies.kinds.calibration.rank_statistics import (
+from needlefit.studies.kinds.calibration.replicate import UNDERSTATED_SD_FACTOR
+from needlefit.studies.kinds.calibration.schema import Control
+from needlefit.studies.kinds.calibration.synthetic_truth import HELD_OUT_TIP
+from needlefit.studies.rank_statistics import (
     FAMILY_ERROR,
     LEVELS,
     RANK_DRAWS,
     single_check_error,
 )
-from needlefit.studies.kinds.calibration.replicate import UNDERSTATED_SD_FACTOR
-from needlefit.studies.kinds.calibration.schema import Control
-from needlefit.studies.kinds.calibration.synthetic_truth import HELD_OUT_TIP
 from needlefit.studies.run import Run
 from needlefit.studies.verdict import Status, Verdict, headline_fault
 

@@ -22,7 +22,6 @@ from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Inputs, Job, Settings, prepare
-from needlefit.studies.kinds.calibration.rank_statistics import RANK_DRAWS, place_pit
 from needlefit.studies.kinds.calibration.replicate import (
     InferenceOptions,
     InferredPosterior,
@@ -30,6 +29,7 @@ from needlefit.studies.kinds.calibration.replicate import (
     summarize_inference,
 )
 from needlefit.studies.new_specimens import NewSpecimens
+from needlefit.studies.rank_statistics import RANK_DRAWS, place_pit
 from needlefit.studies.score import Row
 from needlefit.synthetic.build import build_dataset, build_unscanned
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions

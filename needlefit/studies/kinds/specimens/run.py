@@ -15,10 +15,15 @@ import pandas as pd
 from scipy.stats import halfnorm
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError
+from needlefit.datasets.insertion import Insertion
+from needlefit.errors import ConfigError, FitError
 from needlefit.inference.identifiability.information import describe_combination
+from needlefit.inference.importance.fit_posterior import sample_about_fit
+from needlefit.inference.importance.sampler import Effort
+from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.specimen_spread import (
+    KERNELS_PER_SPECIMEN,
     Population,
     Specimen,
     best_determined,
@@ -36,7 +41,7 @@ from needlefit.studies.proportions import wilson_interval
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
 from needlefit.studies.score import Row
-from needlefit.studies.simulated_data import infer_specimen, simulate_specimen
+from needlefit.studies.simulated_data import simulate_measurement
 
 POSTERIOR_DRAWS = 100
 """Draws of a specimen's posterior that the Gaussian kernels in its place are made of."""
@@ -276,6 +281,61 @@ def _recover_population(
         }
         rows.append({"spread": spread, "replicate": number + 1, "truth": truth, **kept})
     return {"recovered": rows}
+
+
+SPECIMEN_STARTS, SPECIMEN_EFFORT = 2, Effort(draws=120, min_ess=150.0)
+"""For each simulated specimen: its search, and the importance sampling of its posterior."""
+
+NEEDLE_POINTS = 30
+"""At which a made-up needle is measured, about."""
+
+MAX_SPECIMEN_DRAWS = 100
+"""Draws of a specimen among which one must have a solution."""
+
+
+def simulate_specimen(job: Job, mean: Floats, spread: float, rng: np.random.Generator) -> Problem:
+    """Return the problem of one specimen drawn about the mean, with needles measured with stated errors.
+
+    Raises
+    ------
+    FitError
+        If hardly any such specimen has a solution.
+    """
+    everything = job.problem(job.folds[0])
+    for _ in range(MAX_SPECIMEN_DRAWS):
+        theta = mean + spread * rng.standard_normal(len(mean))
+        if np.any(theta < everything.lower) or np.any(theta > everything.upper):
+            continue
+        values = everything.values(theta)
+        shared: dict[tuple[object, ...], float] = {}
+        measurements = [
+            simulate_measurement(job.dataset, _thin_points(one), values, job.medium, rng, shared)
+            for one in job.folds[0].tune
+        ]
+        known = tuple(one for one in measurements if one is not None)
+        if len(known) == len(measurements):
+            return replace(everything, insertions=known)
+    raise FitError(
+        "specimens about this mean have no solution, or lie outside the bounds",
+        where="recovery",
+        fix="choose a mean farther within the bounds, or smaller spreads",
+    )
+
+
+def _thin_points(insertion: Insertion) -> Insertion:
+    """Return an insertion with about `NEEDLE_POINTS` of its points: neighbours err alike."""
+    step = max(1, len(insertion.planar) // NEEDLE_POINTS)
+    kept = np.arange(len(insertion.planar) - 1, -1, -step)[::-1]
+    sd = None if insertion.sd is None else insertion.sd[kept]
+    return replace(insertion, planar=insertion.planar[kept], sd=sd, sections=None)
+
+
+def infer_specimen(job: Job, problem: Problem, rng: np.random.Generator) -> Specimen:
+    """Return the posterior of a simulated specimen, from a flat prior."""
+    recipe = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"})
+    found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
+    chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))
+    return make_specimen(found.thetas[chosen])
 
 
 def _conclude(frames: Frames) -> tuple[str, ...]:

@@ -35,6 +35,7 @@ from needlefit.project.toml_lines import locate_key, renamed_keys
 from needlefit.reporting.labels import medium_name
 from needlefit.reporting.table_files import to_records
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
 from needlefit.studies.fit_warnings import analysis_bound_warnings, cut_off_warnings
 from needlefit.studies.folds import Fold, specimen_warning
@@ -48,7 +49,6 @@ from needlefit.studies.kinds.tracks.results import (
     list_track_methods,
     name_track_method,
 )
-from needlefit.studies.kinds.tracks.schema import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.kinds.tracks.score import predict_runs, remove_intervals, tabulate_tuned
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.posterior_fit import PREDICTION_DRAWS

@@ -21,9 +21,9 @@ from needlefit.datasets.select import group_independent
 from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, choose_width, draw_grid, plot
 from needlefit.reporting.labels import GREY, INK, study_name
 from needlefit.reporting.table_files import Row
-from needlefit.studies.kinds.calibration.rank_statistics import ecdf_band
 from needlefit.studies.kinds.cross_validation.tables import study_label
 from needlefit.studies.proportions import estimate_proportion
+from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.run import Run
 from needlefit.studies.summary import find_bevel_sides
 
