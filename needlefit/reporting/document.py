@@ -25,6 +25,8 @@ from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table_layout import TableLayout
 
 Block = dict[str, Any]
+Words = str | list[dict[str, str]]
+"""The text of a paragraph: one string, or runs: `text`, `style` ("", "em", "strong", "code"), `target`."""
 
 
 @dataclass(frozen=True)
@@ -60,39 +62,39 @@ def subheading(words: str, target: str = "") -> Block:
     return {"kind": "subheading", "text": words, "target": target}
 
 
-def verdict(words: str, status: Literal["none", "pass", "warn", "fail"]) -> Block:
+def verdict(words: Words, status: Literal["none", "pass", "warn", "fail"]) -> Block:
     """Return the answer of a run or of one of its groups, with its badge unless its status is "none"."""
     return {"kind": "verdict", "text": _prose_block(words), "status": status}
 
 
-def text(words: str) -> Block:
+def text(words: Words) -> Block:
     """Return a paragraph of text."""
     return {"kind": "text", "text": _prose_block(words)}
 
 
-def note(words: str) -> Block:
+def note(words: Words) -> Block:
     """Return a paragraph in less prominent type."""
     return {"kind": "note", "text": _prose_block(words)}
 
 
-def bullets(items: Sequence[str]) -> Block:
+def bullets(items: Sequence[Words]) -> Block:
     """Return a bulleted list."""
     return {"kind": "list", "items": [_prose_block(words) for words in items]}
 
 
-def warning(words: str, link: tuple[str, str] = ("", "")) -> Block:
+def warning(words: Words, link: tuple[str, str] = ("", "")) -> Block:
     """Return a warning: a paragraph in prominent type; `link` is the target and the text of its link."""
     return {"kind": "warning", "text": _prose_block(words), "target": link[0], "link": link[1]}
 
 
-def gap_box(words: str) -> Block:
+def gap_box(words: Words) -> Block:
     """Return an empty box with a description of what is missing."""
     return {"kind": "empty", "text": _prose_block(words)}
 
 
-def _prose_block(words: str) -> str:
+def _prose_block(words: Words) -> Words:
     """Return text without backticks, which mark names in Markdown; a page would print them."""
-    return words.replace("`", "")
+    return words.replace("`", "") if isinstance(words, str) else words
 
 
 def table(display: TableLayout) -> Block:

@@ -1,4 +1,4 @@
-"""The kinds of study. Each is a folder of `kinds/`: its study file, its computation and its report."""
+"""The kinds of study, each a file or folder of `kinds/`: its study file, its computation, its report."""
 
 import platform
 import shlex
@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from needlefit.project.checkpoint_folder import release_checkpoint
@@ -34,9 +35,9 @@ class StudyKind:
     record : type
         The keys of the study file.
     package : str
-        The package with the modules `run`, which has a function `run(name, record, settings)` and the columns
-        of its frames in `FRAMES`, and `report`,
-        which has a `StudyReport` named `REPORT`. Both are imported on first use.
+        The module with a function `run(name, record, settings)`, the columns of its frames in `FRAMES`, and a
+        `StudyReport` named `REPORT`; or a package whose modules `run` and `report` have these. They are
+        imported on first use.
     """
 
     name: str
@@ -46,14 +47,19 @@ class StudyKind:
     @property
     def frames(self) -> Mapping[str, Sequence[str]]:
         """The columns that every frame of its runs has."""
-        columns: Mapping[str, Sequence[str]] = getattr(import_module(f"{self.package}.run"), "FRAMES", {})
+        columns: Mapping[str, Sequence[str]] = getattr(self._import("run"), "FRAMES", {})
         return columns
 
     @property
     def report(self) -> "StudyReport":
         """How its results are reported."""
-        report: StudyReport = import_module(f"{self.package}.report").REPORT
+        report: StudyReport = self._import("report").REPORT
         return report
+
+    def _import(self, part: str) -> ModuleType:
+        """Return the kind's module, or the one of this name in its package."""
+        found = import_module(self.package)
+        return import_module(f"{self.package}.{part}") if hasattr(found, "__path__") else found
 
     @one_thread
     def run(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
@@ -71,7 +77,7 @@ class StudyKind:
         begin, complete = time.time(), False
         try:
             with add_study_context(name):
-                result: Run = import_module(f"{self.package}.run").run(name, record, settings)
+                result: Run = self._import("run").run(name, record, settings)
             complete = not result.interrupted
         finally:
             if settings.checkpoint is not None and not complete:
@@ -97,7 +103,7 @@ def describe_surroundings(begin: float) -> dict[str, str]:
 
 
 KINDS = Registry(StudyKind, "needlefit.studies.kinds", "kind of study")
-"""All kinds by name: the folders of `kinds/`, and those of plugins."""
+"""All kinds by name: the files and folders of `kinds/`, and those of plugins."""
 
 
 def kind_of(record: FileRecord) -> StudyKind:

@@ -1,7 +1,7 @@
 """The report of a run: what every kind of study provides, and the folder that is written from it."""
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -16,12 +16,14 @@ from needlefit.project.threads import one_thread
 from needlefit.project.troubleshooting import HelpSection, read_sections
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex, format_table_macros
 from needlefit.reporting.paper_example import EXAMPLE_FILE, format_example
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records, write_csv_pieces, write_json
 from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.text import KindText
 from needlefit.reporting.tidy import to_tidy
 from needlefit.studies.columnar import iterate_pieces
 from needlefit.studies.kind import find_kind
@@ -171,6 +173,46 @@ class StudyReport:
     def format_notebook_html(self, result: Run) -> str:
         """Return what a notebook shows of a run: title, warnings, results in words, tables."""
         return _format_notebook_html(result)
+
+
+def report_from_text(
+    text: KindText,
+    values: Callable[[Run], Mapping[str, Any]],
+    tables: Callable[[Run], Sequence[Table]],
+    figures: Callable[[Run], Mapping[str, Drawing]] = lambda result: {},
+    blocks: Callable[[Run], Mapping[str, list[Block]]] = lambda result: {},
+    **rest: Any,  # noqa: ANN401
+) -> StudyReport:
+    """Return the report of a kind whose sentences stand in a text.
+
+    Parameters
+    ----------
+    text : KindText
+        Its block `verdict` is the answer; `summary` holds further sentences, `report` the body of the report,
+        `table_<name>` the caption and the notes of a table, `figure_<name>` the caption of a figure.
+    values : callable
+        Result -> the numbers and names that the text prints.
+    tables, figures, blocks : callable
+        Result -> what the text refers to by name; figures are forms with their frames.
+    **rest
+        As of `StudyReport`.
+    """
+
+    def lay_out(result: Run) -> list[TableLayout]:
+        found = values(result)
+        return [text.lay_out(table, found) for table in tables(result)]
+
+    def compose(result: Run, paths: FigurePaths) -> list[Block]:
+        return text.compose("report", values(result), lay_out(result), paths, blocks(result))
+
+    def summarize(result: Run) -> list[str]:
+        found = values(result)
+        return [*text.sentences("verdict", found), *text.sentences("summary", found)]
+
+    def draw(result: Run, folder: Path) -> dict[str, Path]:
+        return {name: one.save(folder / f"{name}.pdf") for name, one in figures(result).items()}
+
+    return StudyReport(summarize, lay_out, draw, compose, **rest)
 
 
 MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."

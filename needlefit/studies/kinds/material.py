@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -15,11 +15,36 @@ from needlefit.inference.material import (
     make_material_prior,
 )
 from needlefit.inference.specimen_fit import ALPHA_RANGE, SpecimenFit
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
+from needlefit.project.toml_text import dumps
+from needlefit.reporting.figures import Drawing, Panel
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.text import KindText
+from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.studies.job import Settings
-from needlefit.studies.kinds.material.schema import CompressionRecord
+from needlefit.studies.kind import StudyKind
 from needlefit.studies.provenance import package_versions
+from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Run
+from needlefit.studies.verdict import Status
+
+
+class CompressionRecord(AnalysisRecord):
+    """`kind = "material"`: a prior from a compression test."""
+
+    kind: Literal["material"]
+    file: str
+    """Table of the compression test."""
+    stress: Literal["nominal", "true"] | None = None
+    """What column `stress_kpa` holds: force per initial area (nominal) or per present area (true)."""
+    foundation: tuple[float, float] | None = None
+    """Factor from the material's shear modulus to the model's mu, and the factor within which it is
+    known."""
+
+
+KIND = StudyKind("material", CompressionRecord, __name__)
+"""What `needlefit material` runs, or a study file."""
 
 _PACKAGES = ("numpy", "scipy")
 
@@ -172,3 +197,108 @@ def _specimen_profile(fit: SpecimenFit) -> pd.DataFrame:
             "in_95_region": ratio <= fit.profile.limit,
         }
     ).replace({np.inf: np.nan, -np.inf: np.nan})
+
+
+# ---- the report
+
+TEXT = KindText("material")
+
+
+def describe(found: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    rows = list_specimens(found)
+    return {
+        "measure": found.run["measure"],
+        "prior": found.run["prior"] is not None,
+        "foundation": found.run["study"]["foundation"],
+        "pooled": [row["specimen"] for row in rows if row["alpha_identified"]],
+        "further": to_records(found.frames["material"])[-1],
+        "flat": [row for row in rows if not row["alpha_identified"]],
+    }
+
+
+def list_specimens(found: Run) -> list[Row]:
+    """Return the rows of the specimens with their 95 % regions of alpha, without that of a further one."""
+    regions = found.frames["regions"].assign(
+        open_low=lambda frame: frame["low"] <= ALPHA_RANGE[0],
+        open_high=lambda frame: frame["high"] >= ALPHA_RANGE[1],
+    )
+    return [
+        {**row, "regions": to_records(regions[regions["specimen"] == row["specimen"]])}
+        for row in to_records(found.frames["material"])
+        if row["specimen"] != FURTHER_SPECIMEN
+    ]
+
+
+def rate(found: Run) -> Status:
+    """Return "fail" if no specimen identifies alpha, "warn" if some do not."""
+    identified = [bool(row["alpha_identified"]) for row in list_specimens(found)]
+    return "pass" if all(identified) else "warn" if any(identified) else "fail"
+
+
+_COLUMNS = (
+    *("specimen", "points", "stretch_min", "mu_kpa", "alpha", "alpha_regions_95", "residual_percent"),
+    *("neighbours_correlation", "independent_points", "alpha_verdict"),
+)
+
+
+def tabulate(found: Run) -> list[Table]:
+    """Return the table of specimens."""
+    rows = [_describe_specimen(found, row) for row in list_specimens(found)]
+    return [Table("material", "", rows, _COLUMNS)]
+
+
+def _describe_specimen(found: Run, row: Row) -> Row:
+    curves, identified = found.frames["curves"], row["alpha_identified"]
+    size = float(np.max(np.abs(curves.loc[curves["specimen"] == row["specimen"], "measured_pa"])))
+    regions = " or ".join(f"{one['low']:.2f} to {one['high']:.2f}" for one in row["regions"])
+    several = "one of several" if len(row["regions"]) > 1 else "not identified"
+    return {
+        **row,
+        "mu_kpa": row["mu_pa"] / 1e3 if identified else None,
+        "alpha": row["alpha"] if identified else None,
+        "alpha_regions_95": regions.replace("-", "−"),
+        "residual_percent": f"{100 * row['residual_sd_pa'] / size:.2g}",
+        "alpha_verdict": "identified" if identified else several,
+    }
+
+
+def draw(found: Run) -> dict[str, Drawing]:
+    """Return curves with their residuals, and the profiles of alpha."""
+    measure = found.run["measure"]
+    panels = (
+        Panel(f"{measure} stress (kPa),\npositive in compression", "fitted_pa", "measured_pa", -1e-3, 2.2),
+        Panel("fitted minus\nmeasured (kPa)", "residual_pa", scale=1e-3, zero=True),
+    )
+    options = {"x": "stretch", "by": "specimen", "panels": panels, "falling": True}
+    profiles = {"x": "alpha", "by": "specimen", "label": "α", "prior": PRIOR_LABEL}
+    return {
+        "curves": Drawing("curves", found.frames["curves"], options),
+        "profiles": Drawing("profiles_by_series", found.frames["profiles"], profiles),
+    }
+
+
+def write_prior(found: Run, folder: Path) -> None:
+    """Write the prior of a layer, if some specimen identifies alpha."""
+    if found.run["prior"] is None:
+        return
+    head = (
+        "# What a compression test determines of one layer. A fit or study takes it, here for layer 1, by\n"
+        '#     priors = { 1 = "the/path/of/this/file/prior.toml" }\n'
+    )
+    note = TEXT.sentence("prior_note", describe(found))
+    tables = {"schema": 1, "title": found.dataset_title, "note": note, "sha256": found.run["sha256"]}
+    (folder / "prior.toml").write_text(head + dumps({**tables, **found.run["prior"]}), encoding="utf-8")
+
+
+def material_to_json(found: Run) -> dict[str, Any]:
+    """Return the result as JSON values."""
+    summary = [*REPORT.summarize(found), *(one.what for one in read_warnings(found.run))]
+    cells = (row.items() for row in to_records(found.frames["material"]))
+    rows = [{name: value for name, value in row if value is not None} for row in cells]
+    return {"name": found.name, "summary": summary, "specimens": rows, "prior": found.run["prior"]}
+
+
+REPORT = report_from_text(
+    TEXT, describe, tabulate, draw, write_files=write_prior, to_json=material_to_json, rate=rate
+)
