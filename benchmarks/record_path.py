@@ -2,8 +2,8 @@
 
     python benchmarks/record_path.py study3
 
-The record is what the study's TOML file becomes. A module counts when one of its functions is called, in the
-process that runs the command, with the record as an argument, or with a dataclass that has it as its `record`.
+The record is what the TOML file of the study becomes. A module counts when one of its functions is called, in
+the process of the command, with the record as an argument, or with a dataclass that has it as its `record`.
 """
 
 import argparse
