@@ -38,12 +38,62 @@ class Drawing:
 
 
 @dataclass(frozen=True)
+class Look:
+    """How a series is drawn and named in the legend.
+
+    Attributes
+    ----------
+    label, colour : str
+    marker : str
+        As of matplotlib; "|" is a tick across the row, "" none.
+    filled : bool
+    dashes : str or tuple
+        Line style.
+    shift : float
+        Of dots in a row: how far below its middle, as a part of its height.
+    size, width : float
+        Of marks and lines, points.
+    """
+
+    label: str
+    colour: str
+    marker: str = "o"
+    filled: bool = True
+    dashes: Any = "-"
+    shift: float = 0.0
+    size: float = 3.4
+    width: float = 1.1
+
+
+@dataclass(frozen=True)
 class Panel:
-    """A panel of `curves`: columns as line and as dots, times `scale`; `share` is that of the height."""
+    """A panel of `curves`: columns as line and as dots, and as a band, times `scale`.
+
+    Attributes
+    ----------
+    label : str
+        Of the y axis.
+    line, dots, low, high : str
+        Columns; empty: not drawn.
+    scale : float
+        Factor of all of them.
+    share : float
+        Of the height.
+    zero, log : bool
+        Whether a line marks 0, and whether the axis is logarithmic.
+    limits : (float, float), optional
+    reference : (float, str), optional
+        A dashed line at a height, and its name.
+    """
 
     label: str
     line: str = ""
     dots: str = ""
+    low: str = ""
+    high: str = ""
     scale: float = 1.0
     share: float = 1.0
     zero: bool = False
+    log: bool = False
+    limits: tuple[float, float] | None = None
+    reference: tuple[float, str] | None = None

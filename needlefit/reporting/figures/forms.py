@@ -1,15 +1,21 @@
 """The forms of figures: each is a function of a tidy frame, whatever kind of study it comes from."""
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from needlefit.reporting.figures import Panel
-from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid
+from needlefit.reporting.figures import Look, Panel
+from needlefit.reporting.figures.style import TEXT_WIDTH_IN, choose_width, count_legend_columns, draw_grid
 from needlefit.reporting.labels import GREY, INK
+from needlefit.reporting.table_files import Row, to_records
 
 SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
 """Of series without a colour of their own (Okabe and Ito)."""
@@ -21,10 +27,13 @@ MAX_DOTS = 60
 """Dots of a series that are drawn, about."""
 
 
-def colour_series(frame: pd.DataFrame, by: str) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Yield a colour, the name and the rows of each series."""
-    for n, (name, rows) in enumerate(frame.groupby(by, sort=False)):
-        yield SERIES_COLOURS[n % len(SERIES_COLOURS)], str(name), rows
+def choose_looks(frame: pd.DataFrame, by: str, looks: Mapping[str, Look] | None = None) -> dict[str, Look]:
+    """Return the look of each series, in the order of the frame; those without one get a colour each."""
+    names = [str(name) for name in dict.fromkeys(frame[by])]
+    if looks is not None:
+        return {name: looks[name] for name in looks if name in names}
+    colours = (SERIES_COLOURS[n % len(SERIES_COLOURS)] for n in range(len(names)))
+    return {name: Look(name, colour) for name, colour in zip(names, colours, strict=True)}
 
 
 def curves(
@@ -33,37 +42,237 @@ def curves(
     by: str,
     panels: Sequence[Panel],
     x_label: str = "",
+    looks: Mapping[str, Look] | None = None,
     falling: bool = False,
+    columns: int = 1,
     size: tuple[float, float] = (0.6 * TEXT_WIDTH_IN, 3.3),
 ) -> Figure:
-    """Draw columns over the column `x`, a colour for each value of `by`; `falling`: large x at the left."""
-    figure = Figure(figsize=size)
-    drawn = figure.subplots(len(panels), 1, height_ratios=[one.share for one in panels], sharex=True)
-    for axes, panel in zip(np.atleast_1d(drawn), panels, strict=True):
-        for colour, name, rows in colour_series(frame, by):
-            if panel.dots:
-                some = rows.iloc[:: max(1, len(rows) // MAX_DOTS)]
-                axes.plot(
-                    some[x], panel.scale * some[panel.dots], "o", color=colour, ms=2.4, mfc="none", mew=0.6
-                )
-            if panel.line:
-                line = rows.sort_values(x)
-                axes.plot(line[x], panel.scale * line[panel.line], color=colour, lw=1.1, label=name)
-        if panel.zero:
-            axes.axhline(0.0, color=INK, lw=0.5)
-        axes.set_ylabel(panel.label)
-        draw_grid(axes, "y")
-    last = np.atleast_1d(drawn)[-1]
-    last.set_xlabel(x_label or x)
+    """Draw columns over the column `x`, a series for each value of `by`; `falling`: large x at the left."""
+    figure, chosen = Figure(figsize=size), choose_looks(frame, by, looks)
+    lines = math.ceil(len(panels) / columns)
+    shares = [one.share for one in panels[::columns]]
+    grid = figure.subplots(lines, columns, height_ratios=shares, sharex=True, squeeze=False)
+    for axes, panel in zip(grid.flat, panels, strict=False):
+        for name, look in chosen.items():
+            _draw_curve(axes, frame[frame[by].astype(str) == name].sort_values(x), x, panel, look)
+        _format_panel(axes, panel)
+    for axes in list(grid.flat)[len(panels) :]:
+        axes.set_visible(False)
+    for axes in list(grid.flat)[max(0, len(panels) - columns) : len(panels)]:
+        axes.set_xlabel(x_label or x)
+        axes.tick_params(labelbottom=True)
     if falling:
-        last.invert_xaxis()
-    _name_series(np.atleast_1d(drawn)[0], frame[by].nunique())
+        grid[0, 0].invert_xaxis()
+    if 1 < len(chosen) <= MAX_NAMED_SERIES:
+        add_legend(figure, chosen.values(), width=1.3)
     return figure
 
 
-def _name_series(axes: Axes, count: int) -> None:
-    if 1 < count <= MAX_NAMED_SERIES:
-        axes.legend(fontsize=6.5, handlelength=1.2, labelspacing=0.3)
+def _draw_curve(axes: Axes, rows: pd.DataFrame, x: str, panel: Panel, look: Look) -> None:
+    if panel.low:
+        low, high = (panel.scale * rows[end].astype(float) for end in (panel.low, panel.high))
+        axes.fill_between(rows[x], low, high, color=lighten(look.colour, 0.75), lw=0, zorder=1)
+    style: dict[str, Any] = {"color": look.colour}
+    if panel.line:
+        heights = panel.scale * rows[panel.line]
+        axes.plot(rows[x], heights, lw=look.width, ls=look.dashes, zorder=3, **style)
+    if panel.dots:
+        some = rows.iloc[:: max(1, len(rows) // MAX_DOTS)]
+        face = look.colour if look.filled and not panel.line else "none"
+        style |= {"ms": 2.4, "mfc": face, "mew": 0.6}
+        axes.plot(some[x], panel.scale * some[panel.dots], look.marker or "o", **style, zorder=2)
+
+
+def _format_panel(axes: Axes, panel: Panel) -> None:
+    axes.set_ylabel(panel.label)
+    draw_grid(axes, "y")
+    if panel.zero:
+        axes.axhline(0.0, color=INK, lw=0.5)
+    if panel.log:
+        set_plain_log_scale(axes.yaxis)
+    if panel.limits:
+        axes.set_ylim(*panel.limits)
+    if panel.reference:
+        height, words = panel.reference
+        axes.axhline(height, color=INK, lw=0.9, ls=(0, (2, 1.5)))
+        place: dict[str, Any] = {
+            "xytext": (-1, 2),
+            "textcoords": "offset points",
+            "fontsize": 6.5,
+            "ha": "right",
+        }
+        axes.annotate(words, (axes.get_xlim()[1], height), **place)
+
+
+def set_plain_log_scale(axis: Axis) -> None:
+    """Make an axis logarithmic, with plain numbers at as many places as a decade needs to be read."""
+    axes = axis.axes
+    end = "x" if axis is axes.xaxis else "y"
+    getattr(axes, f"set_{end}scale")("log")
+    low, high = getattr(axes, f"get_{end}lim")()
+    steps = (1, 2, 5) if high > 20 * low else (1, 2, 3, 5, 7)
+    ticks = [t for power in range(-6, 6) for t in (k * 10.0**power for k in steps) if low <= t <= high]
+    axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_ticks([], minor=True)
+
+
+def lighten(colour: str, share: float) -> tuple[float, float, float]:
+    """Return a colour with this share of white: opaque, so that it is the same over every background."""
+    red, green, blue = (share + (1 - share) * part for part in to_rgb(colour))
+    return red, green, blue
+
+
+def add_legend(figure: Figure, looks: Iterable[Look], width: float = 0.0) -> None:
+    """Draw a legend above all panels; `width` is that of the lines, 0 of marks alone."""
+    handles = [
+        Line2D(
+            [], [], color=one.colour, lw=one.width if width else 0, ls=one.dashes, marker=one.marker,
+            ms=one.size, mfc=one.colour if one.filled else "white", label=one.label,
+        )
+        for one in looks
+    ]  # fmt: skip
+    columns = count_legend_columns(figure, [one.label for one in looks], min(len(handles), 5))
+    spacing: dict[str, Any] = {"handlelength": width or 0.8, "handletextpad": 0.4, "columnspacing": 1.3}
+    figure.legend(handles=handles, loc="outside upper left", ncols=columns, **spacing)
+
+
+def dots_with_intervals(
+    frame: pd.DataFrame,
+    rows: Sequence[str],
+    value: str,
+    by: str,
+    looks: Mapping[str, Look] | None = None,
+    name_row: Callable[[tuple[Any, ...]], str] = lambda row: ", ".join(map(str, row)),
+    intervals: Sequence[tuple[str, str]] = (),
+    panel: str = "",
+    panels: Mapping[Any, str] | None = None,
+    x_label: str = "",
+    scale: str | float = "linear",
+    limits: tuple[float | None, float | None] | None = None,
+    zero: bool = False,
+    ringed: str = "",
+    row_height: float = 0.22,
+) -> Figure:
+    """Draw values with their intervals in rows, a panel for each value of the column `panel`.
+
+    Parameters
+    ----------
+    frame : DataFrame
+    rows : sequence of str
+        The columns that make a row of the figure; a rule stands where the first of several changes.
+    value, by : str
+        Column that is drawn, and the one that says in which look.
+    looks : mapping, optional
+        By value of `by`, in the order of the legend.
+    name_row : callable
+        Values of `rows` -> the name of the row.
+    intervals : sequence of (low, high)
+        Columns, the wide interval first.
+    panel : str
+        A column; empty: one panel.
+    panels : mapping, optional
+        Value of `panel` -> title.
+    x_label : str
+    scale : "linear", "log", or a number
+        A number: logarithmic beyond it on both sides of 0.
+    limits : (float or None, float or None), optional
+    zero : bool
+        Whether a line marks 0.
+    ringed : str
+        A column of flags: which dots have a ring.
+    row_height : float
+        Inches.
+    """
+    chosen = choose_looks(frame, by, looks)
+    order = list(frame[list(rows)].drop_duplicates().itertuples(index=False, name=None))
+    titles = panels or ({name: str(name) for name in dict.fromkeys(frame[panel])} if panel else {"": ""})
+    figure = Figure(figsize=(choose_width(), 0.9 + row_height * len(order)))
+    grid = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (which, title) in zip(grid, titles.items(), strict=True):
+        for row in to_records(frame[frame[panel] == which] if panel else frame):
+            look = chosen.get(str(row[by]))
+            if look is not None and row[value] is not None:
+                place = order.index(tuple(row[name] for name in rows)) + look.shift
+                _draw_dot(axes, row, place, value, intervals, look, bool(ringed and row[ringed]))
+        axes.set_title(title, loc="left", fontsize=7)
+        _format_rows(axes, order, scale, limits, zero)
+    grid[0].set_yticks(range(len(order)), [name_row(row) for row in order])
+    grid[0].set_ylim(len(order) - 0.4, -0.6)
+    if len(chosen) > 1:
+        add_legend(figure, chosen.values())
+    figure.supxlabel(x_label, fontsize=7.5)
+    return figure
+
+
+def _draw_dot(
+    axes: Axes, row: Row, y: float, value: str, intervals: Sequence[tuple[str, str]], look: Look, ring: bool
+) -> None:
+    for width, (low, high) in zip((0.9, 2.4), intervals, strict=False):
+        if row[low] is not None and row[high] is not None:
+            axes.hlines(y, row[low], row[high], color=look.colour, lw=width)
+    if look.marker == "|":
+        axes.vlines(row[value], y - 0.35, y + 0.35, color=look.colour, lw=look.width, ls=look.dashes)
+        return
+    edge: dict[str, Any] = {"mec": INK, "mew": 1.0} if ring else {"mec": look.colour, "mew": 0.8}
+    face = look.colour if look.filled else "white"
+    axes.plot(row[value], y, look.marker, ms=look.size, mfc=face, zorder=4, **edge)
+
+
+def _format_rows(
+    axes: Axes,
+    order: Sequence[tuple[Any, ...]],
+    scale: str | float,
+    limits: tuple[float | None, float | None] | None,
+    zero: bool,
+) -> None:
+    if zero:
+        axes.axvline(0, color=INK, lw=0.6)
+    if scale == "log":
+        set_plain_log_scale(axes.xaxis)
+    elif not isinstance(scale, str):
+        axes.set_xscale("symlog", linthresh=scale, linscale=0.8)
+        ticks = [sign * scale * 10.0**power for sign in (-1, 1) for power in (0, 1, 2)] + [0.0]
+        low, high = limits or axes.get_xlim()
+        kept = sorted(t for t in ticks if (low is None or t >= low) and (high is None or t <= high))
+        axes.set_xticks(kept, [f"{tick:g}".replace("-", "−") for tick in kept])
+        axes.minorticks_off()
+    if limits:
+        axes.set_xlim(*limits)
+    for y in (k for k in range(1, len(order)) if len(order[0]) > 1 and order[k][0] != order[k - 1][0]):
+        axes.axhline(y - 0.5, color=INK, lw=0.3, alpha=0.4)
+    axes.tick_params(axis="y", length=0)
+    draw_grid(axes, "x")
+
+
+def map_over_axes(
+    frame: pd.DataFrame,
+    x: str,
+    y: str,
+    value: str,
+    labels: tuple[str, str, str],
+    levels: Sequence[float] = (),
+    marked: str = "",
+    size: tuple[float, float] = (0.62 * TEXT_WIDTH_IN, 2.6),
+) -> Figure:
+    """Draw a value over a grid of two columns: the darker, the larger; `marked` is a column of flags.
+
+    `labels` are those of both axes and of the value; `levels` have contours.
+    """
+    table = frame.pivot_table(index=y, columns=x, values=value)
+    across, up = (np.asarray(axis, dtype=np.float64) for axis in (table.columns, table.index))
+    figure = Figure(figsize=size)
+    axes = figure.add_subplot()
+    drawn = axes.pcolormesh(across, up, table.to_numpy(np.float64), cmap="cividis_r", shading="nearest")
+    if levels and min(table.shape) > 1:
+        lines = axes.contour(across, up, table.to_numpy(np.float64), levels=sorted(levels), colors=INK)
+        axes.clabel(lines, fontsize=6.5)
+    if marked:
+        some = frame[frame[marked].astype(bool)]
+        axes.plot(some[x], some[y], "o", ms=5, mfc="none", mec="white", mew=1.4)
+        axes.plot(some[x], some[y], "o", ms=6.5, mfc="none", mec=INK, mew=0.8)
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    figure.colorbar(drawn, ax=axes, label=labels[2])
+    return figure
 
 
 _FLOOR, _BAR = -8.0, 0.3
@@ -80,7 +289,8 @@ def profiles_by_series(frame: pd.DataFrame, x: str, by: str, label: str, prior: 
     axes = figure.add_subplot()
     series, ends = frame[frame[by] != prior], frame.loc[frame[by] == prior, x]
     inside, count = series["in_95_region"].astype(bool), series[by].nunique()
-    for n, (colour, name, rows) in enumerate(colour_series(series, by)):
+    for n, (name, look) in enumerate(choose_looks(series, by).items()):
+        rows, colour = series[series[by].astype(str) == name], look.colour
         shown = rows["log_likelihood"].where(rows["log_likelihood"] >= _FLOOR)
         axes.plot(rows[x], shown, color=colour, lw=1.1, label=name)
         bar = np.full(len(rows), _FLOOR - _BAR * (n + 0.5))
@@ -93,6 +303,7 @@ def profiles_by_series(frame: pd.DataFrame, x: str, by: str, label: str, prior: 
     axes.set_xlabel(label)
     if len(ends):
         axes.axvspan(ends.min(), ends.max(), color=GREY, alpha=0.2, lw=0, label="prior, ± one SD")
-    _name_series(axes, count + len(ends))
+    if 1 < count + len(ends) <= MAX_NAMED_SERIES:
+        axes.legend(fontsize=6.5, handlelength=1.2, labelspacing=0.3)
     draw_grid(axes, "y")
     return figure

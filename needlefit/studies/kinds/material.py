@@ -267,7 +267,13 @@ def draw(found: Run) -> dict[str, Drawing]:
     """Return curves with their residuals, and the profiles of alpha."""
     measure = found.run["measure"]
     panels = (
-        Panel(f"{measure} stress (kPa),\npositive in compression", "fitted_pa", "measured_pa", -1e-3, 2.2),
+        Panel(
+            f"{measure} stress (kPa),\npositive in compression",
+            "fitted_pa",
+            "measured_pa",
+            scale=-1e-3,
+            share=2.2,
+        ),
         Panel("fitted minus\nmeasured (kPa)", "residual_pa", scale=1e-3, zero=True),
     )
     options = {"x": "stretch", "by": "specimen", "panels": panels, "falling": True}
