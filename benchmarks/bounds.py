@@ -17,12 +17,10 @@ from itertools import cycle, islice
 
 import numpy as np
 
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, linearize_steps, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.insertion_limits import count_element_solves
-from needlefit.mechanics.lanes import simulate_batches
-from needlefit.mechanics.linearize import linearize_steps
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import count_element_solves
 from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps

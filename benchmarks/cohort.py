@@ -31,10 +31,8 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, linearize, simulate_batches
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
-from needlefit.mechanics.linearize import linearize
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE, batch, layered
 
+from needlefit.mechanics.batch import linearize, simulate_batches
 from needlefit.mechanics.control import ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
-from needlefit.mechanics.linearize import linearize
 from needlefit.mechanics.simulate import simulate, simulate_steps
 
 Floats = NDArray[np.float64]

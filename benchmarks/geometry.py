@@ -22,9 +22,8 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.stats import t as student
 
 from needlefit.arrays import Floats
-from needlefit.inference import simulated_points
-from needlefit.mechanics.batch import NeedleShapes
-from needlefit.mechanics.linearize import Jacobian
+from needlefit.inference import compared_points
+from needlefit.mechanics.batch import Jacobian, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
@@ -59,12 +58,12 @@ def draw_by_tangent(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
 
 
 def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
-    """Stand in for the function of `simulated_points` of this name."""
+    """Stand in for the function of `compared_points` of this name."""
     return draw_by_tangent(shape.x, shape.u, shape.slope, s)
 
 
 def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Stand in for the function of `simulated_points` of this name."""
+    """Stand in for the function of `compared_points` of this name."""
     rows = zip(shapes.x, shapes.u, shapes.slope, shapes.converged, strict=True)
     return np.array(
         [draw_by_tangent(*row[:3], s) if row[3] else np.full((len(s), 2), np.nan) for row in rows]
@@ -72,7 +71,7 @@ def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
 
 
 def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
-    """Stand in for the function of `simulated_points` of this name."""
+    """Stand in for the function of `compared_points` of this name."""
 
     def move(column: int, by: float) -> Floats:
         parts = ((shape.x, jacobian.x), (shape.u, jacobian.u), (shape.slope, jacobian.slope))
@@ -91,14 +90,14 @@ def geometry(name: str) -> Iterator[None]:
     stand_ins = (
         (compute_positions, compute_batch_positions, differentiate_positions) if name == "tangent" else ()
     )
-    before = {one.__name__: getattr(simulated_points, one.__name__) for one in stand_ins}
+    before = {one.__name__: getattr(compared_points, one.__name__) for one in stand_ins}
     for one in stand_ins:
-        setattr(simulated_points, one.__name__, one)
+        setattr(compared_points, one.__name__, one)
     try:
         yield
     finally:
         for key, one in before.items():
-            setattr(simulated_points, key, one)
+            setattr(compared_points, key, one)
 
 
 def score_holes(

@@ -18,14 +18,12 @@ import numpy as np
 from in_turns import HERE, make_parser, measure, print_table, time_call
 from reference_problem import BEVEL, DEPTH, batch
 
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, linearize_steps, simulate_batches
 from needlefit.mechanics.control import Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.lanes import simulate_batches
-from needlefit.mechanics.linearize import linearize_steps
 from needlefit.mechanics.simulate import simulate_steps
 
 try:
-    from needlefit.mechanics.lanes import linearize_batches
+    from needlefit.mechanics.batch import linearize_batches
 except ImportError:  # of an earlier commit: one set after the other
     linearize_batches = None
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.compression import CompressionTest
 from needlefit.datasets.compression_loading import SpecimenLoading
-from needlefit.inference.material import fit_material
-from needlefit.inference.specimen_fit import NORMAL_95_HALF_WIDTH_SD, fit_specimen
+from needlefit.inference.material import NORMAL_95_HALF_WIDTH_SD, fit_material, fit_specimen
 from needlefit.mechanics.compression import compute_stress
 
 Floats = NDArray[np.float64]

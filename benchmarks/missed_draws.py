@@ -13,9 +13,8 @@ import time
 
 import numpy as np
 
-from needlefit.inference.importance.fit_posterior import find_modes, sample_about_modes
-from needlefit.inference.importance.sampler import Effort
 from needlefit.inference.optimize import minimize
+from needlefit.inference.sampling.importance import Effort, find_modes, sample_about_modes
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream

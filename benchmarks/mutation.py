@@ -63,9 +63,14 @@ AREAS = {
             *("inference_marginal", "inference_depths"),
         ),
     ),
-    "sampling": Area(("inference/sampling",), ("inference_convergence", "inference_sample")),
+    "sampling": Area(
+        tuple(
+            f"inference/sampling/{name}.py" for name in ("convergence", "ensembles", "posterior", "sample")
+        ),
+        ("inference_convergence", "inference_sample"),
+    ),
     "importance": Area(
-        ("inference/importance",),
+        ("inference/sampling/importance.py",),
         ("inference_predictive_density", "inference_importance", "inference_specimens"),
     ),
     "metrics": Area(

@@ -20,8 +20,8 @@ from collections.abc import Callable
 import numpy as np
 from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE
 
+from needlefit.mechanics.batch import linearize
 from needlefit.mechanics.control import Bevel, ModelOptions
-from needlefit.mechanics.linearize import linearize
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 

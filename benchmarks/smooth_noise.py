@@ -9,7 +9,7 @@ logarithm of the evidence, its Monte Carlo error, and the parameters at the opti
 import argparse
 from dataclasses import replace
 
-from needlefit.inference.importance.fit_posterior import LARGER_EFFORT, sample_about_fit
+from needlefit.inference.sampling.importance import LARGER_EFFORT, sample_about_fit
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream

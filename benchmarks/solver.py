@@ -31,9 +31,8 @@ from full_needle import FullNeedle
 from numpy.typing import NDArray
 from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE, batch
 
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue

@@ -12,8 +12,8 @@ import numpy as np
 from in_turns import make_parser, measure, print_table, time_call
 from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE
 
+from needlefit.mechanics.batch import linearize
 from needlefit.mechanics.control import ModelOptions
-from needlefit.mechanics.linearize import linearize
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate
 

@@ -19,14 +19,13 @@ from time import perf_counter
 import numpy as np
 from scipy.optimize import brentq
 
-from needlefit.inference.tip_tracking import (
+from needlefit.inference.tracking import (
     TipNoise,
     TrackedNeedle,
     estimate_parameters,
     make_prior_from_factors,
 )
-from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps

@@ -22,12 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from reference_problem import batch
 
+from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import LIMITS, compute_validity
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import LIMITS, compute_validity
 from needlefit.schemas.limits import MIN_ELEMENT_MM
 
 UNIT = 3.0

@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 
 from needlefit.inference.fit import Callbacks
-from needlefit.inference.identifiability.parameter_profiles import profile_parameters
+from needlefit.inference.identifiability.identify import profile_parameters
 from needlefit.inference.optimize import minimize
 from needlefit.project.load import load
 from needlefit.project.locate import find_file

@@ -11,10 +11,16 @@ if TYPE_CHECKING:
     from needlefit.errors import NeedlefitError
     from needlefit.inference.optimize import minimize
     from needlefit.inference.problem import Problem
-    from needlefit.mechanics.batch import Batch, NeedleShapes
+    from needlefit.mechanics.batch import (
+        Batch,
+        Jacobian,
+        Jacobians,
+        NeedleShapes,
+        linearize,
+        linearize_batches,
+        simulate_batches,
+    )
     from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-    from needlefit.mechanics.lanes import linearize_batches, simulate_batches
-    from needlefit.mechanics.linearize import Jacobian, Jacobians, linearize
     from needlefit.mechanics.needle import Needle
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.session import Session
@@ -62,8 +68,8 @@ _HOMES = {
     "Bevel": "mechanics.control",
     "Controls": "mechanics.control",
     "Guide": "mechanics.control",
-    "Jacobian": "mechanics.linearize",
-    "Jacobians": "mechanics.linearize",
+    "Jacobian": "mechanics.batch",
+    "Jacobians": "mechanics.batch",
     "Needle": "mechanics.needle",
     "NeedleShape": "mechanics.shape",
     "NeedleShapes": "mechanics.batch",
@@ -76,10 +82,10 @@ _HOMES = {
     "Tissue": "mechanics.tissue",
     "TrackedTip": "mechanics.control",
     "simulate_steps": "mechanics.simulate",
-    "simulate_batches": "mechanics.lanes",
+    "simulate_batches": "mechanics.batch",
     "fit": "api",
-    "linearize": "mechanics.linearize",
-    "linearize_batches": "mechanics.lanes",
+    "linearize": "mechanics.batch",
+    "linearize_batches": "mechanics.batch",
     "load_dataset": "api",
     "load_run": "api",
     "minimize": "inference.optimize",

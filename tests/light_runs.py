@@ -3,8 +3,8 @@
 import pytest
 from matplotlib.figure import Figure
 
-from needlefit.inference import predictive_distribution
-from needlefit.inference.importance.fit_posterior import EFFORT
+from needlefit.inference import predict
+from needlefit.inference.sampling.importance import EFFORT
 from needlefit.reporting.figures import style
 from needlefit.studies import held_out_predictions, posterior_fit
 from needlefit.studies.kinds.tracks import run as tracks
@@ -15,7 +15,7 @@ DRAWS, CURVES = 50, 100
 def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
     for module in (held_out_predictions, tracks):
         patch.setattr(module, "PREDICTION_DRAWS", DRAWS)
-    patch.setattr(predictive_distribution, "CURVES", CURVES)
+    patch.setattr(predict, "CURVES", CURVES)
 
 
 @pytest.fixture

@@ -6,8 +6,7 @@ import numpy as np
 from mechanics_cases import random_batch, random_needle, random_rules, random_steps, random_tissue
 
 from needlefit.mechanics import native
-from needlefit.mechanics.lanes import _evaluate
-from needlefit.mechanics.linearize import DERIVATIVE_KINDS, find_columns
+from needlefit.mechanics.batch import DERIVATIVE_KINDS, _evaluate, find_columns
 from needlefit.mechanics.packing import pack_problem, plan_insertion
 
 

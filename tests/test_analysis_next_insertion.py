@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from needlefit.inference.importance.sampler import Effort
+from needlefit.inference.sampling.importance import Effort
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kinds.next_insertion import run
 from needlefit.studies.kinds.next_insertion.report import summarize

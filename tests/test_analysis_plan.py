@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from needlefit.inference.draws import Draws
 from needlefit.inference.fit import Fit
+from needlefit.inference.predict import Draws
 from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kinds.plan import candidates, run
 from needlefit.studies.kinds.plan.aiming import (

@@ -13,8 +13,8 @@ import pytest
 from light_runs import blank_figures  # noqa: F401 - a fixture
 from test_cli import run
 
-from needlefit.inference.identifiability.assessment import AGREEMENT
-from needlefit.inference.identifiability.information import KNOWN_BY_PRIOR
+from needlefit.inference.identifiability.identify import AGREEMENT
+from needlefit.inference.identifiability.precision import KNOWN_BY_PRIOR
 from needlefit.studies import job
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.identification.report import describe_design

@@ -8,14 +8,14 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from test_inference_identify import fit_at
 
 from needlefit.datasets.insertion import Noise
-from needlefit.inference.identifiability.conditions import (
+from needlefit.inference.identifiability.identify import identify
+from needlefit.inference.identifiability.precision import (
     MIN_MODEL_ERROR,
     NO_MODEL_ERROR,
     STATED_TIES,
     estimate_model_error,
 )
-from needlefit.inference.identifiability.identify import identify
-from needlefit.inference.likelihood.operators import Discrepancy
+from needlefit.inference.likelihood.observation import Discrepancy
 from needlefit.inference.parameters import loosen_ties
 
 VALUES = {**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0}

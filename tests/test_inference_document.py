@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from needlefit.datasets.read import read
 from needlefit.inference.problem import make_problem
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.prepared import MAX_TOLERANCE_MM
+from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue

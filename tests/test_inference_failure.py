@@ -8,10 +8,10 @@ import pytest
 from inference_cases import TRUTH, box, insertion, measure, medium, problem, recipe, two_layers
 
 from needlefit.errors import ModelError
-from needlefit.inference.evaluation_checks import EvaluationFailure, explain_failure
-from needlefit.inference.evaluation_recorder import MAX_FAILED_POINTS
 from needlefit.inference.fit import Callbacks, start_from_dict, start_to_dict
+from needlefit.inference.objective import MAX_FAILED_POINTS
 from needlefit.inference.optimize import minimize
+from needlefit.inference.problem import EvaluationFailure, explain_failure
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import sample
 from needlefit.schemas.recipe import SampleRecord

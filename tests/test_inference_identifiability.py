@@ -9,19 +9,18 @@ import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 
 from needlefit.inference.fit import Fit
-from needlefit.inference.identifiability.assessment import (
-    AGREEMENT,
-    assess_parameter,
-)
 from needlefit.inference.identifiability.design_gain import OTHER_POINTS, expect_precision
-from needlefit.inference.identifiability.identify import Identifiability, identify
-from needlefit.inference.identifiability.information import format_sd
-from needlefit.inference.identifiability.parameter_profiles import (
+from needlefit.inference.identifiability.identify import (
+    AGREEMENT,
+    Identifiability,
     ParameterProfile,
+    assess_parameter,
     find_fixed_shape,
     free_shape,
+    identify,
     profile_parameters,
 )
+from needlefit.inference.identifiability.precision import format_sd
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
 from needlefit.studies.identification import identify_parameters, reconcile_verdict
 

@@ -10,7 +10,7 @@ from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import group_independent
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.identify import identify, tip_range
-from needlefit.inference.identifiability.information import (
+from needlefit.inference.identifiability.precision import (
     KNOWN_BY_PRIOR,
     cramer_rao,
     describe_combination,

@@ -8,22 +8,21 @@ from sampling_cases import Known, banana, gaussian, two_hills
 from scipy.stats import genpareto, multivariate_t, norm
 
 from needlefit.inference.fit import Fit, Start
-from needlefit.inference.importance.fit_posterior import (
+from needlefit.inference.sampling.importance import (
     ZERO_DENSITY,
-    compute_predictive_density,
-    find_modes,
-    resample_draws,
-    sample_about_modes,
-    select_distinct,
-)
-from needlefit.inference.importance.pareto import fit_pareto, smooth_weights
-from needlefit.inference.importance.sampler import (
     Effort,
     StudentMixture,
     WeightedDraws,
     compute_ess,
+    compute_predictive_density,
+    find_modes,
+    fit_pareto,
     resample,
+    resample_draws,
+    sample_about_modes,
     sample_by_importance,
+    select_distinct,
+    smooth_weights,
 )
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 

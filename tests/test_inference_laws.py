@@ -9,13 +9,13 @@ from inference_cases import BEVEL, MU, insertion, measure, problem
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.forward_model import make_scene_record, predict
-from needlefit.inference.identifiability.identify import identify
-from needlefit.inference.identifiability.information import difference_jacobian
-from needlefit.inference.identifiability.parameter_profiles import (
+from needlefit.inference.identifiability.identify import (
     find_fixed_shape,
     free_shape,
+    identify,
     profile_parameters,
 )
+from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.schemas.medium import MediumRecord

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import ConfigError
-from needlefit.inference.identifiability.information import difference_jacobian
+from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.inference.likelihood.marginal import (
     linear_residuals,
     linearize_residuals,
@@ -29,7 +29,7 @@ from needlefit.inference.likelihood.nodes import (
 )
 from needlefit.inference.likelihood.observation import points_covariance
 from needlefit.inference.likelihood.quadrature import MAX_AXES, log_means, make_rule, make_table_axes
-from needlefit.inference.prior import make_gaussian_prior
+from needlefit.inference.parameters import make_gaussian_prior
 from needlefit.schemas.recipe import LikelihoodRecord
 
 LINE = np.linspace(0.0, 40.0, 41)

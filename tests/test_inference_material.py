@@ -14,12 +14,12 @@ from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.material import (
     MaterialEstimate,
     MaterialFoundation,
+    fit_specimen,
     make_material_prior,
     pool,
     set_material_prior,
 )
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.specimen_fit import fit_specimen
 from needlefit.project.load import check
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
 

@@ -20,10 +20,10 @@ from needlefit.geometry.smoothing_spline import (
     free_end_basis,
     make_knots,
 )
+from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import make_observation, whiten_deflections
 from needlefit.inference.problem import make_problem
-from needlefit.inference.simulated_points import read_points
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord

@@ -7,9 +7,8 @@ import pytest
 from inference_cases import Analytic, Squares, box, recipe, squares_recipe
 
 from needlefit.errors import ConfigError, FitError, ModelError
-from needlefit.inference.evaluation_recorder import EvaluationRecorder
 from needlefit.inference.fit import Callbacks, Start, start_from_dict, start_to_dict
-from needlefit.inference.objective import ObjectiveFunction
+from needlefit.inference.objective import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.optimize import ALGORITHMS, minimize, starting_points
 from needlefit.inference.optimize.local_search import certify_minimum
 

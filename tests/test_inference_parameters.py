@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from scipy.stats import kstest
 
 from needlefit.errors import ConfigError
-from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.parameters import Parameters, make_tissue, with_hyperparameters, without_prior
+from needlefit.inference.predict import draw_from_prior
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.load import load
 from needlefit.project.locate import find_file

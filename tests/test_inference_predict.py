@@ -10,7 +10,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import make_tissue
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.prepared import MAX_TOLERANCE_MM
+from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue

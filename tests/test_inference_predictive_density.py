@@ -8,8 +8,12 @@ from sampling_cases import Known
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from needlefit.inference.importance.fit_posterior import compute_predictive_density, escalate_effort
-from needlefit.inference.importance.sampler import WeightedDraws, sample_by_importance
+from needlefit.inference.sampling.importance import (
+    WeightedDraws,
+    compute_predictive_density,
+    escalate_effort,
+    sample_by_importance,
+)
 from needlefit.inference.sampling.log_density import approximate_by_laplace
 
 SD, FREE = 0.02, 4

@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
-from needlefit.inference.predictive_distribution import PredictiveMixture, cdf, crps, interval, quantile
+from needlefit.inference.predict import PredictiveMixture, cdf, crps, interval, quantile
 
 
 def one(mean, sd):

@@ -12,12 +12,10 @@ from inference_cases import Analytic, box, insertion, measure, medium, problem
 from needlefit.errors import ConfigError, DataError, FitError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling import sample as sample_module
-from needlefit.inference.sampling import walkers
 from needlefit.inference.sampling.ensembles import INDEPENDENT, SNOOKER_LENGTH, _propose_snooker, parse_moves
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 from needlefit.inference.sampling.posterior import load, save
-from needlefit.inference.sampling.sample import sample
-from needlefit.inference.sampling.snapshots import Snapshots
+from needlefit.inference.sampling.sample import Snapshots, sample
 from needlefit.schemas.recipe import SampleRecord
 
 MEAN, COV = np.array([0.4, -0.2]), np.array([[0.04, 0.03], [0.03, 0.09]])
@@ -219,7 +217,7 @@ def test_a_run_resumes_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
 
 @pytest.mark.parametrize("stopped", [5, 11, 40])
 def test_adaptation_is_restored_from_snapshots(tmp_path, monkeypatch, stopped):
-    monkeypatch.setattr(walkers, "ADAPTATION_STEPS", (10, 25))
+    monkeypatch.setattr(sample_module, "ADAPTATION_STEPS", (10, 25))
     save(draw(moves=INDEPENDENT), tmp_path / "whole.nc")
     draw(moves=INDEPENDENT, callbacks=Callbacks(stop=stopping_after(2 * stopped)), kept=tmp_path / "kept")
     save(draw(moves=INDEPENDENT, callbacks=Callbacks(jobs=2), kept=tmp_path / "kept"), tmp_path / "again.nc")
@@ -227,7 +225,7 @@ def test_adaptation_is_restored_from_snapshots(tmp_path, monkeypatch, stopped):
 
 
 def test_steps_used_for_adaptation_are_burn_in(monkeypatch):
-    monkeypatch.setattr(walkers, "ADAPTATION_STEPS", (10, 30))
+    monkeypatch.setattr(sample_module, "ADAPTATION_STEPS", (10, 30))
     assert draw(moves=INDEPENDENT).burn_in == 30
     assert draw(moves=INDEPENDENT, steps=59).burn_in < 30  # the second would leave less than it takes
 
@@ -310,11 +308,13 @@ def test_the_needle_posterior_covers_the_truth():
 def test_points_beyond_a_bound_come_back_as_far_within():
     lower, upper = np.array([-1.0, 2.0]), np.array([3.0, 5.0])
     beyond = np.array([[0.5, 3.0], [4.0, 1.5], [-2.0, 6.0], [8.5, 9.0]])
-    found = walkers._reflect_at_bounds(beyond, lower, upper)
+    found = sample_module._reflect_at_bounds(beyond, lower, upper)
     assert found == pytest.approx(np.array([[0.5, 3.0], [2.0, 2.5], [0.0, 4.0], [0.5, 3.0]]))
 
 
 def test_ensembles_begin_at_no_end_that_is_far_worse_than_the_best():
-    densities = np.array([-20.0, -20.0 - walkers.MAX_LOG_DENSITY_GAP, -21.0 - walkers.MAX_LOG_DENSITY_GAP])
+    densities = np.array(
+        [-20.0, -20.0 - sample_module.MAX_LOG_DENSITY_GAP, -21.0 - sample_module.MAX_LOG_DENSITY_GAP]
+    )
     ends = np.arange(6.0).reshape(3, 2)
-    assert walkers._select_plausible(lambda _: densities, ends).tolist() == ends[:2].tolist()
+    assert sample_module._select_plausible(lambda _: densities, ends).tolist() == ends[:2].tolist()

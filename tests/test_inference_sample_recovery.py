@@ -8,7 +8,7 @@ from sampling_cases import Known, banana, draw, flat, gaussian, settings, standa
 from scipy.stats import norm, truncnorm
 
 from needlefit.inference.sampling.convergence import autocorrelation_times
-from needlefit.inference.sampling.proposal_density import fit_proposal, make_initial_proposal
+from needlefit.inference.sampling.ensembles import fit_proposal, make_initial_proposal
 from needlefit.inference.sampling.sample import sample
 from needlefit.schemas.recipe import SampleRecord
 

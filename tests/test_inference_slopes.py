@@ -8,7 +8,7 @@ import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
 
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
-from needlefit.inference.identifiability.information import difference_jacobian
+from needlefit.inference.identifiability.precision import difference_jacobian
 
 PRIOR = {"bounds": [1e3, 1e9], "prior": {"median": 2e5, "factor": 2.0, "correlation": -0.6}}
 ALPHA = {"bounds": [-30.0, 50.0], "prior": {"mean": 3.0, "sd": 2.0}}

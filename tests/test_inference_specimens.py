@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from needlefit.inference.specimen_spread import (
+from needlefit.inference.specimens import (
     KERNELS_PER_SPECIMEN,
     Population,
     Specimen,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needlefit.inference.simulated_points import extrapolate_tip
-from needlefit.inference.tip_tracking import (
+from needlefit.inference.compared_points import extrapolate_tip
+from needlefit.inference.tracking import (
     TipNoise,
     TrackedNeedle,
     TrackingEstimate,

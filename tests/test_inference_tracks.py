@@ -23,19 +23,19 @@ from track_cases import (
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.baselines.guide_kernel import make_kernel_basis
-from needlefit.inference.draws import Draws
+from needlefit.inference.compared_points import find_end, share_simulations
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.likelihood.observation import (
     HEADING_STEP_MM,
     SESSION_SD_RAD,
+    Discrepancy,
     make_observation,
     whiten,
 )
-from needlefit.inference.likelihood.operators import Discrepancy
 from needlefit.inference.optimize import minimize
+from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
-from needlefit.inference.simulated_points import find_end, share_simulations
-from needlefit.inference.track_prediction import (
+from needlefit.inference.tracking import (
     SlopeMoments,
     TrackDraws,
     draw_baseline,

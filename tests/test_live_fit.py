@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from needlefit.inference.importance.fit_posterior import sample_about_minimum, sample_about_modes
+from needlefit.inference.sampling.importance import sample_about_minimum, sample_about_modes
 from needlefit.schemas.medium import ParameterRecord
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.opening.live_fit import (

@@ -5,9 +5,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.mechanics import native, reference
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.load import compute_lateral_load
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps

@@ -9,9 +9,8 @@ from mechanics_cases import random_batch, random_steps
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import native, reference
-from needlefit.mechanics.batch import Batch, NeedleShapes
+from needlefit.mechanics.batch import Batch, NeedleShapes, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps

@@ -10,11 +10,9 @@ from plugin_cases import install, plugin_folder
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import reference
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, linearize_steps, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.laws import LAWS, Numbers, TissueLaw
-from needlefit.mechanics.linearize import linearize_steps
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue

@@ -9,10 +9,10 @@ from plugin_cases import install, plugin_folder
 
 from needlefit.errors import ConfigError, ModelError
 from needlefit.mechanics import reference
+from needlefit.mechanics.batch import linearize
 from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.linearize import linearize
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import evaluate_layer
 from needlefit.mechanics.simulate import simulate

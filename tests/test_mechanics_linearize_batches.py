@@ -8,19 +8,21 @@ import pytest
 from mechanics_cases import random_batch
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.batch import Batch, compute_batch_positions
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.lanes import linearize_batches, simulate_batches
-from needlefit.mechanics.linearize import (
+from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
+    Batch,
     Jacobian,
     Jacobians,
+    compute_batch_positions,
     differentiate_batch_positions,
     differentiate_positions,
+    linearize_batches,
     linearize_steps,
+    simulate_batches,
 )
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.prepared import PreparedInsertion
+from needlefit.mechanics.packing import PreparedInsertion
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.tissue import Tissue
 

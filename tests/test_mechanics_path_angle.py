@@ -13,9 +13,8 @@ from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_batch, make_scene_record, predict_with_derivatives
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics import reference
+from needlefit.mechanics.batch import DERIVATIVE_KINDS, linearize_steps, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
-from needlefit.mechanics.linearize import DERIVATIVE_KINDS, linearize_steps
 from needlefit.mechanics.load import compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice

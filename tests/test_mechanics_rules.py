@@ -8,10 +8,8 @@ from mechanics_cases import random_batch, random_needle, random_rules, random_st
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import reference
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, linearize_steps, simulate_batches
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
-from needlefit.mechanics.linearize import linearize_steps
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.simulate import simulate, simulate_steps

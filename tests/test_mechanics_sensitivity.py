@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.law_form import compile_law, differentiate_law
-from needlefit.mechanics.laws import LAWS, PowerLaw
-from needlefit.mechanics.linearize import (
+from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
     differentiate_positions,
     linearize,
     linearize_steps,
 )
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.law_form import compile_law, differentiate_law
+from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import compute_positions

@@ -10,17 +10,23 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_bvp
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.insertion_limits import count_element_solves
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, plan_stops
+from needlefit.mechanics.plan import Lattice, count_element_solves, plan_stops
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
+from needlefit.mechanics.shape import (
+    LIMITS,
+    MAX_DEFLECTION_PER_LENGTH,
+    MAX_MISS_MM,
+    MAX_SLOPE,
+    NeedleShape,
+    compute_positions,
+    find_worst,
+    map_beam_points,
+)
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import LIMITS, MAX_DEFLECTION_PER_LENGTH, MAX_MISS_MM, MAX_SLOPE, find_worst
 from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS, MAX_GUIDES, MAX_LAYERS
 
 NEEDLE = Needle(150.0, 1.0216e4)

@@ -23,9 +23,9 @@ from native_cases import read_numbers
 
 from hatch_build import FLAGS, ZIG_FLAGS
 from needlefit.mechanics import native
+from needlefit.mechanics.batch import DERIVATIVE_KINDS, find_columns
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.linearize import DERIVATIVE_KINDS, find_columns
 from needlefit.mechanics.packing import pack_problem, plan_insertion
 
 pytestmark = pytest.mark.on_demand

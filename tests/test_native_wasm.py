@@ -11,9 +11,8 @@ import pytest
 from mechanics_cases import random_needle, random_rules, random_tissue
 
 from needlefit.mechanics import native
-from needlefit.mechanics.batch import Batch, compute_batch_positions
+from needlefit.mechanics.batch import Batch, compute_batch_positions, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.load import Loads, compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import pack_layers

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, two_layers
 
-from needlefit.inference.draws import Draws
+from needlefit.inference.predict import Draws
 from needlefit.reporting.interval_text import NO_INTERVAL, format_interval
 from needlefit.studies.parameter_intervals import (
     ParameterInterval,

@@ -14,7 +14,7 @@ from inference_cases import squares_recipe, two_layers
 
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks, Start
-from needlefit.inference.identifiability.parameter_profiles import profile_parameters
+from needlefit.inference.identifiability.identify import profile_parameters
 from needlefit.inference.optimize import minimize
 from needlefit.project import tasks
 from needlefit.project.cluster import connect

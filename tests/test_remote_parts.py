@@ -7,9 +7,9 @@ import pytest
 from inference_cases import squares_recipe, two_layers
 
 from needlefit.inference.fit import Callbacks
-from needlefit.inference.identifiability.parameter_profiles import profile_parameters
-from needlefit.inference.importance.fit_posterior import trace_profiles
+from needlefit.inference.identifiability.identify import profile_parameters
 from needlefit.inference.optimize import minimize
+from needlefit.inference.sampling.importance import trace_profiles
 from needlefit.project import tasks
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, LocalPool

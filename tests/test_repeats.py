@@ -11,8 +11,7 @@ from scipy.stats import multivariate_normal
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import find_repeats
 from needlefit.errors import ConfigError
-from needlefit.inference.draws import Draws
-from needlefit.inference.identifiability.information import difference_jacobian
+from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.inference.likelihood.marginal import (
     linear_residuals,
     linearize_residuals,
@@ -21,6 +20,7 @@ from needlefit.inference.likelihood.marginal import (
     solve_shared,
 )
 from needlefit.inference.likelihood.nodes import group_nodes, make_nodes
+from needlefit.inference.predict import Draws
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.folds import Fold

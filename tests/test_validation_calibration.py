@@ -10,8 +10,8 @@ from inference_cases import NEEDLE, insertion, measure, medium
 from scipy.stats import norm
 
 from needlefit.datasets.insertion import Dataset, Noise
-from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord

@@ -10,14 +10,13 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from needlefit.errors import ConfigError
-from needlefit.inference.baseline_density import CurveDensity
+from needlefit.inference.baseline_fit import CurveDensity
 from needlefit.inference.baselines import COEFFICIENT_LENGTH_MM
 from needlefit.inference.forward_model import make_batch, predict, predict_with_derivatives
 from needlefit.inference.likelihood.observation import points_covariance
-from needlefit.inference.parameters import Parameters
-from needlefit.inference.ties import BEVEL_SPREAD, NOISE_SCALE
+from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE, Parameters
+from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue

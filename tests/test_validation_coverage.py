@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from needlefit.inference.predictive_distribution import PredictiveMixture, simulate_shape_pit
+from needlefit.inference.predict import PredictiveMixture, simulate_shape_pit
 from needlefit.studies.proportions import estimate_proportion, wilson_interval
 
 

@@ -12,9 +12,8 @@ from test_cli import run
 import needlefit
 from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predictive_distribution import PredictiveMixture, interval
+from needlefit.inference.predict import Draws, PredictiveMixture, interval, thin_posterior
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample

@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.likelihood.observation import make_observation, pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
-from needlefit.inference.simulated_points import read_points
 from needlefit.project import tasks
 from needlefit.project.load import load
 from needlefit.project.locate import find_file

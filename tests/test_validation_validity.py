@@ -7,8 +7,8 @@ import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layers
 
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.inference.evaluation_checks import find_outside_validity
 from needlefit.inference.forward_model import predict
+from needlefit.inference.problem import find_outside_validity
 from needlefit.project.result_warnings import read_warnings
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.medium import MediumRecord

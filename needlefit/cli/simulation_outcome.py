@@ -171,7 +171,7 @@ def summarize_simulation(
 
     `shapes` end with the last step, or with the one that failed; `placement` is where a measured needle lies.
     """
-    from needlefit.mechanics.validity import find_worst
+    from needlefit.mechanics.shape import find_worst
 
     pairs = zip(scene.steps, shapes, strict=False)
     steps = [

@@ -1,16 +1,29 @@
-"""Fit baselines to insertions by least squares on the points that the model is scored at."""
+"""Fit baselines to insertions by least squares on the points that the model is scored at.
+
+The posterior of a baseline, by the same likelihood as that of a model.
+
+A curve knows no layers and no mechanics: theta holds its coefficients in units of their scales, flat within
+bounds that every needle satisfies, and the logarithm of the noise scale. Of the uncertain depths only the
+tip's moves the curve.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion, Pose
+from needlefit.datasets.insertion import Dataset, Insertion, Pose
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
 from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, select_points
+from needlefit.inference.likelihood.marginal import log_marginals
+from needlefit.inference.likelihood.nodes import make_group
+from needlefit.inference.likelihood.observation import Observation, make_observation, whiten_residuals
+from needlefit.inference.parameters import NOISE_SCALE_BOUNDS
+from needlefit.schemas.recipe import LikelihoodRecord
 
 
 @dataclass(frozen=True)
@@ -75,3 +88,99 @@ def _residuals(
         simulated, measured = align_points(goal, baseline.curve(coefficients.tolist(), insertion))
         differences.append((simulated - measured).ravel())
     return np.concatenate(differences)
+
+
+MAX_COEFFICIENT = 10.0
+"""Bound of theta's coefficients: a curve that turns by this many rad over 100 mm is none of a needle."""
+
+
+@dataclass(frozen=True)
+class CurveDensity:
+    """The posterior of the coefficients of one empirical curve, given some insertions.
+
+    Attributes
+    ----------
+    name : str
+        Of the baseline.
+    max_scale : float
+        Largest noise scale.
+    """
+
+    name: str
+    dataset: Dataset
+    insertions: tuple[Insertion, ...]
+    likelihood: LikelihoodRecord
+    max_scale: float
+
+    @property
+    def baseline(self) -> Baseline:
+        """The baseline."""
+        return BASELINES[self.name]
+
+    @property
+    def upper(self) -> Floats:
+        """Upper bounds of theta: (P,)."""
+        return np.array([*[MAX_COEFFICIENT] * len(self.baseline.scales), np.log(self.max_scale)])
+
+    @property
+    def lower(self) -> Floats:
+        """Lower bounds of theta: (P,)."""
+        return np.array([*[-MAX_COEFFICIENT] * len(self.baseline.scales), np.log(NOISE_SCALE_BOUNDS[0])])
+
+    def __call__(self, thetas: Floats) -> Floats:
+        """Return the log densities (W,) of thetas (W, P), -inf outside the bounds."""
+        inside = np.all((thetas >= self.lower) & (thetas <= self.upper), axis=1)
+        density = np.full(len(thetas), -np.inf)
+        if inside.any():
+            density[inside] = sum(
+                log_likelihoods(self, observation, thetas[inside]) for observation in self.observations
+            )
+        return density
+
+    @cached_property
+    def observations(self) -> tuple[Observation, ...]:
+        """The observations that curves are compared with; computed once."""
+        return tuple(self.of(insertion) for insertion in self.insertions)
+
+    def of(self, insertion: Insertion) -> Observation:
+        """Return the observation of an insertion; boundaries get no error, since they do not move a curve."""
+        # a curve has no layers and no bevel; theta holds the scale of the noise
+        plain = self.likelihood.model_copy(update={"bevel_spread": 0.0, "noise_scale": "estimated"})
+        return make_observation(self.dataset, replace(insertion, boundary_sd=0.0), likelihood=plain)
+
+    def curve(self, theta: Floats) -> FittedBaseline:
+        """Return the curve with the coefficients in theta."""
+        found = theta[:-1] * np.array(self.baseline.scales)
+        return FittedBaseline(self.baseline, tuple(found.tolist()), float("nan"))
+
+    @cached_property
+    def peak(self) -> Floats:
+        """Theta (P,) of the greatest density, found by a search from the least-squares curve."""
+        pose, drop = self.dataset.pose, self.dataset.drop_proximal
+        closest = fit_baseline(self.name, pose, drop, self.insertions).coefficients
+        scaled = np.array(closest) * (1 / np.array(self.baseline.scales))
+        starts = [np.array([*scaled, np.log(scale)]) for scale in (1.0, min(10.0, self.max_scale))]
+        ends = [minimize(self._negative_log_density, at, method="Nelder-Mead", tol=1e-6) for at in starts]
+        best: Floats = min(ends, key=lambda end: float(end.fun)).x
+        return best
+
+    def _negative_log_density(self, theta: Floats) -> float:
+        return -float(self(theta[None])[0])
+
+
+def log_likelihoods(density: CurveDensity, observation: Observation, thetas: Floats) -> Floats:
+    """Return the log likelihoods (W,) of one insertion, given thetas (W, P)."""
+    curves = [density.curve(theta) for theta in thetas]
+    white = np.array([_whitened_residuals(observation, curve) for curve in curves])  # (W, m, R)
+    scale = np.exp(thetas[:, -1])
+    found = log_marginals([white], make_group(observation.nodes), scale, np.zeros(len(scale)))
+    return observation.log_norm + found
+
+
+def _whitened_residuals(observation: Observation, curve: FittedBaseline) -> Floats:
+    """Return the whitened residuals (m, R) of a curve at all nodes."""
+    pairs: Sequence[tuple[Insertion, Floats]] = list(
+        zip(observation.nodes.insertions, observation.nodes.s, strict=True)
+    )
+    points = np.array([curve.curve(insertion)(s) for insertion, s in pairs])
+    return np.concatenate([whiten_residuals(observation, points), observation.pose_curves])

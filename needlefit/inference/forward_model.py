@@ -14,20 +14,24 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.tip_tracks import TipTrack
-from needlefit.inference.parameters import Parameters, make_tissue
-from needlefit.inference.simulated_points import (
+from needlefit.inference.compared_points import (
     find_end,
     read_batch_derivatives,
     read_batch_points,
     share_simulations,
 )
-from needlefit.inference.ties import BEVEL_PARAMETERS, dimension, is_shape_parameter
-from needlefit.mechanics.batch import Batch, NeedleShapes
+from needlefit.inference.parameters import (
+    BEVEL_PARAMETERS,
+    Parameters,
+    dimension,
+    is_shape_parameter,
+    make_tissue,
+)
+from needlefit.mechanics.batch import Batch, NeedleShapes, linearize_batches, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.lanes import linearize_batches, simulate_batches
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.prepared import MAX_TOLERANCE_MM
+from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
@@ -186,7 +190,7 @@ class PreparedModel:
     ) -> list[Floats]:
         """Return the points (B, K, 2) of each insertion at its `s` (K,), mm; NaN where a solve failed.
 
-        See `simulated_points.read_points`.
+        See `read_points`.
         """
         shapes = simulate_batches(self._make_batches(sets), jobs)
         found = dict(zip(self._simulations, shapes, strict=True))

@@ -1,4 +1,11 @@
-"""Pool the specimens of a compression test, and turn the result into the prior of a layer.
+"""Fit mu and alpha of the Ogden law to the compression of one specimen, with the profile of alpha.
+
+The misfit is a sum of squares of stresses. At a given alpha the best mu is known in closed form, so the
+profile of alpha is exact and cheap: it is computed over the whole range, and least squares, with the exact
+Jacobian, goes on from every one of its minima. What the residuals of one specimen share along the curve is
+no information; their points count as n (1 - r) / (1 + r), r being the correlation of neighbours.
+
+Pool the specimens of a compression test, and turn the result into the prior of a layer.
 
 The needle goes into a specimen that no machine compressed. What is known of it is the mean of those that
 were, its own uncertainty, and the spread between specimens, as a rule far larger than the noise within one:
@@ -21,19 +28,302 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from needlefit.arrays import Floats
 from needlefit.datasets.compression import CompressionTest
-from needlefit.errors import ConfigError
+from needlefit.datasets.compression_loading import SpecimenLoading
+from needlefit.errors import ConfigError, FitError
 from needlefit.inference.parameters import state_usual_bounds
-from needlefit.inference.specimen_fit import (
-    NORMAL_95_HALF_WIDTH_SD,
-    UPPER_QUANTILE_95,
-    SpecimenFit,
-    fit_specimen,
-)
+from needlefit.mechanics.compression import StressMeasure, compute_log_stress_derivative, compute_stress
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, ParameterRecord, PriorRecord
+
+
+@dataclass(frozen=True)
+class AlphaProfile:
+    """The profile of alpha: the sum of squares at each alpha, with the best mu for it.
+
+    Attributes
+    ----------
+    alpha : (G,) array
+    mu : (G,) array
+        MPa.
+    ratio : (G,) array
+        Sum of squares over the smallest one.
+    limit : float
+        Ratio up to which an alpha belongs to the 95 % region.
+    """
+
+    alpha: Floats
+    mu: Floats
+    ratio: Floats
+    limit: float
+
+    @property
+    def regions(self) -> tuple[tuple[float, float], ...]:
+        """The 95 % region of alpha as intervals; one that ends where the range does is open there."""
+        return self.within(self.limit)
+
+    def within(self, limit: float) -> tuple[tuple[float, float], ...]:
+        """Return the intervals of alpha with a ratio of at most `limit`."""
+        # padded with False, so that a region that touches an end of the range still has both edges
+        inside = np.concatenate(([False], self.ratio <= limit, [False]))
+        begins, ends = (
+            np.flatnonzero(np.diff(inside.astype(int)) == 1),
+            np.flatnonzero(~inside[1:] & inside[:-1]),
+        )
+        pairs = zip(begins.tolist(), ends.tolist(), strict=True)
+        return tuple((self._edge(a - 1, a, limit), self._edge(b, b - 1, limit)) for a, b in pairs)
+
+    def _edge(self, out: int, within: int, limit: float) -> float:
+        """Return where the ratio passes the limit between two neighbours of the grid."""
+        if not 0 <= out < len(self.alpha):
+            return float(self.alpha[within])
+        high, low = self.ratio[out], self.ratio[within]
+        part = 1.0 if high == low else (limit - low) / (high - low)
+        return float(self.alpha[within] + part * (self.alpha[out] - self.alpha[within]))
+
+
+ALPHA_RANGE = (-50.0, 50.0)
+"""Values of alpha that are looked at."""
+
+ALPHA_GRID_POINTS = 401
+"""Values of alpha at which the profile is searched for minima: every 0.25."""
+
+DENSE_REACH_SD, DENSE_GRID_POINTS = 8.0, 161
+"""About a minimum the profile is followed this many standard deviations to each side, on so many values."""
+
+MAX_ALPHA_WIDTH = 10.0
+"""A 95 % region wider than this, and than alpha itself, leaves alpha open."""
+
+MIN_EFFECTIVE_POINTS = 4.0
+"""No curve counts as fewer points: two are fitted, and two remain to estimate the noise."""
+
+MIN_ALPHA_DISTANCE = 1e-3
+"""Minima nearer than this in alpha are one."""
+
+MIN_NOISE_FRACTION = 1e-7
+"""Part of the largest stress that counts as noise at least: a file has so many digits."""
+
+UPPER_QUANTILE_95 = 0.975
+"""Quantile of intervals of 95 %."""
+
+NORMAL_95_HALF_WIDTH_SD = 1.959964
+"""Value of the standard normal distribution at that quantile."""
+
+
+@dataclass(frozen=True)
+class SpecimenFit:
+    """The fit of mu and alpha to the loading of one specimen.
+
+    Attributes
+    ----------
+    measure : "nominal" or "true"
+    mu : float
+        Shear modulus of the material, MPa.
+    covariance : (2, 2) array
+        Of ln mu and alpha. Alpha's variance is what the width of its profile says, and mu follows it: where
+        alpha begins to turn the curve round a linear estimate has nothing to go by.
+    residuals : (N,) array
+        Fitted minus measured, MPa.
+    noise : float
+        Standard deviation of the residuals, MPa.
+    neighbour_correlation : float
+        Correlation of neighbouring residuals.
+    effective_points : float
+        Effective number of independent points.
+    other_alphas : tuple of float
+        Other alphas at which the misfit has a minimum inside the 95 % region.
+    """
+
+    specimen: SpecimenLoading
+    measure: StressMeasure
+    mu: float
+    alpha: float
+    covariance: Floats
+    residuals: Floats
+    noise: float
+    neighbour_correlation: float
+    effective_points: float
+    profile: AlphaProfile
+    other_alphas: tuple[float, ...]
+
+    @property
+    def identified(self) -> bool:
+        """Whether the 95 % region of alpha is one interval, closed at both ends, and not too wide."""
+        low, high = self.profile.regions[0][0], self.profile.regions[-1][1]
+        closed = low > ALPHA_RANGE[0] and high < ALPHA_RANGE[1]
+        return (
+            len(self.profile.regions) == 1 and closed and high - low < max(MAX_ALPHA_WIDTH, abs(self.alpha))
+        )
+
+    @property
+    def small_sample_factor(self) -> float:
+        """Student's 97.5 % quantile over the normal one, for the few independent points of one specimen."""
+        return float(stdtrit(self.effective_points - 2, UPPER_QUANTILE_95)) / NORMAL_95_HALF_WIDTH_SD
+
+    @property
+    def sds(self) -> tuple[float, float]:
+        """Standard deviations of ln mu and alpha."""
+        return math.sqrt(self.covariance[0, 0]), math.sqrt(self.covariance[1, 1])
+
+
+def fit_specimen(specimen: SpecimenLoading, measure: StressMeasure) -> SpecimenFit:
+    """Fit mu and alpha to the loading of one specimen.
+
+    Raises
+    ------
+    FitError
+        If no alpha gives a positive mu.
+    """
+    minima = sorted(
+        (_refine_minimum(specimen, measure, start) for start in _find_starts(specimen, measure)),
+        key=_sum_of_squares,
+    )
+    if not minima:
+        raise FitError(
+            f"no positive mu fits the stresses of specimen {specimen.name}",
+            fix="check the signs and the zero of its stresses",
+        )
+    (log_mu, alpha), residuals = minima[0]
+    neighbour_correlation, effective_points = _count_effective_points(residuals)
+    floor = len(residuals) * (MIN_NOISE_FRACTION * float(np.max(np.abs(specimen.stress)))) ** 2
+    squares = max(_sum_of_squares(minima[0]), floor)
+    # two fitted parameters leave effective_points - 2 degrees of freedom
+    noise = math.sqrt(squares / len(residuals) * effective_points / (effective_points - 2))
+    shared = noise**2 * len(residuals) / effective_points
+    linear = [shared * _inverse_information(theta, specimen, measure) for theta, _ in minima]
+    profile = _compute_profile(specimen, measure, (squares, effective_points), _make_grid(minima, linear))
+    within_tolerance = [
+        theta[1] for theta, r in minima[1:] if max(float(r @ r), floor) <= profile.limit * squares
+    ]
+    return SpecimenFit(
+        specimen=specimen,
+        measure=measure,
+        mu=math.exp(log_mu),
+        alpha=alpha,
+        covariance=_widen_covariance(
+            linear[0], profile, 1 + NORMAL_95_HALF_WIDTH_SD**2 / (effective_points - 2)
+        ),
+        residuals=residuals,
+        noise=noise,
+        neighbour_correlation=neighbour_correlation,
+        effective_points=effective_points,
+        profile=profile,
+        other_alphas=tuple(other for other in within_tolerance if abs(other - alpha) > MIN_ALPHA_DISTANCE),
+    )
+
+
+Minimum = tuple[tuple[float, float], Floats]
+"""(ln mu, alpha) of a minimum, and the residuals there."""
+
+
+def _sum_of_squares(found: Minimum) -> float:
+    return float(found[1] @ found[1])
+
+
+def _find_starts(specimen: SpecimenLoading, measure: StressMeasure) -> list[tuple[float, float]]:
+    """Return (mu, alpha) at every minimum of the profile, its ends among them."""
+    alphas = np.linspace(*ALPHA_RANGE, ALPHA_GRID_POINTS)
+    mus, squares = _best_mu(specimen, measure, alphas)
+    # infinite neighbours let the ends of the range count as minima
+    padded = np.concatenate(([np.inf], squares, [np.inf]))
+    lowest = np.flatnonzero((squares <= padded[:-2]) & (squares <= padded[2:]) & (mus > 0))
+    return [(float(mus[n]), float(alphas[n])) for n in lowest]
+
+
+def _best_mu(specimen: SpecimenLoading, measure: StressMeasure, alphas: Floats) -> tuple[Floats, Floats]:
+    """Return the best mu (G,) of each alpha, and its sum of squares; infinite where mu is not positive."""
+    found = []
+    for alpha in alphas.tolist():
+        unit = compute_stress(1.0, alpha, specimen.stretch, measure)
+        # stress is proportional to mu: linear least squares in one unknown
+        mu = float(unit @ specimen.stress) / float(unit @ unit)
+        off = mu * unit - specimen.stress
+        found.append((mu, float(off @ off) if mu > 0 else math.inf))
+    mus, squares = np.array(found).T
+    return mus, squares
+
+
+def _make_grid(minima: list[Minimum], covariances: list[Floats]) -> Floats:
+    """Return alphas over the whole range, dense about each minimum."""
+    parts = [np.linspace(*ALPHA_RANGE, ALPHA_GRID_POINTS)]
+    for ((_, alpha), _), covariance in zip(minima, covariances, strict=True):
+        reach = DENSE_REACH_SD * math.sqrt(float(covariance[1, 1]))
+        parts += [alpha + reach * np.linspace(-1, 1, DENSE_GRID_POINTS)]
+    every = np.unique(np.concatenate(parts))
+    return every[(every >= ALPHA_RANGE[0]) & (every <= ALPHA_RANGE[1])]
+
+
+def _compute_profile(
+    specimen: SpecimenLoading, measure: StressMeasure, of: tuple[float, float], alphas: Floats
+) -> AlphaProfile:
+    """Return the profile over the smallest sum of squares, `of` (that sum, points it is worth).
+
+    Were the law linear in alpha, the ratio less 1 would be Student's t squared over its degrees of freedom.
+    """
+    squares, freedom = of[0], of[1] - 2
+    mus, found = _best_mu(specimen, measure, alphas)
+    limit = 1 + stdtrit(freedom, UPPER_QUANTILE_95) ** 2 / freedom
+    return AlphaProfile(alphas, mus, np.maximum(found / squares, 1.0), float(limit))
+
+
+def _widen_covariance(linear: Floats, profile: AlphaProfile, limit: float) -> Floats:
+    """Return the covariance in which alpha has the spread of its profile, and mu its slope along alpha."""
+    regions = profile.within(limit)
+    low, high = regions[0][0], regions[-1][1]
+    variance = ((high - low) / (2 * NORMAL_95_HALF_WIDTH_SD)) ** 2
+    slope = linear[0, 1] / linear[1, 1]
+    at_alpha = linear[0, 0] - slope * linear[0, 1]
+    return np.array([[at_alpha + slope**2 * variance, slope * variance], [slope * variance, variance]])
+
+
+def _refine_minimum(specimen: SpecimenLoading, measure: StressMeasure, start: tuple[float, float]) -> Minimum:
+    begin = np.array([math.log(start[0]), start[1]])
+    scale = float(np.max(np.abs(specimen.stress)))
+
+    def residuals(theta: Floats) -> Floats:
+        fitted = compute_stress(math.exp(theta[0]), theta[1], specimen.stretch, measure)
+        return (fitted - specimen.stress) / scale
+
+    def slopes(theta: Floats) -> Floats:
+        return _jacobian(theta, specimen, measure) / scale
+
+    bounds = ([-np.inf, ALPHA_RANGE[0]], [np.inf, ALPHA_RANGE[1]])
+    done = least_squares(
+        residuals, begin, jac=slopes, bounds=bounds, x_scale="jac", xtol=1e-14, ftol=1e-15, gtol=1e-15
+    )
+    return (float(done.x[0]), float(done.x[1])), done.fun * scale
+
+
+def _jacobian(theta: Floats, specimen: SpecimenLoading, measure: StressMeasure) -> Floats:
+    """Return the derivatives (N, 2) of the stress by ln mu and alpha."""
+    fitted = compute_stress(math.exp(theta[0]), theta[1], specimen.stretch, measure)
+    return np.stack([fitted, fitted * compute_log_stress_derivative(theta[1], specimen.stretch)], axis=1)
+
+
+def _inverse_information(
+    theta: tuple[float, float], specimen: SpecimenLoading, measure: StressMeasure
+) -> Floats:
+    """Return the inverse of J^T J (2, 2)."""
+    slopes = _jacobian(np.array(theta), specimen, measure)
+    inverse: Floats = np.asarray(np.linalg.inv(slopes.T @ slopes), dtype=np.float64)
+    return inverse
+
+
+def _count_effective_points(residuals: Floats) -> tuple[float, float]:
+    """Return the correlation of neighbouring residuals, 0 to 1, and the independent points they are worth.
+
+    Two fitted parameters lower the correlation by about (2 + 4 r) / n, as a line does: that is given back.
+    """
+    count, squares = len(residuals), float(residuals @ residuals)
+    raw = max(0.0, float(residuals[1:] @ residuals[:-1]) / squares) if squares > 0 else 0.0
+    neighbour_correlation = min(1.0, raw + (2 + 4 * raw) / count) if raw > 0 else 0.0
+    effective_points = max(
+        count * (1 - neighbour_correlation) / (1 + neighbour_correlation), MIN_EFFECTIVE_POINTS
+    )
+    return neighbour_correlation, min(count, effective_points)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""Names, bounds and ties of a medium's parameters, and the vector theta that is searched.
+"""Read ties between parameters: `"mu1_pa"` or `"10 * mu1_pa"` -> a factor and the parameter it refers to.
+
+The stated prior: a Gaussian in theta, within the flat bounds; a tie with a spread is a part of it.
+
+Names, bounds and ties of a medium's parameters, and the vector theta that is searched.
 
 Moduli and lengths are searched in logarithms, because they are positive and known to orders of
 magnitude at most; shape parameters of a law are searched as they are.
@@ -6,30 +10,312 @@ magnitude at most; shape parameters of a law are searched as they are.
 
 import difflib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal, Self
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
-from needlefit.inference.prior import Prior, SoftTie, add_ties, make_prior
-from needlefit.inference.ties import (
-    BEVEL_PARAMETERS,
-    BEVEL_SPREAD,
-    NOISE_SCALE,
-    dimension,
-    is_shape_parameter,
-    parse_tie,
-    resolve_ties,
-)
+from needlefit.inference.quantity_text import format_quantity
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.tissue import Tissue
-from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.project.toml_lines import add_key_context
+from needlefit.schemas.medium import MediumRecord, ParameterRecord, PriorRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.scene import CUT_ANGLE_LIMIT_DEG
+
+NOISE_SCALE = "noise_scale"
+"""Name of the estimated factor on the standard deviations of the noise of the points; no medium has it."""
+
+BEVEL_SPREAD = "bevel_spread"
+"""Name of the relative SD of b or θ between insertions, which is estimated; no medium has it."""
+
+BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")
+"""Names of what says how strongly a needle steers; a medium has one of them."""
+
+_NAME = re.compile(
+    r"([a-z]+(?:_[a-z]+)*)[1-9]\d*(_pa)?|(?:bevel|guide_distance)_mm|cut_angle_deg|noise_scale|bevel_spread"
+)
+_DIMENSIONS = ("modulus", "length", "angle", "factor")
+_TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
+
+
+@cache  # asked for every parameter of every draw
+def dimension(name: str) -> str:
+    """Return what the parameter `name` measures: "modulus", "length", "angle" or "factor".
+
+    Of a shape parameter of a law it is the name without the number of the layer, such as "alpha".
+
+    Raises
+    ------
+    ConfigError
+        If it is no parameter's name.
+    """
+    match = _NAME.fullmatch(name)
+    if match is None or (match[1] is not None and (match[1] == "mu") != (match[2] is not None)):
+        raise ConfigError(
+            f"there is no parameter called `{name}`",
+            expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm or cut_angle_deg, guide_distance_mm",
+            fix=f"write `{name}_pa`" if _NAME.fullmatch(f"{name}_pa") else "correct the name",
+        )
+    if name in (NOISE_SCALE, BEVEL_SPREAD, "cut_angle_deg"):
+        return "angle" if name == "cut_angle_deg" else "factor"
+    return "modulus" if match[1] == "mu" else match[1] or "length"
+
+
+def is_shape_parameter(name: str) -> bool:
+    """Return whether `name` is a shape parameter of a law in one layer, such as `alpha2`."""
+    return dimension(name) not in _DIMENSIONS
+
+
+def parse_tie(name: str, tie: str) -> tuple[float, str]:
+    """Return (factor, source) of the tie that the parameter `name` states.
+
+    Raises
+    ------
+    ConfigError
+        If the tie cannot be read, joins different quantities, or its factor cannot be.
+    """
+    match = _TIE.fullmatch(tie)
+    if match is None:
+        raise _tie_error(name, tie, "cannot be read")
+    try:
+        factor = float(match["factor"] or 1.0)
+    except ValueError:
+        raise _tie_error(name, tie, f"has the factor `{match['factor']}`, which is no number") from None
+    with add_key_context(f"parameters.{name}.tie"):
+        source = dimension(match["name"])
+    if source != dimension(name):
+        raise _tie_error(name, tie, f"joins different quantities, {dimension(name)} and {source}")
+    positive = not is_shape_parameter(name)
+    if not math.isfinite(factor) or (positive and factor <= 0):
+        raise _tie_error(name, tie, f"has the factor {factor:g}; moduli and lengths stay positive")
+    return factor, match["name"]
+
+
+def resolve_ties(
+    ties: Mapping[str, tuple[float, str]], known: frozenset[str]
+) -> dict[str, tuple[float, str]]:
+    """Return each tied parameter's (factor, source) with a source that is itself not tied.
+
+    Raises
+    ------
+    ConfigError
+        If a tie leads to no parameter of the medium, or in a circle.
+    """
+    return {name: _resolve_tie(name, ties, known) for name in ties}
+
+
+def _resolve_tie(
+    name: str, ties: Mapping[str, tuple[float, str]], known: frozenset[str]
+) -> tuple[float, str]:
+    factor, at, visited = 1.0, name, [name]
+    while at in ties:
+        step, at = ties[at]
+        factor *= step
+        if at in visited:
+            raise ConfigError(
+                f"ties run in a circle: {' -> '.join([*visited, at])}",
+                key=f"parameters.{name}.tie",
+                fix="leave one of them free or fixed",
+            )
+        if at not in known:
+            raise ConfigError(
+                f"`{visited[-1]}` is tied to `{at}`, which is no parameter of this tissue model",
+                key=f"parameters.{name}.tie",
+                expected=f"one of {', '.join(sorted(known - set(visited)))}",
+                fix="tie it to one of these, or give it bounds",
+            )
+        visited.append(at)
+    return factor, at
+
+
+def _tie_error(name: str, tie: str, fault: str) -> ConfigError:
+    return ConfigError(
+        f"the tie `{tie}` {fault}",
+        key=f"parameters.{name}.tie",
+        expected='another parameter of the same kind, with a factor if wanted: "mu1_pa" or "10 * mu1_pa"',
+        fix="correct the tie, or give the parameter bounds",
+    )
+
+
+@dataclass(frozen=True)
+class SoftTie:
+    """Says that ln(value / (factor * source's)) is normal about 0 with deviation ln `spread`."""
+
+    name: str
+    source: str
+    factor: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A Gaussian prior of some parameters, in their coordinates of theta.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Q of them.
+    whitening : (R, Q) array
+        What takes logarithms, and shape parameters themselves, to independent numbers of unit variance; R < Q
+        where only combinations are stated, as by a tie.
+    centre : (R,) array
+        Their means.
+    ties : tuple of SoftTie
+        Those among it, for print.
+    """
+
+    names: tuple[str, ...] = ()
+    whitening: tuple[tuple[float, ...], ...] = ()
+    centre: tuple[float, ...] = ()
+    ties: tuple[SoftTie, ...] = ()
+
+    def residuals(self, values: Mapping[str, float]) -> Floats:
+        """Return the whitened deviations (R,) of `values` (Pa, mm) from the prior mean."""
+        if not self.names:
+            return np.empty(0)
+        at = np.array([to_coordinate(name, values[name]) for name in self.names])
+        white: Floats = np.array(self.whitening) @ at - np.array(self.centre)
+        return white
+
+    def log_density(self, values: Mapping[str, float]) -> float:
+        """Return the logarithm of the density of `values`, not normalised: 0 at its peak."""
+        white = self.residuals(values)
+        return -0.5 * float(white @ white)
+
+    def slopes(self, names: Sequence[str]) -> Floats:
+        """Return the derivatives (R, P) of `residuals` by theta of the free parameters `names`."""
+        # a fixed parameter has no column: its residual is constant
+        chosen = np.array([[float(name == own) for name in names] for own in self.names])  # (Q, P)
+        if not self.names:
+            return np.zeros((0, len(names)))
+        slopes: Floats = np.array(self.whitening) @ chosen
+        return slopes
+
+    def information(self, names: Sequence[str]) -> Floats:
+        """Return the precision (P, P) of theta of the free parameters `names`; 0 where nothing is stated."""
+        slopes = self.slopes(names)
+        precision: Floats = slopes.T @ slopes
+        return precision
+
+    @cached_property
+    def marginals(self) -> Mapping[str, tuple[float, float]]:
+        """Mean and standard deviation of the coordinate of each parameter that is not only tied."""
+        white = np.array(self.whitening).reshape(len(self.whitening), len(self.names))
+        inverse = np.linalg.pinv(white)  # (Q, R)
+        # a parameter that is only tied to another one has any value: it is not in the span of the rows
+        known = np.isclose(np.diag(inverse @ white), 1.0)
+        mean, sd = inverse @ np.array(self.centre), np.linalg.norm(inverse, axis=1)
+        return {name: (float(mean[k]), float(sd[k])) for k, name in enumerate(self.names) if known[k]}
+
+    def sd(self, name: str) -> float:
+        """Return the standard deviation of one parameter's coordinate; infinite where nothing is stated."""
+        return self.marginals.get(name, (math.nan, math.inf))[1]
+
+    def without_ties(self) -> "Prior":
+        """Return the prior without its ties, which `add_ties` put last."""
+        kept = len(self.centre) - len(self.ties)
+        return Prior(self.names, self.whitening[:kept], self.centre[:kept]) if kept else Prior()
+
+    def describe(self, name: str) -> str:
+        """Describe the prior of one parameter as the end of a sentence; empty if there is none."""
+        for tie in self.ties:
+            if tie.name == name:
+                source = tie.source if tie.factor == 1 else f"{tie.factor:g} * {tie.source}"
+                return f"; tied to {source} within a factor of {tie.spread:.3g}"
+        if name not in self.marginals:
+            return ""
+        mean, sd = self.marginals[name]
+        if is_shape_parameter(name):
+            known = f"{mean:.3g} +- {sd:.2g}"
+        else:
+            known = f"{format_quantity(name, math.exp(mean))}, within a factor of {math.exp(sd):.2g}"
+        return f"; stated before: {known} (counts in the posterior, not in the errors minimised)"
+
+
+def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:
+    """Return the prior together with ties that have a spread."""
+    names = tuple(dict.fromkeys([*prior.names, *(name for tie in ties for name in (tie.source, tie.name))]))
+    rows = [(*row, *[0.0] * (len(names) - len(row))) for row in prior.whitening]
+    for tie in ties:
+        # ( ln value - ln source - ln factor ) / ln spread
+        weights = {tie.name: 1 / math.log(tie.spread), tie.source: -1 / math.log(tie.spread)}
+        rows.append(tuple(weights.get(name, 0.0) for name in names))
+    centre = (*prior.centre, *(math.log(tie.factor) / math.log(tie.spread) for tie in ties))
+    return Prior(names, tuple(rows), centre, tuple(ties))
+
+
+def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = ()) -> Prior:
+    """Return the prior that the parameters of a medium state, `ties` with a spread among it.
+
+    Raises
+    ------
+    ConfigError
+        If a prior is of the wrong kind, peaks outside the bounds, or its correlation has no partner.
+    """
+    stated = {name: record.prior for name, record in table.items() if record.prior is not None}
+    for name, one in stated.items():
+        _check(name, one, table[name].bounds, stated)
+    if not stated:
+        return add_ties(Prior(), ties)
+    names = tuple(stated)
+    sds = [_sd(one) for one in stated.values()]
+    correlations = np.eye(len(names))
+    for k, (name, one) in enumerate(stated.items()):
+        if one.correlation:
+            j = names.index(_alpha_of(name))
+            correlations[j, k] = correlations[k, j] = one.correlation
+    peaks = np.array([to_coordinate(name, _peak(one)) for name, one in stated.items()])
+    return add_ties(make_gaussian_prior(names, peaks, correlations * np.outer(sds, sds)), ties)
+
+
+def make_gaussian_prior(names: Sequence[str], mean: Floats, covariance: Floats) -> Prior:
+    """Return a Gaussian prior with `mean` (Q,) and `covariance` (Q, Q) in theta's coordinates of `names`."""
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    rows = tuple(tuple(row) for row in whitening.tolist())
+    return Prior(tuple(names), rows, tuple((whitening @ mean).tolist()))
+
+
+def _check(
+    name: str, one: PriorRecord, bounds: tuple[float, float] | None, stated: Mapping[str, PriorRecord]
+) -> None:
+    key = f"parameters.{name}.prior"
+    normal = is_shape_parameter(name)
+    if normal != (one.mean is not None):
+        expected = "mean and sd" if normal else "median and factor: it is positive"
+        raise ConfigError("is a prior of the wrong kind", key=key, expected=expected)
+    if bounds is not None and not bounds[0] <= _peak(one) <= bounds[1]:
+        raise ConfigError(
+            f"peaks at {_peak(one):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
+            key=key,
+            fix="widen the bounds, or look whether prior and bounds mean the same unit",
+        )
+    if one.correlation and (dimension(name) != "modulus" or _alpha_of(name) not in stated):
+        expected = "a prior of mu whose layer's alpha has a prior too"
+        raise ConfigError("states a correlation that has no partner", key=key, expected=expected)
+
+
+def _alpha_of(mu: str) -> str:
+    return mu.replace("mu", "alpha").removesuffix("_pa")
+
+
+def to_coordinate(name: str, value: float) -> float:
+    """Return the coordinate of a parameter in theta: its logarithm, or a shape parameter itself."""
+    return value if is_shape_parameter(name) else math.log(value)
+
+
+def _peak(one: PriorRecord) -> float:
+    return float(one.mean if one.mean is not None else one.median or math.nan)
+
+
+def _sd(one: PriorRecord) -> float:
+    return float(one.sd if one.sd is not None else math.log(one.factor or math.nan))
+
 
 Theta = Sequence[float] | Floats
 Status = Literal["free", "fixed", "tied"]

@@ -22,8 +22,13 @@ from needlefit.inference.likelihood.observation import (
     whiten_derivatives,
     whiten_residuals,
 )
-from needlefit.inference.parameters import BEVEL_SPREAD_BOUNDS, NOISE_SCALE_BOUNDS, Parameters
-from needlefit.inference.ties import BEVEL_SPREAD, NOISE_SCALE
+from needlefit.inference.parameters import (
+    BEVEL_SPREAD,
+    BEVEL_SPREAD_BOUNDS,
+    NOISE_SCALE,
+    NOISE_SCALE_BOUNDS,
+    Parameters,
+)
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 

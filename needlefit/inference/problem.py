@@ -7,6 +7,8 @@ The metric objective: how far one simulated needle lies from the measured one, i
 with the recipe's weights; edp_floor_mm is about the noise of a tip: a deflection below it says nothing.
 A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + e^2) - e with e =
 `SMOOTHING_MM`, which is smooth and at most e shorter.
+
+Explain failed evaluations, and find parameter sets outside the model's range of validity.
 """
 
 import math
@@ -15,6 +17,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
@@ -30,13 +33,13 @@ from needlefit.inference.compared_points import (
     make_curve,
     select_points,
 )
-from needlefit.inference.forward_model import PreparedModel, predict
-from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, make_observation
-from needlefit.inference.likelihood.operators import Discrepancy
-from needlefit.inference.parameters import Parameters, Theta, with_hyperparameters
+from needlefit.inference.forward_model import PreparedModel, make_batch, predict
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy, make_observation
+from needlefit.inference.objective import EVALUATION_ERRORS
+from needlefit.inference.parameters import BEVEL_SPREAD, Parameters, Theta, with_hyperparameters
 from needlefit.inference.posterior_density import PosteriorDensity
 from needlefit.inference.side_by_side import evaluate
-from needlefit.inference.ties import BEVEL_SPREAD
+from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRecord
@@ -333,3 +336,56 @@ def make_problem(
     """Return the problem of fitting `medium` to `insertions`; what the medium frees is searched."""
     parameters = with_hyperparameters(Parameters.from_record(medium), likelihood)
     return Problem(dataset, tuple(insertions), medium, parameters, weights, likelihood=likelihood)
+
+
+@dataclass(frozen=True)
+class EvaluationFailure:
+    """Why one evaluation failed, and at which insertion.
+
+    Attributes
+    ----------
+    insertion : str
+        The first one without a solution; empty if all have one.
+    reason : str
+        The status of its shape; or the error that was raised, `ModelError: ...`; or "value not finite",
+        if every simulation converged.
+    """
+
+    insertion: str
+    reason: str
+
+
+def explain_failure(problem: Problem, theta: Theta) -> EvaluationFailure:
+    """Return why a theta cannot be evaluated: the first insertion that fails, and how."""
+    values = problem.values(theta)
+    for insertion in problem.insertions:
+        try:
+            shape = predict(values, problem.medium, problem.dataset.needle, insertion)
+        except EVALUATION_ERRORS as error:
+            return EvaluationFailure(insertion.id, _describe_error(error))
+        if not shape.converged:
+            return EvaluationFailure(insertion.id, shape.status)
+    return EvaluationFailure("", "value not finite")
+
+
+def _describe_error(error: Exception) -> str:
+    """Return the error's kind and the first line of its text, which says what is wrong."""
+    text = str(error).partition("\n")[0]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def find_outside_validity(
+    problem: Problem, thetas: Sequence[Theta] | Floats, jobs: int = 1
+) -> NDArray[np.bool_]:
+    """Return a mask (B,): the `thetas` (B, P) that simulate any insertion outside the model's validity.
+
+    A solve that fails is none of these: it is counted as failed.
+    """
+    found = np.zeros(len(thetas), dtype=bool)
+    if not len(thetas):
+        return found
+    sets = [problem.values(theta) for theta in thetas]
+    batches = [make_batch(sets, problem.medium, problem.dataset.needle, one) for one in problem.insertions]
+    for shapes in simulate_batches(batches, jobs):
+        found |= shapes.converged & ~shapes.validity.ok
+    return found

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
+from needlefit.inference.objective import EVALUATION_ERRORS
 from needlefit.project.tasks import TaskPool, TaskStop, as_they_end, run_parts
 
 Item = TypeVar("Item")

@@ -24,9 +24,8 @@ from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
-from needlefit.inference.draws import draw_from_prior
-from needlefit.inference.parameters import Parameters
-from needlefit.inference.prior import Prior, make_gaussian_prior, to_coordinate
+from needlefit.inference.parameters import Parameters, Prior, make_gaussian_prior, to_coordinate
+from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 
 MIN_SPREAD = 1e-3

@@ -16,9 +16,8 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, plan_stops
-from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import compute_scales
 
 
 def simulate(

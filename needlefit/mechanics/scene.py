@@ -14,11 +14,10 @@ from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Frame, Placement
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, make_lattice
+from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, check_reach, check_size, make_lattice
 from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue

@@ -12,14 +12,12 @@ import numpy as np
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import PackedStops, compute_turn, list_tip, pack_problem
-from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, find_input_path
-from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, check_reach, check_size, find_input_path
+from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import compute_scales
 from needlefit.schemas.limits import MAX_ELEMENTS, MAX_GUIDES, MAX_STEPS
 
 _DEFAULT_CONTROLS = Controls()

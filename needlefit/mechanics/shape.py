@@ -1,15 +1,270 @@
-"""The result of a simulation: the needle's shape in the constraint frame C."""
+"""Check whether a solution keeps within the model's assumptions: a solution may converge and still be wrong.
 
+The record stands beside the status of every solution. Each quantity is the worst of the whole needle, and
+each has a limit; docs/solver.md, "Validity of a solution", says where the limits come from.
+
+The result of a simulation: the needle's shape in the constraint frame C.
+"""
+
+import math
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
-from needlefit.mechanics.validity import Validity, compute_validity, make_unknown_scales
+from needlefit.mechanics.tissue import Tissue
+
+MAX_SLOPE = 0.3
+"""Greatest slope |u'| for the assumption of small slopes: u' and its sine then differ by 1.5 %."""
+
+MAX_DEFLECTION_PER_LENGTH = 0.2
+"""At this deflection a cantilever under an end force has a slope of 0.3, and linear theory is 4 % off."""
+
+MAX_SHORTENING_PER_LAYER = 0.5
+"""The needle's points lie nearer to the entry than the model assumes. Beyond half of the thinnest layer, most
+of that layer's load is assigned to another layer."""
+
+MAX_MISS_MM = 0.1
+"""Guides hold deflections, integrals of u'; the needle's points are integrals of sin u'. They may miss guides
+and entry by so much, mm: few know the place of a guide better."""
+
+MAX_COMPRESSION = 0.5
+"""|e| / t: compression tests of soft tissue, the basis of the laws, end at about half of the thickness."""
+
+MAX_ROUNDING_MM = 1e-3
+"""Rounding error of the solver, mm: the precision of files and tables."""
+
+ROUNDING_FACTOR, ROUNDING_ORDER = 300.0, 2.5
+"""Coefficients of `Validity.rounding_mm`, fitted to the errors that `benchmarks/validity.py` measures."""
+
+
+class SolvedShape(Protocol):
+    """The fields that validity needs: of a `NeedleShape`, or of `NeedleShapes` with leading axes (...)."""
+
+    @property
+    def x(self) -> Floats:
+        """Depth of the nodes, (..., N), mm."""
+
+    @property
+    def u(self) -> Floats:
+        """Their deflection, (..., N), mm."""
+
+    @property
+    def slope(self) -> Floats:
+        """Their slope, (..., N)."""
+
+    @property
+    def constraints(self) -> Floats:
+        """Depth and y of the constraint points, (..., M + 1, 2), mm."""
+
+    @property
+    def tip_track(self) -> Floats:
+        """Deflection and slope of the tip at each of them, (..., M + 1, 2)."""
+
+    @property
+    def scales(self) -> Floats:
+        """Reference lengths of validity, as `compute_scales` returns them, (..., 3), mm."""
+
+
+@dataclass(frozen=True)
+class Validity:
+    """How near a solution comes to the limits of the model's assumptions; of a batch with leading axes (...).
+
+    All are NaN where there is no solution, and such a one is not `ok`.
+
+    Attributes
+    ----------
+    max_slope : (...) array
+        Greatest |u'| of the needle, between its nodes too, and of its tip on the way.
+    deflection_per_length : (...) array
+        Range of the needle's deflections over its length.
+    shortening_per_layer : (...) array
+        How much nearer to the base the tip lies than the needle's length, over the thinnest layer that it
+        has entered (at least one constraint spacing); 0 where the tissue is one layer.
+    miss_mm : (...) array
+        Greatest |integral of u' - sin u'| from the base to the entry: how far the needle's points miss the
+        places of the guides before the tissue and of the first contact, mm.
+    compression : (...) array
+        Greatest |e| / t at a constraint point.
+    rounding_mm : (...) array
+        Estimate, rather too large, of the error that the solver's arithmetic leaves, mm.
+    """
+
+    max_slope: Floats
+    deflection_per_length: Floats
+    shortening_per_layer: Floats
+    miss_mm: Floats
+    compression: Floats
+    rounding_mm: Floats
+
+    @property
+    def ok(self) -> Bools:
+        """Whether every quantity is within its limit, (...)."""
+        within: Bools = np.logical_and.reduce([getattr(self, name) <= limit for name, limit, _ in LIMITS])
+        return within
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Descriptions of the quantities of a single solution that exceed their limits."""
+        return tuple(
+            f"{words} {float(value):.3g}{_unit(name)} (limit {limit:g}{_unit(name)})"
+            for name, limit, words in LIMITS
+            if (value := getattr(self, name)) > limit
+        )
+
+    def table(self) -> dict[str, Any]:
+        """Return a single solution's quantities as JSON values, with `ok` and `faults`."""
+        values = {name: float(getattr(self, name)) for name, _, _ in LIMITS}
+        return {"ok": bool(self.ok), **values, "faults": list(self.faults)}
+
+
+def _unit(name: str) -> str:
+    return " mm" if name.endswith("_mm") else ""
+
+
+LIMITS: tuple[tuple[str, float, str], ...] = (
+    ("max_slope", MAX_SLOPE, "slope"),
+    ("deflection_per_length", MAX_DEFLECTION_PER_LENGTH, "deflection over length"),
+    ("shortening_per_layer", MAX_SHORTENING_PER_LAYER, "shortening over the thinnest layer"),
+    ("miss_mm", MAX_MISS_MM, "miss of guides or entry"),
+    ("compression", MAX_COMPRESSION, "compression of the tissue"),
+    ("rounding_mm", MAX_ROUNDING_MM, "rounding error"),
+)
+"""Attribute of `Validity`, its limit, and its printed name."""
+
+
+def find_worst(solutions: Sequence[Validity]) -> Validity:
+    """Return the worst value of each quantity over several single solutions; failed ones are left out."""
+    worst = {name: np.array([getattr(one, name) for one in solutions]) for name, _, _ in LIMITS}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # all failed: NaN
+        return Validity(**{name: np.nanmax(values) for name, values in worst.items()})
+
+
+def compute_validity(solved: SolvedShape) -> Validity:
+    """Return the validity of a solution, or of each solution of a batch."""
+    x, u, slope, scales = solved.x, solved.u, solved.slope, solved.scales
+    length = x[..., -1] - x[..., 0]
+    step = np.diff(x, axis=-1)
+    thinnest, thickness, reach = scales[..., 0], scales[..., 1], scales[..., 2]
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        steepest, shortening, misses = _find_slopes(u, slope, step)
+        steepest = np.maximum(steepest, np.abs(solved.tip_track[..., 1]).max(axis=-1))
+        range_ = u.max(axis=-1) - u.min(axis=-1)
+        finest = _find_shortest_element(x, step)
+        largest = np.abs(u).max(axis=-1)
+        # what rounds off in a beam element's stiffness, 12 EI / h^3, moves the length over which the tissue
+        # leaves the needle free; each constraint point inherits the error of those before it
+        amplification = (np.minimum(reach, length) / finest) ** ROUNDING_ORDER * solved.tip_track.shape[-2]
+        return Validity(
+            steepest,
+            range_ / length,
+            shortening / thinnest,
+            np.abs(np.where(x[..., :-1] < ENTRY_TOLERANCE_MM, misses.cumsum(axis=-1), 0.0)).max(axis=-1),
+            _find_compression(solved) / thickness,
+            ROUNDING_FACTOR * np.finfo(np.float64).eps * largest * amplification,
+        )
+
+
+ENTRY_TOLERANCE_MM = -1e-9
+"""An element that begins before this depth, mm, lies before the entry."""
+
+
+def _find_shortest_element(x: Floats, step: Floats) -> Floats:
+    """Return the shortest element in the tissue, mm; of a needle before the entry the shortest of all.
+
+    Elements before the entry are left out: no constraint point inherits their rounding, and at nearly full
+    insertion, or between a guide and the entry, one may be as short as a micrometre.
+    """
+    within = np.where(x[..., :-1] < ENTRY_TOLERANCE_MM, np.inf, step).min(axis=-1)
+    found: Floats = np.where(np.isinf(within), step.min(axis=-1), within)
+    return found
+
+
+def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the greatest |u'| of the cubics between nodes, by how much the needle shortens, mm, and the
+    integral of u' - sin u' over each element, (..., N - 1), mm.
+    """
+    begin, mean = slope[..., :-1], np.diff(u, axis=-1) / step
+    end = slope[..., 1:]
+    # u' = begin + t bend + t^2 curl
+    bend, curl = 6 * mean - 4 * begin - 2 * end, 3 * (begin + end) - 6 * mean
+    # Extremes of the slope inside an element lie where u'' = 0. A cubic without curl has none.
+    at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
+    turning = begin + np.where((at > 0) & (at < 1), at, 0.0) * (bend + at * curl)
+    steepest = np.maximum(np.abs(turning).max(axis=-1), np.abs(slope).max(axis=-1))
+    rotations = [(begin + t * (bend + t * curl), weight) for t, weight in _GAUSS]
+    shortening = sum(weight * 2 * np.sin(rotation / 2) ** 2 for rotation, weight in rotations)
+    misses = sum(weight * (rotation - np.sin(rotation)) for rotation, weight in rotations)
+    return steepest, (shortening * step).sum(axis=-1), misses * step
+
+
+_GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
+
+
+def _find_compression(solved: SolvedShape) -> Floats:
+    """Return the greatest distance of the needle from a constraint point, mm."""
+    depths, y = solved.constraints[..., 0], solved.constraints[..., 1]
+    nodes = solved.x.reshape(-1, solved.x.shape[-1])[0]  # all have theirs in the same order
+    at = depths.reshape(-1, depths.shape[-1])[0]
+    before = np.clip(np.searchsorted(nodes, at - 1e-9), 1, len(nodes) - 1) - 1
+    start, span = solved.x[..., before], solved.x[..., before + 1] - solved.x[..., before]
+    t = np.clip((at - start) / span, 0.0, 1.0)
+    u0, u1 = solved.u[..., before], solved.u[..., before + 1]
+    s0, s1 = solved.slope[..., before], solved.slope[..., before + 1]
+    bend = 3 * (u1 - u0) - span * (2 * s0 + s1)
+    curl = 2 * (u0 - u1) + span * (s0 + s1)
+    needle = u0 + t * (span * s0 + t * (bend + t * curl))
+    found: Floats = np.abs(needle - y).max(axis=-1)
+    return found
+
+
+def compute_scales(tissue: Tissue, rigidity: float, depth: float, spacing: float) -> Floats:
+    """Return the reference lengths (3,) of validity for a needle at `depth`, mm.
+
+    The thinnest of the layers that it has entered, at least one constraint spacing (infinite for the only
+    layer); their least thickness t; the length 1 / beta over which the softest of them holds the needle.
+    """
+    thinnest, entered = _find_entered_layers(tissue, depth, spacing)
+    # Of plain numbers, for so few layers, a quarter of the time of arrays.
+    softest, least = min(tissue.mu.tolist()[:entered]), min(tissue.thickness.tolist()[:entered])
+    return np.array((thinnest, least, foundation_length(rigidity, softest)))
+
+
+def compute_batch_scales(
+    batch_mu: Floats, rigidity: Floats, tissue: Tissue, depth: float, spacing: float
+) -> Floats:
+    """Return the lengths (B, 3) of `compute_scales` for sets that differ in mu (B, n) and rigidity (B,)."""
+    thinnest, entered = _find_entered_layers(tissue, depth, spacing)
+    found = np.empty((len(batch_mu), 3))
+    found[:, 0], found[:, 1] = thinnest, tissue.thickness[:entered].min()
+    found[:, 2] = np.sqrt(np.sqrt(4 * rigidity / (3 * batch_mu[:, :entered].min(axis=1))))
+    return found
+
+
+def _find_entered_layers(tissue: Tissue, depth: float, spacing: float) -> tuple[float, int]:
+    """Return the thinnest layer that a tip at `depth` has entered, mm, and how many these are."""
+    ends = tissue.boundaries.tolist()
+    entered = 1 + sum(end < depth for end in ends)
+    widths = [end - top for top, end in zip([0.0, *ends], ends[:entered], strict=False) if end > top]
+    return max(min(widths), spacing) if widths else math.inf, entered
+
+
+def foundation_length(rigidity: float, mu: float) -> float:
+    """Return the length 1 / beta = (4 EI / k)^(1/4) over which tissue holds a needle, with k = 3 mu, mm."""
+    return math.sqrt(math.sqrt(4 * rigidity / (3 * mu)))
+
+
+def make_unknown_scales() -> Floats:
+    """Return the scales of a shape without a tissue: infinite, so that no limit by them is exceeded."""
+    return np.full(3, np.inf)
+
 
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
 

@@ -9,13 +9,11 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.insertion_limits import check_reach
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import pack_plan, pack_problem, plan_insertion
-from needlefit.mechanics.plan import Lattice, TipStop
-from needlefit.mechanics.shape import NeedleShape, Status
+from needlefit.mechanics.plan import Lattice, TipStop, check_reach
+from needlefit.mechanics.shape import NeedleShape, Status, compute_scales
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import compute_scales
 
 STATUS_NAMES: tuple[Status, ...] = ("converged", "over-compressed", "not converged", "non-finite")
 _DEFAULT_CONTROLS = Controls()

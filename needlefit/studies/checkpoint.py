@@ -9,7 +9,7 @@ from typing import Any
 
 from needlefit.errors import DataError, FitError
 from needlefit.inference.fit import Start, start_from_dict, start_to_dict
-from needlefit.inference.sampling.snapshots import Snapshots
+from needlefit.inference.sampling.sample import Snapshots
 from needlefit.project.atomic_write import replace_file
 from needlefit.project.checkpoint_file import MAX_CHECKPOINT_BYTES, set_aside
 from needlefit.project.checkpoint_folder import claim_checkpoint, hash_work

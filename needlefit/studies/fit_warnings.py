@@ -11,8 +11,7 @@ from scipy.special import chdtr, chdtrc
 
 from needlefit.arrays import Floats
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.identifiability.information import short_name
-from needlefit.inference.identifiability.precision import BOUND_FRACTION, CUT_OFF_FRACTION
+from needlefit.inference.identifiability.precision import BOUND_FRACTION, CUT_OFF_FRACTION, short_name
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.reporting.labels import medium_name

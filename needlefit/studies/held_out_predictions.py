@@ -20,19 +20,21 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels
 from needlefit.inference.compared_points import align
-from needlefit.inference.draws import Draws, rms_noise_scale, thin_posterior
 from needlefit.inference.fit import Fit
-from needlefit.inference.importance.fit_posterior import resample_draws
 from needlefit.inference.likelihood.observation import Observation, make_observation
-from needlefit.inference.predictive_distribution import (
+from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
+    Draws,
     PredictiveMixture,
     cdf,
     crps,
     quantile,
+    rms_noise_scale,
     simulate_shape_pit,
+    thin_posterior,
 )
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.importance import resample_draws
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream

@@ -7,18 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.inference.identifiability.assessment import (
+from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     Assessment,
+    FitProfiles,
+    Identifiability,
+    ParameterProfile,
     assess_parameter,
 )
-from needlefit.inference.identifiability.conditions import (
+from needlefit.inference.identifiability.precision import (
     Loosened,
     find_condition,
+    is_determined_by_data,
+    prior_information,
 )
-from needlefit.inference.identifiability.identify import Identifiability
-from needlefit.inference.identifiability.parameter_profiles import FitProfiles, ParameterProfile
-from needlefit.inference.identifiability.precision import is_determined_by_data, prior_information
 from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.inference.parameters import Parameters, is_logarithmic, to_value
 from needlefit.inference.problem import Problem

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from needlefit.inference.identifiability.information import format_sd, short_name
+from needlefit.inference.identifiability.precision import format_sd, short_name
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.interval_text import (
     NO_INTERVAL,

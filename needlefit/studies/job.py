@@ -21,7 +21,7 @@ from needlefit.inference.parameters import (
 )
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.mechanics.insertion_limits import check_size, count_element_solves
+from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.load import load
 from needlefit.project.locate import FileKind, find_file
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress

@@ -21,14 +21,13 @@ from needlefit.errors import ModelError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.inference.compared_points import make_curve, select_points
-from needlefit.inference.draws import thin_posterior
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import make_batch, predict
 from needlefit.inference.identifiability.identify import Identifiability
-from needlefit.inference.identifiability.information import difference_jacobian, difference_steps
+from needlefit.inference.identifiability.precision import difference_jacobian, difference_steps
+from needlefit.inference.predict import thin_posterior
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.mechanics.batch import compute_batch_positions
-from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
 

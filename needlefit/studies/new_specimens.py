@@ -12,7 +12,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.between_specimens import (
+from needlefit.inference.specimens import (
     SpecimenEstimate,
     SpecimenSpread,
     estimate_specimen,

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.inference.draws import Draws
-from needlefit.inference.identifiability.assessment import NORMAL_95_HALF_WIDTH_SD
+from needlefit.inference.identifiability.identify import NORMAL_95_HALF_WIDTH_SD
 from needlefit.inference.identifiability.precision import MAX_LOG_SD, MAX_SHAPE_SD
 from needlefit.inference.parameters import Parameters, is_logarithmic
+from needlefit.inference.predict import Draws
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.interval_text import interval_width
 

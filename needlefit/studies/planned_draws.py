@@ -1,7 +1,7 @@
 """Predict one planned insertion with many draws of the parameters at once.
 
 Each draw has layers of its own: its needle bends otherwise, and meets the surfaces elsewhere. All draws are
-simulated together (`mechanics.lanes`) with the same layer depths, and some of them with other depths too. The
+simulated together (`mechanics.batch`) with the same layer depths, and some of them with other depths too. The
 effect of the depths on these is interpolated over the parameters, and by a spline in each depth. Where the
 surfaces lie is tabulated along parallels to the entry axis, since draws deviate by millimetres from each
 other. What cannot be interpolated (a surface that some draws meet and others miss) is simulated draw by draw.
@@ -18,11 +18,11 @@ from scipy.spatial.distance import cdist
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.layers import find_layers
+from needlefit.inference.compared_points import read_batch_points, read_points
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.nodes import find_bevel_factors, shift_depths
 from needlefit.inference.likelihood.quadrature import make_spline_weights
-from needlefit.inference.simulated_points import read_batch_points, read_points
-from needlefit.inference.ties import BEVEL_PARAMETERS, BEVEL_SPREAD
+from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.planned_insertions import with_planned_layers

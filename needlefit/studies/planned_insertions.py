@@ -14,9 +14,9 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import find_layers
 from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import Problem
-from needlefit.inference.simulated_points import read_points
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.schemas.medium import MediumRecord

@@ -1,6 +1,6 @@
 """Fit to some insertions, and draw from the posterior: by importance sampling, or by MCMC if that fails.
 
-The posterior is sampled by importance about the modes that the search found (`inference.importance`). Where
+The posterior is sampled by importance about the modes that the search found (`inference.sampling`). Where
 Pareto's k shows that the weights cannot be trusted this is repeated with more draws, and MCMC runs only where
 that fails too: it costs a hundred times as much.
 """
@@ -10,14 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.errors import FitError
-from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.identifiability.identify import select_within_tolerance
 from needlefit.inference.identifiability.precision import add_estimated_noise
-from needlefit.inference.importance.fit_posterior import escalate_effort, resample_draws, sample_about_fit
-from needlefit.inference.importance.sampler import WeightedDraws
 from needlefit.inference.optimize import minimize
+from needlefit.inference.predict import Draws, thin_posterior
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.importance import (
+    WeightedDraws,
+    escalate_effort,
+    resample_draws,
+    sample_about_fit,
+)
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.project.random_streams import random_stream

@@ -18,6 +18,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
+from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import (
     BEVEL,
@@ -28,15 +29,15 @@ from needlefit.inference.likelihood.nodes import (
 )
 from needlefit.inference.likelihood.observation import (
     SESSION_SD_RAD,
+    SectionData,
     add_headings,
     list_session_axes,
     points_covariance,
     pose_modes,
     pose_sds,
+    select_sections,
 )
-from needlefit.inference.likelihood.operators import SectionData, select_sections
-from needlefit.inference.simulated_points import read_points
-from needlefit.inference.ties import BEVEL_SPREAD, NOISE_SCALE
+from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.random_streams import random_stream

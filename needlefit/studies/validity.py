@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from needlefit.mechanics.validity import LIMITS, Validity
+from needlefit.mechanics.shape import LIMITS, Validity
 from needlefit.project.result_warnings import ResultWarning
 
 VALIDITY_KEY = "validity"

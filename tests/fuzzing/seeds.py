@@ -464,7 +464,7 @@ def checkpoints() -> list[Seed]:
     import numpy as np
 
     from needlefit.inference.fit import Start
-    from needlefit.inference.sampling.snapshots import Block
+    from needlefit.inference.sampling.sample import Block
     from needlefit.studies.checkpoint import open_checkpoint
 
     def write(folder: Path) -> None:

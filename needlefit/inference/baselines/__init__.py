@@ -1,7 +1,7 @@
 """Baselines: empirical curves without mechanics. Each is one file of this folder, or of a plugin.
 
 A baseline is fitted to insertions by least squares (`inference/baseline_fit.py`) and predicts others; it
-differs between insertions only by their depth and bevel side. `inference/baseline_density.py` gives it a
+differs between insertions only by their depth and bevel side. `inference/baseline_fit.py` also gives it a
 posterior. Tables and figures look up names and colours here, so that this module imports no optimizer.
 """
 
@@ -69,7 +69,7 @@ class Baseline:
 
     @property
     def has_posterior(self) -> bool:
-        """Whether `inference.baseline_density` can give it one: its coefficients are searched."""
+        """Whether `inference.baseline_fit` can give it one: its coefficients are searched."""
         return self.fit is None
 
 

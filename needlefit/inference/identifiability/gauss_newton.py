@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from needlefit.arrays import Floats
-from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
-from needlefit.inference.objective import SupportsBounds
+from needlefit.inference.objective import EVALUATION_ERRORS, SupportsBounds
 from needlefit.schemas.recipe import ObjectiveName
 
 MIN_GAIN = 1e-3

@@ -13,38 +13,53 @@ to be 300 would take mu with it. Where the residuals are larger than the noise e
 above 1), J^T J is divided by that ratio. With five independent groups of insertions or more (repeats in one
 specimen are one group), and two more than parameters, no deviation is smaller than the scatter between groups
 implies (`precision.between_needle_sds`).
+
+Compute the profile likelihoods of a fit's free parameters, and of shape parameters that it held fixed.
+
+Compare three measures of identifiability of one parameter: posterior SD, information and profile.
+
+The information at the optimum is local, the profile is not, and the posterior SD is of draws where there are
+any: where they disagree, the sentence says which.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.inference.fit import Fit, Start
-from needlefit.inference.identifiability.conditions import (
-    LOOSENED,
-    Loosened,
-    find_condition,
-    find_tie_conditions,
-    loosen,
-)
-from needlefit.inference.identifiability.information import (
-    Direction,
-    principal_directions,
-)
+from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
 from needlefit.inference.identifiability.precision import (
+    LOOSENED,
     MAX_LOG_SD,
     MAX_SD_RATIO,
     MAX_SHAPE_SD,
+    UNINFORMED_SD_RATIO,
+    Direction,
+    Loosened,
     add_estimated_noise,
     compute_sds,
+    describe_precision,
     find_bounds,
+    find_condition,
+    find_tie_conditions,
+    is_determined_by_data,
+    linearize,
+    loosen,
+    principal_directions,
     prior_information,
 )
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile
+from needlefit.inference.parameters import dimension, is_logarithmic, to_value, without_prior
 from needlefit.inference.problem import Problem
+from needlefit.inference.quantity_text import format_quantity, format_quantity_range
+from needlefit.inference.side_by_side import run_side_by_side
+from needlefit.mechanics.laws import LAWS
+from needlefit.project.progress import Stop, never_stop
+from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
 
 MAX_RANGE_SD = 4.0
 """Largest range among equal starts, in these standard deviations, of a parameter called determined."""
@@ -210,3 +225,351 @@ def _describe_combination(k: int, found: tuple[Direction, ...]) -> str:
         if named and direction.sd < MAX_LOG_SD and direction.is_informed:
             return direction.words
     return ""
+
+
+def find_fixed_shape(problem: Problem) -> dict[str, tuple[str, ...]]:
+    """Return the fixed shape parameters that some insertion meets, each with the others of its material.
+
+    Layers are of one material if their mu are tied, exactly or with a spread, and the parameter is fixed at
+    one value in them.
+    """
+    met = {layer for insertion in problem.insertions for layer in insertion.sequence}
+    tied, parameters = without_prior(problem.parameters).ties, problem.parameters
+    every = range(1, problem.medium.layers + 1)
+    found: dict[str, tuple[str, ...]] = {}
+    for row in LAWS[problem.medium.law].name_shape(every):
+        groups: dict[tuple[tuple[float, str], float], dict[int, str]] = {}
+        for layer, name in zip(every, row, strict=True):
+            mu = f"mu{layer}_pa"
+            if name in parameters.fixed:
+                material = tied.get(mu, (1.0, mu)), parameters.fixed[name]
+                groups.setdefault(material, {})[layer] = name
+        for group in groups.values():
+            if met & group.keys():
+                first, *same = group.values()
+                found[first] = tuple(same)
+    return found
+
+
+def free_shape(problem: Problem, name: str) -> Problem:
+    """Return the problem with one parameter of `find_fixed_shape` free, the others of its material tied."""
+    same, parameters = find_fixed_shape(problem)[name], problem.parameters
+    (low, high), at = find_usual_bounds(problem.medium.law, name), parameters.fixed[name]
+    # the value that the fit used must lie within the bounds, whatever it was
+    bounds: Mapping[str, tuple[float, float]] = {name: (min(low, at), max(high, at))}
+    return problem.with_parameters(
+        replace(
+            parameters,
+            bounds={**parameters.bounds, **bounds},
+            fixed={other: value for other, value in parameters.fixed.items() if other not in (name, *same)},
+            ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
+        )
+    )
+
+
+def find_usual_bounds(law: str, name: str) -> tuple[float, float]:
+    """Return the usual bounds of a law's shape parameter in one layer, such as `alpha2`."""
+    return next(one.usual for one in LAWS[law].parameters if one.name == dimension(name))
+
+
+MAX_OTHER_STARTS = 2
+"""Most ends of other starts from which profiles are tried again, beside the middle of the bounds."""
+
+MIN_SEPARATION = 0.05
+"""Ends closer than this part of the bounds, in every parameter, are one place."""
+
+
+@dataclass(frozen=True)
+class ParameterProfile:
+    """The profile of one parameter; for a fixed shape parameter also the range of the tip.
+
+    Attributes
+    ----------
+    bounds : tuple of two floats
+        In the parameter's coordinate of theta.
+    fixed_at : float or None
+        Its value in the fit, where it was fixed there and freed for this.
+    same : tuple of str
+        Other parameters that went with it.
+    tip_range_mm : float or None
+        How far the tip moves most while it goes through its bounds, the others held, mm.
+    """
+
+    profile: LikelihoodProfile
+    bounds: tuple[float, float]
+    fixed_at: float | None = None
+    same: tuple[str, ...] = ()
+    tip_range_mm: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the parameter."""
+        return self.profile.name
+
+
+@dataclass(frozen=True)
+class FitProfiles:
+    """The profiles of all parameters of one fit.
+
+    Attributes
+    ----------
+    parameters : tuple of ParameterProfile
+        Free ones in the order of theta, then fixed shape parameters.
+    scale : float
+        What deviances were divided by: the reduced chi-square where it is above 1.
+    evaluations : int
+        Jacobians computed, those that led to the optimum included.
+    gain : float
+        How much higher than at the fit the log posterior is at the best point met on the way.
+    best : tuple of float
+        Theta of that point.
+    """
+
+    parameters: tuple[ParameterProfile, ...]
+    scale: float
+    evaluations: int
+    gain: float
+    best: tuple[float, ...]
+
+
+def profile_parameters(
+    problem: Problem, fit: Fit, jobs: int = 1, stop: Stop = never_stop, pool: TaskPool = THIS_PROCESS
+) -> FitProfiles:
+    """Compute the profiles about a fit; the result depends neither on the number of threads nor on the pool.
+
+    Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
+    """
+    noisy = add_estimated_noise(problem, np.array(fit.theta))
+    ends = _select_separate(
+        noisy, [fit.theta, *(s.theta for s in sorted(fit.starts, key=lambda s: s.objective))]
+    )
+    descend, never = partial(minimize_squares, noisy), TaskStop(never_stop)
+    minima = [one for _, one in sorted(run_side_by_side(descend, ends, THIS_PROCESS, jobs, never))]
+    optimum = min(minima, key=lambda one: one.value)
+    elsewhere = [*ends[1:], 0.5 * (noisy.lower + noisy.upper)]
+    scale = max(1.0, linearize(noisy, optimum.theta)[2])
+
+    parts: list[str | int] = [*range(len(noisy.names)), *find_fixed_shape(noisy)]
+    work = partial(_profile_one, noisy, optimum, elsewhere, scale)
+    every = dict(run_side_by_side(work, parts, pool, jobs, TaskStop(stop)))
+    found = tuple(every[n] for n in sorted(every))
+    spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
+    at_fit = noisy.residuals(np.array(fit.theta))
+    # residuals are those of the posterior: of a metric fit their gain means nothing
+    gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
+    return FitProfiles(found, scale, spent, gain, tuple(optimum.theta.tolist()))
+
+
+def _profile_one(
+    problem: Problem, optimum: LocalMinimum, elsewhere: Sequence[Floats], scale: float, part: str | int
+) -> ParameterProfile:
+    """Return the profile of a free parameter, by its number, or of a fixed shape parameter, by its name."""
+    if isinstance(part, str):
+        return _profile_fixed(problem, part, optimum, scale)
+    return _profile_free(problem, part, optimum, elsewhere, scale)
+
+
+def _profile_free(
+    problem: Problem, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats], scale: float
+) -> ParameterProfile:
+    found = compute_profile(problem, k, optimum, elsewhere, scale)
+    return ParameterProfile(found, (float(problem.lower[k]), float(problem.upper[k])))
+
+
+def _profile_fixed(problem: Problem, name: str, optimum: LocalMinimum, scale: float) -> ParameterProfile:
+    """Return the profile of a shape parameter that the fit held fixed."""
+    freed = free_shape(problem, name)
+    theta = freed.parameters.theta(problem.values(optimum.theta))
+    k = freed.names.index(name)
+    found = compute_profile(freed, k, minimize_squares(freed, theta), (), scale)
+    return ParameterProfile(
+        found,
+        (float(freed.lower[k]), float(freed.upper[k])),
+        fixed_at=problem.parameters.fixed[name],
+        same=find_fixed_shape(problem)[name],
+        tip_range_mm=tip_range(freed, theta, name),
+    )
+
+
+def _select_separate(problem: Problem, thetas: Sequence[Sequence[float]]) -> list[Floats]:
+    """Return the first, then at most `MAX_OTHER_STARTS` that lie apart from it and from each other."""
+    width = problem.upper - problem.lower
+    kept: list[Floats] = []
+    for theta in map(np.array, thetas):
+        if all(np.any(np.abs(theta - other) > MIN_SEPARATION * width) for other in kept):
+            kept.append(theta)
+    return kept[: 1 + MAX_OTHER_STARTS] or [np.array(thetas[0])]
+
+
+NORMAL_95_HALF_WIDTH_SD = 1.96
+"""Half width of a Gaussian 95 % interval, in standard deviations."""
+
+AGREEMENT_FACTOR = 1.5
+"""Half widths of intervals, and standard deviations, that differ by less than this factor agree."""
+
+AGREEMENT = "standard deviation, information and profile agree"
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """How well one parameter is identified, by its profile and by the information.
+
+    Attributes
+    ----------
+    flat : bool
+        Whether the data determine nothing: every value between the bounds is within the interval.
+    determined : bool
+        Whether the 95 % interval of its profile ends on both sides and is as narrow as that of a parameter
+        called determined.
+    interval : tuple of two floats
+        That interval (Pa, mm); the last values looked at where it does not end.
+    profile_verdict : str
+        The profile in words.
+    agreement : str
+        `AGREEMENT`, or where standard deviation, information and profile do not, in words.
+    """
+
+    name: str
+    flat: bool
+    determined: bool
+    interval: tuple[float, float]
+    profile_verdict: str
+    agreement: str
+
+
+def assess_parameter(
+    parameter: ParameterProfile,
+    sds: tuple[float, float],
+    equal: tuple[float, float] | None = None,
+) -> Assessment:
+    """Return the identifiability of one parameter, and where the measures disagree.
+
+    Parameters
+    ----------
+    sds : tuple of two floats
+        Standard deviation of its coordinate in the posterior, and in the prior.
+    equal : tuple of two floats, optional
+        Lowest and highest coordinate at which equally good starts ended.
+    """
+    profile, name = parameter.profile, parameter.name
+    low, high = (to_value(name, end) for end in (profile.low, profile.high))
+    faults = [
+        *_compare_classes(parameter, sds),
+        *_compare_sds(parameter, sds),
+        *_compare_widths(parameter),
+        *_compare_starts(parameter, equal),
+    ]
+    return Assessment(
+        name=name,
+        flat=profile.flat,
+        determined=_classify_by_profile(parameter, sds[1]) == 2,
+        interval=(low, high),
+        profile_verdict=_describe_profile(parameter, low, high),
+        agreement="; ".join(faults) if faults else AGREEMENT,
+    )
+
+
+def describe_posterior_sd(name: str, sd: float) -> str:
+    """Return in words how well a parameter is known, given the standard deviation of its coordinate."""
+    return describe_precision(sd, is_logarithmic(name)) if math.isfinite(sd) else "not at all"
+
+
+def _describe_profile(parameter: ParameterProfile, low: float, high: float) -> str:
+    profile = parameter.profile
+    if profile.flat:
+        description = _describe_flat(parameter)
+    elif profile.closed:
+        description = f"{format_quantity_range(parameter.name, low, high)} (95 %)"
+    else:
+        description = f"not identifiable: {_describe_open(parameter, low, high)}"
+    return description + (f"; its profile has {profile.minima} minima" if profile.minima > 1 else "")
+
+
+def _describe_flat(parameter: ParameterProfile) -> str:
+    low, high = (to_value(parameter.name, end) for end in parameter.bounds)
+    tip_range_mm = parameter.tip_range_mm
+    tip = "" if tip_range_mm is None else f" and the tip moves by {_print_small(tip_range_mm)} mm"
+    return (
+        f"not identifiable: over its whole range, {format_quantity_range(parameter.name, low, high)}, the "
+        f"deviance rises by {_print_small(parameter.profile.rise)}{tip}"
+    )
+
+
+def _describe_open(parameter: ParameterProfile, low: float, high: float) -> str:
+    """Return an interval that does not end on both sides."""
+    values = (format_quantity(parameter.name, end) for end in (low, high))
+    sides = list(zip(("above", "below"), values, parameter.profile.ends, strict=True))
+    parts = [f"{side} {value} (95 %)" for side, value, end in sides if end == "closed"]
+    parts += [f"open at its bound {value}" for _, value, end in sides if end == "bound"]
+    parts += [f"no solution was found beyond {value}" for _, value, end in sides if end == "lost"]
+    return ", ".join(parts)
+
+
+def _compare_classes(parameter: ParameterProfile, sds: tuple[float, float]) -> list[str]:
+    """Return where posterior SD and profile do not come to the same conclusion."""
+    name, (sd, prior_sd) = parameter.name, sds
+    by_profile = _classify_by_profile(parameter, prior_sd)
+    by_sd = (
+        0 if sd > UNINFORMED_SD_RATIO * prior_sd else 2 if is_determined_by_data(name, sd, prior_sd) else 1
+    )
+    if by_profile == by_sd:
+        return []
+    words = ("not determined", "determined in part", "determined")
+    return [f"{words[by_sd]} by the posterior SD, {words[by_profile]} by the profile"]
+
+
+def _classify_by_profile(parameter: ParameterProfile, prior_sd: float) -> int:
+    """Return the class of a parameter by its profile: 0 not determined, 1 in part, 2 determined."""
+    profile = parameter.profile
+    sd = (profile.high - profile.low) / (2 * NORMAL_95_HALF_WIDTH_SD)  # of a Gaussian interval of this width
+    return (
+        0
+        if profile.flat
+        else 2
+        if profile.closed and is_determined_by_data(parameter.name, sd, prior_sd)
+        else 1
+    )
+
+
+def _compare_sds(parameter: ParameterProfile, sds: tuple[float, float]) -> list[str]:
+    """Return where the posterior SD is not the one that the profile's curvature at the optimum implies."""
+    sd, prior_sd = sds
+    ratio = sd * math.hypot(1 / parameter.profile.sd, 1 / prior_sd)
+    if 1 / AGREEMENT_FACTOR < ratio < AGREEMENT_FACTOR:
+        return []
+    return [f"the posterior SD is {ratio:.2g} times that by the information"]
+
+
+def _compare_widths(parameter: ParameterProfile) -> list[str]:
+    """Return where the profile's interval is not the one that the information implies."""
+    profile = parameter.profile
+    half = NORMAL_95_HALF_WIDTH_SD * profile.sd
+    reaches = (("below", profile.best - profile.low), ("above", profile.high - profile.best))
+    description = []
+    for (side, reach), end in zip(reaches, profile.ends, strict=True):
+        if (
+            end == "closed"
+            and math.isfinite(half)
+            # 1e-9: the reach is divided by below, and may be 0
+            and not 1 / AGREEMENT_FACTOR < max(reach, 1e-9) / half < AGREEMENT_FACTOR
+        ):
+            ratio = max(reach / half, half / max(reach, 1e-9))
+            description.append(f"{ratio:.2g} times {'farther' if reach > half else 'nearer'} {side}")
+    if not description:
+        return []
+    return [
+        f"the profile’s interval ends {' and '.join(description)} the optimum than the information implies"
+    ]
+
+
+def _compare_starts(parameter: ParameterProfile, equal: tuple[float, float] | None) -> list[str]:
+    profile = parameter.profile
+    if equal is None or (equal[0] >= profile.low - 1e-6 and equal[1] <= profile.high + 1e-6):
+        return []
+    low, high = (to_value(parameter.name, end) for end in equal)
+    between = format_quantity_range(parameter.name, low, high)
+    return [f"equally good starts end outside its interval, {between}"]
+
+
+def _print_small(value: float) -> str:
+    return "less than 1e-4" if value < 1e-4 else f"at most {value:.2g}"

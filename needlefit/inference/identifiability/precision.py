@@ -1,16 +1,204 @@
-"""Compute standard deviations of theta at a point: by the information, or the scatter between needles."""
+"""Compute Fisher information: difference Jacobians, Cramer-Rao deviations, directions in words.
+
+Compute standard deviations of theta at a point: by the information, or the scatter between needles.
+
+Find under which assumptions a parameter is determined: with ties loosened, and with an error of the model.
+
+The information at the optimum is computed again, with one Jacobian each, first with the ties loosened
+(`loosen_ties`), then with a model error added to that. Errors that insertions share are in the likelihood
+already.
+"""
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import MIN_GROUPS, group_independent
-from needlefit.inference.identifiability.information import cramer_rao
-from needlefit.inference.parameters import HYPERPARAMETERS, is_logarithmic
+from needlefit.inference.likelihood.observation import Discrepancy
+from needlefit.inference.parameters import (
+    BEVEL_SPREAD,
+    HYPERPARAMETERS,
+    MATERIAL_SPREAD,
+    NOISE_SCALE,
+    Parameters,
+    is_logarithmic,
+    loosen_ties,
+)
 from needlefit.inference.problem import Problem
-from needlefit.inference.ties import NOISE_SCALE
+
+LOG_STEP, SHAPE_STEP = 1e-3, 5e-2
+"""Steps of the differences: in a logarithm, and in a shape parameter, on which needles hardly depend."""
+
+NEARLY_FREE_SD = 0.5
+"""SD of a combination's logarithm (of a sum with shape parameters) above which it is called nearly free."""
+
+UNINFORMED_SD_RATIO = 0.9
+"""Posterior SD / prior SD from which on the data add nothing to what ties, priors and bounds say."""
+
+KNOWN_BY_PRIOR = ", by the stated ties, priors or bounds alone"
+"""What is added to the words of such a direction."""
+
+MIN_RELATIVE_WEIGHT = 0.05
+"""Weights below this part of the largest are left out of the words."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One principal direction of the information on theta, with its standard deviation.
+
+    Attributes
+    ----------
+    sd : float
+        Standard deviation of theta along it (unit length in theta).
+    weights : tuple of float
+        Its components, in the order of the free parameters.
+    words : str
+        The same in words, for a person.
+    prior_sd : float
+        Standard deviation of the prior along it; infinite where none is given.
+    """
+
+    sd: float
+    weights: tuple[float, ...]
+    words: str
+    prior_sd: float = math.inf
+
+    @property
+    def sd_ratio(self) -> float:
+        """Posterior SD / prior SD."""
+        return self.sd / self.prior_sd
+
+    @property
+    def is_informed(self) -> bool:
+        """Whether the data, not ties, priors or bounds alone, say something about it."""
+        return not self.sd_ratio >= UNINFORMED_SD_RATIO  # NaN: neither is finite
+
+
+def difference_jacobian(residuals: Callable[[Floats], Floats], theta: Floats, steps: Floats) -> Floats:
+    """Return d residuals / d theta (R, P): central differences, one-sided where one neighbour fails.
+
+    A column is NaN where neither neighbour can be solved.
+    """
+    centre = residuals(theta)
+    columns = []
+    for k, step in enumerate(steps):
+        move = step * np.eye(len(theta))[k]
+        ahead, behind = residuals(theta + move), residuals(theta - move)
+        column = (ahead - behind) / (2 * step)
+        if not np.all(np.isfinite(column)):
+            forward, backward = (ahead - centre) / step, (centre - behind) / step
+            column = forward if np.all(np.isfinite(forward)) else backward
+        columns.append(column)
+    return np.stack(columns, axis=1) if columns else np.empty((len(centre), 0))
+
+
+def difference_steps(names: Sequence[str]) -> Floats:
+    """Return the step (P,) of the finite differences for each parameter of theta."""
+    return np.array([LOG_STEP if is_logarithmic(name) else SHAPE_STEP for name in names])
+
+
+def cramer_rao(information: Floats) -> Floats:
+    """Return the Cramer-Rao standard deviations (P,) of theta; infinite where there is no information."""
+    precision, vectors = np.linalg.eigh(information)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # a singular direction must make only its own parameters infinite: components below rounding would
+        # give 0 / 0
+        variance = np.where(vectors**2 > 1e-14, vectors**2 / np.maximum(precision, 0.0), 0.0)
+    sd: Floats = np.sqrt(variance.sum(axis=1))
+    return sd
+
+
+def principal_directions(
+    information: Floats, names: Sequence[str], prior: Floats | None = None
+) -> tuple[Direction, ...]:
+    """Return the principal directions of the information (P, P), best known first, in words.
+
+    With the information (P, P) of the prior, which is a part of it, those that it alone knows are marked.
+    """
+    precision, vectors = np.linalg.eigh(information)
+    before = None if prior is None else np.linalg.inv(prior)
+    found = []
+    for value, vector in zip(precision[::-1], vectors.T[::-1], strict=True):
+        sd = 1 / math.sqrt(value) if value > 0 else math.inf
+        # the sign of an eigenvector is arbitrary: the largest component is made positive, so that words do
+        # not change
+        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        prior_sd = math.inf if before is None else math.sqrt(vector @ before @ vector)
+        words = _describe_direction(sd, vector, names)
+        one = Direction(sd, tuple(vector.tolist()), words, prior_sd)
+        found.append(one if one.is_informed else replace(one, words=f"{words}{KNOWN_BY_PRIOR}"))
+    return tuple(found)
+
+
+def describe_combination(weights: Floats, names: Sequence[str]) -> str:
+    """Return a combination in words, its largest weight 1: `mu1 * b^1.9`; a sum with shape parameters."""
+    scaled = weights / np.max(np.abs(weights))
+    parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= MIN_RELATIVE_WEIGHT]
+    if all(is_logarithmic(name) for name, _ in parts):
+        return " * ".join(_print_power(short_name(name), weight) for name, weight in parts)
+    terms = [_print_term(f"ln {short_name(n)}" if is_logarithmic(n) else short_name(n), w) for n, w in parts]
+    return " ".join(terms).removeprefix("+ ")
+
+
+def short_name(name: str) -> str:
+    """Return a parameter's name in a sentence: no unit; b and θ as tables have them."""
+    named = {
+        "bevel_mm": "b",
+        "cut_angle_deg": "θ",  # "theta" is the vector of all parameters
+        "guide_distance_mm": "guide_distance",
+        BEVEL_SPREAD: "relative bevel SD",
+    }
+    return named.get(name, name.removesuffix("_pa"))
+
+
+def format_sd(sd: float, logarithm: bool) -> str:
+    """Return a standard deviation: "0.3", and of a logarithm "12 %" or "factor 2.9"."""
+    if not logarithm:
+        return f"{sd:.2g}"
+    return f"{100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"factor {_print_factor(sd)}"
+
+
+def describe_precision(sd: float, logarithm: bool) -> str:
+    """Return in words how well a quantity is known, given the deviation of its value or logarithm."""
+    if logarithm and sd >= NEARLY_FREE_SD:
+        return f"within a factor of {_print_factor(sd)} only"
+    return f"to {format_sd(sd, logarithm)}"
+
+
+def format_combination_sd(sd: float, weights: Floats, names: Sequence[str]) -> str:
+    """Return the standard deviation of a combination as `describe_combination` writes it."""
+    return format_sd(*_scale_sd(sd, weights, names))
+
+
+def _scale_sd(sd: float, weights: Floats, names: Sequence[str]) -> tuple[float, bool]:
+    """Return the deviation of a combination whose largest weight is 1, and whether it is of a logarithm."""
+    scaled = np.abs(weights) / np.max(np.abs(weights))
+    kept = (name for name, weight in zip(names, scaled, strict=True) if weight >= MIN_RELATIVE_WEIGHT)
+    return sd / float(np.max(np.abs(weights))), all(map(is_logarithmic, kept))
+
+
+def _describe_direction(sd: float, weights: Floats, names: Sequence[str]) -> str:
+    scaled_sd, logarithm = _scale_sd(sd, weights, names)
+    known = "is known" if scaled_sd < NEARLY_FREE_SD else "is nearly free: known"
+    return f"{describe_combination(weights, names)} {known} {describe_precision(scaled_sd, logarithm)}"
+
+
+def _print_factor(sd: float) -> str:
+    factor = math.exp(min(sd, math.log(1e6)))
+    return "more than 1e6" if factor >= 1e6 else f"{factor:.2g}" if factor < 10 else f"{factor:.0f}"
+
+
+def _print_power(name: str, weight: float) -> str:
+    return name if abs(weight - 1) < 0.005 else f"{name}^{weight:.2g}"
+
+
+def _print_term(name: str, weight: float) -> str:
+    sign = "-" if weight < 0 else "+"
+    return f"{sign} {name}" if abs(abs(weight) - 1) < 0.005 else f"{sign} {abs(weight):.2g} {name}"
+
 
 MAX_LOG_SD, MAX_SHAPE_SD = 0.3, 0.5
 """Largest standard deviations, of a logarithm and of a shape parameter, of one called determined."""
@@ -137,3 +325,100 @@ def prior_and_noise_information(problem: Problem) -> Floats:
     rows = sum(known.rows for known in problem.density.observations)  # Fisher: 2 of each, of the logarithm
     known: Floats = prior_information(problem)
     return known + np.diag([2.0 * rows * (name == NOISE_SCALE) for name in problem.names])
+
+
+MODEL_ERROR_LENGTH_MM = 15.0
+"""Length over which the model's error fades along the needle: about that of a layer."""
+
+MIN_MODEL_ERROR = 0.01
+"""Standard deviation of the model's error, as part of the rms deflection of the tips, at least: a fit takes
+up much of what its model misses, so that its residuals are too small to say."""
+
+STATED_TIES = "determined only under the stated ties"
+NO_MODEL_ERROR = "determined only if the model has no error"
+"""Assumptions without which a parameter is not determined."""
+
+LOOSENED = "ties loosened and a model error"
+
+
+@dataclass(frozen=True)
+class Loosened:
+    """Standard deviations of theta with an assumption loosened, by parameter; the earlier ones are too."""
+
+    condition: str
+    sds: Mapping[str, float]
+
+
+def loosen(problem: Problem, theta: Floats, sds: Mapping[str, float] | None = None) -> tuple[Loosened, ...]:
+    """Return the standard deviations at `theta` (P,) with ties loosened, and then with a model error.
+
+    By `sds`, the standard deviations before, or by default those of the information: loosening adds to their
+    squares what it adds by the information.
+    """
+    stated = posterior_sds(problem, theta)
+    known = stated if sds is None else sds
+    found = []
+    for condition, one in _list_loosened(problem, theta):
+        loose = posterior_sds(one, one.parameters.theta(problem.values(theta)))
+        added = {name: math.sqrt(max(0.0, sd**2 - stated.get(name, 0.0) ** 2)) for name, sd in loose.items()}
+        found.append(
+            Loosened(condition, {n: math.hypot(known.get(n, 0.0), more) for n, more in added.items()})
+        )
+    return tuple(found)
+
+
+def find_condition(name: str, prior_sd: float, loosened: Sequence[Loosened]) -> str:
+    """Return the condition under which alone a parameter is determined; empty if there is none."""
+    for one in loosened:
+        if not is_determined_by_data(name, one.sds[name], prior_sd):
+            return one.condition
+    return ""
+
+
+def find_tie_conditions(
+    parameters: Parameters,
+    determined: Mapping[str, bool],
+    conditions: Mapping[str, str],
+    loosened: Sequence[Loosened],
+) -> dict[str, str]:
+    """Return the conditions of exactly tied parameters: their source's, else that of the tie.
+
+    Where the source is not determined, what is tied to it is neither. `determined` and `conditions` are of
+    free parameters.
+    """
+    found = {}
+    for name, (_, source) in parameters.ties.items():
+        if determined.get(source, False) and is_logarithmic(name):  # the tie alone gives it its spread
+            found[name] = find_condition(name, math.log(MATERIAL_SPREAD), loosened)
+        else:
+            found[name] = conditions.get(source, "")
+    return found
+
+
+def estimate_model_error(problem: Problem, theta: Floats) -> Discrepancy:
+    """Return a model error of the size of the residuals beyond the noise, `MIN_MODEL_ERROR` at least.
+
+    By moments: chi^2 exceeds the degrees of freedom by the sum of the variances that the error adds to the
+    whitened residuals.
+    """
+    unit = Discrepancy(1.0, MODEL_ERROR_LENGTH_MM)
+    residuals, _, chi_square = linearize(problem, theta)
+    squares = float(residuals @ residuals)
+    excess = squares * (1.0 - 1.0 / chi_square) if chi_square > 1 else 0.0
+    added = sum(
+        float(np.sum((one.whitening @ unit.covariance(s)) * one.whitening))
+        for one in problem.density.observations
+        for s in one.nodes.s[:1]
+    )
+    tips = [one.deflection for one in problem.insertions]
+    least = MIN_MODEL_ERROR * math.sqrt(float(np.mean(np.square(tips))))
+    return Discrepancy(max(math.sqrt(excess / added), least), MODEL_ERROR_LENGTH_MM)
+
+
+def _list_loosened(problem: Problem, theta: Floats) -> Iterator[tuple[str, Problem]]:
+    loose = loosen_ties(problem.parameters)
+    if loose != problem.parameters:
+        problem, values = problem.with_parameters(loose), problem.values(theta)
+        theta = loose.theta(values)
+        yield STATED_TIES, problem
+    yield NO_MODEL_ERROR, replace(problem, model_error=estimate_model_error(problem, theta))

@@ -14,7 +14,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 
 from needlefit.arrays import Floats
-from needlefit.inference.evaluation_recorder import EvaluationRecorder, SearchEnded, half_square
+from needlefit.inference.objective import EvaluationRecorder, SearchEnded, half_square
 
 MIN_TOLERANCE = 1e-15
 """Relative change of the sum of squares, and of theta, under which it ends, unless more is negligible."""
@@ -39,8 +39,8 @@ SUM_TOLERANCE, CONSTANT_ROUNDING = 1e-6, 1e-12
 value, and of the first one, next to which the constant between them was found."""
 
 
-def run_least_squares(recorder: EvaluationRecorder, start: Floats) -> str:
-    """Search from theta `start` (P,); return why it ended."""
+def run_least_squares(recorder: EvaluationRecorder, start: Floats, _tolerance: float = 0.0) -> str:
+    """Search from theta `start` (P,), to rounding, whatever the recipe's tolerance; return why it ended."""
     reason = ""
     with suppress(SearchEnded):
         reason = _run_scipy(recorder, start)

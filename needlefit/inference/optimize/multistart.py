@@ -15,9 +15,13 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import FitError
-from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
 from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
-from needlefit.inference.objective import ObjectiveFunction, SupportsPosterior, make_objective
+from needlefit.inference.objective import (
+    EVALUATION_ERRORS,
+    ObjectiveFunction,
+    SupportsPosterior,
+    make_objective,
+)
 from needlefit.inference.optimize.local_search import search, select_algorithms
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import Stop

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS, MAX_FAILED_POINTS
-from needlefit.inference.objective import SupportsValues
+from needlefit.inference.objective import EVALUATION_ERRORS, MAX_FAILED_POINTS, SupportsValues
 
 
 class LogDensity(SupportsValues, Protocol):

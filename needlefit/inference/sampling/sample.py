@@ -1,4 +1,14 @@
-"""Sample the posterior with several independent ensembles until they converge, or the budget ends.
+"""Store snapshots of a sampler, one per block of steps, so that a killed run resumes to the same bytes.
+
+Draw initial walkers, wider than the posterior, and decide when their proposals are adapted.
+
+Adaptation of the proposals:
+
+Each learns from its own steps alone, and only after a few fixed ones. Between these it walks by fixed rules,
+which have the density as their stationary one; what was walked before the last of them is burn-in. What an
+ensemble knows follows from the steps that are kept, so that a run that goes on knows the same.
+
+Sample the posterior with several independent ensembles until they converge, or the budget ends.
 
 Walkers are laid out and moved in the coordinates of the Laplace approximation, in which the ridges of the
 posterior are round. After every block of steps the run is kept, and the rule of `assess_convergence` asked:
@@ -8,23 +18,34 @@ from.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError, FitError
-from needlefit.inference.evaluation_recorder import MAX_FAILED_POINTS
+from needlefit.errors import ConfigError, DataError, FitError
 from needlefit.inference.fit import Callbacks
+from needlefit.inference.objective import MAX_FAILED_POINTS
 from needlefit.inference.sampling.convergence import (
     MIN_LENGTH_TAU,
     Convergence,
     assess_convergence,
     autocorrelation_times,
 )
-from needlefit.inference.sampling.ensembles import WalkerState, parse_moves, run_ensembles
+from needlefit.inference.sampling.ensembles import (
+    INDEPENDENT,
+    ProposalDensity,
+    WalkerState,
+    fit_proposal,
+    make_initial_proposal,
+    parse_moves,
+    run_ensembles,
+)
 from needlefit.inference.sampling.log_density import (
     Evaluator,
     LaplaceApproximation,
@@ -32,15 +53,250 @@ from needlefit.inference.sampling.log_density import (
     approximate_by_laplace,
 )
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.sampling.snapshots import Block, Failed, Snapshots
-from needlefit.inference.sampling.walkers import (
-    block_length,
-    initialize_walkers,
-    last_adaptation_step,
-    make_proposal_densities,
+from needlefit.project.checkpoint_file import (
+    CheckpointContent,
+    read_checkpoint_file,
+    set_aside,
+    write_checkpoint_file,
 )
+from needlefit.project.progress import Note, no_note
 from needlefit.schemas.limits import MAX_STORED_NUMBERS
 from needlefit.schemas.recipe import SampleRecord
+
+Failed = tuple[tuple[tuple[float, ...], ...], ...]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some successive steps of all ensembles, as they are stored.
+
+    Attributes
+    ----------
+    coordinates : (E, S, W, P) array
+    log_density : (E, S, W) array
+    accepted : (E, W) array
+        How many proposals each walker took.
+    random : tuple
+        State of the legacy generator after the last step.
+    failures : int
+        Evaluations that were no number, or raised.
+    failed : tuple of tuples of theta
+        By ensemble the first of these.
+    """
+
+    coordinates: Floats
+    log_density: Floats
+    accepted: NDArray[np.int64]
+    random: tuple[Any, ...]
+    failures: int
+    failed: Failed
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return int(self.log_density.shape[1])
+
+    @property
+    def last(self) -> WalkerState:
+        """The state from which the next step starts."""
+        return WalkerState(self.coordinates[:, -1], self.log_density[:, -1], self.random)
+
+
+@dataclass(frozen=True)
+class Snapshots:
+    """A folder with one file per block of a run; with folder None nothing is stored."""
+
+    folder: Path | None = None
+    note: Note = no_note
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the stored blocks from the first on, up to one that is damaged.
+
+        That one is set aside and those after it are removed: they would go on from a state that is lost.
+        """
+        for number in count():
+            if self.folder is None or not self._file(number).is_file():
+                return
+            try:
+                block = _read_block(self._file(number))
+            except DataError:
+                self._end_at(number)
+                return
+            yield block
+
+    def keep(self, number: int, block: Block) -> None:
+        """Store a block; it is written aside and renamed, so that a kill leaves a whole file or none."""
+        if self.folder is not None:
+            # NumPy's legacy state: name, 624 words, position, has_gauss, cached_gaussian; only the words are
+            # an array
+            kind, key, *rest = block.random
+            values = {"random": [kind, *rest], "failures": block.failures, "failed": block.failed}
+            arrays = {name: getattr(block, name) for name in _ARRAYS}
+            content = CheckpointContent(values, {**arrays, "random": np.asarray(key, dtype=np.int64)})
+            write_checkpoint_file(self._file(number), _KIND, "", content)
+
+    def _file(self, number: int) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{number:05d}.checkpoint"
+
+    def _end_at(self, number: int) -> None:
+        aside = set_aside(self._file(number))
+        for after in count(number + 1):
+            if not self._file(after).is_file():
+                break
+            self._file(after).unlink()
+        self.note(
+            f"{self._file(number)} was damaged: it is now {aside.name}; the sampler continues from there"
+        )
+
+
+_KIND = "snapshot"
+_ARRAYS = ("coordinates", "log_density", "accepted")
+
+
+def _read_block(path: Path) -> Block:
+    """Return the block in a file; DataError if it is damaged."""
+    content = read_checkpoint_file(path, _KIND, "")
+    try:
+        if content is None or not _is_consistent(content):
+            raise ValueError
+        kind, *rest = content.values["random"]
+        return Block(
+            **{name: content.arrays[name] for name in _ARRAYS},
+            random=(str(kind), content.arrays["random"].astype(np.uint32), *rest),
+            failures=int(content.values["failures"]),
+            failed=_to_tuples(content.values["failed"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"is no block of a sampler: {error!r}", where=str(path)) from None
+
+
+def _is_consistent(content: CheckpointContent) -> bool:
+    """Whether the arrays of a block have the shapes that belong together."""
+    ensembles, steps, walkers, _ = content.arrays["coordinates"].shape
+    shapes = (content.arrays["log_density"].shape, content.arrays["accepted"].shape)
+    return shapes == ((ensembles, steps, walkers), (ensembles, walkers)) and steps > 0
+
+
+def _to_tuples(lists: list[list[list[float]]]) -> Failed:
+    return tuple(tuple(tuple(theta) for theta in ensemble) for ensemble in lists)
+
+
+ENSEMBLE_SCATTER_SD, WALKER_SCATTER_SD = 2.0, 1.0
+"""Standard deviations of the Laplace approximation by which ensembles are scattered about their point, and
+the walkers of each about its middle."""
+
+MAX_LOG_DENSITY_GAP = 10.0
+"""No ensemble begins about a point whose log density is this much below the best point's."""
+
+MAX_ATTEMPTS = 100
+"""Redraws of walkers that begin where the density is 0, each time at half the scatter after ten."""
+
+
+def initialize_walkers(
+    evaluator: Evaluator,
+    approximation: LaplaceApproximation,
+    ends: Floats,
+    settings: SampleRecord,
+    rng: np.random.Generator,
+) -> WalkerState:
+    """Return the initial walkers: each ensemble about one of the points `ends` (M, P), the best first.
+
+    Raises
+    ------
+    FitError
+        If no starting point of positive density is found.
+    """
+    points = _select_plausible(evaluator, ends)
+    legacy = np.random.RandomState(int(rng.integers(2**32)))  # all that emcee takes
+    found = [
+        _draw_walkers(evaluator, approximation, points[e % len(points)], settings.walkers, rng)
+        for e in range(settings.ensembles)
+    ]
+    coordinates, density = (np.stack(part) for part in zip(*found, strict=True))
+    return WalkerState(coordinates, density, tuple(legacy.get_state()))
+
+
+def _select_plausible(evaluator: Evaluator, ends: Floats) -> Floats:
+    """Return the points (M, P) that are not far worse than the first one, which stays."""
+    found = evaluator(ends)
+    good = found >= found[0] - MAX_LOG_DENSITY_GAP
+    good[0] = True
+    chosen: Floats = ends[good]
+    return chosen
+
+
+def _draw_walkers(
+    evaluator: Evaluator,
+    approximation: LaplaceApproximation,
+    point: Floats,
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[Floats, Floats]:
+    """Return whitened starting points (W, P) of positive density, and its logarithm (W,)."""
+    middle = ENSEMBLE_SCATTER_SD * rng.normal(size=len(point))
+    chosen, known = np.empty((0, len(point))), np.empty(0)
+    for attempt in range(MAX_ATTEMPTS):
+        # the scatter is halved after every ten attempts without enough points
+        shrink = 0.5 ** (attempt // 10)
+        z = shrink * (middle + WALKER_SCATTER_SD * rng.normal(size=(count, len(point))))
+        thetas = _reflect_at_bounds(
+            point + z @ approximation.axes.T, evaluator.problem.lower, evaluator.problem.upper
+        )
+        density = evaluator(thetas)
+        good = np.isfinite(density)
+        chosen = np.concatenate([chosen, approximation.whitened(thetas[good])])
+        known = np.concatenate([known, density[good]])
+        if len(chosen) >= count:
+            return chosen[:count], known[:count]
+    raise FitError(
+        "no starting points of positive density were found around the best fit",
+        fix="tune with more evaluations, or widen the bounds",
+    )
+
+
+def _reflect_at_bounds(thetas: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Return thetas reflected at the bounds: cut off there, many would lie on one bound and span nothing."""
+    # a triangle wave of period 2 in units of the range: reflection at both bounds, any number of times
+    cube = np.abs((thetas - lower) / (upper - lower)) % 2
+    folded: Floats = lower + (1 - np.abs(1 - cube)) * (upper - lower)
+    return folded
+
+
+ADAPTATION_STEPS = (50, 150, 500, 1200, 3000)
+"""Steps after which proposals are fitted anew, to the second half of them."""
+
+
+def list_adaptation_steps(settings: SampleRecord) -> tuple[int, ...]:
+    """Return the steps after which proposals are adapted, each within the first half of the budget."""
+    if INDEPENDENT not in parse_moves(settings.moves):
+        return ()
+    return tuple(step for step in ADAPTATION_STEPS if 2 * step <= settings.steps)
+
+
+def last_adaptation_step(settings: SampleRecord, done: int) -> int:
+    """Return the last of the first `done` steps after which proposals were adapted; 0 if there was none."""
+    return max((step for step in list_adaptation_steps(settings) if step <= done), default=0)
+
+
+def block_length(settings: SampleRecord, done: int) -> int:
+    """Return the number of steps to the next snapshot; an adaptation or the budget ends a block."""
+    remaining = settings.steps - done
+    return min(
+        settings.check_interval,
+        remaining,
+        *(step - done for step in list_adaptation_steps(settings) if step > done),
+    )
+
+
+def make_proposal_densities(settings: SampleRecord, coordinates: Floats) -> Sequence[ProposalDensity]:
+    """Return the independent proposals of each ensemble after the steps (E, S, W, P)."""
+    ensembles, done, _, dimensions = coordinates.shape
+    last = last_adaptation_step(settings, done)
+    if not last:
+        return [make_initial_proposal(dimensions)] * ensembles
+    return [fit_proposal(visited.reshape(-1, dimensions)) for visited in coordinates[:, last // 2 : last]]
+
 
 BURN_IN_TAU = 10.0
 """Autocorrelation times that are thrown away."""

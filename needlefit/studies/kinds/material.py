@@ -9,12 +9,13 @@ import pandas as pd
 
 from needlefit.datasets.compression import read_compression
 from needlefit.inference.material import (
+    ALPHA_RANGE,
     MaterialEstimate,
     MaterialFoundation,
+    SpecimenFit,
     fit_material,
     make_material_prior,
 )
-from needlefit.inference.specimen_fit import ALPHA_RANGE, SpecimenFit
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.project.toml_text import dumps
 from needlefit.reporting.figures import Drawing, Panel

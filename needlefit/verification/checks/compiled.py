@@ -5,9 +5,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue

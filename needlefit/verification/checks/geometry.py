@@ -6,8 +6,7 @@ from needlefit.arrays import Floats
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Controls
 from needlefit.mechanics.scene import Scene, simulate_scene
-from needlefit.mechanics.shape import NeedleShape, compute_positions
-from needlefit.mechanics.validity import MAX_MISS_MM
+from needlefit.mechanics.shape import MAX_MISS_MM, NeedleShape, compute_positions
 from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.scene import SceneRecord

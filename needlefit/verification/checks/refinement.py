@@ -10,9 +10,9 @@ import numpy as np
 from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import MAX_SLOPE
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import MAX_SLOPE
 from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.scene import SceneRecord

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.control import ModelOptions
-from needlefit.mechanics.linearize import linearize_steps
 from needlefit.verification.cases import (
     EXACT_OPTIONS,
     Draw,

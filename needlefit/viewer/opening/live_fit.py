@@ -18,14 +18,14 @@ from needlefit.errors import FitError
 from needlefit.geometry.curves import arc_length
 from needlefit.inference.forward_model import find_layers
 from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
-from needlefit.inference.importance.fit_posterior import (
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.problem import Problem, make_problem
+from needlefit.inference.sampling.importance import (
+    Effort,
     resample_draws,
     sample_about_minimum,
     sample_about_modes,
 )
-from needlefit.inference.importance.sampler import Effort
-from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
-from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.schemas.medium import MediumRecord, ParameterRecord

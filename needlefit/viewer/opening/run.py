@@ -11,11 +11,10 @@ import pandas as pd
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read_shapes
 from needlefit.errors import DataError
-from needlefit.inference.between_specimens import SpecimenSpread, move_to_new_specimen
 from needlefit.inference.forward_model import find_layers
-from needlefit.inference.parameters import Parameters
+from needlefit.inference.parameters import BEVEL_SPREAD, Parameters
 from needlefit.inference.problem import find_new_bevel_sd
-from needlefit.inference.ties import BEVEL_SPREAD
+from needlefit.inference.specimens import SpecimenSpread, move_to_new_specimen
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.mechanics.batch import compute_batch_positions
+from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.control import ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS

@@ -18,7 +18,7 @@ from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import ConfigError, ModelError, NeedlefitError
 from needlefit.geometry.frames import Frame, Placement, to_lps
 from needlefit.imaging.registration.rigid import fit_kabsch
-from needlefit.inference.tip_tracking import (
+from needlefit.inference.tracking import (
     TipNoise,
     TrackedNeedle,
     TrackingEstimate,

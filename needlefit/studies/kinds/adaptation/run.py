@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.inference.draws import Draws
+from needlefit.inference.predict import Draws
 from needlefit.inference.transferred_prior import TransferProblem, TransferredPrior
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.folds import Fold

@@ -10,13 +10,18 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import FitError
-from needlefit.inference.draws import draw_from_prior, thin_posterior
-from needlefit.inference.importance.fit_posterior import escalate_effort, find_modes, sample_about_modes
-from needlefit.inference.importance.sampler import WeightedDraws, resample
 from needlefit.inference.optimize import minimize
+from needlefit.inference.parameters import NOISE_SCALE
+from needlefit.inference.predict import draw_from_prior, thin_posterior
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.importance import (
+    WeightedDraws,
+    escalate_effort,
+    find_modes,
+    resample,
+    sample_about_modes,
+)
 from needlefit.inference.sampling.sample import sample
-from needlefit.inference.ties import NOISE_SCALE
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.job import Job

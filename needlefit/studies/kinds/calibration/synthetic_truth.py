@@ -17,7 +17,7 @@ import numpy as np
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.draws import Draws
+from needlefit.inference.predict import Draws
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.held_out_predictions import predict_held_out

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from needlefit.inference.identifiability.information import format_sd
+from needlefit.inference.identifiability.precision import format_sd
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import headline_metrics
 from needlefit.project.locate import join_names

@@ -6,7 +6,7 @@ that what it misses is paid for as noise. How probable it makes a needle y that 
 
     log p(y | D) = log of the mean, over the posterior of D, of p(y | theta) = log Z(D, y) - log Z(D),
 
-y being all its points together, is the ratio of two evidences (`inference.importance.fit_posterior`), each by
+y being all its points together, is the ratio of two evidences (`inference.sampling.importance`), each by
 importance about its own peaks: errors of points, pose and depths as the likelihood has them, and the layers
 that the fit to D meets on the planned path of y, the same for all theta.
 

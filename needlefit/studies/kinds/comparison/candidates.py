@@ -6,21 +6,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.baseline_density import CurveDensity
+from needlefit.inference.baseline_fit import CurveDensity
 from needlefit.inference.identifiability.gauss_newton import minimize_squares
-from needlefit.inference.importance.fit_posterior import (
+from needlefit.inference.parameters import (
+    NOISE_SCALE,
+    Parameters,
+    dimension,
+    is_shape_parameter,
+    with_hyperparameters,
+)
+from needlefit.inference.sampling.importance import (
     ZERO_DENSITY,
     PredictiveDensity,
+    WeightedDraws,
     compute_predictive_density,
     escalate_effort,
     find_modes,
     sample_about_modes,
+    sample_by_importance,
     select_distinct,
 )
-from needlefit.inference.importance.sampler import WeightedDraws, sample_by_importance
-from needlefit.inference.parameters import Parameters, with_hyperparameters
 from needlefit.inference.sampling.log_density import approximate_by_laplace
-from needlefit.inference.ties import NOISE_SCALE, dimension, is_shape_parameter
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle

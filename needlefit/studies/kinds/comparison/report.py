@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.inference.importance.pareto import MAX_PARETO_K
+from needlefit.inference.sampling.importance import MAX_PARETO_K
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import headline_metrics
 from needlefit.reporting import document

@@ -11,8 +11,8 @@ import pandas as pd
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.select import group_independent
 from needlefit.errors import ConfigError
-from needlefit.inference.importance.pareto import MAX_PARETO_K
-from needlefit.inference.ties import NOISE_SCALE
+from needlefit.inference.parameters import NOISE_SCALE
+from needlefit.inference.sampling.importance import MAX_PARETO_K
 from needlefit.metrics import headline_metrics
 from needlefit.project.load import load
 from needlefit.project.locate import find_file

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import pandas as pd
 
-from needlefit.inference.identifiability.information import UNINFORMED_SD_RATIO
+from needlefit.inference.identifiability.precision import UNINFORMED_SD_RATIO
 from needlefit.reporting.number_format import insert_symbols
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.identification_tables import describe_verdicts

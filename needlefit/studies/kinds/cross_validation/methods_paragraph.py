@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
-from needlefit.inference.parameters import find_tie_spread
-from needlefit.inference.ties import BEVEL_SPREAD, parse_tie
+from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, parse_tie
 from needlefit.reporting.latex import escape_latex
 from needlefit.reporting.number_format import format_bare_symbol, format_number
 from needlefit.schemas.medium import ParameterRecord

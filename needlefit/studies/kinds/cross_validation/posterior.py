@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.inference.identifiability.information import Direction, principal_directions
+from needlefit.inference.identifiability.precision import Direction, principal_directions
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.reporting.number_format import choose_printed_unit, format_bare_symbol, insert_symbols

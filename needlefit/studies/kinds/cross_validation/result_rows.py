@@ -10,21 +10,20 @@ import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.inference.baseline_fit import fit_baselines
-from needlefit.inference.draws import Draws
-from needlefit.inference.evaluation_checks import explain_failure, find_outside_validity
 from needlefit.inference.fit import Fit, Start
-from needlefit.inference.identifiability.assessment import Assessment
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
+    Assessment,
+    FitProfiles,
     Identifiability,
     identify,
     objective_excess,
     select_within_tolerance,
     within_tolerance,
 )
-from needlefit.inference.identifiability.parameter_profiles import FitProfiles
 from needlefit.inference.parameters import Theta
-from needlefit.inference.problem import Problem
+from needlefit.inference.predict import Draws
+from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import predict_held_out

@@ -10,8 +10,12 @@ import pandas as pd
 
 from needlefit.errors import FitError
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
-from needlefit.inference.identifiability.identify import LOG_POSTERIOR_TOLERANCE, select_within_tolerance
-from needlefit.inference.identifiability.parameter_profiles import FitProfiles, profile_parameters
+from needlefit.inference.identifiability.identify import (
+    LOG_POSTERIOR_TOLERANCE,
+    FitProfiles,
+    profile_parameters,
+    select_within_tolerance,
+)
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import sample

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.identifiability.assessment import AGREEMENT, describe_posterior_sd
-from needlefit.inference.identifiability.identify import MIN_NAMED_WEIGHT
-from needlefit.inference.identifiability.information import (
+from needlefit.inference.identifiability.identify import AGREEMENT, MIN_NAMED_WEIGHT, describe_posterior_sd
+from needlefit.inference.identifiability.precision import (
+    MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
     format_combination_sd,
     format_sd,
+    is_determined_by_data,
     short_name,
 )
-from needlefit.inference.identifiability.precision import MAX_LOG_SD, is_determined_by_data
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting import document
 from needlefit.reporting.document import Block

@@ -9,11 +9,9 @@ import pandas as pd
 
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.fit import Fit
-from needlefit.inference.identifiability.conditions import loosen
 from needlefit.inference.identifiability.design_gain import ExpectedPrecision, expect_precision
-from needlefit.inference.identifiability.information import describe_combination
-from needlefit.inference.identifiability.parameter_profiles import profile_parameters
-from needlefit.inference.identifiability.precision import add_estimated_noise
+from needlefit.inference.identifiability.identify import profile_parameters
+from needlefit.inference.identifiability.precision import add_estimated_noise, describe_combination, loosen
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import read_warnings, warnings_entry
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, identify_parameters

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.inference.identifiability.information import describe_precision, format_sd, short_name
+from needlefit.inference.identifiability.precision import describe_precision, format_sd, short_name
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting import document
 from needlefit.reporting.document import Block

@@ -25,12 +25,11 @@ from needlefit.inference.identifiability.design_gain import (
     linearized_gain,
     nested_gain,
 )
-from needlefit.inference.identifiability.information import describe_combination
-from needlefit.inference.identifiability.parameter_profiles import find_fixed_shape, free_shape
-from needlefit.inference.identifiability.precision import linearize
+from needlefit.inference.identifiability.identify import find_fixed_shape, free_shape
+from needlefit.inference.identifiability.precision import describe_combination, linearize
 from needlefit.inference.likelihood.nodes import make_group
+from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.inference.problem import Problem
-from needlefit.inference.ties import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job, Settings, prepare

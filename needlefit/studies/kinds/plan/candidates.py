@@ -14,12 +14,9 @@ from needlefit.datasets.layers import select_layers
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.inference.forward_model import make_batch, predict
-from needlefit.inference.importance.fit_posterior import sample_about_fit
-from needlefit.inference.importance.pareto import MAX_PARETO_K
-from needlefit.inference.importance.sampler import Effort
 from needlefit.inference.problem import Problem
-from needlefit.mechanics.batch import compute_batch_positions
-from needlefit.mechanics.lanes import simulate_batches
+from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_fit
+from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml_lines import describe_key as place_of

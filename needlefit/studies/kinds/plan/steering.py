@@ -19,9 +19,8 @@ from scipy.optimize import minimize
 
 from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
-from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions
+from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions, simulate_batches
 from needlefit.mechanics.control import Controls, ModelOptions, Step
-from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, make_lattice
 from needlefit.mechanics.tissue import Tissue

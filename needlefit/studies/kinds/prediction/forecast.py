@@ -19,14 +19,15 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, split_boundary_sd
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.draws import Draws, rms_noise_scale
 from needlefit.inference.forward_model import make_bevel, make_options
 from needlefit.inference.likelihood.nodes import enforce_order
 from needlefit.inference.likelihood.observation import pose_sds
-from needlefit.inference.predictive_distribution import (
+from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
+    Draws,
     PredictiveMixture,
     quantile,
+    rms_noise_scale,
 )
 from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.laws import LAWS

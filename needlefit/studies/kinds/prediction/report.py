@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure
 
-from needlefit.inference.predictive_distribution import INTERVAL_PROBABILITIES
+from needlefit.inference.predict import INTERVAL_PROBABILITIES
 from needlefit.reporting import document
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures.style import (

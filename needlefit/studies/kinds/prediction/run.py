@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import ConfigError
-from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
+from needlefit.inference.predict import Draws, thin_posterior
 from needlefit.inference.sampling.posterior import load
 from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.json_values import to_json_values

@@ -17,12 +17,11 @@ from scipy.stats import halfnorm
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.identifiability.information import describe_combination
-from needlefit.inference.importance.fit_posterior import sample_about_fit
-from needlefit.inference.importance.sampler import Effort
+from needlefit.inference.identifiability.precision import describe_combination
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
-from needlefit.inference.specimen_spread import (
+from needlefit.inference.sampling.importance import Effort, sample_about_fit
+from needlefit.inference.specimens import (
     KERNELS_PER_SPECIMEN,
     Population,
     Specimen,

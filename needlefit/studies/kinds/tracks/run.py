@@ -15,19 +15,18 @@ from needlefit.datasets.select import select_insertions
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.identifiability.identify import identify, select_within_tolerance
-from needlefit.inference.importance.fit_posterior import escalate_effort, resample_draws, sample_about_fit
 from needlefit.inference.likelihood.observation import make_observation
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import Parameters, is_logarithmic
+from needlefit.inference.parameters import NOISE_SCALE, Parameters, is_logarithmic
+from needlefit.inference.predict import Draws, thin_posterior
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.importance import escalate_effort, resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.sampling.sample import sample
-from needlefit.inference.ties import NOISE_SCALE
-from needlefit.inference.track_prediction import TrackDraws, draw_baseline
+from needlefit.inference.tracking import TrackDraws, draw_baseline
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry

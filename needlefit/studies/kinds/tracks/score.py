@@ -8,7 +8,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.likelihood.observation import Observation
-from needlefit.inference.predictive_distribution import (
+from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
     PredictiveMixture,
     crps,
@@ -16,7 +16,7 @@ from needlefit.inference.predictive_distribution import (
     quantile,
     simulate_shape_pit,
 )
-from needlefit.inference.track_prediction import TrackDraws, estimate_slopes, predict_readings
+from needlefit.inference.tracking import TrackDraws, estimate_slopes, predict_readings
 from needlefit.studies.score import Row
 
 

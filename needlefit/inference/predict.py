@@ -9,16 +9,23 @@ Quantities of a mixture have closed forms: with weights 1 / B, means m_b and one
     A(m, s) = 2 s phi(m / s) + m (2 Phi(m / s) - 1)
 
 (E. P. Grimit, T. Gneiting, V. J. Berrocal, N. A. Johnson, Q. J. R. Meteorol. Soc. 132 (2006) 2925, eq. 5).
+
+Draws of the parameters from a posterior or from the prior.
 """
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import qr
 from scipy.optimize import elementwise
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats, Ints
+from needlefit.inference.parameters import NOISE_SCALE, Parameters
+from needlefit.inference.sampling.posterior import Posterior
 
 INTERVAL_PROBABILITIES = (0.50, 0.95)
 """Probabilities of the central intervals that are reported."""
@@ -147,3 +154,92 @@ def _mean_absolute(mean: Floats, sd: Floats) -> Floats:
     density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
     spread: Floats = np.where(sd > 0, 2 * sd * density + mean * (2 * ndtr(z) - 1), np.abs(mean))
     return spread
+
+
+Source = Literal["posterior", "importance"]
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Draws of theta (B, P) from a posterior, by MCMC or by importance sampling.
+
+    `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is that of
+    importance sampling, also where its weights were not certified and MCMC followed, NaN without it;
+    `effective_sample_size` is of the weights, or the smallest of the parameters of the chains, of which these
+    draws are a part.
+    """
+
+    thetas: Floats
+    source: Source
+    faults: tuple[str, ...] = ()
+    pareto_k: float = math.nan
+    effective_sample_size: float = math.nan
+
+    @property
+    def certified(self) -> Floats | None:
+        """The draws of theta (B, P) if they represent the posterior, else None."""
+        return None if self.faults or not self.thetas.size else self.thetas
+
+    def describe(self) -> dict[str, str | float | bool]:
+        """Return by column how the draws were made, and whether they represent the posterior."""
+        return {
+            "draw_source": self.source,
+            "pareto_k": self.pareto_k,
+            "ess": self.effective_sample_size,
+            "certified": not self.faults,
+        }
+
+
+def thin_posterior(
+    posterior: Posterior, parameters: Parameters, count: int, pareto_k: float = math.nan
+) -> Draws:
+    """Return `count` draws of a sampled posterior, evenly spread over all chains and steps.
+
+    `pareto_k` is that of the importance sampling that failed before.
+
+    Raises
+    ------
+    KeyError
+        If the posterior is of other parameters.
+    """
+    flat = posterior.draws.reshape(-1, len(posterior.names))
+    chosen = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(np.int64)]
+    sets = (dict(zip(posterior.names, values.tolist(), strict=True)) for values in chosen)
+    thetas = np.array([parameters.theta(values) for values in sets])
+    every = posterior.convergence.ess_bulk.sum(axis=0)[: len(posterior.names)]
+    return Draws(thetas, "posterior", posterior.faults, pareto_k, float(every.min()))
+
+
+def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -> float:
+    """Return the factor on the deviations of the points' noise: the stated one, or the draws' rms."""
+    if NOISE_SCALE not in parameters.free:
+        return 1.0 if isinstance(stated, str) else stated
+    scales = [parameters.values(theta)[NOISE_SCALE] for theta in draws.thetas]
+    return float(np.sqrt(np.mean(np.square(scales))))
+
+
+def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:
+    """Return `count` draws (B, P) of the prior: flat within the bounds, times what is stated."""
+    lower, upper, names = parameters.lower, parameters.upper, parameters.free
+    slopes = parameters.prior.slopes(names)  # (R, P)
+    rows = np.flatnonzero(slopes.any(axis=1))  # without ties of what is fixed
+    off = parameters.prior.residuals(parameters.values(0.5 * (lower + upper)))[rows]
+    slopes = slopes[rows]
+    # the prior's residuals are off + slopes @ (theta - middle): each is solved for one coordinate, while the
+    # others are drawn flat
+    solved = qr(slopes, mode="r", pivoting=True)[-1][: len(rows)]
+    others = np.setdiff1d(np.arange(len(names)), solved)
+    inverse = np.linalg.inv(slopes[:, solved])
+    drawn = np.empty((0, len(lower)))
+    while len(drawn) < count:
+        away = rng.uniform(-0.5, 0.5, size=(count, len(lower))) * (upper - lower)
+        normal = rng.standard_normal((count, len(rows)))
+        away[:, solved] = (normal - off - away[:, others] @ slopes[:, others].T) @ inverse.T
+        thetas = 0.5 * (lower + upper) + away
+        for name, sd in parameters.half_normal.items():
+            spread = sd * np.abs(rng.standard_normal(count))
+            thetas[:, names.index(name)] = np.log(np.maximum(spread, np.finfo(float).tiny))
+        # rejection keeps the Gaussian's shape; clipping would pile draws up at the bounds
+        inside = np.all((thetas >= lower) & (thetas <= upper), axis=1)
+        drawn = np.concatenate([drawn, thetas[inside]])
+    return drawn[:count]
