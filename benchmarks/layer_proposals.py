@@ -17,11 +17,11 @@ from real_scanners import make_recipe
 
 from needlefit.errors import NeedlefitError
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.detections import sample_needle_profile
-from needlefit.imaging.entry_choice import EntryKnowledge, choose_entry
+from needlefit.imaging.entry import EntryKnowledge, choose_entry
 from needlefit.imaging.layer_proposal import propose_layers
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.selection import select_needle
+from needlefit.imaging.needle.segmentation import select_needle
+from needlefit.imaging.reconstruct import sample_needle_profile
 from needlefit.imaging.volume_files import read_volume
 from needlefit.synthetic.metal import densify
 

@@ -27,7 +27,7 @@ from scipy.spatial.distance import cdist
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.markers import find_markers
-from needlefit.imaging.needle.selection import segment_needle
+from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.synthetic.ct_scene import SceneMarkers, VoxelGrid
 from needlefit.synthetic.metal import densify

@@ -50,7 +50,7 @@ from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import ReconstructionFailure, try_reconstruct
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.reconstruction_checks import list_tip_warnings
-from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.tasks import LocalPool

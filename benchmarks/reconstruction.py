@@ -30,8 +30,7 @@ from skimage.morphology import skeletonize
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
-from needlefit.imaging.needle.segmentation import Component, principal_axes
-from needlefit.imaging.needle.selection import segment_needle
+from needlefit.imaging.needle.segmentation import Component, principal_axes, segment_needle
 from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.ct_scene import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers

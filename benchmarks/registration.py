@@ -22,7 +22,6 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration.marker_sets import make_marker_sets
 from needlefit.imaging.registration.pairing import find_symmetries
 from needlefit.imaging.registration.register import (
     Registration,
@@ -31,7 +30,7 @@ from needlefit.imaging.registration.register import (
     target_covariance,
     to_world,
 )
-from needlefit.imaging.registration.rigid import pair_by_icp
+from needlefit.imaging.registration.rigid import make_marker_sets, pair_by_icp
 
 Floats = NDArray[np.float64]
 

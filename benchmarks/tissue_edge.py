@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
-from needlefit.imaging.intensity_profile import sample_profile
-from needlefit.imaging.material_runs import find_tissue_edge
+from needlefit.imaging.materials import find_tissue_edge, sample_profile
 from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers, VoxelGrid
 from needlefit.synthetic.phantoms import Phantom
 from needlefit.synthetic.render import render_scan

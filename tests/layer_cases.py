@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
-from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.imaging.volume_files import write_volume
 

@@ -11,13 +11,12 @@ from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
 from needlefit.geometry.surfaces import make_sheet
-from needlefit.imaging.intensity_profile import sample_profile
-from needlefit.imaging.material_runs import find_tissue_edge
+from needlefit.imaging.materials import find_tissue_edge, sample_profile
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.selection import segment_needle
+from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.reconstruction import EntryPose, Layers, MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import predict_mean_target_error, register, scan_frame
-from needlefit.imaging.scan import Scan
+from needlefit.imaging.scans import Scan
 from needlefit.imaging.views import render_views
 
 NO_LAYERS = Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))

@@ -27,7 +27,7 @@ from needlefit.geometry.surfaces import make_sheet, read_surface, write_surface
 from needlefit.imaging.image_files import write_image
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.scan_table import make_scans
+from needlefit.imaging.scans import make_scans
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.locate import shipped_folder
@@ -92,7 +92,7 @@ def search_once(patch):
 
         return found
 
-    for user, function in (("reconstruct", trace_needle), ("detections", find_markers)):
+    for user, function in (("reconstruct", trace_needle), ("reconstruct", find_markers)):
         patch.setattr(f"needlefit.imaging.{user}.{function.__name__}", remembered(function))
 
 

@@ -11,12 +11,10 @@ import pytest
 
 from needlefit.errors import DataError
 from needlefit.imaging import batch
-from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
-from needlefit.imaging.header_checks import ImageHeader
-from needlefit.imaging.image_headers import check_nrrd
-from needlefit.imaging.packed_scan import pack_scan
+from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, pack_scan, reconstruct_all
+from needlefit.imaging.image_headers import ImageHeader, check_nrrd
 from needlefit.imaging.reconstruct import Examination
-from needlefit.imaging.scan_table import read_scans
+from needlefit.imaging.scans import read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.encode import encode
 from needlefit.project.locate import shipped_folder

@@ -20,10 +20,9 @@ from needlefit.imaging.needle.axis_spline import (
     fit_axis,
 )
 from needlefit.imaging.needle.centerline import slice_sd, trace_needle
-from needlefit.imaging.needle.segmentation import find_components, list_thresholds
-from needlefit.imaging.needle.selection import segment_needle
+from needlefit.imaging.needle.segmentation import find_components, list_thresholds, segment_needle
 from needlefit.imaging.reconstruct import examine
-from needlefit.imaging.scan import Scan
+from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.load import load
 from needlefit.schemas.reconstruction import ReconstructionRecord

@@ -16,7 +16,7 @@ from needlefit.imaging.entry import (
 )
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import register, to_world
-from needlefit.imaging.scan import StagePose
+from needlefit.imaging.scans import StagePose
 
 FREE = 95.0
 

@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
-from needlefit.imaging.entry_choice import EntryKnowledge, choose_entry, list_candidates
-from needlefit.imaging.material_runs import find_rises, find_runs
+from needlefit.imaging.entry import EntryKnowledge, choose_entry, list_candidates
+from needlefit.imaging.materials import find_rises, find_runs
 from needlefit.imaging.reconstruction import IntensityProfile
 
 S = np.arange(-60.0, 48.0, 0.5)

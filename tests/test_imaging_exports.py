@@ -19,7 +19,7 @@ from reading_here import child_process_reader, read_here  # noqa: F401
 
 from needlefit.errors import DataError
 from needlefit.imaging import volume_files
-from needlefit.imaging.scan_table import scan_id
+from needlefit.imaging.scans import scan_id
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume
 

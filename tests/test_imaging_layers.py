@@ -44,7 +44,7 @@ from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_cr
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.reconstruction_checks import check_layer_count, refuse_tunnels
 from needlefit.imaging.registration.register import register
-from needlefit.imaging.scan import LayerSource, StagePose
+from needlefit.imaging.scans import LayerSource, StagePose
 from needlefit.imaging.volume import Volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 

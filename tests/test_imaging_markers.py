@@ -19,10 +19,17 @@ from needlefit.imaging.markers import (
     read_markers,
     refine_fiducials,
 )
-from needlefit.imaging.needle.selection import segment_needle
+from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.registration.register import register
-from needlefit.imaging.sphere_fit import SphereVoxels, render_sphere
-from needlefit.imaging.sphere_profile import BALL, BOX_PART, SHORTFALL, SphereTables, look_up
+from needlefit.imaging.spheres import (
+    BALL,
+    BOX_PART,
+    SHORTFALL,
+    SphereTables,
+    SphereVoxels,
+    look_up,
+    render_sphere,
+)
 from needlefit.imaging.volume import Volume
 from needlefit.synthetic.ct_scene import ScannerTable, SceneMarkers
 

@@ -10,8 +10,7 @@ from reading_here import child_process_reader, read_here  # noqa: F401 - fixture
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.mask import read_mask_component
-from needlefit.imaging.needle.selection import segment_needle
+from needlefit.imaging.needle.segmentation import read_mask_component, segment_needle
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import write_volume
 from needlefit.synthetic.ct_scene import Needle3D

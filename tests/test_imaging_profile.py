@@ -7,8 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
 from needlefit.geometry.frames import Frame, make_entry_frame
-from needlefit.imaging.intensity_profile import sample_profile
-from needlefit.imaging.material_runs import find_tissue_edge
+from needlefit.imaging.materials import find_tissue_edge, sample_profile
 from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.views import render_views
 from needlefit.imaging.volume import Volume, to_patient

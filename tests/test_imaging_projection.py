@@ -9,7 +9,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.reconstruct import examine
-from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.metal import densify

@@ -12,7 +12,7 @@ from reconstruction_cases import small_scan
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
 from needlefit.imaging.reconstruct import examine, reconstruct
-from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume_files import write_volume
 
 FACE = cases.ENTRY[2]

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration.marker_sets import make_marker_sets
 from needlefit.imaging.registration.register import (
     predict_mean_target_error,
     register,
@@ -17,7 +16,12 @@ from needlefit.imaging.registration.register import (
     target_covariance,
     to_world,
 )
-from needlefit.imaging.registration.rigid import fit_kabsch, pair_by_icp, sum_squared_residuals
+from needlefit.imaging.registration.rigid import (
+    fit_kabsch,
+    make_marker_sets,
+    pair_by_icp,
+    sum_squared_residuals,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration import pairing
-from needlefit.imaging.registration.marker_sets import make_marker_sets
-from needlefit.imaging.registration.mirror_check import check_axis_signs
 from needlefit.imaging.registration.pairing import (
     MIN_SQUARED_MISFIT,
     expected_chance_pairings,
@@ -20,7 +18,8 @@ from needlefit.imaging.registration.pairing import (
     find_symmetries,
     group_interchangeable,
 )
-from needlefit.imaging.registration.register import register
+from needlefit.imaging.registration.register import check_axis_signs, register
+from needlefit.imaging.registration.rigid import make_marker_sets
 
 seeds = st.integers(0, 2**32 - 1)
 

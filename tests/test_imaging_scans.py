@@ -7,8 +7,15 @@ import pytest
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
-from needlefit.imaging.scan import SCAN_COLUMNS, SCANS_DOCUMENT, LayerSource, Scan
-from needlefit.imaging.scan_table import make_scans, read_scans, scan_id
+from needlefit.imaging.scans import (
+    SCAN_COLUMNS,
+    SCANS_DOCUMENT,
+    LayerSource,
+    Scan,
+    make_scans,
+    read_scans,
+    scan_id,
+)
 
 STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
 

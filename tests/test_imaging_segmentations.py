@@ -19,7 +19,7 @@ from needlefit.geometry.surfaces import make_cylinder
 from needlefit.geometry.voxels import fill_mesh
 from needlefit.imaging.label_surfaces import extract_label_surfaces, read_labels
 from needlefit.imaging.layers import read_layers
-from needlefit.imaging.scan import LayerSource, Scan, parse_layer_source
+from needlefit.imaging.scans import LayerSource, Scan, parse_layer_source
 from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import read_mask
 

@@ -10,9 +10,13 @@ from numpy.testing import assert_allclose
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle.centerline import trace_needle
-from needlefit.imaging.needle.segmentation import measure_component
-from needlefit.imaging.needle.selection import find_ends, segment_needle, select_needle
-from needlefit.imaging.needle.wide_parts import cut_wide_parts
+from needlefit.imaging.needle.segmentation import (
+    cut_wide_parts,
+    find_ends,
+    measure_component,
+    segment_needle,
+    select_needle,
+)
 from needlefit.imaging.volume import Volume, to_patient
 
 METAL_HU = 3000.0

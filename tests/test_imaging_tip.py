@@ -11,7 +11,7 @@ from reconstruction_cases import small
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
-from needlefit.imaging.needle import tip, tip_problem
+from needlefit.imaging.needle import tip
 from needlefit.imaging.needle.centerline import (
     BEVEL_MARGIN_MM,
     _find_tip,
@@ -20,14 +20,14 @@ from needlefit.imaging.needle.centerline import (
     refine_axis,
     trace_needle,
 )
-from needlefit.imaging.needle.selection import segment_needle
-from needlefit.imaging.needle.tip_model import RodModel
+from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.needle.tip import RodModel
 from needlefit.imaging.reconstruction_checks import MAX_DEPTH_SD_MM, collect_warnings, list_tip_warnings
-from needlefit.imaging.sphere_profile import PointSpread
+from needlefit.imaging.spheres import PointSpread
 
 RADIUS = 0.635
 TRUTH = cases.axis(tip=(1.0, 2.0, 28.0))
-HEEL = tip_problem.bevel_length(cases.RECIPE.needle) + BEVEL_MARGIN_MM
+HEEL = tip.bevel_length(cases.RECIPE.needle) + BEVEL_MARGIN_MM
 
 
 def rod_image(spread, s, u=0.0, *, cotangent=0.0, roll=0.0, normal=(1.0, 0.0, 0.0)):
@@ -143,7 +143,7 @@ def test_what_rays_hide_grows_with_the_needle_that_they_pass(monkeypatch):
     volume = cases.scan(TRUTH)
     seen = trace(volume)  # along the slices' normal: rays pass no more than its width and a slice
     assert 0 < seen.hidden_length < 2.5
-    monkeypatch.setattr(tip_problem, "measure_ray", lambda *known: 30.0)
+    monkeypatch.setattr(tip, "measure_ray", lambda *known: 30.0)
     hidden = trace(volume)
     assert hidden.hidden_length == 30.0
     assert hidden.tip_sd[0] >= 30.0 * tip.HIDDEN_END_SD_PER_MM > seen.tip_sd[0]

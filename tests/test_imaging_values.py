@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from needlefit.errors import DataError
-from needlefit.imaging.value_checks import require_hounsfield
+from needlefit.imaging.volume import require_hounsfield
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.findings import collect_findings
 from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
-from needlefit.imaging.scan import Scan
+from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume
 from needlefit.project.progress import no_progress
 from needlefit.studies.kinds.reconstruction.refused import list_finding_facts, write_refused

@@ -14,7 +14,7 @@ from test_cli import run
 
 from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.scan_table import read_scans, write_scan_table
+from needlefit.imaging.scans import read_scans, write_scan_table
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.viewer.scans.corrections import read_corrections
 from needlefit.viewer.scans.session import ScanSession

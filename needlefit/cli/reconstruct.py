@@ -22,7 +22,7 @@ from needlefit.project.threads import count_cores
 
 if TYPE_CHECKING:
     from needlefit.imaging.batch import ReconstructionFailure
-    from needlefit.imaging.scan import Scan
+    from needlefit.imaging.scans import Scan
     from needlefit.project.result_warnings import ResultWarning
     from needlefit.schemas.reconstruction import ReconstructionRecord
     from needlefit.studies.run import Run
@@ -174,7 +174,7 @@ def reconstruct(
 
 def _scans(scans: list[Path], named: dict[str, Any]) -> "tuple[Scan, ...]":
     """Return the scans that the arguments mean: the rows of a table, or volumes that share what is named."""
-    from needlefit.imaging.scan_table import make_scans, read_scans
+    from needlefit.imaging.scans import make_scans, read_scans
     from needlefit.project.locate import find_file, list_names
 
     if len(scans) == 1 and not path_exists(scans[0]) and str(scans[0]) in list_names("scans"):
@@ -278,7 +278,7 @@ def _view_command(
 
 def _describe_failure(failure: "ReconstructionFailure", ids: str) -> str:
     """Return an error, behind the ids of its scans unless it begins with the volume of that name."""
-    from needlefit.imaging.scan_table import scan_id
+    from needlefit.imaging.scans import scan_id
 
     error, scan = failure.error, failure.scan
     named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id

@@ -10,7 +10,7 @@ from needlefit.project.input_files import is_dir, is_file, path_exists
 from needlefit.project.locate import find_file, list_names
 
 if TYPE_CHECKING:
-    from needlefit.imaging.scan import Scan
+    from needlefit.imaging.scans import Scan
     from needlefit.viewer.scans.session import ScanSession
 
 
@@ -61,7 +61,7 @@ def _find_own_recipe(target: str) -> str | None:
 
 
 def _find_scan(target: str, named: Mapping[str, Any]) -> "Scan":
-    from needlefit.imaging.scan_table import make_scans, read_scans
+    from needlefit.imaging.scans import make_scans, read_scans
 
     table = _split_table(target)
     if table is None:

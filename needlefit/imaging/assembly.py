@@ -54,11 +54,8 @@ def assemble_dataset(
     Surfaces that all scans of a medium share are written once, others (layers segmented in every scan) once
     for each insertion.
 
-    Raises
-    ------
-    DataError
-        If the scans of one medium have layers of different kinds or numbers, or the surfaces of two media
-        would have one name.
+    DataError if the scans of one medium have layers of different kinds or numbers, or the surfaces of two
+    media would have one name.
     """
     media: dict[str, list[Reconstruction]] = {}
     for one in reconstructions:
@@ -233,10 +230,7 @@ def assemble_checked(
 
     Where all have a fault, nothing is written and the first tuple is empty.
 
-    Raises
-    ------
-    DataError
-        If a fault belongs to no single insertion.
+    DataError if a fault belongs to no single insertion.
     """
     left, failures = list(reconstructions), list[ReconstructionFailure]()
     # again after each removal: a faulty insertion may hide the fault of another one

@@ -1,20 +1,26 @@
-"""Reconstruct many scans, in one process or several; a scan that fails does not stop the others."""
+"""Send a scan with the bytes of its files to a machine that does not have them.
+
+Reconstruct many scans, in one process or several; a scan that fails does not stop the others.
+"""
 
 import hashlib
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.findings import Findings, collect_findings
-from needlefit.imaging.packed_scan import PackedScan, PackedScans, list_scan_files, unpack_scan
 from needlefit.imaging.reconstruct import Examination, add_views, examine
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.scan import Scan
+from needlefit.imaging.scans import Scan
+from needlefit.imaging.volume import list_series_files
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.checkpoint_file import (
     CheckpointContent,
@@ -28,11 +34,79 @@ from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-CHECKPOINT_KIND = "reconstruction"
-"""Kind of the checkpoint files."""
+SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")  # endings of volumes that are one file
 
+
+@dataclass(frozen=True)
+class PackedScan:
+    """A scan, the folder that all of its files lie in, and their bytes by their paths in that folder."""
+
+    scan: Scan
+    root: Path
+    files: tuple[tuple[str, bytes], ...]
+
+    def original(self, error: NeedlefitError, unpacked: Path) -> NeedlefitError:
+        """Return an error about unpacked files as one about those that were packed."""
+        texts = {name: text.replace(str(unpacked), str(self.root)) for name, text in vars(error).items()}
+        return type(error)(**texts)
+
+
+class PackedScans(Sequence[PackedScan]):
+    """Scans that are packed one by one, when they are asked for: their volumes are large."""
+
+    def __init__(self, scans: Sequence[Scan]) -> None:
+        self._scans = scans
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def __getitem__(self, index: int) -> PackedScan:  # type: ignore[override]  # no slices
+        return pack_scan(self._scans[index])
+
+
+def pack_scan(scan: Scan) -> PackedScan:
+    """Return a scan with the bytes of its files; those that are missing are left out."""
+    scan = _move(scan, Path.absolute)
+    files = sorted({path for path in list_scan_files(scan) if path.is_file()})
+    root = Path(os.path.commonpath([path.parent for path in (*scan.files, *files)]))
+    return PackedScan(scan, root, tuple((str(path.relative_to(root)), path.read_bytes()) for path in files))
+
+
+@contextmanager
+def unpack_scan(packed: PackedScan) -> Iterator[tuple[Scan, Path]]:
+    """Write the files of a packed scan into a folder of this machine; that scan and the folder."""
+    with TemporaryDirectory(prefix="needlefit-") as name:
+        folder = Path(name)
+        for path, data in packed.files:
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
+        yield _move(packed.scan, lambda path: folder / path.relative_to(packed.root)), folder
+
+
+def list_scan_files(scan: Scan) -> Iterator[Path]:
+    """Yield every file that a reconstruction may read.
+
+    One slice stands for its series, and a header for the file of its voxels: all files of the folder count,
+    and of those below.
+    """
+    yield from scan.files[1:]
+    alone = scan.volume.name.lower().endswith(SINGLE_FILE_SUFFIXES)
+    yield from [scan.volume] if alone else list_series_files(scan.volume)
+
+
+def _move(scan: Scan, moved: Callable[[Path], Path]) -> Scan:
+    """Return a scan whose files are elsewhere."""
+    surfaces = tuple(replace(source, path=moved(source.path)) for source in scan.surfaces)
+    mask, markers, fiducials = (
+        None if path is None else moved(path) for path in (scan.mask, scan.markers, scan.fiducials)
+    )
+    return replace(
+        scan, volume=moved(scan.volume), mask=mask, markers=markers, fiducials=fiducials, surfaces=surfaces
+    )
+
+
+CHECKPOINT_KIND = "reconstruction"  # kind of the checkpoint files
 _HOOKS: Hooks = {Surface: Hook(to_triangles, from_triangles, Triangles)}
-
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
 
@@ -47,30 +121,15 @@ class ReconstructionFailure:
 
 @dataclass(frozen=True)
 class ReconstructionBatch:
-    """Options of a batch: where it runs, checkpoints and callbacks.
+    """Options of a batch: where it runs, checkpoints and callbacks."""
 
-    Attributes
-    ----------
-    pool : TaskPool
-        Where scans are reconstructed; each takes as much memory as its volume, several times.
-    checkpoint_folder : Path or None
-        A folder for what is finished.
-    resume : bool
-        Whether what is kept there of the same scans, files and versions is taken as it is.
-    progress : callable
-        Called with the scan that was finished, how many are, and of how many.
-    stop : callable
-        Whether to begin no further scan.
-    note : callable
-        Given a line about what is kept and damaged.
-    """
-
+    # Where scans are reconstructed; each takes as much memory as its volume, several times.
     pool: TaskPool = THIS_PROCESS
-    checkpoint_folder: Path | None = None
-    resume: bool = False
-    progress: Progress = no_progress
-    stop: Stop = never_stop
-    note: Note = no_note
+    checkpoint_folder: Path | None = None  # a folder for what is finished
+    resume: bool = False  # whether what is kept there of the same scans, files and versions is taken as it is
+    progress: Progress = no_progress  # called with the scan that was finished, how many are, and of how many
+    stop: Stop = never_stop  # whether to begin no further scan
+    note: Note = no_note  # given a line about what is kept and damaged
 
 
 def reconstruct_all(

@@ -9,9 +9,22 @@ which it was pushed, plus a cubic that the tissue's pull at the entry bends,
 s from the entry (s < 0 outside), L the free length, d and g what the entry moved and turned. q0, q1 are the
 pose; d and g take priors (`[entry] entry_shift_sd_mm, entry_tilt_sd_deg`), since a short shaft hardly
 separates them from the axis; the deviation of the pose includes this.
+
+Choose where the needle enters the tissue, among all places where soft material begins around it.
+
+A guide plate, a template or the wall of a box is soft material, too. In this order the entry is
+
+1. the candidate nearest to the inserted length that somebody states for the scan (`expected_depth_mm`);
+2. the face behind the guide of stated thickness (`[guide] thickness_mm`; 0: there is none, and the first
+   soft material is the tissue), with or without air between them;
+3. the last change from air to soft material: a guide is left again, the tissue holds the tip.
+
+What contradicts the choice is a warning with all candidates, by the length that they leave inserted.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -20,51 +33,33 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.reconstruction import EntryPose
+from needlefit.imaging.materials import MaterialRun, find_rises, find_runs, find_soft_steps
+from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.registration.register import Registration, target_covariance
-from needlefit.imaging.scan import StagePose
+from needlefit.imaging.scans import StagePose
 
-MIN_SHAFT_LENGTH_MM = 10.0
-"""Length of shaft outside the tissue, mm, below which no axis is drawn through it."""
-
+MIN_SHAFT_LENGTH_MM = 10.0  # length of shaft outside the tissue, mm, below which no axis is drawn through it
+# The shaft is used up to this far from the entry, mm, where the surface still shows in it.
 SHAFT_CLEARANCE_MM = 1.0
-"""The shaft is used up to this far from the entry, mm, where the surface still shows in it."""
-
+# Length along the needle over which errors of the traced axis hang together, mm: half a knot's distance.
 CORRELATION_LENGTH_MM = 7.5
-"""Length along the needle over which errors of the traced axis hang together, mm: half a knot's distance."""
-
+# How far from the place where the needle enters the axis is followed to the tissue's surface, mm.
 SURFACE_REACH_MM = 80.0
-"""How far from the place where the needle enters the axis is followed to the tissue's surface, mm."""
-
+# Deviations from which on the stage's axis and the shaft's are not one needle's.
 MAX_AXIS_DISAGREEMENT_SD = 10.0
-"""Deviations from which on the stage's axis and the shaft's are not one needle's."""
-
+# Greatest distance of a centreline's first point from the entry, mm; as datasets demand it.
 MAX_ENTRY_DISTANCE_MM = 5.0
-"""Greatest distance of a centreline's first point from the entry, mm; as datasets demand it."""
 
 
 @dataclass(frozen=True)
 class OutsideShaft:
-    """The part of the needle outside the tissue.
+    """The part of the needle outside the tissue."""
 
-    Attributes
-    ----------
-    points : (N, 3) array
-        World, base side first, mm.
-    sd : (N,) array
-        In any one direction across, mm.
-    s : (N,) array
-        From the entry along the needle, mm; all below zero.
-    free : float
-        Length from where it is clamped to the entry, mm.
-    bend, turn : float
-        Prior deviations of what the tissue did to it at the entry, mm and rad.
-    """
-
-    points: Floats
-    sd: Floats
-    s: Floats
-    free: float
+    points: Floats  # (N, 3); world, base side first, mm
+    sd: Floats  # (N,); in any one direction across, mm
+    s: Floats  # (N,); from the entry along the needle, mm; all below zero
+    free: float  # length from where it is clamped to the entry, mm
+    # Prior deviations of what the tissue did to it at the entry, mm and rad.
     bend: float
     turn: float
 
@@ -127,10 +122,7 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     """Return the pose of the axis on which the shaft was pushed; its origin is the point where that axis
     enters.
 
-    Raises
-    ------
-    DataError
-        If too little of the shaft shows.
+    DataError if too little of the shaft shows.
     """
     use = shaft.s < -SHAFT_CLEARANCE_MM
     if usable_length(shaft) < MIN_SHAFT_LENGTH_MM:
@@ -207,10 +199,7 @@ def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose
 def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     """Return the arc length along `points` (N, 3) at which they cross the plane of first contact.
 
-    Raises
-    ------
-    DataError
-        If the needle never crosses that plane, or far from the place stated.
+    DataError if the needle never crosses that plane, or far from the place stated.
     """
     along = (points - pose.origin) @ pose.direction
     before = np.flatnonzero((along[:-1] < 0) & (along[1:] >= 0))
@@ -240,3 +229,216 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
 def _variance_across(covariance: Floats, direction: Floats) -> float:
     """Return the variance in any one direction across `direction` (3,)."""
     return float((np.trace(covariance) - direction @ covariance @ direction) / 2)
+
+
+GUIDE_SD_MM = 0.1  # deviation of the stated thickness of a guide, mm
+MATCH_MM = 1.5  # a soft run whose length misses the guide's thickness by no more is the guide, mm
+MAX_GUIDE_MM = 40.0  # thicker guides are not looked for unless they are stated, mm
+# A first material as bright as that, and brighter than what follows, may be the plastic of a guide, HU.
+PLASTIC_HU = 70.0
+# Deviation of an entry that may lie behind such a guide, in parts of its thickness (a probability of 0.2),
+# and the largest, mm: more would refuse the scan.
+PLASTIC_DOUBT, MAX_DOUBT_MM = 0.4, 1.8
+MAX_DEPTH_MISS_MM = 10.0  # a stated inserted length that misses every candidate by more fits none, mm
+
+
+@dataclass(frozen=True)
+class EntryCandidate:
+    """A place where the tissue may begin."""
+
+    # Along the needle and its deviation, mm.
+    at: float
+    sd: float
+    depth: float  # length from there to the tip, mm
+    change: Literal["rise", "step"]  # "rise" from air, or "step" from one soft material to another
+    run: MaterialRun  # the soft material that it begins, or, of a step, lies in
+
+    @property
+    def sentence(self) -> str:
+        """The candidate in words."""
+        kind = "from air" if self.change == "rise" else "a change of material"
+        return f"{self.depth:.1f} mm before the tip ({kind})"
+
+
+@dataclass(frozen=True)
+class EntryKnowledge:
+    """What is stated about the place where the needle enters the tissue."""
+
+    depth: float | None  # about the inserted length, mm
+    guide_thickness: float | None  # along the needle, mm; 0: no guide
+    guide_distance: float | None  # from the guide to the entry, mm
+    explained: Floats  # (n,); where along the needle stated layers are crossed, mm: a step there is no doubt
+
+
+@dataclass(frozen=True)
+class EntryChoice:
+    """The chosen candidate, all of them in the needle's order, and what a person should know."""
+
+    chosen: EntryCandidate
+    candidates: tuple[EntryCandidate, ...]
+    warnings: tuple[str, ...]
+
+
+def list_candidates(profile: IntensityProfile, tip: float) -> tuple[EntryCandidate, ...]:
+    """Return every place where the tissue may begin, from the base on; `tip`: where it is, mm along."""
+    runs = find_runs(profile)
+    found = [EntryCandidate(at, sd, tip - at, "rise", runs[n]) for n, at, sd in find_rises(profile)]
+    for run in runs:
+        if run.kind == "soft":
+            found += [
+                EntryCandidate(at, sd, tip - at, "step", run) for at, sd in find_soft_steps(profile, run)
+            ]
+    return tuple(sorted(found, key=lambda one: one.at))
+
+
+def choose_entry(profile: IntensityProfile, tip: float, known: EntryKnowledge) -> EntryChoice | None:
+    """Return where the needle enters the tissue; None if nothing shows it.
+
+    DataError if the stated inserted length fits no candidate.
+    """
+    candidates = list_candidates(profile, tip)
+    rises = [one for one in candidates if one.change == "rise"]
+    if not rises:
+        return None
+    if known.depth is not None:
+        return _choose_by_depth(candidates, known.depth)
+    guide = known.guide_thickness
+    if guide == 0:
+        return EntryChoice(rises[0], candidates, ())
+    if guide is not None:
+        behind = _find_behind_guide(profile, candidates, guide, known.guide_distance)
+        if behind is not None:
+            return behind
+    entry, face = rises[-1], _find_flush_guide(rises[-1], candidates, known)
+    warnings = [*_rise_warnings(profile, rises, guide)]
+    if face is not None and face.depth > 0:
+        warnings.append(_flush_warning(entry, face))
+        if _is_plastic(profile, entry.at, face.at):
+            doubt = min(PLASTIC_DOUBT * (face.at - entry.at), MAX_DOUBT_MM)
+            entry = replace(entry, sd=float(np.hypot(entry.sd, doubt)))
+    return EntryChoice(entry, candidates, tuple(warnings))
+
+
+def list_in_words(candidates: Sequence[EntryCandidate]) -> str:
+    """Return the candidates as words."""
+    return ", ".join(one.sentence for one in candidates)
+
+
+def _choose_by_depth(candidates: tuple[EntryCandidate, ...], depth: float) -> EntryChoice:
+    misses = [abs(one.depth - depth) for one in candidates]
+    best = int(np.argmin(misses))
+    if misses[best] > MAX_DEPTH_MISS_MM:
+        raise DataError(
+            f"the tissue may begin {list_in_words(candidates)}, but {depth:g} mm are stated as inserted",
+            where="expected_depth_mm",
+            expected=f"within {MAX_DEPTH_MISS_MM:g} mm of one of them",
+            fix="correct expected_depth_mm, or leave it empty",
+        )
+    near = [
+        one
+        for one, miss in zip(candidates, misses, strict=True)
+        if one is not candidates[best] and miss < 2 * misses[best] + 1
+    ]
+    notes = [
+        f"expected_depth_mm = {depth:g} fits {list_in_words([candidates[best], *near])} about as well: "
+        "the nearest is taken as the entry"
+    ]
+    return EntryChoice(candidates[best], candidates, tuple(notes[: len(near)]))
+
+
+def _find_behind_guide(
+    profile: IntensityProfile,
+    candidates: tuple[EntryCandidate, ...],
+    thickness: float,
+    distance: float | None,
+) -> EntryChoice | None:
+    """Return the face behind a guide of stated thickness; None where no soft run can be the guide."""
+    rises = [one for one in candidates if one.change == "rise"]
+    soft = [run for run in find_runs(profile) if run.kind == "soft"]
+    first = rises[0]
+    begun = soft[0] != first.run  # the guide goes on beyond what is scanned
+    for n, run in enumerate(soft[:-1]):
+        cut = n == 0 and begun and run.length <= thickness + MATCH_MM
+        if abs(run.length - thickness) <= MATCH_MM or cut:
+            entry = next((one for one in rises if one.run == soft[n + 1]), None)
+            if entry is not None:
+                return EntryChoice(entry, candidates, tuple(_gap_warnings(entry.at - run.end, distance)))
+    lies_apart = distance is not None and distance > MATCH_MM
+    if len(soft) > 1 or begun or first.depth <= thickness or lies_apart:
+        return None
+    at, sd = first.at + thickness, float(np.hypot(first.sd, GUIDE_SD_MM))
+    entry = EntryCandidate(at, sd, first.depth - thickness, "step", first.run)
+    seen = any(one.change == "step" and abs(one.at - at) <= MATCH_MM + 3 * one.sd for one in candidates)
+    return EntryChoice(entry, candidates, () if seen else (_unseen_guide_warning(first, entry),))
+
+
+def _unseen_guide_warning(rise: EntryCandidate, entry: EntryCandidate) -> str:
+    return (
+        f"a guide of {entry.at - rise.at:g} mm is stated, and taken to lie on the tissue, which begins "
+        f"{entry.depth:.1f} mm before the tip; but the scan shows no change of material there: if the guide "
+        f"is not in the scan, the tissue begins {rise.depth:.1f} mm before the tip (guide.thickness_mm = 0)"
+    )
+
+
+def _gap_warnings(gap: float, distance: float | None) -> Iterator[str]:
+    if distance is not None and abs(gap - distance) > MATCH_MM:
+        yield (
+            f"{gap:.1f} mm of air lie between the guide and the tissue, but guide_distance_mm is "
+            f"{distance:g}: one of guide.thickness_mm and guide_distance_mm is not of this scan"
+        )
+
+
+def _rise_warnings(
+    profile: IntensityProfile, rises: Sequence[EntryCandidate], guide: float | None
+) -> Iterator[str]:
+    """Say that soft material is left again before the entry."""
+    before = [run for run in find_runs(profile) if run.kind == "soft" and run.end < rises[-1].at]
+    if not before:
+        return
+    parts = ", ".join(f"{run.length:.1f} mm of {run.level:.0f} HU" for run in before)
+    gap = rises[-1].at - before[-1].end
+    stated = "" if guide is None else f", and none is a guide of {guide:g} mm"
+    yield (
+        f"before the entry the needle passes {parts}, then {gap:.1f} mm of air{stated}: taken as a guide. "
+        f"The tissue may begin {list_in_words(rises)}; state expected_depth_mm or guide.thickness_mm "
+        "(0: no guide)"
+    )
+
+
+def _find_flush_guide(
+    entry: EntryCandidate, candidates: Sequence[EntryCandidate], known: EntryKnowledge
+) -> EntryCandidate | None:
+    """Return where the first material ends, if it may be a guide that lies on the tissue.
+
+    Where a stated layer ends there, or it is too thick, it is none.
+    """
+    behind = [
+        one for one in candidates if one.change == "step" and one.run == entry.run and one.at > entry.at
+    ]
+    if not behind or known.guide_thickness is not None or behind[0].at - entry.at > MAX_GUIDE_MM:
+        return None
+    first = behind[0]
+    explained = (np.abs(known.explained - first.at) <= MATCH_MM + 3 * first.sd).any()
+    return None if explained else first
+
+
+def _is_plastic(profile: IntensityProfile, begin: float, end: float) -> bool:
+    """Whether the material between two places along the needle, mm, is bright, and brighter than the next."""
+    length = end - begin
+    inside, after = (
+        profile.around[(profile.s > low) & (profile.s < high)]
+        for low, high in ((begin + length / 4, end - length / 4), (end, end + length / 2))
+    )
+    if not np.isfinite(inside).any() or not np.isfinite(after).any():
+        return False
+    level = float(np.nanmedian(inside))
+    return level >= PLASTIC_HU and level > float(np.nanmedian(after))
+
+
+def _flush_warning(entry: EntryCandidate, face: EntryCandidate) -> str:
+    return (
+        f"the first {face.at - entry.at:.1f} mm behind the entry are another material than what follows, "
+        "and no stated layer ends there: if a guide lies on the tissue, the tissue begins "
+        f"{face.depth:.1f} mm before the tip, not {entry.depth:.1f}; state guide.thickness_mm (0: no guide) "
+        "or the layers"
+    )

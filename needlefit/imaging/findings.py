@@ -10,24 +10,23 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.imaging.entry_choice import EntryCandidate, list_candidates
+from needlefit.imaging.entry import EntryCandidate, list_candidates
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.needle.segmentation import (
     Component,
+    NeedleSelection,
     cut_components,
     find_components,
+    find_ends,
     find_tubes,
     list_thresholds,
 )
-from needlefit.imaging.needle.selection import NeedleSelection, find_ends
 from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult
 from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MAX_TUBES, MAX_BALLS = 6, 20
-"""Largest numbers of candidates that are kept."""
-
+MAX_TUBES, MAX_BALLS = 6, 20  # largest numbers of candidates that are kept
 T = TypeVar("T")
 
 
@@ -52,33 +51,16 @@ class BallFinding:
 
 @dataclass(frozen=True)
 class Findings:
-    """What a scan shows; what could not be found is empty or None.
+    """What a scan shows; what could not be found is empty or None."""
 
-    Attributes
-    ----------
-    grid : VoxelGrid
-        The scan's voxels.
-    projections : tuple of array
-        Largest values along k (J, I), along j (K, I) and along i (K, J), HU.
-    tubes : tuple of TubeFinding
-        The longest first.
-    balls : tuple of BallFinding
-        The markers first; none where the scan needs no markers.
-    needle : (N, 3) array or None
-        The axis from base to tip, LPS, mm.
-    profile : IntensityProfile or None
-        Along the needle, from its first point.
-    entries : tuple of EntryCandidate
-        Places where soft material begins around the needle.
-    """
-
-    grid: VoxelGrid
+    grid: VoxelGrid  # the scan's voxels
+    # Largest values along k (J, I), along j (K, I) and along i (K, J), HU.
     projections: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-    tubes: tuple[TubeFinding, ...] = ()
-    balls: tuple[BallFinding, ...] = ()
-    needle: Floats | None = None
-    profile: IntensityProfile | None = None
-    entries: tuple[EntryCandidate, ...] = ()
+    tubes: tuple[TubeFinding, ...] = ()  # the longest first
+    balls: tuple[BallFinding, ...] = ()  # the markers first; none where the scan needs no markers
+    needle: Floats | None = None  # (N, 3) or None; the axis from base to tip, LPS, mm
+    profile: IntensityProfile | None = None  # along the needle, from its first point
+    entries: tuple[EntryCandidate, ...] = ()  # places where soft material begins around the needle
 
     @property
     def entry_points(self) -> Floats:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.imaging.header_checks import truncated_voxels_error, unreadable_image_error
+from needlefit.imaging.image_headers import truncated_voxels_error, unreadable_image_error
 from needlefit.imaging.volume import (
     AXES_COSINE_TOLERANCE,
     EXPECTED_AXES,
@@ -32,11 +32,11 @@ from needlefit.project.sandbox import SandboxArrays
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
+# One unit of a NIfTI header by its code (metre, millimetre, micrometre) in mm.
 _MILLIMETRES = {1: 1e3, 2: 1.0, 3: 1e-3}
-"""One unit of a NIfTI header by its code (metre, millimetre, micrometre) in mm."""
 _BLOCK_BYTES = 2**20
+# zlib's fastest level: on noise, higher ones cost ten times the time for a few per cent.
 _COMPRESSION_LEVEL = 1
-"""zlib's fastest level: on noise, higher ones cost ten times the time for a few per cent."""
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
 
@@ -44,18 +44,11 @@ sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once,
 def read_image(results: SandboxArrays, path: str, layers: bool = False, header: str = "") -> dict[str, Any]:
     """Read an image file whose header was checked: the array "values", and its grid.
 
-    Parameters
-    ----------
-    layers : bool
-        Whether a voxel may have several numbers; the values then have a fourth axis for them.
-    header : str
-        A detached NRRD header that is read in place of the file's own.
+    `layers`: whether a voxel may have several numbers; the values then have a fourth axis for them.
+    `header`: a detached NRRD header that is read in place of the file's own.
 
-    Raises
-    ------
-    DataError
-        If the file is none, is cut short, has not three dimensions, does not say in which coordinate
-        system it stands, or claims an absurd size.
+    DataError if the file is none, is cut short, has not three dimensions, does not say in which coordinate
+    system it stands, or claims an absurd size.
     """
     file = Path(path)
     with _open_readable(file, header) as named:

@@ -12,7 +12,7 @@ from needlefit.geometry.meshes import make_tube
 from needlefit.geometry.surfaces import Surface, map_surface
 from needlefit.geometry.voxels import fill_mesh
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.scan import Scan
+from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import IMAGE_SUFFIXES, VoxelGrid, list_series_files
 from needlefit.imaging.volume_files import (
     SEGMENT_SECONDS,
@@ -25,8 +25,7 @@ from needlefit.project.sandbox import limits_for, read_in_sandbox
 
 NEEDLE_SEGMENT = "needle"
 SEGMENT_COLOURS = ("0.90 0.78 0.55", "0.55 0.72 0.85", "0.75 0.60 0.75", "0.60 0.78 0.60")
-NEEDLE_COLOUR = "0.00 0.45 0.70"
-"""Red, green, blue, 0 to 1."""
+NEEDLE_COLOUR = "0.00 0.45 0.70"  # red, green, blue, 0 to 1
 
 
 @dataclass(frozen=True)
@@ -70,12 +69,8 @@ def _direction_across(one: Reconstruction) -> NDArray[np.float64]:
 def write_dicom_segmentation(scan: Scan, marked: MarkedVoxels, path: Path) -> None:
     """Write a DICOM segmentation that refers to the slices of a scan; the same content gives the same bytes.
 
-    Raises
-    ------
-    DataError
-        If the scan is no DICOM series, or its headers lack what a segmentation must repeat.
-    ConfigError
-        If a package is missing.
+    DataError if the scan is no DICOM series, or its headers lack what a segmentation must repeat. ConfigError
+    if a package is missing.
     """
     if scan.volume.name.lower().endswith(IMAGE_SUFFIXES):
         raise DataError(
@@ -105,10 +100,7 @@ def write_dicom_segmentation(scan: Scan, marked: MarkedVoxels, path: Path) -> No
 def write_slicer_segmentation(marked: MarkedVoxels, grid: VoxelGrid, path: Path) -> None:
     """Write labels on a grid with the name and colour of each segment; the same labels give the same bytes.
 
-    Raises
-    ------
-    ConfigError
-        If the packages that write scans are not installed.
+    ConfigError if the packages that write scans are not installed.
     """
     with explain_missing_packages():
         from needlefit.imaging.image_files import write_labels

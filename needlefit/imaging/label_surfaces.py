@@ -28,14 +28,12 @@ from needlefit.datasets.layers import find_surface_faults
 from needlefit.errors import DataError
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.header_checks import MAX_SEGMENTS, choose_segments, parse_count
-from needlefit.imaging.image_headers import check_image_header
+from needlefit.imaging.image_headers import MAX_SEGMENTS, check_image_header, choose_segments, parse_count
 from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, require_same_frame, to_patient
 from needlefit.imaging.volume_files import open_member, read_planes, read_segments, read_volume
 from needlefit.project.input_files import path_exists
 
 MAX_NAME_CHARS = 200
-
 EXPECTED_LABELS = "a whole number of each voxel's layer, 0 outside the tissue, and no more than a few layers"
 OVERLAP_FIX = 'in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again'
 
@@ -69,10 +67,8 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     lists them, or, where it names none, the labels in the order of their values. A label without a name is
     named by its value.
 
-    Raises
-    ------
-    DataError
-        If it is not a volume, its segments overlap, one is empty or missing, or its values are no labels.
+    DataError if it is not a volume, its segments overlap, one is empty or missing, or its values are no
+    labels.
     """
     with open_member(path) as place:
         if place.is_dir() or not place.name.lower().endswith(IMAGE_SUFFIXES):
@@ -195,24 +191,14 @@ def _list_labels(volume: Volume, path: Path) -> list[int]:
     return labels
 
 
-CELL_MM = 1.25
-"""Edge of the cells that marching cubes goes through, as near as whole voxels come to it, mm."""
-
-SMOOTHING_SD_MM = 0.6
-"""Standard deviation of the smoothing, mm; at least as many voxels."""
-
-MIN_TAIL = 1e-3
-"""Averages nearer to 0 or 1 than this say nothing of the distance any more."""
-
+CELL_MM = 1.25  # edge of the cells that marching cubes goes through, as near as whole voxels come to it, mm
+SMOOTHING_SD_MM = 0.6  # standard deviation of the smoothing, mm; at least as many voxels
+MIN_TAIL = 1e-3  # averages nearer to 0 or 1 than this say nothing of the distance any more
+# No boundary comes nearer to the centre of a cell than this, in standard deviations of the smoothing: in a
+# file, triangles smaller than its digits would fall together.
 MIN_CORNER_DISTANCE_SD = 0.01
-"""No boundary comes nearer to the centre of a cell than this, in standard deviations of the smoothing: in a
-file, triangles smaller than its digits would fall together."""
-
-MAX_LOOSE_FRACTION = 0.02
-"""Islands and cavities of at most this part of a layer's volume are left out."""
-
-MARGIN_CELLS = 3
-"""Cells around the labels: what leaves the volume is closed there."""
+MAX_LOOSE_FRACTION = 0.02  # islands and cavities of at most this part of a layer's volume are left out
+MARGIN_CELLS = 3  # cells around the labels: what leaves the volume is closed there
 
 
 def extract_label_surfaces(
@@ -222,10 +208,7 @@ def extract_label_surfaces(
 
     `names` as in `read_labels`; `frame_of_reference`: that of the scan, in which it must have been drawn.
 
-    Raises
-    ------
-    DataError
-        If the segmentation has a fault, or a layer and those beyond it fall apart.
+    DataError if the segmentation has a fault, or a layer and those beyond it fall apart.
     """
     labels = read_labels(path, names)
     require_same_frame(labels.volume, frame_of_reference, str(path))

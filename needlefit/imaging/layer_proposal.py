@@ -20,91 +20,47 @@ from scipy.special import ndtr
 from needlefit.arrays import Floats, Ints
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.surfaces import Surface, make_grid_sheet
-from needlefit.imaging.material_runs import BLUR_MM, MAX_GAP_HU, merge_levels, partition
+from needlefit.imaging.materials import BLUR_MM, MAX_GAP_HU, merge_levels, partition
 from needlefit.imaging.reconstruction import ProposedInterface
 from needlefit.imaging.volume import Volume, to_index
 
-STATION_MM = 0.5
-"""Distance of the samples along the needle, mm."""
-
+STATION_MM = 0.5  # distance of the samples along the needle, mm
+# Radii at which the surroundings are sampled, mm: beyond bloom, near enough for a plane.
 RADII_MM = (4.0, 5.5, 7.0, 8.5, 10.0, 11.5)
-"""Radii at which the surroundings are sampled, mm: beyond bloom, near enough for a plane."""
-
-SECTORS, DIRECTIONS = 12, 24
-"""Sectors of the jackknife, and directions around the needle that are sampled."""
-
+SECTORS, DIRECTIONS = 12, 24  # sectors of the jackknife, and directions around the needle that are sampled
+# Brighter samples are markers or bone, HU; they are left out with `MARGIN_STATIONS` to both sides.
 MAX_SOFT_HU = 300.0
-"""Brighter samples are markers or bone, HU; they are left out with `MARGIN_STATIONS` to both sides."""
-
 MARGIN_STATIONS = 3
-
-MIN_KNOWN_FRACTION = 0.3
-"""Part of a section that must be soft material."""
-
+MIN_KNOWN_FRACTION = 0.3  # part of a section that must be soft material
+# Least step of brightness, least length of a layer, and least scatter of the medians along the needle.
 MIN_STEP_HU, MIN_LENGTH_MM, MIN_NOISE_HU = 15.0, 3.0, 4.0
-"""Least step of brightness, least length of a layer, and least scatter of the medians along the needle."""
-
-WINDOW_MM = 6.0
-"""Distance to both sides of an interface in which the surface is fitted, mm."""
-
-MIN_RADIUS_MM = 40.0
-"""Radius of curvature, mm, that one in three interfaces falls below."""
-
-WIDTH_MM = 0.6
-"""Blur of an interface, mm, known within a factor of e: a standard deviation."""
-
-MIN_SIGNIFICANCE = 4.0
-"""Least step of brightness over its jackknife deviation."""
-
-MAX_SD_MM = 1.5
-"""Interfaces that are known less well are not proposed, mm."""
-
-SYSTEMATIC_SD_MM = 0.05
-"""Deviation that no sector shows, mm."""
-
-PATCH_RADIUS_MM = 15.0
-"""Radius of the surface that is written, around the needle, mm."""
+WINDOW_MM = 6.0  # distance to both sides of an interface in which the surface is fitted, mm
+MIN_RADIUS_MM = 40.0  # radius of curvature, mm, that one in three interfaces falls below
+WIDTH_MM = 0.6  # blur of an interface, mm, known within a factor of e: a standard deviation
+MIN_SIGNIFICANCE = 4.0  # least step of brightness over its jackknife deviation
+MAX_SD_MM = 1.5  # interfaces that are known less well are not proposed, mm
+SYSTEMATIC_SD_MM = 0.05  # deviation that no sector shows, mm
+PATCH_RADIUS_MM = 15.0  # radius of the surface that is written, around the needle, mm
 
 
 @dataclass(frozen=True)
 class TubeSamples:
-    """Soft material around the needle.
+    """Soft material around the needle."""
 
-    Attributes
-    ----------
-    origin : (3,) array
-        Where the needle enters, LPS, mm.
-    axes : (3, 3) array
-        Rows: x, y, z, LPS.
-    x : (n,) array
-        Stations, mm from the entry.
-    across : (n, c, 2) array
-        y and z of every sample, mm.
-    values : (n, c) array
-        HU; nan where it is no soft material.
-    sector : (c,) int array
-    needle : (n, 2) array
-        y and z of the needle itself, mm.
-    """
-
-    origin: Floats
-    axes: Floats
-    x: Floats
-    across: Floats
-    values: Floats
-    sector: Ints
-    needle: Floats
+    origin: Floats  # (3,); where the needle enters, LPS, mm
+    axes: Floats  # (3, 3); rows: x, y, z, LPS
+    x: Floats  # (n,); stations, mm from the entry
+    across: Floats  # (n, c, 2); y and z of every sample, mm
+    values: Floats  # (n, c); HU; nan where it is no soft material
+    sector: Ints  # (c,)
+    needle: Floats  # (n, 2); y and z of the needle itself, mm
 
 
 def propose_layers(volume: Volume, needle: Floats, entry: float) -> tuple[ProposedInterface, ...]:
     """Return the interfaces between soft materials that the needle crosses behind its entry.
 
-    Parameters
-    ----------
-    needle : (N, 3) array
-        From base to tip, LPS, mm.
-    entry : float
-        Where it enters the tissue, mm along it.
+    `needle`: (N, 3); from base to tip, LPS, mm.
+    `entry`: where it enters the tissue, mm along it.
     """
     samples = sample_tube(volume, needle, entry)
     kept = _fit_changes(samples, _find_changes(samples))

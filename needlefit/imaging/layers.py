@@ -22,14 +22,14 @@ from needlefit.geometry.surfaces import (
 )
 from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
-from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.imaging.volume_files import explain_missing_packages
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
+# An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area: a
+# plane has 1, half a ball 1 / 2, a cube without a face 1 / 5.
 MAX_OPENING_RATIO = 0.25
-"""An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area:
-a plane has 1, half a ball 1 / 2, a cube without a face 1 / 5."""
 
 
 def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | None:
@@ -77,11 +77,9 @@ def _hole_fault(surface: Surface, path: Path) -> list[Fault]:
     ]
 
 
-TANGENT_STEP_MM = 0.5
-"""Distance to either side of a crossing over which the needle's direction is taken, mm."""
-
+TANGENT_STEP_MM = 0.5  # distance to either side of a crossing over which the needle's direction is taken, mm
+# Least cosine between needle and normal: a needle that lies in a surface crosses it anywhere.
 MIN_CROSSING_COSINE = 0.02
-"""Least cosine between needle and normal: a needle that lies in a surface crosses it anywhere."""
 
 
 def read_layers(
@@ -92,19 +90,11 @@ def read_layers(
     A mesh leads into layer 2, 3, ... by its place in the list, unless it says otherwise; it is a solid where
     it is closed. A segmentation holds all layers, from 1, and always lies in its scan.
 
-    Parameters
-    ----------
-    patient : Frame
-        The scan's LPS axes and origin in the world.
-    grid : VoxelGrid, optional
-        Where the scan's voxels stand: surfaces of its own must not lie elsewhere.
-    frame_of_reference : str
-        UID of the scan's; a DICOM segmentation must state the same.
+    `patient`: the scan's LPS axes and origin in the world.
+    `grid`: where the scan's voxels stand: surfaces of its own must not lie elsewhere.
+    `frame_of_reference`: UID of the scan's; a DICOM segmentation must state the same.
 
-    Raises
-    ------
-    DataError
-        Listing every fault of every file.
+    DataError: listing every fault of every file.
     """
     found: list[Fault] = []
     segmentations = [source for source in scan.surfaces if source.is_segmentation]
@@ -192,23 +182,12 @@ def _surface_file(surface: Surface, scan: Scan) -> Path:
 
 @dataclass(frozen=True)
 class LayerErrors:
-    """The errors that make the depth of a layer uncertain.
+    """The errors that make the depth of a layer uncertain."""
 
-    Attributes
-    ----------
-    surface : float
-        Standard deviation of a surface along its normal, mm.
-    centerline : (N,) array
-        Of the needle's points in any one direction across it, mm.
-    along : float
-        Of the place from which depths count, against the surfaces, along the needle, mm.
-    registration : Registration or None
-        What lays the needle among the surfaces; None where these lie in the same scan.
-    """
-
-    surface: float
-    centerline: Floats
-    along: float = 0.0
+    surface: float  # standard deviation of a surface along its normal, mm
+    centerline: Floats  # (N,); of the needle's points in any one direction across it, mm
+    along: float = 0.0  # of the place from which depths count, against the surfaces, along the needle, mm
+    # What lays the needle among the surfaces; None where these lie in the same scan.
     registration: Registration | None = None
 
 
@@ -238,15 +217,9 @@ def find_crossed_layers(
 ) -> Layers:
     """Return the layers that a needle crosses, with the deviations of their depths.
 
-    Parameters
-    ----------
-    points : (N, 3) array
-        From first contact to tip, world, mm.
-    frame : Frame
-        The constraint frame C.
+    `points`: (N, 3); from first contact to tip, world, mm.
+    `frame`: the constraint frame C.
 
-    Notes
-    -----
     An error e of needle against surface moves the crossing along the needle by n . e / n . t, with n the
     normal and t the needle's direction; a crossing under a small angle is hardly known. The needle's own
     errors count across it only, for along itself it passes the same place; along it counts the error of the

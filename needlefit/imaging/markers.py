@@ -1,38 +1,218 @@
-"""Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to spheres."""
+"""Find bright components of a marker's size: candidates for the sphere fit.
 
-from collections.abc import Iterator
+A ball that hangs together with its neighbour at one level stands alone at a higher one, a dull one only
+shows at a low one. The bright voxels of the lowest level are listed once, with which of them touch; every
+higher level is a part of that list, so that no second array of the volume's size is needed.
+
+Compare the stated diameter of the marker balls with that of the scan's image of them.
+
+A few balls are fitted with other diameters. One that explains the image much better is the measured one.
+
+Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to spheres.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.errors import DataError
-from needlefit.imaging.marker_blobs import Blob, find_blobs
-from needlefit.imaging.marker_diameter import check_diameter
+from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
-from needlefit.imaging.registration.mirror_check import check_axis_signs
-from needlefit.imaging.sphere_fit import MAX_BLUR_MM, SphereFit, fit_sphere
-from needlefit.imaging.sphere_profile import PointSpread
+from needlefit.imaging.registration.register import check_axis_signs
+from needlefit.imaging.spheres import MAX_BLUR_MM, Blob, PointSpread, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord
 
-MAX_MISFIT_NOISE = 1.5
-"""A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`."""
+LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
+MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
+# Diameter of a ball of as many voxels, in those of the ball sought: noise, blur and bloom change it.
+MIN_DIAMETER_RATIO, MAX_DIAMETER_RATIO = 0.65, 1.45
+# By so much a ball far brighter than the level may also look larger, mm: four deviations of a wide blur.
+MAX_BLOOM_MM = 2.0
+MAX_ELONGATION = 1.7  # longest over shortest extent of what may be a ball, a voxel's own extent included
+# Extent, as a deviation, mm, by which blur makes a small ball longer in the slices than across them.
+BLOOM_EXTENT_MM = 0.25
 
-MAX_FIDUCIAL_SD = 2.0
-"""A fiducial may be off by so many of its deviations."""
+
+@dataclass(frozen=True)
+class BrightVoxels:
+    """All bright voxels: flat index `flat` (N,), ascending, `values` (N,), and `pairs` (E, 2) that touch."""
+
+    flat: Ints
+    values: NDArray[np.float32]
+    pairs: Ints
+
+
+def find_blobs(volume: Volume, diameter: float, threshold: float | None, exclude: Ints | None) -> list[Blob]:
+    """Return the components that may be a ball, the most similar in size first.
+
+    `diameter`: of the ball, mm.
+    `threshold`: the one level to look at, HU; None: levels from the volume.
+    `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
+
+    DataError if nothing is bright enough.
+    """
+    bright, higher = _list_bright_voxels(volume, diameter, threshold)
+    needle = np.empty(0, dtype=np.int64) if exclude is None else _flat_indices(volume, exclude)
+    forbidden = np.isin(bright.flat, needle)
+    found = [
+        blob
+        for level in higher
+        for blob in _find_blobs_at(volume, bright, level, diameter, forbidden)
+        if _is_round(volume, blob)
+    ]
+    return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
+
+
+def _list_bright_voxels(
+    volume: Volume, diameter: float, threshold: float | None
+) -> tuple[BrightVoxels, Sequence[float]]:
+    """Return the voxels above the lowest level that shows separate things, and the levels from there on."""
+    levels = _list_levels(volume) if threshold is None else [threshold]
+    wanted = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
+    for n, level in enumerate(levels):
+        flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(volume.values)])
+        if len(flat) < wanted:
+            break
+        if len(flat) <= MAX_BRIGHT_VOXELS:
+            values = volume.values.reshape(-1)[flat]
+            return BrightVoxels(flat, values, _find_touching_pairs(flat, volume.values.shape)), levels[n:]
+    raise DataError(
+        f"{len(flat)} voxels exceed {level:.0f} HU",
+        where="markers in the volume",
+        expected=f"the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than "
+        f"{MAX_BRIGHT_VOXELS:.0g} in all",
+        fix="check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe, "
+        "or place the fiducials by hand",
+    )
+
+
+def _list_levels(volume: Volume) -> list[float]:
+    """Return levels from just above tissue to the brightest voxel, HU."""
+    start, top = median_tissue_hu(volume), float(volume.values.max())
+    count = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
+    return [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]
+
+
+def _find_blobs_at(
+    volume: Volume, bright: BrightVoxels, level: float, diameter: float, forbidden: NDArray[np.bool_]
+) -> Iterator[Blob]:
+    """Yield what hangs together above `level`, has a ball's size and holds no forbidden voxel."""
+    above = bright.values > level
+    pairs = bright.pairs[above[bright.pairs].all(axis=1)]
+    links = coo_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(len(above), len(above)))
+    labels = connected_components(links, directed=False)[1]
+    size = np.bincount(labels[above], minlength=labels.max() + 1)
+    low, high = (
+        _voxel_count(volume, MIN_DIAMETER_RATIO * diameter),
+        _voxel_count(volume, max(MAX_DIAMETER_RATIO * diameter, diameter + MAX_BLOOM_MM)),
+    )
+    fits = (size >= low) & (size <= high)
+    fits[labels[forbidden & above]] = False
+    members = np.flatnonzero(above & fits[labels])
+    members = members[np.argsort(labels[members], kind="stable")]
+    for group in np.split(members, np.flatnonzero(np.diff(labels[members])) + 1):
+        if len(group):
+            k, j, i = np.unravel_index(bright.flat[group], volume.values.shape)
+            # diameter of a ball of the same volume
+            own = (6 / np.pi * len(group) * float(np.prod(volume.spacing))) ** (1 / 3)
+            yield Blob(np.stack([i, j, k], axis=1), level, own)
+
+
+def _is_round(volume: Volume, blob: Blob) -> bool:
+    """Whether a blob is about as long as wide."""
+    steps = blob.voxels * volume.spacing
+    # 1/12 of the squared spacing is the variance within a voxel: a single layer of voxels still has a
+    # thickness
+    moments = np.cov(steps.T, bias=True) + np.diag(volume.spacing**2) / 12
+    extents = np.sqrt(np.linalg.eigvalsh(moments))
+    return bool(extents[-1] <= MAX_ELONGATION * extents[0] + BLOOM_EXTENT_MM)
+
+
+def _find_touching_pairs(flat: Ints, shape: tuple[int, ...]) -> Ints:
+    """Return the pairs (E, 2) of listed voxels that share a face."""
+    _, rows, columns = shape
+    pairs = []
+    for stride, size in ((1, columns), (columns, rows), (rows * columns, None)):
+        at = np.minimum(np.searchsorted(flat, flat + stride), len(flat) - 1)
+        touch = flat[at] == flat + stride
+        if size is not None:  # the last of a row and the first of the next do not touch
+            touch &= flat // stride % size < size - 1
+        pairs.append(np.stack([np.flatnonzero(touch), at[touch]], axis=1))
+    return np.concatenate(pairs)
+
+
+def _flat_indices(volume: Volume, voxels: Ints) -> Ints:
+    _, rows, columns = volume.values.shape
+    numbers: Ints = (voxels[:, 2] * rows + voxels[:, 1]) * columns + voxels[:, 0]
+    return numbers
+
+
+def _voxel_count(volume: Volume, diameter: float) -> float:
+    """Return how many voxels a ball has."""
+    return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
+
+
+# Diameters that are tried, in those stated: the others if one of the first explains the balls better.
+FIRST_FACTORS, DIAMETER_FACTORS = (0.85, 1.18), (0.8, 0.9, 1.12, 1.25, 1.4)
+MAX_FITTED_BALLS = 2  # balls that are fitted with other diameters: those that the stated one explains best
+MIN_MISFIT = 0.02  # balls whose misfit is smaller, in parts of their brightness, leave nothing to explain
+# Another diameter must leave less than this part of the misfit: less is won by chance on clean scans.
+MAX_MISFIT_RATIO = 0.6
+
+
+def check_diameter(
+    volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], diameter: float
+) -> tuple[str, ...]:
+    """Return a warning if the balls found are of another diameter than stated, mm."""
+    factor = _measure_factor(volume, balls, diameter)
+    if factor is None:
+        return ()
+    return (
+        f"the balls in the scan are about {factor * diameter:.1f} mm wide, but {diameter:g} mm are stated: "
+        "check markers.diameter_mm",
+    )
+
+
+def _measure_factor(volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], diameter: float) -> float | None:
+    """Return the diameter of the balls over the one stated; None if that one explains them."""
+    used = sorted(balls, key=lambda one: one[1].misfit)[:MAX_FITTED_BALLS]
+    own = np.array([ball.misfit for _, ball in used])
+    if not len(own) or np.median(own) < MIN_MISFIT:
+        return None
+
+    def remain(factor: float) -> float:
+        """Return the misfit that is left, the median part of the balls' own."""
+        fits = [fit_sphere(volume, blob, factor * diameter / 2) for blob, _ in used]
+        # a blur at its bound explains anything
+        left = [one.misfit if one.spread.blur < 0.99 * MAX_BLUR_MM else np.inf for one in fits]
+        return float(np.median(left / own))
+
+    if min(remain(factor) for factor in FIRST_FACTORS) >= 1:
+        return None
+    tried = {1.0: 1.0} | {factor: remain(factor) for factor in DIAMETER_FACTORS}
+    best = min(tried, key=lambda factor: tried[factor])
+    return best if tried[best] < MAX_MISFIT_RATIO else None
+
+
+# A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
+MAX_MISFIT_NOISE = 1.5
+MAX_FIDUCIAL_SD = 2.0  # a fiducial may be off by so many of its deviations
 
 
 def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> MarkerResult:
     """Return the balls of `recipe.markers.diameter_mm` in a scan.
 
-    Parameters
-    ----------
-    exclude : (N, 3) int array, optional
-        Voxels i, j, k of the needle, never a marker.
+    `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
 
     Returns
     -------
@@ -40,10 +220,7 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
         As many as there are, be it none. A ball is left out that hangs together with the needle however
         high the threshold, or that a face of the volume cuts: its centre would be pulled aside.
 
-    Raises
-    ------
-    DataError
-        If nothing in the volume is bright enough.
+    DataError if nothing in the volume is bright enough.
     """
     rules = recipe.markers
     tried: list[Floats] = []
@@ -105,7 +282,6 @@ REASONS = {
     "edge": "cut by the volume's face",
 }
 MAX_CANDIDATES_NAMED = 3
-
 CANDIDATE_FIX = (
     "correct markers.diameter_mm, raise markers.max_misfit if the balls named are the markers, or place "
     "fiducials by hand"
@@ -115,10 +291,7 @@ CANDIDATE_FIX = (
 def read_markers(path: Path) -> Floats:
     """Read points (N, 3), mm, from a file of points: a CSV (x_mm, y_mm, z_mm), .fcsv or .mrk.json (LPS).
 
-    Raises
-    ------
-    DataError
-        If the file is missing, of another kind, or holds no such places.
+    DataError if the file is missing, of another kind, or holds no such places.
     """
     format_ = find_format(path)
     if format_ is None or format_.read_markers is None:
@@ -145,10 +318,7 @@ def refine_fiducials(
     A ball within half a diameter and `MAX_FIDUCIAL_SD` deviations of a fiducial is its own: a click may hit
     the ball's surface. Where the volume shows no ball, a fiducial stays as it was placed.
 
-    Raises
-    ------
-    DataError
-        If fiducials lie on the balls only with the signs of coordinates changed, or outside the volume.
+    DataError if fiducials lie on the balls only with the signs of coordinates changed, or outside the volume.
     """
     rules = recipe.markers
     try:

@@ -10,47 +10,30 @@ from needlefit.geometry.crossings import find_crossings, find_surface_hits, meas
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.geometry.surfaces import Surface, find_nearest, transform_surface
 from needlefit.imaging.entry import compare_poses
-from needlefit.imaging.material_runs import find_tissue_edge
-from needlefit.imaging.needle.tip_problem import END_LENGTH_MM
+from needlefit.imaging.materials import find_tissue_edge
+from needlefit.imaging.needle.tip import END_LENGTH_MM
 from needlefit.imaging.reconstruction import Layers, Reconstruction
-from needlefit.imaging.scan import Scan
+from needlefit.imaging.scans import Scan
 
-MIN_P_VALUE = 0.01
-"""Residuals of markers that the stated noise leaves less often are spoken of."""
-
-MAX_DISAGREEMENT_SD = 3.0
-"""Deviations from which on two ways to the same quantity disagree."""
-
+MIN_P_VALUE = 0.01  # residuals of markers that the stated noise leaves less often are spoken of
+MAX_DISAGREEMENT_SD = 3.0  # deviations from which on two ways to the same quantity disagree
+# Degrees between the stated bevel and the one seen from which on something was mixed up.
 MAX_BEVEL_ANGLE_DEG = 30.0
-"""Degrees between the stated bevel and the one seen from which on something was mixed up."""
-
-MAX_PLANE_SD_DEG = 20.0
-"""Deviation of the bending plane, degrees, from which on a shape does not tell it."""
-
-MAX_TIP_SD_MM = 0.5
-"""Deviation of the tip along the needle, mm, that is spoken of."""
-
+MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which on a shape does not tell it
+MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken of
+# Length of the needle along which rays run that hide its end, mm, that is spoken of: with less no tip is off
+# by more than 0.4 mm on the part `tuning` of `benchmarks/real_scanners.py`.
 MAX_HIDDEN_LENGTH_MM = 12.0
-"""Length of the needle along which rays run that hide its end, mm, that is spoken of: with less no tip is off
-by more than 0.4 mm on the part `tuning` of `benchmarks/real_scanners.py`."""
-
-TIP_CLEARANCE_MM = 2.0
-"""Distance from the tip, mm, from which on its blur does not show."""
-
-MAX_DEPTH_SD_MM = 2.0
-"""Deviation of the inserted length, mm, beyond which a scan is refused."""
-
+TIP_CLEARANCE_MM = 2.0  # distance from the tip, mm, from which on its blur does not show
+MAX_DEPTH_SD_MM = 2.0  # deviation of the inserted length, mm, beyond which a scan is refused
+# Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply.
 MAX_LAYER_SD_MM = 0.5
-"""Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply."""
 
 
 def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the warnings about a reconstruction, the most important first: its tip, then `earlier` ones.
 
-    Raises
-    ------
-    DataError
-        If the inserted length is not known to `MAX_DEPTH_SD_MM`.
+    DataError if the inserted length is not known to `MAX_DEPTH_SD_MM`.
     """
     _refuse_unknown_depth(one)
     found = () if one.registration is None else one.registration.warnings
@@ -214,11 +197,10 @@ def _layer_warnings(one: Reconstruction) -> list[str]:
     return [f"layer depths that are poorly known: {', '.join(steep)}"]
 
 
+# Nearer than this, mm, nothing in the tissue runs around a needle but what was drawn around it.
 TUNNEL_RADIUS_MM = 2.0
-"""Nearer than this, mm, nothing in the tissue runs around a needle but what was drawn around it."""
-
+# A surface runs along a needle from this length on, mm: no ball of that radius is passed through so long.
 MIN_TUNNEL_LENGTH_MM = 2 * TUNNEL_RADIUS_MM
-"""A surface runs along a needle from this length on, mm: no ball of that radius is passed through so long."""
 
 
 def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> None:
@@ -227,10 +209,7 @@ def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> N
     Where metal was left out of a segmentation, the needle lies in a tunnel of each layer, and crosses their
     surfaces where the tunnels end: anywhere.
 
-    Raises
-    ------
-    DataError
-        If a surface, the tissue's own or another, runs around the needle.
+    DataError if a surface, the tissue's own or another, runs around the needle.
     """
     lengths = [
         (surface.name, measure_enclosed_length(needle, surface, TUNNEL_RADIUS_MM)) for surface in surfaces
@@ -251,15 +230,9 @@ def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame
 
     Nothing, where there are as many as somebody counted.
 
-    Parameters
-    ----------
-    patient : Frame
-        The scan's LPS axes and origin in the world.
+    `patient`: the scan's LPS axes and origin in the world.
 
-    Raises
-    ------
-    DataError
-        If somebody counted the layers and these are not as many.
+    DataError if somebody counted the layers and these are not as many.
     """
     counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
     if len(layers.sequence) in counted:

@@ -9,31 +9,22 @@ from needlefit.geometry.frames import Frame
 from needlefit.imaging.reconstruction import ScanView
 from needlefit.imaging.volume import Volume, to_index
 
-PIXEL_MM = 0.3
-"""Edge of a pixel, mm: finer than the voxels of a cone-beam scan."""
-
+PIXEL_MM = 0.3  # edge of a pixel, mm: finer than the voxels of a cone-beam scan
+# Places along the third axis over which a picture is averaged, mm: the slab holds the needle whole, and its
+# mean quiets the noise so that layers show.
 SLAB_OFFSETS_MM = np.arange(-1.2, 1.3, 0.4)
-"""Places along the third axis over which a picture is averaged, mm: the slab holds the needle whole, and its
-mean quiets the noise so that layers show."""
-
+# How far pictures reach before the entry, beyond the tip and to the sides of the needle, mm.
 ENTRY_MARGIN_MM, TIP_MARGIN_MM, SIDE_MARGIN_MM = 35.0, 10.0, 10.0
-"""How far pictures reach before the entry, beyond the tip and to the sides of the needle, mm."""
-
+# Where the picture across the needle is taken, mm back from the tip: there even a long bevel is whole.
 TIP_SECTION_OFFSET_MM = 4.0
-"""Where the picture across the needle is taken, mm back from the tip: there even a long bevel is whole."""
 
 
 def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[ScanView, ...]:
     """Return three images: the bending plane (x, y), across it (x, z), and near the tip (y, z).
 
-    Parameters
-    ----------
-    patient : Frame
-        The scan's axes and origin in the world.
-    frame : Frame
-        C in the world.
-    needle : (N, 3) array
-        The whole needle from base to tip, LPS, mm.
+    `patient`: the scan's axes and origin in the world.
+    `frame`: C in the world.
+    `needle`: (N, 3); the whole needle from base to tip, LPS, mm.
     """
     local, turned = _to_constraint_frame(patient, frame, needle)
     x, (y, z) = _pixels_along(local), (_pixels_across(local, side, SIDE_MARGIN_MM) for side in (1, 2))
@@ -80,14 +71,9 @@ def _pixels(low: float, high: float) -> Floats:
 def _average_slab(volume: Volume, frame: Frame, axes: str, places: tuple[Floats, Floats, Floats]) -> ScanView:
     """Return the mean brightness over a slab.
 
-    Parameters
-    ----------
-    frame : Frame
-        C in the scan's LPS.
-    axes : str
-        C's axes to the right, upwards, and through the slab.
-    places : tuple of arrays
-        Columns (W,), rows (H,), and where the slab's middle lies in each column (W,), mm in C.
+    `frame`: C in the scan's LPS.
+    `axes`: C's axes to the right, upwards, and through the slab.
+    `places`: columns (W,), rows (H,), and where the slab's middle lies in each column (W,), mm in C.
     """
     right, up, middle = places
     points = np.empty((len(up), len(right), len(SLAB_OFFSETS_MM), 3))

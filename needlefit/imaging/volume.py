@@ -1,4 +1,7 @@
-"""Define a CT volume: its voxel grid in patient coordinates (LPS, mm), its values, and checks of the grid."""
+"""Define a CT volume: its voxel grid in patient coordinates (LPS, mm), its values, and checks of the grid.
+
+Refuse volumes whose values cannot be Hounsfield units (HU).
+"""
 
 import math
 import sys
@@ -14,15 +17,12 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.sandbox import MEMORY_VARIABLE, stated_memory_bytes
 
+# Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size.
 DEFAULT_MAX_VOXELS = 2**30
-"""Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size."""
-
+# Spacings of real scans, mm; outside, the unit of the file is not mm.
 MIN_SPACING_MM, MAX_SPACING_MM = 1e-3, 50.0
-"""Spacings of real scans, mm; outside, the unit of the file is not mm."""
-
+# Axes may miss right angles and unit length by this much, as cosines printed with four decimals do.
 AXES_COSINE_TOLERANCE = 2e-4
-"""Axes may miss right angles and unit length by this much, as cosines printed with four decimals do."""
-
 SHEARED_AXES_FAULT = "the axes of the voxels are not perpendicular unit vectors"
 EXPECTED_AXES = "three directions at right angles, without shear"
 SHEARED_AXES_FIX = "a tilted gantry shears a volume: resample it onto a straight grid and export it again"
@@ -30,34 +30,19 @@ SHEARED_AXES_FIX = "a tilted gantry shears a volume: resample it onto a straight
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """The position of voxels in patient coordinates.
+    """The position of voxels in patient coordinates."""
 
-    Attributes
-    ----------
-    size : tuple of int
-        Voxels along i (columns), j (rows), k (slices).
-    origin : (3,) array
-        Centre of voxel (0, 0, 0), LPS, mm.
-    spacing : (3,) array
-        Distance of centres along i, j, k, mm.
-    direction : (3, 3) array
-        Its columns are the LPS unit vectors of i, j, k; either handedness.
-    """
-
-    size: tuple[int, int, int]
-    origin: Floats
-    spacing: Floats
-    direction: Floats
+    size: tuple[int, int, int]  # voxels along i (columns), j (rows), k (slices)
+    origin: Floats  # (3,); centre of voxel (0, 0, 0), LPS, mm
+    spacing: Floats  # (3,); distance of centres along i, j, k, mm
+    direction: Floats  # (3, 3); its columns are the LPS unit vectors of i, j, k; either handedness
 
 
 def check_grid(grid: VoxelGrid, where: str = "") -> None:
     """Refuse an impossible grid, before any voxel of it is read.
 
-    Raises
-    ------
-    DataError
-        If the size is absurd, the spacing is not that of a scan in mm, a number is not finite, or the
-        axes are not perpendicular.
+    DataError if the size is absurd, the spacing is not that of a scan in mm, a number is not finite, or the
+    axes are not perpendicular.
     """
     check_size(grid.size, where)
     _check_numbers(grid, where)
@@ -90,12 +75,7 @@ def max_voxels() -> int:
 
 
 def check_size(size: tuple[int, int, int], where: str) -> None:
-    """Refuse an empty volume, or one with more voxels than are read.
-
-    Raises
-    ------
-    DataError
-    """
+    """Refuse an empty volume, or one with more voxels than are read. Raises DataError."""
     shown, count = " x ".join(map(str, size)), math.prod(size)
     if min(size) < 2:
         raise DataError(
@@ -136,10 +116,7 @@ def _round_rows(rows: Floats) -> list[list[float]]:
 
 
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
-
-
 ARCHIVE_SUFFIX = ".zip"
-
 READABLE_VOLUMES = (
     "a folder with a DICOM series, one file of it, NRRD (.nrrd), NIfTI (.nii, .nii.gz) or MetaImage (.mha), "
     "or a .zip of these"
@@ -173,33 +150,16 @@ def begins_as_dicom(path: Path) -> bool:
 class Volume:
     """A CT volume; patient coordinates are LPS, mm, whatever its file used.
 
-    Attributes
-    ----------
-    values : (K, J, I) array of float32
-        Attenuation [slice, row, column], rescaled as the file says (HU where the scanner gave HU).
-    origin : (3,) array
-        Centre of voxel (0, 0, 0), mm.
-    spacing : (3,) array
-        Distance of centres along i, j, k, mm.
-    direction : (3, 3) array
-        Its columns are the LPS unit vectors of i, j, k; either handedness.
-    warnings : tuple of str
-        What a person should know of its files.
-    frame_of_reference : str
-        UID of its DICOM frame of reference; empty for files that have none.
-
-    Raises
-    ------
-    DataError
-        If the values are no volume, or the axes are not perpendicular unit vectors.
+    DataError if the values are no volume, or the axes are not perpendicular unit vectors.
     """
 
+    # (K, J, I); attenuation [slice, row, column], rescaled as the file says (HU where the scanner gave HU).
     values: NDArray[np.float32]
-    origin: Floats
-    spacing: Floats
-    direction: Floats
-    warnings: tuple[str, ...] = ()
-    frame_of_reference: str = ""
+    origin: Floats  # (3,); centre of voxel (0, 0, 0), mm
+    spacing: Floats  # (3,); distance of centres along i, j, k, mm
+    direction: Floats  # (3, 3); its columns are the LPS unit vectors of i, j, k; either handedness
+    warnings: tuple[str, ...] = ()  # what a person should know of its files
+    frame_of_reference: str = ""  # UID of its DICOM frame of reference; empty for files that have none
 
     def __post_init__(self) -> None:
         """Refuse what no file could hold."""
@@ -219,9 +179,7 @@ class Volume:
 def require_same_frame(part: Volume, frame_of_reference: str, where: str) -> None:
     """Refuse what was drawn in another DICOM frame of reference than that of its scan, where both are stated.
 
-    Raises
-    ------
-    DataError
+    Raises DataError.
     """
     own = part.frame_of_reference
     if own and frame_of_reference and own != frame_of_reference:
@@ -246,3 +204,42 @@ def to_index(volume: Volume, points: ArrayLike) -> Floats:
     steps = (np.asarray(points, dtype=np.float64) - volume.origin) @ volume.direction
     index: Floats = steps / volume.spacing
     return index
+
+
+MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
+STORED_AIR, STORED_WATER = 0.0, 1024.0  # what air and water read where a CT was saved without its rescale
+RESCALE_FIX = (
+    "export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the values: "
+    "HU = 1000 (mu / mu of water - 1)"
+)
+
+
+def require_hounsfield(volume: Volume, where: str) -> None:
+    """Refuse values that cannot be HU: files without a modality hold MR, stored or attenuation values, too.
+
+    HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
+
+    Raises DataError.
+    """
+    low, high = float(volume.values.min()), float(volume.values.max())
+    if low < 0 and high - low >= MIN_RANGE_HU:
+        return
+    raise DataError(
+        f"its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}, "
+        + _guess(volume, high),
+        where=where,
+        expected="a CT volume in HU",
+        fix=RESCALE_FIX,
+    )
+
+
+def _guess(volume: Volume, high: float) -> str:
+    """Return what the values may be, in words."""
+    if high < MIN_RANGE_HU:
+        return "as attenuation per length does (micro-CT)"
+    some = volume.values[::3, ::3, ::3]
+    dense = some[some > STORED_WATER / 2]
+    water = float(np.median(dense)) if dense.size else 0.0
+    if abs(water - STORED_WATER) < STORED_WATER / 4:
+        return f"with {water:.0f} as the commonest above air: stored values, perhaps, without their rescale"
+    return "as those of MR, ultrasound or unscaled micro-CT do"

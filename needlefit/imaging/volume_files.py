@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.header_checks import EXEMPT_BYTES, MAX_EXPANSION
+from needlefit.imaging.image_headers import EXEMPT_BYTES, MAX_EXPANSION
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
     IMAGE_SUFFIXES,
@@ -34,41 +34,27 @@ from needlefit.project.sandbox import (
 )
 
 CT_PACKAGES = ("SimpleITK", "pydicom")
+# A volume that is read more slowly, in processor time, is taken for one that never ends.
 READ_BYTES_PER_SECOND = 8 * 2**20
-"""A volume that is read more slowly, in processor time, is taken for one that never ends."""
-
 SECONDS_PER_DICOM_HEADER = 0.1
-SEGMENTATION_BYTES = 2**30
-"""Memory for the voxels of contours, which are as many as their reader chooses."""
-
+SEGMENTATION_BYTES = 2**30  # memory for the voxels of contours, which are as many as their reader chooses
+# Processor time of a reader of a segmentation: one file unpacks to every segment's voxels.
 SEGMENT_SECONDS = 120
-"""Processor time of a reader of a segmentation: one file unpacks to every segment's voxels."""
-
-MAX_ARCHIVE_LEVELS = 2
-"""Levels of archives inside an archive."""
-
+MAX_ARCHIVE_LEVELS = 2  # levels of archives inside an archive
 MAX_LISTED = 10
-UNPACKED_BYTES_PER_SECOND = 2**20
-"""The same for a DICOM header, and for compressed slices."""
+UNPACKED_BYTES_PER_SECOND = 2**20  # the same for a DICOM header, and for compressed slices
 
 
 def read_volume(path: Path, series: str | None = None) -> Volume:
     """Read the volume in a file or folder; its geometry is checked first.
 
-    Parameters
-    ----------
-    path : Path
-        A folder with a DICOM series in it or below, its DICOMDIR, one file of the series (also an enhanced
-        multi-frame one), an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
-    series : str, optional
-        Number or UID of the DICOM series, where a folder holds several; a file's name, where a .zip does.
+    `path`: a folder with a DICOM series in it or below, its DICOMDIR, one file of the series (also an
+      enhanced multi-frame one), an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
+    `series`: number or UID of the DICOM series, where a folder holds several; a file's name, where a .zip
+      does.
 
-    Raises
-    ------
-    DataError
-        If there is no such volume, or its geometry cannot be trusted; nothing is guessed.
-    ConfigError
-        If the packages that read scans are not installed.
+    DataError if there is no such volume, or its geometry cannot be trusted; nothing is guessed. ConfigError
+    if the packages that read scans are not installed.
     """
     path = Path(path)
     if not path_exists(path):
@@ -96,10 +82,8 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
 def unpacked(path: Path) -> Iterator[Path]:
     """Yield the path, or, of a .zip, a temporary folder with its files; errors then name the archive.
 
-    Raises
-    ------
-    DataError
-        If the archive is damaged, encrypted, too large or nested too deeply, or names a file outside itself.
+    DataError if the archive is damaged, encrypted, too large or nested too deeply, or names a file outside
+    itself.
     """
     if path.is_dir() or not path.name.lower().endswith(ARCHIVE_SUFFIX):
         yield path
@@ -166,17 +150,11 @@ def read_planes(path: Path) -> tuple[Volume, ...]:
 def read_segments(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[str, ...]]:
     """Read a DICOM segmentation: labels 1, 2, ..., and the name of each segment.
 
-    Parameters
-    ----------
-    path : Path
-        A DICOM-SEG or RTSTRUCT file, or a folder with one.
-    names : sequence of str
-        Segments that are read, in this order; empty: all.
+    `path`: a DICOM-SEG or RTSTRUCT file, or a folder with one.
+    `names`: segments that are read, in this order; empty: all.
 
-    Raises
-    ------
-    DataError, ConfigError
-        As `read_volume`; if a name is missing, segments overlap, or contours are open or uneven.
+    DataError, ConfigError: as `read_volume`; if a name is missing, segments overlap, or contours are open or
+    uneven.
     """
     with explain_missing_packages():
         _require_packages("highdicom")
@@ -192,10 +170,7 @@ def read_segments(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[
 def read_mask(path: Path) -> Volume:
     """Read a volume that is above 0 in what it marks: an image file, a DICOM segmentation, a .zip of one.
 
-    Raises
-    ------
-    DataError, ConfigError
-        As `read_volume`.
+    DataError, ConfigError: as `read_volume`.
     """
     with open_member(path) as place:
         if place.is_dir() or not place.name.lower().endswith(IMAGE_SUFFIXES):
@@ -268,25 +243,16 @@ def _require_packages(*more: str) -> None:
 def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     """Write a volume, whole or not at all; the same volume gives the same bytes.
 
-    Parameters
-    ----------
-    path : Path
-        A .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder (no suffix): a DICOM series.
-    description : str
-        What the volume is, e.g. that it is synthetic; stands in the file's header.
+    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder (no suffix): a DICOM
+      series.
+    `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
 
-    Notes
-    -----
     NRRD, NIfTI and MetaImage keep values to the bit. DICOM holds 16 bits: whole numbers in their range
     are kept, others rounded to 1/65535 of the range of the values. NIfTI stores its geometry in single
     precision (1e-5 mm), the others in double.
 
-    Raises
-    ------
-    DataError
-        If the suffix is unknown, or a value is not finite.
-    ConfigError
-        If nothing can be written there, or the packages that write scans are not installed.
+    DataError if the suffix is unknown, or a value is not finite. ConfigError if nothing can be written there,
+    or the packages that write scans are not installed.
     """
     path = Path(path)
     if not np.isfinite(volume.values.min() + volume.values.max()):

@@ -21,10 +21,8 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
-from needlefit.imaging.derivation import derive_reconstruction
-from needlefit.imaging.detections import Detections
 from needlefit.imaging.needle.centerline import Centerline
-from needlefit.imaging.reconstruct import reconstruct
+from needlefit.imaging.reconstruct import Detections, derive_reconstruction, reconstruct
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import register
 from needlefit.project.progress import Progress, no_progress

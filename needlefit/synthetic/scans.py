@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS
 from needlefit.geometry.surfaces import write_surface
-from needlefit.imaging.scan import LayerSource, Scan, StagePose
+from needlefit.imaging.scans import LayerSource, Scan, StagePose
 from needlefit.imaging.volume_files import write_volume
 from needlefit.project.progress import Progress
 from needlefit.project.tasks import TaskPool, run_in_order

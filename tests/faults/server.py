@@ -119,7 +119,7 @@ def _reconstruct_once() -> None:
     """Let `reconstruct` find what it found the first time: it writes nothing while it looks."""
     from faults.commands import SCANS
     from needlefit.imaging import batch
-    from needlefit.imaging.scan_table import read_scans
+    from needlefit.imaging.scans import read_scans
     from needlefit.imaging.volume_files import read_volume
     from needlefit.project.load import load
     from needlefit.project.locate import find_file

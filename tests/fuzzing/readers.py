@@ -118,7 +118,7 @@ def _import(path: Path) -> object:
 
 def _mesh(path: Path) -> object:
     found: list = []
-    source = _late("imaging.scan.LayerSource")(path)
+    source = _late("imaging.scans.LayerSource")(path)
     surface = _late("imaging.layers.read_mesh")(source, 2, found)
     if found:
         raise _late("datasets.faults.as_error")(found, path)
@@ -300,7 +300,7 @@ READERS: dict[str, Reader] = {
     "dataset": Reader(_dataset, seeds.datasets, 40),
     "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
-    "scans": Reader(partial(_call, "imaging.scan_table.read_scans"), seeds.scans, 40),
+    "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans, 40),
     "markups": Reader(partial(_call, "datasets.template.read_source"), seeds.markups),
     "source": Reader(partial(_call, "datasets.template.read_source"), seeds.sources),
     "table": Reader(_import, seeds.import_tables, 30),

@@ -1,8 +1,12 @@
-"""Read DICOM segmentations (SEG by highdicom, RTSTRUCT by pydicom) as label volumes."""
+"""Read the contours of an RTSTRUCT file, and mark the voxels inside them.
+
+Read DICOM segmentations (SEG by highdicom, RTSTRUCT by pydicom) as label volumes.
+"""
 
 import sys
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,22 +15,217 @@ import pydicom
 from numpy.typing import NDArray
 from pydicom.uid import RTStructureSetStorage, SegmentationStorage
 
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.imaging.dicom.contours import find_frame_of_reference, mark_regions, parse_regions
-from needlefit.imaging.header_checks import choose_segments
+from needlefit.geometry.curves import make_normal
+from needlefit.geometry.voxels import fill_outline
+from needlefit.imaging.image_headers import SEGMENTS_FIX, choose_segments
 from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json, orthogonalize
 from needlefit.project.input_files import is_file, list_files, open_regular
 from needlefit.project.sandbox import SandboxArrays, allow_memory
 
+PIXEL_MM = 0.25  # spacing of the pixels within a plane of contours, mm, unless they would be too many
+MAX_CONTOUR_VOXELS = 2**26
+MAX_ROIS = 1000
+MAX_CONTOURS = 200_000
+# A point may stand this far from its plane, and a plane from its place among even steps, mm.
+PLANE_TOLERANCE_MM = 0.1
+# Neighbours may share this part of their voxels: contours drawn twice along one boundary do.
+MAX_SHARED_FRACTION = 0.02
+AXIS_COSINE = 1 - 1e-6  # a normal nearer than this to an axis of the patient is that axis
+_CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR")
+_EXPORT_FIX = "export the structures again as closed planar contours, or as a segmentation (DICOM-SEG, NRRD)"
+
+
+@dataclass(frozen=True)
+class ContouredRegion:
+    """A region of interest: its name, its closed contours (N, 3), LPS, mm, and whether it has others."""
+
+    name: str
+    contours: list[Floats] = field(default_factory=list)
+    others: bool = False
+
+
+def find_frame_of_reference(data: pydicom.Dataset) -> str:
+    """Return the UID of the frame of reference of a structure set; empty if it states none, or several."""
+    stated = {
+        str(one.get(name, ""))
+        for sequence, name in (
+            ("StructureSetROISequence", "ReferencedFrameOfReferenceUID"),
+            ("ReferencedFrameOfReferenceSequence", "FrameOfReferenceUID"),
+        )
+        for one in data.get(sequence) or ()
+    } - {""}
+    return stated.pop() if len(stated) == 1 else ""
+
+
+def parse_regions(data: pydicom.Dataset, where: str) -> list[ContouredRegion]:
+    """Return the regions of a structure set, in its order."""
+    listed = list(data.StructureSetROISequence)
+    drawn = {int(one.ReferencedROINumber): one for one in data.get("ROIContourSequence") or ()}
+    if len(listed) > MAX_ROIS or len({int(one.ROINumber) for one in listed}) < len(listed):
+        raise _contour_error("lists too many regions, or two of one number", where)
+    found, count = [], 0
+    for one in listed:
+        name = str(one.get("ROIName") or f"region {one.ROINumber}").strip()
+        region = ContouredRegion(name)
+        others = False
+        contours = drawn.get(int(one.ROINumber), pydicom.Dataset()).get("ContourSequence")
+        for contour in contours or ():
+            count += 1
+            if contour.get("ContourGeometricType") in _CLOSED:
+                region.contours.append(_parse_points(contour, f"{where}, region {name}"))
+            else:
+                others = True
+        found.append(ContouredRegion(name, region.contours, others))
+    if count > MAX_CONTOURS:
+        raise _contour_error(f"holds {count} contours", where)
+    return found
+
+
+def _parse_points(contour: pydicom.Dataset, where: str) -> Floats:
+    """Return the points (N, 3) of a contour from its text at once: pydicom takes a second for a MB."""
+    raw = contour.get_item("ContourData")
+    value = b"" if raw is None else raw.value
+    try:
+        numbers = value.split(b"\\") if isinstance(value, bytes) else list(value or ())
+        points = np.array(numbers, dtype=np.float64).reshape(-1, 3)
+    except (TypeError, ValueError):
+        raise _contour_error("has a contour whose points are no triples of numbers", where) from None
+    if len(points) < 3 or not np.isfinite(points).all() or np.abs(points).max() > 1e5:
+        raise _contour_error("has a contour with fewer than three points, or one that is not finite", where)
+    return points
+
+
+@dataclass(frozen=True)
+class ContourPlanes:
+    """The planes of contours as a grid of voxels, and the labels 1, 2, ... of the regions (K, J, I)."""
+
+    grid: VoxelGrid
+    values: NDArray[np.uint8]
+
+
+def mark_regions(regions: Sequence[ContouredRegion], where: str) -> ContourPlanes:
+    """Return the labels 1, 2, ... of regions; of two that share voxels the later one has them.
+
+    DataError if contours are not parallel, flat and in even steps, or regions overlap without one in the
+    other.
+    """
+    normal = _find_normal([one for region in regions for one in region.contours], where)
+    axes = _make_axes(normal)
+    turned = [[one @ axes for one in region.contours] for region in regions]
+    grid = _make_grid(turned, axes, where)
+    values = np.zeros(grid.size[::-1], dtype=np.uint8)
+    counts: list[int] = []
+    for label, (region, contours) in enumerate(zip(regions, turned, strict=True), 1):
+        inside = _fill_region(contours, axes, grid)
+        # slice by slice: counting takes eight times the memory of what is counted
+        pairs = zip(values, inside, strict=True)
+        shared = np.sum([np.bincount(one[mask], minlength=label) for one, mask in pairs], axis=0)
+        counts.append(int(np.count_nonzero(inside)))
+        _check_shared(shared, counts, [one.name for one in regions], where)
+        values[inside] = label
+        if not counts[-1]:
+            raise _contour_error(f"region {region.name} holds no voxel of {grid.spacing.tolist()} mm", where)
+    return ContourPlanes(grid, values)
+
+
+def _find_normal(contours: Sequence[Floats], where: str) -> Floats:
+    """Return the unit normal of the contour that is largest; see that all others are flat and parallel."""
+    areas = [np.cross(one - one[0], np.roll(one, -1, axis=0) - one[0]).sum(axis=0) / 2 for one in contours]
+    largest = max(areas, key=lambda area: float(np.linalg.norm(area)))
+    normal: Floats = largest / (np.linalg.norm(largest) or 1.0)
+    main = int(np.argmax(np.abs(normal)))
+    normal = normal if normal[main] > 0 else -normal
+    if normal[main] > AXIS_COSINE:
+        normal = np.eye(3)[main]
+    thickness = max(float(np.ptp(one @ normal)) for one in contours)
+    if not normal.any() or thickness > 2 * PLANE_TOLERANCE_MM:
+        raise _contour_error("has contours that are not flat, or not parallel to each other", where)
+    return normal
+
+
+def _make_axes(normal: Floats) -> Floats:
+    """Return axes (3, 3) whose columns are two directions in the planes, and their normal."""
+    first = np.array([1.0, 0.0, 0.0]) if normal[2] == 1.0 else make_normal(normal)
+    return np.column_stack([first, np.cross(normal, first), normal])
+
+
+def _make_grid(turned: Sequence[Sequence[Floats]], axes: Floats, where: str) -> VoxelGrid:
+    """Return a grid whose slices are the planes of contours, given along the axes (N, 3)."""
+    contours = [one for region in turned for one in region]
+    heights = np.unique(np.round([one[:, 2].mean() for one in contours], 2))
+    steps = np.diff(heights)
+    steps = steps[steps > 2 * PLANE_TOLERANCE_MM]
+    if not len(steps):
+        raise _contour_error("has contours in one plane only", where)
+    # the mean of many steps: rounding of single heights must not add up over the stack
+    step = float(steps.min())
+    step = float(heights[-1] - heights[0]) / max(round(float(heights[-1] - heights[0]) / step), 1)
+    places = (heights - heights[0]) / step
+    if np.abs(places - np.rint(places)).max() * step > PLANE_TOLERANCE_MM:
+        raise _contour_error(f"has contours in uneven steps; the smallest is {steps.min():.3g} mm", where)
+    points = np.concatenate(contours)[:, :2]
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    slices = round(float(places[-1])) + 1
+    pixel = max(PIXEL_MM, float(np.sqrt(extent.prod() * slices / MAX_CONTOUR_VOXELS)))
+    columns, rows = (int(n) + 3 for n in np.ceil(extent / pixel))
+    origin = axes @ np.array([*(low - pixel), heights[0]])
+    grid = VoxelGrid((columns, rows, slices), origin, np.array([pixel, pixel, step]), axes)
+    check_grid(grid, where)
+    return grid
+
+
+def _fill_region(contours: Sequence[Floats], axes: Floats, grid: VoxelGrid) -> NDArray[np.bool_]:
+    """Return the voxels (K, J, I) inside an odd number of contours of a plane: holes are left out."""
+    columns, rows, slices = grid.size
+    inside = np.zeros((slices, rows, columns), dtype=np.bool_)
+    planes: dict[int, list[Floats]] = {}
+    for one in contours:
+        index = (one - grid.origin @ axes) / grid.spacing
+        planes.setdefault(round(float(index[:, 2].mean())), []).append(index[:, :2])
+    for k, outlines in planes.items():
+        lines = [np.stack([one, np.roll(one, -1, axis=0)], axis=1) for one in outlines]
+        inside[k] = fill_outline(np.concatenate(lines), (rows, columns))
+    return inside
+
+
+def _check_shared(shared: NDArray[np.int64], counts: Sequence[int], names: Sequence[str], where: str) -> None:
+    """Refuse a region that shares voxels with an earlier one, unless it lies in it.
+
+    `shared`: its voxels by the labels that they have; `counts`: voxels of the regions, its own the last.
+    """
+    label = len(counts)
+    for earlier, count in enumerate(counts[:-1], 1):
+        own, its = shared[earlier] / max(counts[-1], 1), shared[earlier] / count
+        if its >= 1 - MAX_SHARED_FRACTION:
+            raise DataError(
+                f"region {names[earlier - 1]} lies inside {names[label - 1]}, which comes after it",
+                where=where,
+                expected="outer layers before inner ones: of two regions the later one has the shared voxels",
+                fix=SEGMENTS_FIX,
+            )
+        if own < 1 - MAX_SHARED_FRACTION and max(own, its) > MAX_SHARED_FRACTION:
+            raise DataError(
+                f"regions {names[earlier - 1]} and {names[label - 1]} overlap: they share "
+                f"{100 * max(own, its):.0f} % of the smaller one",
+                where=where,
+                expected="regions beside each other, or one inside the other",
+                fix=SEGMENTS_FIX,
+            )
+
+
+def _contour_error(what: str, where: str) -> DataError:
+    expected = "closed, flat, parallel contours in even steps"
+    return DataError(what, where=where, expected=expected, fix=_EXPORT_FIX)
+
+
 if TYPE_CHECKING:
     from highdicom.seg import Segmentation
 
-MIN_FRACTION = 0.5
-"""A voxel of a fractional segment belongs to it from this fraction on."""
-
+MIN_FRACTION = 0.5  # a voxel of a fractional segment belongs to it from this fraction on
 EXPECTED_SEGMENTATION = "one segmentation: a DICOM-SEG or RTSTRUCT file, .seg.nrrd, or a volume of labels"
-BYTES_PER_VOXEL = 24
-"""Memory of a voxel while its segments are read, one after another."""
+BYTES_PER_VOXEL = 24  # memory of a voxel while its segments are read, one after another
 
 Answer = dict[str, Any]
 
@@ -34,17 +233,10 @@ Answer = dict[str, Any]
 def read_segmentation(results: SandboxArrays, path: str, names: Sequence[str] = ()) -> Answer:
     """Read a DICOM segmentation: the array "values" of labels 1, 2, ..., its grid, the segments' names.
 
-    Parameters
-    ----------
-    path : str
-        The file, or a folder with one in it or below.
-    names : sequence of str
-        Segments or regions that are read, in this order; empty: all.
+    `path`: the file, or a folder with one in it or below.
+    `names`: segments or regions that are read, in this order; empty: all.
 
-    Raises
-    ------
-    DataError
-        If there is no segmentation or several, a name is not in it, or its segments overlap.
+    DataError if there is no segmentation or several, a name is not in it, or its segments overlap.
     """
     file = _find_segmentation(Path(path))
     with warnings.catch_warnings():

@@ -19,9 +19,8 @@ from pydicom.sr.codedict import codes
 from pydicom.sr.coding import Code
 
 from needlefit.errors import DataError
-from needlefit.imaging.dicom.header import DicomSlice
 from needlefit.imaging.dicom.series import find_series, make_uid
-from needlefit.imaging.dicom.stack import stack_slices
+from needlefit.imaging.dicom.stack import DicomSlice, stack_slices
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.project.input_files import open_regular
 from needlefit.project.sandbox import SandboxArrays
@@ -32,10 +31,7 @@ def write_segmentation(
 ) -> None:
     """Write a DICOM-SEG of labels 1, 2, ... on the slices of a series; in the child process.
 
-    Parameters
-    ----------
-    labels : str
-        A .npy file with the labels (K, J, I), on the grid on which the series is read.
+    `labels`: a .npy file with the labels (K, J, I), on the grid on which the series is read.
     """
     slices, grid = stack_slices(find_series(Path(path), series))
     values = np.load(labels)
@@ -76,14 +72,12 @@ def write_segmentation(
 
 
 _SERIES_NUMBER = 9000
-_VERSION = "1"
-"""What is written as software version: another release alone must not change the bytes."""
-
+_VERSION = "1"  # what is written as software version: another release alone must not change the bytes
+# Entries that the standard lets a file leave empty, but not out.
 _EMPTY_ENTRIES = (
     *("PatientID", "PatientName", "PatientBirthDate", "PatientSex", "StudyID", "StudyDate", "StudyTime"),
     *("AccessionNumber", "ReferringPhysicianName"),
 )
-"""Entries that the standard lets a file leave empty, but not out."""
 
 
 def _read_sources(slices: Sequence[DicomSlice], grid: VoxelGrid) -> list[pydicom.Dataset]:

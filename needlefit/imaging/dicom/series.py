@@ -17,14 +17,17 @@ from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
 from pydicom.valuerep import DSfloat
 
 from needlefit.errors import DataError
-from needlefit.imaging.dicom.header import (
+from needlefit.imaging.dicom.stack import (
     LOCALIZER,
+    XRAY_MODALITIES,
     DicomSlice,
     damaged_file_error,
+    describe_tilt,
+    describe_units,
     list_directory_files,
     read_headers,
+    stack_slices,
 )
-from needlefit.imaging.dicom.stack import XRAY_MODALITIES, describe_tilt, describe_units, stack_slices
 from needlefit.imaging.volume import (
     Volume,
     begins_as_dicom,
@@ -43,17 +46,10 @@ _MAX_LISTED = 10
 def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
     """Return the slices of the one series that `path` refers to, in no order.
 
-    Parameters
-    ----------
-    path : Path
-        A folder with its subfolders, its DICOMDIR, or one file of a series.
-    series : str, optional
-        Number or UID of the series, where a folder holds several.
+    `path`: a folder with its subfolders, its DICOMDIR, or one file of a series.
+    `series`: number or UID of the series, where a folder holds several.
 
-    Raises
-    ------
-    DataError
-        If there is no DICOM image there, no series of the name, or several to choose from.
+    DataError if there is no DICOM image there, no series of the name, or several to choose from.
     """
     if is_dicomdir(path):
         path = path.parent
@@ -96,11 +92,8 @@ def _find_series_of_file(path: Path) -> list[DicomSlice]:
 def _group_slices(files: Sequence[Path]) -> dict[str, list[DicomSlice]]:
     """Return the slices of every series, by UID; the same order on every machine.
 
-    Raises
-    ------
-    DataError
-        If a slice is damaged: so is a file named as the others beside it are, by a number, that is no DICOM
-        file.
+    DataError if a slice is damaged: so is a file named as the others beside it are, by a number, that is no
+    DICOM file.
     """
     groups: dict[str, list[DicomSlice]] = {}
     others: list[Path] = []
@@ -172,8 +165,7 @@ def _no_series_error(path: Path) -> DataError:
     )
 
 
-SLICE_BYTES_PER_PIXEL = 32
-"""A slice stands in memory packed, unpacked, and in double precision."""
+SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
 
@@ -184,10 +176,7 @@ def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[s
     Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
     was, so that no threshold and no edge finds them.
 
-    Raises
-    ------
-    DataError
-        If the series is not one sound stack, or a voxel cannot be read.
+    DataError if the series is not one sound stack, or a voxel cannot be read.
     """
     slices, grid = stack_slices(find_series(Path(path), series))
     notes = (*describe_tilt(slices), *describe_units(slices), *describe_missing_files(Path(path), slices))
@@ -300,10 +289,7 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
 
     Its UIDs are made of its content, and it bears no date, so that the same volume gives the same bytes.
 
-    Raises
-    ------
-    ConfigError
-        If the folder is there and not empty: a second series in it would make both unreadable.
+    ConfigError if the folder is there and not empty: a second series in it would make both unreadable.
     """
     require_new(folder)
     numbers, slope, intercept = _to_int16(volume.values)

@@ -12,46 +12,28 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.smoothing_spline import DEGREE, design_matrix, free_end_basis, make_knots
 from needlefit.imaging.volume import Volume, to_index
 
-AXIS_HUBER_SD = 1.5
-"""Residuals beyond so many deviations count less."""
-
-MAX_POINT_WEIGHT = 30.0
-"""A point counts at most for so many cross-sections."""
-
-REWEIGHTING_ROUNDS = 4
-"""Rounds of reweighting."""
+AXIS_HUBER_SD = 1.5  # residuals beyond so many deviations count less
+MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
+REWEIGHTING_ROUNDS = 4  # rounds of reweighting
 
 
 @dataclass(frozen=True)
 class AxisSpline:
-    """The needle's axis: a cubic spline through cross-sections.
+    """The needle's axis: a cubic spline through cross-sections."""
 
-    Attributes
-    ----------
-    spline : BSpline
-        Arc length from the first cross-section (mm, to the accuracy of one iteration) -> position (3,).
-    length : float
-        Where the last cross-section lies, mm.
-    variance : float
-        Of a cross-section of weight 1 in one direction, its neighbours' correlation included, mm^2.
-    covariance : (C, C) array
-        Of one coordinate's coefficients.
-    s, points, weights : (S,), (S, 3), (S,) arrays
-        The cross-sections it was drawn through.
-    final_weights : (S,) array
-        `weights`, less where a cross-section lies off: what the spline was drawn with.
-    shared_sd : float
-        Deviation that all cross-sections of a stretch share, so that their scatter does not show it, mm.
-    """
-
+    # Arc length from the first cross-section (mm, to the accuracy of one iteration) -> position (3,).
     spline: BSpline
-    length: float
+    length: float  # where the last cross-section lies, mm
+    # Of a cross-section of weight 1 in one direction, its neighbours' correlation included, mm^2.
     variance: float
-    covariance: Floats
+    covariance: Floats  # (C, C); of one coordinate's coefficients
+    # (S,), (S, 3), (S,); the cross-sections it was drawn through.
     s: Floats
     points: Floats
     weights: Floats
+    # (S,); `weights`, less where a cross-section lies off: what the spline was drawn with.
     final_weights: Floats
+    # Deviation that all cross-sections of a stretch share, so that their scatter does not show it, mm.
     shared_sd: float = 0.0
 
 
@@ -168,47 +150,25 @@ def reverse_axis(axis: AxisSpline) -> AxisSpline:
     )
 
 
-PLANE_SPACING_MM = 0.3
-"""Spacing of the points in a plane, mm."""
-
-RING_WIDTH_MM = 0.15
-"""Width of the rings over which the common profile is averaged, mm."""
-
-SECTION_HUBER_SD = 2.0
-"""Points of a plane that stray by more than so many deviations count less."""
-
-SHARED_ERROR_LENGTH_MM = 15.0
-"""Length over which what the cross-sections have in common is looked for, mm."""
-
+PLANE_SPACING_MM = 0.3  # spacing of the points in a plane, mm
+RING_WIDTH_MM = 0.15  # width of the rings over which the common profile is averaged, mm
+SECTION_HUBER_SD = 2.0  # points of a plane that stray by more than so many deviations count less
+SHARED_ERROR_LENGTH_MM = 15.0  # length over which what the cross-sections have in common is looked for, mm
+# Shift of a section for a background that slopes by the needle's brightness in 1 mm, mm: a ray that tilts
+# what lies around the needle also bends it, and a bend is taken for a shift. Set on the scans of
+# `benchmarks/reconstruction.py --seed 100000`, others than its own.
 SHIFT_PER_TILT_MM = 5.0
-"""Shift of a section for a background that slopes by the needle's brightness in 1 mm, mm: a ray that tilts
-what lies around the needle also bends it, and a bend is taken for a shift. Set on the scans of
-`benchmarks/reconstruction.py --seed 100000`, others than its own."""
-
-MIN_FRACTION_IN_VOLUME = 0.7
-"""Part of a plane's points that must lie in the volume."""
+MIN_FRACTION_IN_VOLUME = 0.7  # part of a plane's points that must lie in the volume
 
 
 @dataclass(frozen=True)
 class CrossSections:
-    """Cross-sections of the needle: where the axis pierces planes across it, and how bright it is.
+    """Cross-sections of the needle: where the axis pierces planes across it, and how bright it is."""
 
-    Attributes
-    ----------
-    shifts : (S, 2) array
-        Where its axis pierces them, along the frames' u and v, mm.
-    amplitude : (S,) array
-        Brightness over the background, HU.
-    noise : (S,) array
-        Deviation of a plane's points from the fit, HU.
-    tilt : (S, 2) array
-        Slope of the background along u and v, HU/mm.
-    """
-
-    shifts: Floats
-    amplitude: Floats
-    noise: Floats
-    tilt: Floats
+    shifts: Floats  # (S, 2); where its axis pierces them, along the frames' u and v, mm
+    amplitude: Floats  # (S,); brightness over the background, HU
+    noise: Floats  # (S,); deviation of a plane's points from the fit, HU
+    tilt: Floats  # (S, 2); slope of the background along u and v, HU/mm
 
 
 def disc_points(radius: float) -> Floats:

@@ -27,93 +27,53 @@ from needlefit.imaging.needle.axis_spline import (
     select_sections,
 )
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, fit_tip
-from needlefit.imaging.needle.tip_problem import bevel_length
-from needlefit.imaging.sphere_profile import PointSpread
+from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
+from needlefit.imaging.spheres import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-BIN_LENGTH_MM = 2.0
-"""Length of the pieces whose centroids are the first axis, mm."""
-
-BEVEL_MARGIN_MM = 1.2
-"""Length at its end by which a needle may look shorter than it is, mm."""
-
-MIN_RELATIVE_AMPLITUDE = 0.3
-"""Cross-sections fainter than this part of the middle one are left out."""
-
-AXIS_FIT_ROUNDS = 3
-"""Rounds of fits across the axis, each on the axis of the one before."""
-
-MIN_SECTIONS = 8
-"""Fewer do not make an axis."""
-
-MAX_EDGE_DISTANCE_MM = 3.0
-"""An end this near to the volume's face (mm) has left it."""
-
+BIN_LENGTH_MM = 2.0  # length of the pieces whose centroids are the first axis, mm
+BEVEL_MARGIN_MM = 1.2  # length at its end by which a needle may look shorter than it is, mm
+MIN_RELATIVE_AMPLITUDE = 0.3  # cross-sections fainter than this part of the middle one are left out
+AXIS_FIT_ROUNDS = 3  # rounds of fits across the axis, each on the axis of the one before
+MIN_SECTIONS = 8  # fewer do not make an axis
+MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has left it
+# A tip that was placed by hand lies at most so far beside the needle's surface, mm.
 MAX_PLACED_TIP_DISTANCE_MM = 2.0
-"""A tip that was placed by hand lies at most so far beside the needle's surface, mm."""
-MAX_TIPS = 4
-"""How often a tip is looked for: rays may hide a stretch of the shaft before it."""
-
-END_REACH_MM = 4.0
-"""Distance beyond an end of the needle from which on its surroundings are looked at, mm."""
-
-MAX_SOFT_HU = 1000.0
-"""Brighter surroundings are metal, HU."""
-
+MAX_TIPS = 4  # how often a tip is looked for: rays may hide a stretch of the shaft before it
+END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its surroundings are looked at, mm
+MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
+# With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
 CLEAR_SOFT_RATIO = 2.0
-"""With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer."""
-
+# Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid.
 SYSTEMATIC_SD_MM = 0.002
-"""Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid."""
 
 
 @dataclass(frozen=True)
 class Centerline:
-    """The needle's axis in patient coordinates, with its tip and deviations.
+    """The needle's axis in patient coordinates, with its tip and deviations."""
 
-    Attributes
-    ----------
-    points : (N, 3) array
-        LPS, mm, from base to tip; the last is the tip.
-    sd : (N,) array
-        Standard deviation of each in any one direction across the needle, mm; neighbours share most of it.
-    tip : (3,) array
-        Where the axis ends, as far as the bevel's point reaches.
-    tip_sd : (2,) array
-        Standard deviation of the tip along the needle, and in any one direction across, mm.
-    bevel : (3,) array
-        Unit vector across the needle to the side of the bevel's point; nan for a blunt needle, and where the
-        scan does not show the side.
-    bevel_probability : float
-        That the side seen is right, within 90 degrees; nan for a blunt needle.
-    tip_disagreement : float
-        By how much a threshold sees the needle end later than the fitted model ends, mm.
-    tip_source : str
-        "model", or "threshold" where the model's tip was not to be trusted.
-    hidden_length : float
-        Length of the needle along which rays run that hide its end, mm.
-    sections_s : (S,) array
-        Where along the needle cross-sections were taken, mm from its first point.
-    residuals : (S, 3) array
-        By how much the needle shows beside the axis there, LPS, mm; across the needle.
-    sections : SplineSections or None
-        Cross-sections and spline, LPS, arc lengths from the first point; None where no scan was traced.
-    """
-
-    points: Floats
+    points: Floats  # (N, 3); LPS, mm, from base to tip; the last is the tip
+    # (N,); standard deviation of each in any one direction across the needle, mm; neighbours share most of
+    # it.
     sd: Floats
-    tip: Floats
+    tip: Floats  # (3,); where the axis ends, as far as the bevel's point reaches
+    # (2,); standard deviation of the tip along the needle, and in any one direction across, mm.
     tip_sd: Floats
+    # (3,); unit vector across the needle to the side of the bevel's point; nan for a blunt needle, and where
+    # the scan does not show the side.
     bevel: Floats
-    sections_s: Floats
+    sections_s: Floats  # (S,); where along the needle cross-sections were taken, mm from its first point
+    # (S, 3); by how much the needle shows beside the axis there, LPS, mm; across the needle.
     residuals: Floats
+    # Cross-sections and spline, LPS, arc lengths from the first point; None where no scan was traced.
     sections: SplineSections | None = None
+    # That the side seen is right, within 90 degrees; nan for a blunt needle.
     bevel_probability: float = np.nan
+    # By how much a threshold sees the needle end later than the fitted model ends, mm.
     tip_disagreement: float = 0.0
-    tip_source: TipSource = "model"
-    hidden_length: float = 0.0
+    tip_source: TipSource = "model"  # "model", or "threshold" where the model's tip was not to be trusted
+    hidden_length: float = 0.0  # length of the needle along which rays run that hide its end, mm
 
 
 def trace_needle(
@@ -125,15 +85,10 @@ def trace_needle(
 ) -> Centerline:
     """Trace the axis of the needle whose voxels are `component`; `spread` is the scanner's, if it is known.
 
-    Parameters
-    ----------
-    tip : (3,) array, optional
-        Where a person placed the tip, LPS, mm: it says which end is the tip, and how far the needle goes.
+    `tip`: (3,); where a person placed the tip, LPS, mm: it says which end is the tip, and how far the needle
+      goes.
 
-    Raises
-    ------
-    DataError
-        If the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
+    DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
     rough = fit_rough_axis(volume, component, recipe)
     axis = orient_axis(volume, rough, recipe) if tip is None else _orient_to(rough, tip)

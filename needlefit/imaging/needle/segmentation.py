@@ -1,86 +1,97 @@
-"""Find what may be the needle: thresholds with hysteresis, then tubes, cut off from what is wider."""
+"""Cut what is wider than the needle off it: a hub, a holder, a guide of metal, a ball that touches it.
+
+Find what may be the needle: thresholds with hysteresis, then tubes, cut off from what is wider.
+
+Select the needle among the tubes of a scan, and name the others.
+
+Read a segmentation of the needle made elsewhere, resampled to the voxels of the scan.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import find_objects, label
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, label
+from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
-from needlefit.imaging.needle.wide_parts import cut_wide_parts
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_patient
+from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
+# A component whose box holds more is not cut: the distances would take several times the volume's memory.
+MAX_BOX_VOXELS = 2**24
+
+
+def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
+    """Return the thin pieces of a component, each (n, 3), i, j, k; itself where nothing of it is wide.
+
+    A wide part is the union of all balls of more than `max_width` mm across that fit into the component; it
+    is cut off together with as much of the needle as its blur covers.
+
+    `voxels`: (N, 3); i, j, k.
+    """
+    low = voxels.min(axis=0) - 1
+    size = voxels.max(axis=0) - low + 2
+    if int(np.prod(size)) > MAX_BOX_VOXELS:
+        return [voxels]
+    mask = np.zeros(size, dtype=np.bool_)
+    mask[tuple((voxels - low).T)] = True
+    radius, step = max_width / 2, float(volume.spacing.min())
+    core = _distance(mask, volume.spacing) > radius + step / 2  # from a voxel's centre to one outside
+    if not core.any():
+        return [voxels]
+    thin = mask & (_distance(~core, volume.spacing) > 1.5 * radius + step)
+    labels, _ = label(thin, structure=np.ones((3, 3, 3), dtype=np.bool_))
+    return [
+        np.argwhere(labels[box] == number) + np.array([side.start for side in box]) + low
+        for number, box in enumerate(find_objects(labels), start=1)
+    ]
+
+
+def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
+    """Return the distance (mm) of every voxel of a mask to the nearest outside it."""
+    found: NDArray[np.float32] = distance_transform_edt(mask, sampling=spacing).astype(np.float32)
+    return found
+
+
+# Low thresholds to try, as parts of the way from tissue to metal; the high one lies a quarter higher.
 THRESHOLD_FRACTIONS = (0.4, 0.25, 0.15)
-"""Low thresholds to try, as parts of the way from tissue to metal; the high one lies a quarter higher."""
-
-CLIPPED_HU = 3071.0
-"""Largest number of 12 bits, HU: on such a scale metal stands out by about this."""
-
-MIN_METAL_CONTRAST_HU = 500.0
-"""What must stand out from tissue by less than this (HU) is no metal."""
-
-MAX_AIR_HU = -500.0
-"""HU."""
-
+CLIPPED_HU = 3071.0  # largest number of 12 bits, HU: on such a scale metal stands out by about this
+MIN_METAL_CONTRAST_HU = 500.0  # what must stand out from tissue by less than this (HU) is no metal
+MAX_AIR_HU = -500.0  # HU
+# A component with more of its voxels than this on the volume's faces is the corner of something larger.
 MAX_FACE_FRACTION = 0.15
-"""A component with more of its voxels than this on the volume's faces is the corner of something larger."""
-
-MIN_COMPONENT_VOXELS = 8
-"""Smaller components are noise."""
-
-MIN_DISTINCT_CHECK = 100
-"""Points of a component of which three must differ along it to fit a parabola."""
-
-NEAR_END_MM = 5.0
-"""Length of the end of a piece that must lie on the curve which it goes on, mm."""
-
+MIN_COMPONENT_VOXELS = 8  # smaller components are noise
+MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ along it to fit a parabola
+NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
+# A needle is followed to levels that lie above the tissue by more than so many deviations of its noise.
 MIN_GROWTH_NOISE_SD = 4.0
-"""A needle is followed to levels that lie above the tissue by more than so many deviations of its noise."""
-
-MIN_GROWTH_MM = 3.0
-"""At a lower threshold a tube must become longer by so much to be taken from there, mm."""
-
+MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
+# Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm.
 GROWTH_REACH_MM, GROWTH_MARGIN_MM = 60.0, 5.0
-"""Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm."""
-
+# A tube that becomes wider than that at a lower threshold takes in what surrounds it.
 MAX_GROWTH_WIDENING = 1.5
-"""A tube that becomes wider than that at a lower threshold takes in what surrounds it."""
 
 
 @dataclass(frozen=True)
 class Component:
-    """A connected component of bright voxels, with its measures.
+    """A connected component of bright voxels, with its measures."""
 
-    Attributes
-    ----------
-    voxels : (N, 3) int array
-        i, j, k.
-    length : float
-        Extent along the main axis, mm.
-    width : float
-        Diameter of a rod of this length and as many voxels, mm.
-    bend : float
-        Root mean square distance from the parabola that fits best, mm.
-    on_face : float
-        Part of the voxels that lie on the volume's faces.
-    """
-
-    voxels: Ints
-    length: float
-    width: float
-    bend: float
-    on_face: float
+    voxels: Ints  # (N, 3); i, j, k
+    length: float  # extent along the main axis, mm
+    width: float  # diameter of a rod of this length and as many voxels, mm
+    bend: float  # root mean square distance from the parabola that fits best, mm
+    on_face: float  # part of the voxels that lie on the volume's faces
 
 
 def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
     """Return the components that may be the needle, each with the pieces that lie on its curve.
 
-    Raises
-    ------
-    DataError
-        If nothing is as bright as metal, or no component is a tube.
+    DataError if nothing is as bright as metal, or no component is a tube.
     """
     levels = list_thresholds(volume, recipe)
     for n, (low, high) in enumerate(levels):
@@ -192,10 +203,7 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
 def find_components(volume: Volume, low: float, high: float) -> list[Component]:
     """Return the components above `low` that somewhere exceed `high` (HU), with their measures.
 
-    Raises
-    ------
-    DataError
-        If no voxel exceeds `high`.
+    DataError if no voxel exceeds `high`.
     """
     mask = volume.values > low
     labels, _ = label(mask, structure=np.ones((3, 3, 3), dtype=bool))
@@ -337,4 +345,217 @@ def _no_tube_error(parts: Sequence[Component], recipe: ReconstructionRecord) -> 
         expected=f"{rules.min_length_mm:g} mm or longer, at most "
         f"{rules.max_widening * recipe.needle.diameter_mm:.1f} mm wide",
         fix="set the thresholds, needle.diameter_mm or min_length_mm in the recipe, or give a mask",
+    )
+
+
+# A second tube of at least this part of the needle's length and brightness may be the needle, too.
+MIN_SECOND_NEEDLE_RATIO = 0.6
+# Of two such tubes that of the stated diameter is the needle if the other misses it by so much more.
+CLEAR_WIDTH_RATIO = 1.5
+MAX_PICK_DISTANCE_MM = 5.0  # a point stated on the needle lies at most so far from it, mm
+PICK_FIX = (
+    "state a point on the needle that is meant (LPS) in a table of scans: needle_x_mm, needle_y_mm, "
+    "needle_z_mm; or crop the scan, or give a mask"
+)
+
+
+@dataclass(frozen=True)
+class NeedleSelection:
+    """The needle, the other tubes, and what a person should know."""
+
+    needle: Component
+    others: tuple[Component, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def segment_needle(volume: Volume, recipe: ReconstructionRecord) -> Component:
+    """Return the component that is the needle; see `select_needle`."""
+    return select_needle(volume, recipe).needle
+
+
+def select_needle(
+    volume: Volume, recipe: ReconstructionRecord, point: Floats | None = None
+) -> NeedleSelection:
+    """Return the needle: the tube at `point` (LPS, mm) if it is stated, else the longest.
+
+    DataError if nothing is as bright as metal, no component is a tube, another tube may be the needle, too,
+    or none is at the point.
+    """
+    tubes = find_tubes(volume, recipe)
+    if point is None:
+        needle = _choose_longest(volume, tubes, recipe.needle.diameter_mm)
+    else:
+        needle = _choose_at(volume, tubes, point)
+    others = tuple(part for part in tubes if part is not needle)
+    if not others:
+        return NeedleSelection(needle)
+    listed = "; ".join(describe_tube(volume, part) for part in others)
+    note = f"beside the needle ({describe_tube(volume, needle)}) the scan holds {listed}"
+    return NeedleSelection(needle, others, (note,))
+
+
+def describe_tube(volume: Volume, part: Component) -> str:
+    """Return the measures of a tube in words."""
+    ends = find_ends(volume, part)
+    first, last = (", ".join(f"{x:.0f}" for x in end) for end in ends)
+    return f"a tube of {part.length:.0f} mm, {part.width:.1f} mm wide, from L, P, S = {first} to {last} mm"
+
+
+def find_ends(volume: Volume, part: Component) -> Floats:
+    """Return the two ends (2, 3) of a component along its main axis, LPS, mm."""
+    points = to_patient(volume, part.voxels)
+    center, axes = principal_axes(points)
+    along = (points - center) @ axes[0]
+    return points[[int(np.argmin(along)), int(np.argmax(along))]]
+
+
+def _choose_at(volume: Volume, tubes: Sequence[Component], point: Floats) -> Component:
+    distances = [float(cKDTree(to_patient(volume, part.voxels)).query(point)[0]) for part in tubes]
+    nearest = int(np.argmin(distances))
+    if distances[nearest] > MAX_PICK_DISTANCE_MM:
+        listed = "; ".join(describe_tube(volume, part) for part in tubes)
+        raise DataError(
+            f"no tube passes the stated point of the needle; there is {listed}",
+            where="needle_x_mm, needle_y_mm, needle_z_mm",
+            expected=f"a tube within {MAX_PICK_DISTANCE_MM:g} mm of it",
+            fix="correct the point (LPS of the scan, mm), or leave the three cells empty",
+        )
+    return tubes[nearest]
+
+
+def _choose_longest(volume: Volume, tubes: Sequence[Component], diameter: float) -> Component:
+    """Return the longest tube, unless another one of nearly its length is nearer to the diameter."""
+    first = tubes[0]
+    level = MIN_SECOND_NEEDLE_RATIO * _mean_hu(volume, first)
+    alternatives = [
+        part
+        for part in tubes
+        if part.length >= MIN_SECOND_NEEDLE_RATIO * first.length and _mean_hu(volume, part) >= level
+    ]
+    alternatives.sort(key=lambda part: abs(np.log(part.width / diameter)))
+    if len(alternatives) == 1:
+        return first
+    if _miss(alternatives[1], diameter) >= CLEAR_WIDTH_RATIO * _miss(alternatives[0], diameter):
+        return alternatives[0]
+    raise DataError(
+        f"{len(alternatives)} needles: {'; '.join(describe_tube(volume, part) for part in alternatives)}",
+        expected="one needle",
+        fix=PICK_FIX,
+    )
+
+
+def _miss(part: Component, diameter: float) -> float:
+    """Return by what factor the width of a tube misses the diameter."""
+    return float(np.exp(abs(np.log(part.width / diameter))))
+
+
+def _mean_hu(volume: Volume, part: Component) -> float:
+    i, j, k = part.voxels.T
+    return float(np.mean(volume.values[k, j, i]))
+
+
+Mask = NDArray[np.bool_]
+
+# Part of a mask that may lie beyond the scan, as that of a needle does that leaves it.
+MAX_OUTSIDE_FRACTION = 0.02
+MARGIN_VOXELS = 2  # width in voxels of the gap between a mask and its surroundings, and of these
+# Metal stands out from the median of its surroundings so many times as far as their 95th percentile does.
+MIN_CONTRAST_RATIO = 2.0
+MASK_FIX = "segment the needle in this scan, and save the segmentation as NRRD or NIfTI"
+
+
+def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord) -> Component:
+    """Read the needle's voxels from a mask: a volume that is above 0 in the needle, or a DICOM segmentation.
+
+    It may stand on other voxels than the scan's, in any order; each voxel of the scan then asks the nearest
+    of the mask.
+
+    DataError if the mask marks nothing, lies elsewhere than the scan's needle, or cannot be a needle.
+    """
+    mask = read_mask(path)
+    require_same_frame(mask, volume.frame_of_reference, str(path))
+    _require_marked(int(np.count_nonzero(mask.values > 0)), path)
+    marked = _resample_mask(volume, mask, path)
+    _require_marked(int(np.count_nonzero(marked)), path)
+    _require_metal(volume, marked, path)
+    part = measure_component(volume, np.argwhere(marked)[:, ::-1])
+    if part.length < recipe.segmentation.min_length_mm:
+        raise DataError(
+            f"the mask is {part.length:.1f} mm long",
+            where=str(path),
+            expected=f"at least segmentation.min_length_mm = {recipe.segmentation.min_length_mm:g}",
+            fix="give the mask of the whole needle, or lower min_length_mm",
+        )
+    return part
+
+
+def _require_marked(count: int, path: Path) -> None:
+    if count < MIN_COMPONENT_VOXELS:
+        raise DataError(
+            f"the mask marks {count} voxels",
+            where=str(path),
+            expected="the needle's voxels above 0, all others 0",
+            fix=MASK_FIX,
+        )
+
+
+def _resample_mask(volume: Volume, mask: Volume, path: Path) -> Mask:
+    """Return the voxels of `volume` (K, J, I) whose centres lie in marked voxels of `mask`."""
+    marked = to_patient(mask, np.argwhere(mask.values > 0)[:, ::-1])
+    size = np.array(volume.grid.size)
+    index = to_index(volume, marked)
+    outside = ((index < -0.5) | (index > size - 0.5)).any(axis=1)
+    if outside.mean() > MAX_OUTSIDE_FRACTION:
+        raise _misplaced_mask_error(
+            f"{100 * outside.mean():.0f} % of what it marks lies outside the scan", path
+        )
+    reach = np.ceil(mask.spacing.max() / volume.spacing).astype(np.int64)
+    low = np.clip(np.floor(index.min(axis=0)).astype(np.int64) - reach, 0, size - 1)
+    high = np.clip(np.ceil(index.max(axis=0)).astype(np.int64) + reach, 0, size - 1)
+    found = np.zeros(volume.values.shape, dtype=np.bool_)
+    for k in range(low[2], high[2] + 1):  # a slice at a time: the box of an oblique needle is most of a scan
+        found[k, low[1] : high[1] + 1, low[0] : high[0] + 1] = _resample_slice(volume, mask, (low, high), k)
+    return found
+
+
+def _resample_slice(volume: Volume, mask: Volume, box: tuple[Ints, Ints], k: int) -> Mask:
+    """Return which voxels (J, I) of a slice of the box, first and last i, j, k, lie in marked voxels."""
+    low, high = box
+    j, i = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
+    ijk = np.stack([i, j, np.full_like(i, k)], axis=-1).reshape(-1, 3)
+    near = np.rint(to_index(mask, to_patient(volume, ijk))).astype(np.int64)
+    within = ((near >= 0) & (near < mask.grid.size)).all(axis=1)
+    marked = np.zeros(len(ijk), dtype=np.bool_)
+    marked[within] = mask.values[tuple(near[within, ::-1].T)] > 0
+    return marked.reshape(i.shape)
+
+
+def _require_metal(volume: Volume, marked: Mask, path: Path) -> None:
+    """Raise DataError unless what is marked stands out from what is around it, as metal does in any unit."""
+    where = np.argwhere(marked)
+    low, high = where.min(axis=0), where.max(axis=0) + 1
+    box = tuple(
+        slice(max(0, a - 2 * MARGIN_VOXELS), b + 2 * MARGIN_VOXELS)
+        for a, b in zip(low.tolist(), high.tolist(), strict=True)
+    )
+    inside, values = marked[box], volume.values[box]
+    near = binary_dilation(inside, iterations=MARGIN_VOXELS)
+    around = values[binary_dilation(near, iterations=MARGIN_VOXELS) & ~near]
+    if not len(around):
+        raise _misplaced_mask_error("it marks the whole scan", path)
+    middle, bright = np.percentile(around, [50, 95])
+    metal = float(np.percentile(values[inside], 95))
+    if metal - middle <= MIN_CONTRAST_RATIO * (bright - middle):
+        raise _misplaced_mask_error(
+            f"what it marks is no brighter ({metal:.0f}) than what lies around it ({middle:.0f})", path
+        )
+
+
+def _misplaced_mask_error(why: str, path: Path) -> DataError:
+    return DataError(
+        f"the mask does not lie on the needle of this scan: {why}",
+        where=str(path),
+        expected="a mask that stands where the scan does: its origin, spacing and axes count",
+        fix="see whether it belongs to this scan, and whether its header was lost on the way (LPS, mm); "
+        "show both in 3D Slicer",
     )

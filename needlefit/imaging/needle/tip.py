@@ -1,57 +1,495 @@
-"""Find the needle's tip: fit the image of a bevelled rod to the voxels around the end, and check it."""
+"""The image that a scanner makes of a needle's end: a bevelled rod, times the scanner's modulation transfer.
+
+In the slices the transfer is (1 + b x^2) exp(-x^2), x = k sigma / sqrt(2), whose b lets edges over- and
+undershoot; across them that of a box with a Gaussian's edges. Coordinates are the needle's: s along it from
+the tip, u and v across.
+
+The problem of a needle's tip: the voxels around its end, the model of them, and what is known before.
+
+Blur, overshoot, the slices' blur and the metal's height are fitted with the tip, held by what balls in the
+scan show of them and by what metal and scanners can have: of a needle that is cut low its image alone leaves
+them open. Where rays run along the shaft, the hardened beam sees it darker than its end, and a dark streak
+beyond: both are fitted.
+
+Find the needle's tip: fit the image of a bevelled rod to the voxels around the end, and check it.
+"""
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfftn, next_fast_len, rfftn
+from scipy.ndimage import map_coordinates
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial import cKDTree
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
-from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd
-from needlefit.imaging.needle.tip_problem import EDGE_SD_MM, ROLL, TIP, TipProblem, U, V
-from needlefit.imaging.sphere_profile import PointSpread
-from needlefit.imaging.volume import Volume
+from needlefit.imaging.needle.axis_spline import (
+    AxisSpline,
+    axis_frames,
+    axis_sd,
+    disc_points,
+    sample_planes,
+)
+from needlefit.imaging.spheres import BOX_PART, PointSpread, expected_slice_blur
+from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
+
+Singles = NDArray[np.float32]
+
+GRID_STEP_MM = 0.25  # spacing of the points on which the rod is modelled, mm
+FIBRES = 6  # fibres along the needle into which a grid's step is parted, in each direction across
+# Free space around what is looked at, mm: the transform repeats, and the blur must not reach round.
+MARGIN_MM = 2.0
+
+
+@dataclass(frozen=True)
+class RodModel:
+    """Images of a rod of `radius`, from `back` behind to `ahead` of its tip and out to `aside`, mm.
+
+    `normal` (3,) is the slices' normal along s, u and v.
+    """
+
+    radius: float
+    back: float
+    ahead: float
+    aside: float
+    normal: tuple[float, float, float]
+
+    @cached_property
+    def _axes(self) -> tuple[Floats, Floats]:
+        """Points along s, and along u and v."""
+        count = next_fast_len(int((self.back + self.ahead + 2 * MARGIN_MM) / GRID_STEP_MM) + 1, real=True)
+        half = next_fast_len(int(2 * (self.aside + MARGIN_MM) / GRID_STEP_MM) + 1, real=True)
+        along: Floats = -self.back - MARGIN_MM + np.arange(count, dtype=np.float64) * GRID_STEP_MM
+        across: Floats = (np.arange(half, dtype=np.float64) - half // 2) * GRID_STEP_MM
+        return along, across
+
+    @cached_property
+    def _squares(self) -> tuple[Singles, Singles, Singles]:
+        """Squared angular frequencies in the slices, those across, 1/mm, and the filter of cubic splines."""
+        along, across = self._axes
+        turns = [2 * np.pi * np.fft.fftfreq(len(a), GRID_STEP_MM) for a in (along, across)]
+        last = 2 * np.pi * np.fft.rfftfreq(len(across), GRID_STEP_MM)
+        k = np.meshgrid(turns[0], turns[1], last, indexing="ij", sparse=True)
+        normal = sum(a * n for a, n in zip(k, self.normal, strict=True))
+        total = sum(a**2 for a in k)
+        spline = 1.0
+        for a in k:
+            spline = spline * 3 / (2 + np.cos(a * GRID_STEP_MM))
+        return (
+            np.asarray(total - normal**2, dtype=np.float32),
+            np.asarray(normal, dtype=np.float32),
+            np.asarray(spline, dtype=np.float32),
+        )
+
+    def transform(self, roll: float, cotangent: float) -> NDArray[np.complex64]:
+        """Return the Fourier transform of the rod, its bevel's point at the angle `roll` from u."""
+        along, across = self._axes
+        (rows, columns), fibres, weights = self._fibres
+        u, v = fibres
+        cut = (self.radius - (u * np.cos(roll) + v * np.sin(roll))) * cotangent
+        ends = np.clip((-cut[None] - along[:, None, None]) / GRID_STEP_MM + 0.5, 0, 1)
+        solid = np.zeros((len(along), len(across), len(across)), dtype=np.float32)
+        solid[:, rows, columns] = np.mean(ends * weights, axis=2)
+        solid[along < along[0] + MARGIN_MM / 2] = 0
+        return np.asarray(rfftn(solid))
+
+    @cached_property
+    def _fibres(self) -> tuple[tuple[Ints, Ints], Floats, Floats]:
+        """Points across (C,) with metal, u and v (2, C, F) of the fibres around each, and their part."""
+        _, across = self._axes
+        fine = (np.arange(FIBRES) + 0.5) / FIBRES - 0.5
+        part = np.stack(np.meshgrid(fine, fine, indexing="ij")).reshape(2, -1) * GRID_STEP_MM
+        near = np.hypot(across[:, None], across) < self.radius + GRID_STEP_MM
+        rows, columns = np.nonzero(near)
+        fibres = np.stack([across[rows], across[columns]])[..., None] + part[:, None]
+        inside = (self.radius - np.hypot(*fibres)) / (GRID_STEP_MM / FIBRES) + 0.5
+        return (rows, columns), fibres, np.clip(inside, 0, 1)
+
+    def splines(self, transform: NDArray[np.complex64], spread: PointSpread) -> Singles:
+        """Return the spline coefficients of the blurred rod of height 1."""
+        in_slice, normal, spline = self._squares
+        x2 = in_slice * np.float32(spread.blur**2 / 2)
+        passed = (1 + np.float32(spread.boost) * x2) * np.exp(
+            -x2 - normal**2 * np.float32((1 - BOX_PART) * spread.slice_blur**2 / 2)
+        )
+        passed *= np.sinc(normal * np.float32(np.sqrt(3 * BOX_PART) * spread.slice_blur / np.pi)) * spline
+        along, across = self._axes
+        shape = (len(along), len(across), len(across))
+        return np.asarray(irfftn(transform * passed, shape))
+
+    def sample(self, splines: Singles, s: Floats, u: Floats, v: Floats) -> Floats:
+        """Return the image (N,) at places (N,) from the tip."""
+        along, across = self._axes
+        place = np.stack([s - along[0], u - across[0], v - across[0]]) / GRID_STEP_MM
+        return np.asarray(map_coordinates(splines, place, order=3, mode="nearest", prefilter=False), float)
+
+
+class CachedRod:
+    """A rod model that keeps its last images: of a step's derivatives most are of the same rod."""
+
+    def __init__(self, model: RodModel) -> None:
+        self.model = model
+        self._transform = lru_cache(maxsize=4)(model.transform)
+        self._splines = lru_cache(maxsize=8)(self._blur)
+
+    def _blur(self, roll: float, cotangent: float, blur: float, boost: float, slice_blur: float) -> Singles:
+        return self.model.splines(self._transform(roll, cotangent), PointSpread(blur, boost, slice_blur))
+
+    def image(
+        self, end: tuple[float, float], spread: PointSpread, places: tuple[Floats, Floats, Floats]
+    ) -> Floats:
+        """Return the image (N,) of a rod that ends with `end` (roll, cotangent) at places s, u, v (N,)."""
+        return self.model.sample(self._splines(*end, spread.blur, spread.boost, spread.slice_blur), *places)
+
+
+# What the 12 parameters are: end along the axis, roll of the bevel, swing across, mm, rad; logarithm of the
+# metal's height at the tip, and the background, HU; cotangent of the bevel; logarithms of the blurs in and
+# across slices, mm, and between them the kernel's boost; by which factor's logarithm the shaft is darker than
+# its end; the streak beyond it, HU.
+TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, BOOST, SLICE, DARK, STREAK = range(12)
+# How far the fit reaches back from the bevel's heel, and on from the first guess of the tip, mm.
+REACH_BEFORE_MM, REACH_AFTER_MM = 3.0, 4.0
+# Radius around the axis that the fit uses, mm, and that from which on voxels count less: streaks.
+RADIAL_REACH_MM, CORE_REACH_MM = 2.4, 0.9
+# Length over which the end of a shaft is brighter than the rest, mm: about a needle's width.
+DARKENING_LENGTH_MM = 1.5
+# Length over which a streak beyond the tip fades, and its deviation across, mm.
+STREAK_LENGTH_MM, STREAK_RADIUS_MM = 2.0, 0.8
+START_OFFSETS_MM = np.arange(-3.0, 3.1, 0.75)  # starting points of the search around the first guess, mm
+# Positions around the best of these at which the side of the bevel is tried, mm.
+FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
+SOFT_LOSS_SD = 3.0  # residuals beyond so many deviations of the noise count less
+SIGNAL_ERROR = 0.04  # deviation of what a voxel shows of metal, in parts of that: the model's own error
+MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
+ROUGH_STEPS, STEPS = 8, 30  # evaluations of the derivatives of a first and of a last fit
+BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
+EDGE_SD_MM = 0.03  # what no voxel determines of the place along, mm: a scanner's edge is not the model's
+BLUNT_COTANGENT_SD = 1e-3  # deviation of the cotangent of a blunt end's angle
+DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
+MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
+# By which artefacts near the tip weaken what its image shows of the bevel, beyond the blocks' errors. Set on
+# the part `tuning` of `benchmarks/real_scanners.py`: with it none of the sides stated there is wrong.
+ARTEFACT_FACTOR = 30.0
+ROLL_STEPS = 24  # angles of the bevel, all round, at which its likelihood is evaluated
+# Metal, HU, and the deviation of its logarithm: titanium has 8 000, steel 30 000, hardened 15 000.
+MEAN_HEIGHT_HU, HEIGHT_SD = 20_000.0, 0.7
+# Scanners' blur and boost and their deviations (of logarithms for blurs).
+MEAN_BLUR_MM, BLUR_SD, MEAN_BOOST, BOOST_SD, SLICE_BLUR_SD = 0.45, 0.3, 0.5, 1.0, 0.5
+# Deviations of these where balls in the same scan show them.
+BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD = 0.04, 0.15, 0.08
+# Deviation by which a needle leaves, within the length of its bevel, the course of its shaft, mm.
+SWING_SD_MM = 0.1
+# Deviations of the streak, and of the darkening: by the length of the needle that rays pass.
+STREAK_SD_HU, DARK_SD_PER_MM, MIN_DARK_SD, MAX_DARK_SD = 2000.0, 0.02, 0.05, 0.5
+# From so much of the needle on that rays pass, its image shows them rather than the bevel's angle, mm. Set,
+# as those of the darkening, on the part `tuning` of `benchmarks/real_scanners.py`, on further volumes of its
+# renderer with needles in the slices, and on clean scans of `benchmarks/reconstruction.py --seed 5001`.
+BEVEL_RAY_MM = 6.0
+END_LENGTH_MM = 15.0  # length of a needle's end, mm, along which rays hide its tip
+MAX_RAY_MM = 30.0  # rays pass more of a needle in the slices than counts: it is bent, mm
+FLOOR_HU = -1024.0  # where scanners' numbers begin, HU
+LOWER_BOUNDS = np.array(
+    [*4 * [-np.inf], np.log(4e3), -1100, 0, np.log(0.15), -0.2, np.log(0.08), -0.3, -3000]
+)
+UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, np.log(1.2), 5, np.log(2), 2, 3000])
+# Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
+PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 0.1, 100])
+HELD = [U, V, HEIGHT, COT, BLUR, BOOST, SLICE, DARK, STREAK]  # parameters of which something is known before
+# What is known before is not left by more deviations: artefacts would be taken for the needle's image.
+MAX_PRIOR_SD = 3.0
+
+
+@dataclass(frozen=True)
+class AxisVoxels:
+    """Voxels near the axis: position along, `s` (N,), across, `u`, `v` (N,), mm; their `values` (N,), HU."""
+
+    s: Floats
+    u: Floats
+    v: Floats
+    values: Floats
+
+
+def measure_ray(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord) -> float:
+    """Return the length of the needle that rays within one slice pass along its end, mm.
+
+    Where the needle lies flattest: its direction right at a hidden end is what is least known.
+    """
+    s = np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16)
+    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.direction[:, 2]).min())
+    thick = needle.diameter_mm + float(volume.spacing[2])
+    return min(MAX_RAY_MM, thick / max(steep, 1e-6))
+
+
+def bevel_length(needle: ScannedNeedleRecord) -> float:
+    """Return the length of the bevel: how far behind the point the tip is cut, mm."""
+    return needle.diameter_mm / float(np.tan(np.deg2rad(needle.bevel_deg)))
+
+
+class TipProblem:
+    """The voxels around a tip, the model and what is known before."""
+
+    def __init__(
+        self,
+        volume: Volume,
+        axis: AxisSpline,
+        needle: ScannedNeedleRecord,
+        guess: float,
+        spread: PointSpread | None,
+    ) -> None:
+        heel = bevel_length(needle)
+        near = select_axis_voxels(volume, axis, guess - heel - REACH_BEFORE_MM, guess + REACH_AFTER_MM)
+        every = int(np.ceil(len(near.s) / MAX_VOXELS))
+        self.near = AxisVoxels(*(x[::every] for x in (near.s, near.u, near.v, near.values)))
+        self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
+        self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
+        self.rod = CachedRod(_make_model(volume, axis, needle, guess))
+        self.ceiling = _find_ceiling(near.values)
+        self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * RADIAL_REACH_MM]))
+        self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
+        swing_sd = float(np.hypot(SWING_SD_MM, axis_sd(axis, np.array([axis.length]))[0]))
+        self.ray = measure_ray(volume, axis, needle)
+        self.means, self.sds = _prior(volume, needle, spread, (swing_sd, self.ray))
+        low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
+        low[HELD] = np.maximum(low[HELD], self.means - MAX_PRIOR_SD * self.sds)
+        high[HELD] = np.minimum(high[HELD], self.means + MAX_PRIOR_SD * self.sds)
+        self.bounds = low, high
+        core = np.sqrt(1 + (np.hypot(self.near.u, self.near.v) / CORE_REACH_MM) ** 4)
+        metal = np.clip(self.near.values - self.level, 0, None)
+        self.sigma = core * np.hypot(_estimate_noise(near, guess), SIGNAL_ERROR * metal)
+
+    def show(self, theta: Floats, s: Floats, u: Floats, v: Floats) -> Floats:
+        """Return what the scanner shows (N,), HU, at places from the tip."""
+        spread = PointSpread(float(np.exp(theta[BLUR])), float(theta[BOOST]), float(np.exp(theta[SLICE])))
+        image = self.rod.image((float(theta[ROLL]), float(theta[COT])), spread, (s, u, v))
+        darker = theta[DARK] * (1 - np.exp(np.minimum(s, 0) / DARKENING_LENGTH_MM))
+        streak = np.exp(-np.maximum(s, 0) / STREAK_LENGTH_MM - (u**2 + v**2) / (2 * STREAK_RADIUS_MM**2))
+        shown = theta[LEVEL] + np.exp(theta[HEIGHT] - darker) * image + theta[STREAK] * streak
+        return np.asarray(np.clip(shown, FLOOR_HU, self.ceiling))
+
+    def residuals(self, theta: Floats) -> Floats:
+        """Return voxels and what is known, both in their deviations."""
+        near = self.near
+        u, v = near.u - theta[U] * self.swing, near.v - theta[V] * self.swing
+        left = (self.show(theta, near.s - theta[TIP], u, v) - near.values) / self.sigma
+        return np.append(left, (theta[HELD] - self.means) / self.sds)
+
+    def fit(self, *, rough: bool) -> OptimizeResult:
+        """Return the least squares, of the better side of the bevel."""
+        first = np.zeros(12)
+        first[TIP], first[LEVEL] = self.guess, self.level
+        first[HELD] = self.means
+        best = self._minimize(self._find_start(first), ROUGH_STEPS)
+        if rough:
+            return best
+        self._calibrate(best)
+        turned = best.x + np.pi * np.eye(12)[ROLL]
+        starts = [best.x, turned] if self.rolled else [best.x]
+        return min((self._minimize(start, STEPS) for start in starts), key=lambda one: one.cost)
+
+    def _find_start(self, first: Floats) -> Floats:
+        """Return where to begin: as near as the eye can tell along the axis, and the likeliest roll."""
+
+        def misfit(start: Floats) -> float:
+            return float(np.sum(np.minimum(np.abs(self.residuals(start)), 20)))
+
+        one = np.eye(12)
+        begin = min((first + g * one[TIP] for g in START_OFFSETS_MM), key=misfit)
+        rolls = np.arange(6) * np.pi / 3 if self.rolled else [0.0]
+        return min(
+            (begin + g * one[TIP] + roll * one[ROLL] for roll in rolls for g in FINE_OFFSETS_MM), key=misfit
+        )
+
+    def _calibrate(self, best: OptimizeResult) -> None:
+        """Widen the voxels' deviations to what a fit leaves, and so that voxels in one blur count as one."""
+        left = 1.48 * float(np.median(np.abs(best.fun[: len(self.near.s)])))
+        blurs = 8 * float(np.exp(2 * best.x[BLUR] + best.x[SLICE])) / float(np.prod(self.volume.spacing))
+        self.sigma = self.sigma * max(1.0, left) * np.sqrt(max(1.0, blurs))
+
+    def _minimize(self, start: Floats, steps: int) -> OptimizeResult:
+        return least_squares(
+            self.residuals,
+            np.clip(start, self.bounds[0] + 1e-6, self.bounds[1] - 1e-6),
+            bounds=self.bounds,
+            loss="soft_l1",
+            f_scale=SOFT_LOSS_SD,
+            x_scale=PARAMETER_SCALES,
+            diff_step=DERIVATIVE_STEP,
+            max_nfev=steps,
+        )
+
+    def covariance(self, best: OptimizeResult) -> Floats:
+        """Return the covariance (12, 12) of the parameters.
+
+        The residuals of a block of voxels may go together in any way, as they do along a ray; what a block
+        pulls at the parameters in all is one observation, blocks are independent. What was known before pulls
+        with the deviation that is stated there, however well it fits.
+        """
+        jacobian = np.asarray(best.jac, dtype=np.float64)  # scaled by the loss, (1 + (f / SOFT)^2)^(-3/4)
+        count = len(self.near.s)
+        pulls = jacobian * (best.fun * (1 + (best.fun / SOFT_LOSS_SD) ** 2) ** 0.25)[:, None]
+        block = _assign_blocks(self.near)
+        total = np.zeros((block.max() + 1, 12))
+        np.add.at(total, block, pulls[:count])
+        total = np.vstack([total, jacobian[count:]])
+        normal = jacobian.T @ jacobian
+        inverse = np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-9)))
+        covariance: Floats = inverse @ (total.T @ total) @ inverse
+        return covariance
+
+    def bevel_probability(self, best: OptimizeResult, covariance: Floats) -> float:
+        """Return the probability that the bevel's point lies on the fitted side, within 90 degrees.
+
+        The likelihood over all rolls, the other parameters following to first order, of residuals that go
+        together in blocks.
+        """
+        jacobian = np.asarray(best.jac, dtype=np.float64)
+        others = np.delete(jacobian, ROLL, axis=1)
+        basis = np.linalg.qr(others)[0]
+        naive = 1 / max(
+            float(np.sum((jacobian[:, ROLL] - basis @ (basis.T @ jacobian[:, ROLL])) ** 2)), 1e-12
+        )
+        temper = ARTEFACT_FACTOR * max(1.0, float(covariance[ROLL, ROLL]) / naive)
+        turns = np.arange(ROLL_STEPS) * 2 * np.pi / ROLL_STEPS
+        costs = []
+        for turn in turns:
+            left = self.residuals(best.x + turn * np.eye(12)[ROLL])
+            change = left - best.fun
+            change -= basis @ (basis.T @ change)
+            moved = best.fun + change
+            costs.append(SOFT_LOSS_SD**2 * np.sum(np.sqrt(1 + (moved / SOFT_LOSS_SD) ** 2) - 1) / temper)
+        likelihood = np.exp(min(costs) - np.array(costs))
+        near = np.cos(turns) > 1e-9
+        return float(likelihood[near].sum() / likelihood.sum())
+
+    def threshold_disagreement(self, theta: Floats) -> float:
+        """Return by how much a threshold sees the needle end later than it sees the fitted model end, mm.
+
+        The threshold lies half way up to what is shown of the shaft; where a section exceeds it anywhere in
+        the needle's width, there is needle.
+        """
+        s = np.arange(-6.0, 4.0, END_STEP_MM) + theta[TIP]
+        where = axis_frames(self.axis, np.clip(s, 0, None))
+        plane = disc_points(self.radius)
+        swing = np.clip((s - self.axis.length) / max(self.guess - self.axis.length, 0.25), 0, None)
+        u, v = (plane[None, :, n] + 0 * s[:, None] for n in (0, 1))
+        model = self.show(
+            theta,
+            np.repeat(s - theta[TIP], len(plane)),
+            (u - theta[U] * swing[:, None]).ravel(),
+            (v - theta[V] * swing[:, None]).ravel(),
+        ).reshape(len(s), -1)
+        seen = np.nan_to_num(sample_planes(self.volume, where, plane), nan=FLOOR_HU)
+        shaft = s < theta[TIP] - 4.0
+        half = (self.level + float(np.median(seen[shaft].max(axis=1)))) / 2
+        ends = [s[np.flatnonzero(one.max(axis=1) > half)] for one in (seen, model)]
+        return float(ends[0][-1] - ends[1][-1]) if all(len(end) for end in ends) else np.inf
+
+
+def _make_model(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, guess: float) -> RodModel:
+    frame, normal = axis_frames(axis, np.array([guess])), volume.direction[:, 2]
+    # the tip may be found 4 mm from where it is looked for
+    back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
+    slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
+    return RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices)
+
+
+END_STEP_MM = 0.05  # spacing of the sections in which a threshold looks for the end, mm
+
+
+def _prior(
+    volume: Volume, needle: ScannedNeedleRecord, spread: PointSpread | None, course: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """Return means and deviations of the parameters `HELD`.
+
+    `course`: deviation of the swing, and the length of the needle that rays pass, mm.
+    """
+    swing_sd, ray = course
+    cot = bevel_length(needle) / needle.diameter_mm
+    rolled = needle.bevel_deg < MAX_BEVEL_DEG
+    cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) if rolled else BLUNT_COTANGENT_SD
+    cot_sd /= np.hypot(1.0, ray / BEVEL_RAY_MM)
+    dark_sd = np.clip(DARK_SD_PER_MM * ray, MIN_DARK_SD, MAX_DARK_SD)
+    if spread is None:
+        slice_blur = np.log(expected_slice_blur(float(volume.spacing[2])))
+        seen = [np.log(MEAN_BLUR_MM), MEAN_BOOST, slice_blur]
+        seen_sd = [BLUR_SD, BOOST_SD, SLICE_BLUR_SD]
+    else:
+        seen = [np.log(spread.blur), spread.boost, np.log(spread.slice_blur)]
+        seen_sd = [BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD]
+    means = np.array([0.0, 0.0, np.log(MEAN_HEIGHT_HU), cot, *seen, 0.0, 0.0])
+    return means, np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *seen_sd, dark_sd, STREAK_SD_HU])
+
+
+def _assign_blocks(near: AxisVoxels) -> NDArray[np.int64]:
+    """Return the block (N,) of each voxel: quadrant round the axis, inner or outer half, length along it."""
+    piece = np.floor((near.s - near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
+    quadrant = 2 * (near.u > 0) + (near.v > 0)
+    block: NDArray[np.int64] = 8 * piece + 2 * quadrant + (np.hypot(near.u, near.v) > RADIAL_REACH_MM / 2)
+    return block
+
+
+def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:
+    """Return the voxels within `RADIAL_REACH_MM` of the axis between `start` and `stop` (mm along it)."""
+    fine = np.arange(start - 1, stop + 1, 0.1)
+    where = axis_frames(axis, fine)
+    index = to_index(volume, where.origins)
+    margin = RADIAL_REACH_MM / volume.spacing
+    low = np.maximum(np.floor(index.min(axis=0) - margin), 0).astype(int)
+    high = np.minimum(np.ceil(index.max(axis=0) + margin) + 1, volume.values.shape[::-1]).astype(int)
+    ijk = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+    points = to_patient(volume, ijk)
+    distance, nearest = cKDTree(where.origins).query(points, distance_upper_bound=RADIAL_REACH_MM + 0.1)
+    close = np.isfinite(distance)
+    at = np.asarray(nearest)[close]
+    d = points[close] - where.origins[at]
+    along = np.einsum("ni,ni->n", d, where.tangents[at])
+    s = fine[at] + along
+    u, v = np.einsum("ni,ni->n", d, where.u[at]), np.einsum("ni,ni->n", d, where.v[at])
+    i, j, k = ijk[close].T
+    inside = (s >= start) & (s <= stop) & (np.abs(along) < 0.2)
+    return AxisVoxels(s[inside], u[inside], v[inside], volume.values[k, j, i][inside].astype(np.float64))
+
+
+def _find_ceiling(values: Floats) -> float:
+    """Return the brightest value if several voxels share it: there the scanner's numbers end."""
+    top = float(values.max())
+    return top if np.count_nonzero(values == top) > 3 else np.inf
+
+
+def _estimate_noise(near: AxisVoxels, guess: float) -> float:
+    """Return the deviation of what lies beyond the tip (HU), 10 at least."""
+    beyond = near.values[near.s > guess + 0.5 * REACH_AFTER_MM]
+    if beyond.size < 20:
+        return 50.0
+    return max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
+
 
 TipSource = Literal["model", "threshold", "hand"]
 
-MIN_BEVEL_PROBABILITY = 0.95
-"""Probability from which on the side of the bevel is stated."""
+MIN_BEVEL_PROBABILITY = 0.95  # probability from which on the side of the bevel is stated
 
 
 @dataclass(frozen=True)
 class TipFit:
-    """The fitted tip.
+    """The fitted tip."""
 
-    Attributes
-    ----------
-    at : float
-        Along the spine, mm.
-    point : (3,) array
-        In the patient, mm; beside the spine, if the rod swung.
-    sd : (2,) array
-        Deviations along the needle, and across it in either direction, mm.
-    bevel : (3,) array
-        Unit vector across the needle to the side of the bevel's point; nan for a blunt end, or if its
-        probability is below `MIN_BEVEL_PROBABILITY`.
-    bevel_probability : float
-        That the likeliest side is right, within 90 degrees; nan for a blunt end.
-    disagreement : float
-        By how much a threshold sees the needle end later than it sees the fitted model end, mm.
-    source : str
-        What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
-    hidden_length : float
-        Length of the needle along which rays run that may hide its end, mm.
-    """
-
-    at: float
-    point: Floats
-    sd: Floats
+    at: float  # along the spine, mm
+    point: Floats  # (3,); in the patient, mm; beside the spine, if the rod swung
+    sd: Floats  # (2,); deviations along the needle, and across it in either direction, mm
+    # (3,); unit vector across the needle to the side of the bevel's point; nan for a blunt end, or if its
+    # probability is below `MIN_BEVEL_PROBABILITY`.
     bevel: Floats
-    bevel_probability: float
+    bevel_probability: float  # that the likeliest side is right, within 90 degrees; nan for a blunt end
+    # By how much a threshold sees the needle end later than it sees the fitted model end, mm.
     disagreement: float
+    # What the place along comes from: "model", "threshold" where the model is not to be trusted, or "hand".
     source: TipSource
-    hidden_length: float = 0.0
+    hidden_length: float = 0.0  # length of the needle along which rays run that may hide its end, mm
 
 
 def fit_tip(
@@ -97,10 +535,7 @@ def fit_tip(
 def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, float, TipSource]:
     """Return where a threshold sees the end, its deviation, mm, and the source.
 
-    Raises
-    ------
-    DataError
-        If a threshold sees no end either.
+    DataError if a threshold sees no end either.
     """
     if not np.isfinite(away):
         raise DataError(
@@ -113,12 +548,9 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
     return at + away, float(sd), "threshold"
 
 
+# Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
+# end. Set as `BEVEL_RAY_MM`.
 HIDDEN_END_SD_PER_MM = 0.02
-"""Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and
-hide its end. Set as `BEVEL_RAY_MM`."""
-
-DISAGREEMENT_SD = 0.5
-"""Deviation of the place along, in parts of the disagreement with a threshold."""
-
+DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
+# Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.
 MAX_MODEL_SD_MM, MAX_DISAGREEMENT_MM = 1.0, 1.5
-"""Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm."""

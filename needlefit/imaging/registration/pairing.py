@@ -30,29 +30,27 @@ from scipy.special import chdtri, ndtri
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets, make_marker_sets
 from needlefit.imaging.registration.rigid import (
+    MIN_MARKERS,
     Alignment,
+    MarkerSets,
     Pairs,
     align_pairs,
     fit_kabsch,
+    make_marker_sets,
     sum_squared_residuals,
 )
 
+# Probability that the noise as stated makes the right pairing look too bad to be believed.
 FALSE_ALARM_PROBABILITY = 1e-4
-"""Probability that the noise as stated makes the right pairing look too bad to be believed."""
-
+# Probability of another pairing that is tolerated; also the number of chance pairings that is.
 MAX_WRONG_PAIRING_PROBABILITY = 1e-3
-"""Probability of another pairing that is tolerated; also the number of chance pairings that is."""
-
+# Chi-squared by which an alternative must be worse to leave no more than that doubt.
 MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
-"""Chi-squared by which an alternative must be worse to leave no more than that doubt."""
-
+# Share of the smaller set that must pair: few that agree among many are part of something else.
 MIN_PAIRED_FRACTION = 0.6
-"""Share of the smaller set that must pair: few that agree among many are part of something else."""
-
+# Partial pairings kept at once; beyond it the markers are too alike or too many.
 MAX_PARTIAL_PAIRINGS = 50_000
-"""Partial pairings kept at once; beyond it the markers are too alike or too many."""
 
 
 @dataclass(frozen=True)
@@ -65,20 +63,11 @@ class MarkerPairingCandidate:
 
 @dataclass(frozen=True)
 class Pairing:
-    """The selected pairing, with its alternatives.
+    """The selected pairing, with its alternatives."""
 
-    Attributes
-    ----------
-    best : Candidate
-        The likeliest.
-    alternatives : tuple of Candidate
-        Those as large that contradict it, likeliest first.
-    wrong_pairing_probability : float
-        Probability that one of them is right instead; nan if not all pairings were tried.
-    """
-
-    best: MarkerPairingCandidate
-    alternatives: tuple[MarkerPairingCandidate, ...]
+    best: MarkerPairingCandidate  # the likeliest
+    alternatives: tuple[MarkerPairingCandidate, ...]  # those as large that contradict it, likeliest first
+    # Probability that one of them is right instead; nan if not all pairings were tried.
     wrong_pairing_probability: float
 
 
@@ -180,10 +169,7 @@ def search_pairings(
 
     Markers enter one after the other, all partial pairings at once; `variance` is (M, N).
 
-    Raises
-    ------
-    DataError
-        If more than `MAX_PARTIAL_PAIRINGS` partial pairings must be kept.
+    DataError if more than `MAX_PARTIAL_PAIRINGS` partial pairings must be kept.
     """
     order = _order_by_distance(found)
     rows = np.empty((1, 0), dtype=np.int64)
@@ -263,12 +249,10 @@ def _rows_fit(
     return fits
 
 
-DETECTION_PROBABILITY = 0.99
-"""Share of wrong pairings that must be noticed."""
-
+DETECTION_PROBABILITY = 0.99  # share of wrong pairings that must be noticed
 _DETECTION_QUANTILE = float(ndtri(DETECTION_PROBABILITY))
+# Misfit m^2 from which on a permutation is told from the right pairing.
 MIN_SQUARED_MISFIT = (_DETECTION_QUANTILE + np.sqrt(_DETECTION_QUANTILE**2 + MIN_CHI2_GAP)) ** 2
-"""Misfit m^2 from which on a permutation is told from the right pairing."""
 
 
 def find_symmetries(known: ArrayLike, sd: ArrayLike) -> NDArray[np.int64]:

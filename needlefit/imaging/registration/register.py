@@ -1,4 +1,18 @@
-"""Register a scan to the world by its radiopaque markers, with the remaining error.
+"""Explain why markers do not fit: a mirrored scan, wrong voxel spacing, RAS read as LPS, or too small a
+stated SD.
+
+RAS and LPS differ by the signs of x and y. That is a turn by half a circle about z, not a reflection, so no
+layout of markers can tell it from a scan that lies the other way round: only a rough pose can
+(`sign_change_error`), or another set of markers in the same frame (`check_axis_signs`).
+
+Whether the scan's distances are too long or too short: voxel spacings stated wrongly.
+
+Scale is estimated and reported, never applied: a wrong spacing is corrected in the scan, where the needle has
+it too.
+
+Select the most likely pairing of markers, or explain why there is none.
+
+Register a scan to the world by its radiopaque markers, with the remaining error.
 
 All pairings are tried (`pairing`); the likeliest is kept if it fits the stated noise and no other is nearly
 as likely. A rough pose only settles what the markers leave open, or starts ICP (`rigid`) where they are too
@@ -6,37 +20,464 @@ many. The motion is a rotation and a translation. Scale and reflection are estim
 never applied (`mirror_check`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import pinvh
+from scipy.optimize import minimize_scalar
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist
 from scipy.special import chdtrc
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration import rigid
-from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets, make_marker_sets, mirror
-from needlefit.imaging.registration.mirror_check import (
-    MIN_SIGNIFICANCE_SD,
-    ScaleEstimate,
-    estimate_scales,
-    sign_change_error,
-    unit_error,
+from needlefit.imaging.registration.pairing import (
+    MAX_WRONG_PAIRING_PROBABILITY,
+    MIN_CHI2_GAP,
+    MarkerPairingCandidate,
+    Pairing,
+    chi2_limit,
+    expected_chance_pairings,
+    find_largest_pairings,
+    find_pairings,
+    find_symmetries,
+    find_turn,
+    group_interchangeable,
+    may_be_chance,
+    pairings_contradict,
+    select_likeliest,
+    try_find_largest_pairings,
 )
-from needlefit.imaging.registration.pairing import MIN_CHI2_GAP, Pairing
-from needlefit.imaging.registration.pairing_selection import check_given_pairs, select_pairing
 from needlefit.imaging.registration.rigid import (
+    KNOWN_SET,
+    MIN_MARKERS,
+    Alignment,
+    MarkerSets,
     Pairs,
     align_pairs,
     expected_fre,
     expected_left_out,
     fit_kabsch,
+    invert_covariances,
+    make_marker_sets,
+    mean_error_length,
+    mirror,
+    motion_jacobian,
     pair_by_icp,
+    propagate_to_targets,
+    scale_noise,
+    stretch,
+    worst_turn_sd,
 )
+from needlefit.project.unit_warnings import LENGTH_UNITS
 
-MAX_ROUGH_ANGLE_DEG = 30.0
-"""Degrees by which a pose may differ from the rough one without a word."""
+# Which axes of the scan may share a wrong spacing.
+SCALED_AXES = {
+    "in all directions": (1.0, 1.0, 1.0),
+    "along x": (1.0, 0.0, 0.0),
+    "along y": (0.0, 1.0, 0.0),
+    "along z": (0.0, 0.0, 1.0),
+    "along x and y": (1.0, 1.0, 0.0),
+}
+
+# Deviations from 1 at which a scale is said to differ: five are looked at, one in 3000 alarms is false.
+MIN_SIGNIFICANCE_SD = 4.0
+MAX_SCALE_FACTOR = 5.0  # greatest factor, either way, that is looked for
+VOTE_WINDOW = 0.01  # relative width within which distances vote for the same factor
+MAX_VOTED_FACTORS = 3  # most voted factors that are tried per direction
+
+
+@dataclass(frozen=True)
+class ScaleEstimate:
+    """A factor by which the scan would have to be stretched along some of its axes, and its deviation."""
+
+    along: str
+    factor: float
+    sd: float
+
+    @property
+    def significance(self) -> float:
+        """The difference from 1 in standard deviations."""
+        return abs(self.factor - 1) / self.sd
+
+
+def estimate_scales(sets: MarkerSets, pairs: Pairs, alignment: Alignment) -> tuple[ScaleEstimate, ...]:
+    """Return the stretch factor that pairs suggest, for each of `SCALED_AXES`; first order, about 1.
+
+    One column more in the normal equations of the motion: how the residuals grow with a stretch about the
+    markers' centre. Directions that the markers do not span are left out.
+    """
+    found = sets.found[pairs[:, 0]]
+    arms = alignment.frame.to_world(found) - alignment.centre
+    weights = invert_covariances(alignment.noise)
+    estimates = []
+    for name, axes in SCALED_AXES.items():
+        stretch = ((found - found.mean(axis=0)) * np.array(axes)) @ alignment.frame.rotation.T  # (P, 3)
+        columns = np.concatenate([motion_jacobian(arms), stretch[:, :, None]], axis=2)  # (P, 3, 7)
+        normal = np.einsum("nia,nij,njb->ab", columns, weights, columns)
+        own = normal[6, 6] - normal[6, :6] @ pinvh(normal[:6, :6]) @ normal[:6, 6]
+        if own <= 1e-9 * normal[6, 6] or normal[6, 6] == 0:
+            continue
+        # the motion is fitted already: its own gradient is zero
+        pull = float(np.einsum("ni,nij,nj->", stretch, weights, alignment.residuals))
+        estimates.append(ScaleEstimate(name, 1 + pull / float(own), float(1 / np.sqrt(own))))
+    return tuple(estimates)
+
+
+def find_better_scale(sets: MarkerSets, count: int) -> tuple[ScaleEstimate, int] | None:
+    """Return the scale with which more than `count` pairs fit, and how many; None if there is none."""
+    reached, best, found_scale = count, np.inf, None
+    for name, axes in SCALED_AXES.items():
+        for rough in _vote_factors(sets, np.array(axes)):
+            # the vote is good to its window; what that leaves at the layout's ends counts as noise
+            spread = VOTE_WINDOW / 2 * sets.extent * np.eye(3)
+            wide = stretch(sets, _axis_factors(axes, rough))
+            loose = MarkerSets(
+                wide.found, wide.known, wide.found_covariance + spread**2, wide.known_covariance
+            )
+            candidates = try_find_largest_pairings(loose)
+            if not candidates or len(candidates[0].pairs) < max(reached, 4):
+                continue
+            for candidate in candidates[:20]:
+                factor, left = _refine_factor(sets, candidate.pairs, axes, rough)
+                pairs = len(candidate.pairs)
+                if left <= chi2_limit(pairs) and (
+                    pairs > reached or (pairs == reached > count and left < best)
+                ):
+                    scaled = stretch(sets, _axis_factors(axes, factor))
+                    sd = {
+                        one.along: one.sd
+                        for one in estimate_scales(
+                            scaled, candidate.pairs, align_pairs(scaled, candidate.pairs)
+                        )
+                    }
+                    reached, best = pairs, left
+                    found_scale = ScaleEstimate(name, factor, sd.get(name, np.inf) * factor)
+    return (found_scale, reached) if found_scale and found_scale.significance > MIN_SIGNIFICANCE_SD else None
+
+
+def _vote_factors(sets: MarkerSets, axes: Floats) -> list[float]:
+    """Return the factors along `axes` that most pairs of distances, one found and one known, agree on."""
+    i, k = np.triu_indices(len(sets.found), 1)
+    j, m = np.triu_indices(len(sets.known), 1)
+    square = (sets.found[i] - sets.found[k]) ** 2
+    along, across = square @ axes, square @ (1 - axes)
+    known = np.sum((sets.known[j] - sets.known[m]) ** 2, axis=1)
+    informative = along > across / 10  # distances mostly across tell little of the factor
+    ratio = (known[None, :] - across[informative, None]) / along[informative, None]
+    votes = np.sort(np.log(ratio[(ratio > MAX_SCALE_FACTOR**-2) & (ratio < MAX_SCALE_FACTOR**2)]) / 2)
+    peaks: list[float] = []
+    while votes.size and len(peaks) < MAX_VOTED_FACTORS:
+        agree = np.searchsorted(votes, votes + VOTE_WINDOW) - np.arange(votes.size)
+        first = int(np.argmax(agree))
+        peak = float(np.median(votes[first : first + agree[first]]))
+        peaks.append(float(np.exp(peak)))
+        votes = votes[np.abs(votes - peak) > VOTE_WINDOW]
+    return peaks
+
+
+def _refine_factor(
+    sets: MarkerSets, pairs: Pairs, axes: tuple[float, float, float], rough: float
+) -> tuple[float, float]:
+    """Return the factor near `rough` with the least chi-squared, and that."""
+    found = minimize_scalar(
+        lambda factor: align_pairs(stretch(sets, _axis_factors(axes, factor)), pairs).chi2,
+        bounds=(rough * (1 - 3 * VOTE_WINDOW), rough * (1 + 3 * VOTE_WINDOW)),
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
+    return float(found.x), float(found.fun)
+
+
+def _axis_factors(axes: tuple[float, float, float], factor: float) -> Floats:
+    factors: Floats = 1 + (factor - 1) * np.array(axes)
+    return factors
+
+
+# Signs that readers confuse.
+SIGN_CHANGES = {
+    "x and y": np.array([-1.0, -1.0, 1.0]),
+    "x": np.array([-1.0, 1.0, 1.0]),
+    "y": np.array([1.0, -1.0, 1.0]),
+    "z": np.array([1.0, 1.0, -1.0]),
+}
+
+# By how much nearer everything must lie with a sign changed before the sign is blamed.
+MIN_DISTANCE_RATIO = 4.0
+# Angle to a rough pose that is too large for it, and below which it is right.
+MAX_ROUGH_ANGLE_RAD = np.radians(60.0)
+NOISE_FACTORS = (2.0, 4.0, 8.0, 16.0)  # factors of the stated noise that are tried where nothing fits
+
+
+def misfit_error(sets: MarkerSets, reached: int) -> DataError | None:
+    """Return the error that explains a misfit of more than the `reached` pairs; None if none does."""
+    reflected = try_find_largest_pairings(mirror(sets))
+    if reflected and len(reflected[0].pairs) > reached:
+        return DataError(
+            f"the markers are mirrored: {len(reflected[0].pairs)} fit reflected, {reached} as they are",
+            where="markers",
+            expected="a scan of the same handedness as the world",
+            fix="one axis of the scan or of the known markers has the wrong sign (x alone, y alone or z "
+            "alone): look at the direction of the slices and at the coordinate system of the markers' file",
+        )
+    scaled = find_better_scale(sets, reached)
+    if scaled:
+        scale, count = scaled
+        long = "short" if scale.factor > 1 else "long"
+        by = max(scale.factor, 1 / scale.factor)
+        return DataError(
+            f"distances in the scan are {by:.4f} times too {long} {scale.along}: with the factor "
+            f"{scale.factor:.4f} +- {scale.sd:.4f}, {count} markers fit, without it {reached}",
+            where="voxel spacing of the scan",
+            expected="distances between markers as in the world; no scale is ever fitted",
+            fix="correct the voxel spacing or slice distance of the scan, or the known markers' units",
+        )
+    return None
+
+
+# The extents of two sets of markers differ by no larger factor, some missing and others spurious.
+MAX_EXTENT_RATIO = 2.5
+
+
+def unit_error(sets: MarkerSets) -> DataError | None:
+    """Return the error of known places in another unit than mm; None if they fit in none."""
+    for unit, factor in LENGTH_UNITS.items():
+        scaled = replace(sets, known=factor * sets.known)
+        alike = 1 / MAX_EXTENT_RATIO < scaled.extent / pdist(sets.found).max() < MAX_EXTENT_RATIO
+        fitting = try_find_largest_pairings(scaled) if alike else []
+        if fitting and not may_be_chance(scaled, len(fitting[0].pairs)):
+            return DataError(
+                f"multiplied by {factor:g}, {len(fitting[0].pairs)} of the {len(sets.known)} known markers "
+                f"fit: this looks like {unit}",
+                where=KNOWN_SET,
+                expected="places in mm",
+                fix=f"multiply the known places by {factor:g}",
+            )
+    return None
+
+
+def no_fit_error(sets: MarkerSets) -> DataError:
+    """Return the error for sets that no pairing within the stated noise fits."""
+    few = _few_pairs_error(sets)
+    if few:
+        return few
+    return DataError(
+        f"no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers fits within "
+        f"{sets.typical_sd:.2f} mm{_describe_noisier_fit(sets)}",
+        where="markers",
+        expected="three or more markers at distances as in the world, more if some are missing and others "
+        "spurious",
+        fix="look at the markers found in the scan; measure the known ones again; state larger deviations",
+    )
+
+
+def _few_pairs_error(sets: MarkerSets) -> DataError | None:
+    """Return the error for pairs that fit, but are so few that unrelated markers might; None without them."""
+    count = next((n for n in range(sets.smaller_count, MIN_MARKERS - 1, -1) if may_be_chance(sets, n)), None)
+    few = [] if count is None else find_pairings(sets, count)
+    if count is None or not few or few[0].alignment.chi2 > chi2_limit(count):
+        return None
+    return DataError(
+        f"only {count} of the {len(sets.found)} found and {len(sets.known)} known markers fit "
+        f"(found -> known, from 0: {format_pairs(few[0].pairs)}), too few to believe: of as many unrelated "
+        f"markers "
+        f"{expected_chance_pairings(sets, count):.1g} sets of pairs would fit by chance",
+        where="markers",
+        expected=f"pairs that chance brings about less than {MAX_WRONG_PAIRING_PROBABILITY:g} times: "
+        "more of them, or none left over",
+        fix="scan with more of the markers in view; list only those known that the scan can show; place the "
+        "markers by hand; state smaller deviations if they are",
+    )
+
+
+def _describe_noisier_fit(sets: MarkerSets) -> str:
+    """Return what fits after all, if more noise is granted."""
+    for factor in NOISE_FACTORS:
+        noisier = try_find_largest_pairings(scale_noise(sets, factor))
+        if noisier and len(noisier[0].pairs) == sets.smaller_count:
+            text = format_pairs(noisier[0].pairs)
+            return (
+                f"; with {factor:g} times that, {sets.smaller_count} would (found -> known, from 0: {text})"
+            )
+    return ""
+
+
+def sign_change_error(frame: Frame, rough: Frame, found: Floats) -> DataError | None:
+    """Return the error if markers fit the rough pose only with the signs of x and y changed."""
+    here, signs = frame.to_world(found), SIGN_CHANGES["x and y"]
+    as_is = _root_mean_square(rough.to_world(found) - here)
+    flipped = _root_mean_square(rough.to_world(found * signs) - here)
+    # turning by half a circle about z undoes the signs
+    nearer = (
+        _angle(rough.rotation.T @ frame.rotation * signs)
+        < MAX_ROUGH_ANGLE_RAD
+        < _angle(rough.rotation.T @ frame.rotation)
+    )
+    if not nearer or flipped >= as_is:
+        return None
+    return DataError(
+        f"RAS seems to have been read as LPS: the rough pose is {as_is:.1f} mm off, with the signs of x and "
+        f"y changed {flipped:.1f} mm",
+        where="markers found in the scan",
+        expected="scan coordinates in LPS, or a file that states RAS",
+        fix="state the coordinate system of the file (RAS or LPS), or correct the rough pose",
+    )
+
+
+def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
+    """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with signs changed.
+
+    Both are said to be in the frame of the scan: fiducials of a file, and markers or metal in the volume.
+    `sd` is the deviation of a distance between the two, mm. Sets that fit neither way pass: they may be of
+    different things.
+    """
+    points, tree = np.asarray(given, dtype=np.float64), cKDTree(np.asarray(detected, dtype=np.float64))
+    as_is = float(np.median(tree.query(points)[0]))
+    off = {name: float(np.median(tree.query(points * signs)[0])) for name, signs in SIGN_CHANGES.items()}
+    name = min(off, key=lambda one: off[one])
+    if as_is <= MIN_DISTANCE_RATIO * max(off[name], sd) or off[name] > MIN_DISTANCE_RATIO * sd:
+        return
+    what = "RAS was read as LPS" if name == "x and y" else f"the sign of {name} is wrong"
+    raise DataError(
+        f"{what}: the markers given lie {as_is:.1f} mm from those in the volume, with the sign of {name} "
+        f"changed {off[name]:.1f} mm",
+        where="markers given in the frame of the scan",
+        expected="the coordinate system that the file states, turned to LPS at the reader",
+        fix="state the coordinate system of the file (RAS or LPS)",
+    )
+
+
+def format_pairs(pairs: ArrayLike) -> str:
+    """Return pairs (P, 2) as text."""
+    return ", ".join(f"{i}->{j}" for i, j in np.asarray(pairs).tolist())
+
+
+def _angle(rotation: Floats) -> float:
+    return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
+
+
+def _root_mean_square(difference: Floats) -> float:
+    return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
+
+
+def select_pairing(sets: MarkerSets, rough: Frame | None) -> Pairing:
+    """Return the most likely pairing; DataError if none fits or several do."""
+    try:
+        candidates = find_largest_pairings(sets)
+    except DataError:
+        if rough is None:
+            raise
+        return _pair_closest_points(sets, rough)
+    reached = len(candidates[0].pairs) if candidates else 0
+    if reached < sets.smaller_count:
+        error = misfit_error(sets, reached)
+        if error or not candidates:
+            raise error or no_fit_error(sets)
+    chosen = select_likeliest(candidates, rough, sets.found)
+    if chosen.wrong_pairing_probability > MAX_WRONG_PAIRING_PROBABILITY:
+        raise _ambiguous_error(sets, chosen)
+    return chosen
+
+
+def check_given_pairs(sets: MarkerSets, pairs: Pairs) -> Pairing:
+    """Return the given pairing if it fits and no other contradicts it; else DataError with the better."""
+    _check_pairs(sets, pairs)
+    own = MarkerPairingCandidate(pairs, align_pairs(sets, pairs))
+    used = np.unique(pairs[:, 0])
+    part = MarkerSets(sets.found[used], sets.known, sets.found_covariance[used], sets.known_covariance)
+    alternatives = [
+        MarkerPairingCandidate(np.column_stack([used[one.pairs[:, 0]], one.pairs[:, 1]]), one.alignment)
+        for one in find_pairings(part, len(pairs))
+    ]
+    alternatives = [one for one in alternatives if pairings_contradict(own.pairs, one.pairs)]
+    fits = own.alignment.chi2 <= chi2_limit(len(pairs))
+    if fits and not (alternatives and alternatives[0].alignment.chi2 < own.alignment.chi2 - MIN_CHI2_GAP):
+        odds = sum(np.exp(min((own.alignment.chi2 - one.alignment.chi2) / 2, 700)) for one in alternatives)
+        return Pairing(own, tuple(alternatives), float(odds / (1 + odds)))
+    candidates = alternatives if fits else find_largest_pairings(part)
+    reached = len(candidates[0].pairs) if candidates else 0
+    error = misfit_error(part, reached) if reached < part.smaller_count else None
+    if error or not candidates:
+        raise error or no_fit_error(part)
+    better = candidates[0]
+    if not fits:
+        better = MarkerPairingCandidate(
+            np.column_stack([used[better.pairs[:, 0]], better.pairs[:, 1]]), better.alignment
+        )
+    raise _disproved_error(own, better)
+
+
+def _pair_closest_points(sets: MarkerSets, rough: Frame) -> Pairing:
+    pairs = pair_by_icp(sets, rough)
+    if len(pairs) < MIN_MARKERS:
+        raise no_fit_error(sets)
+    alignment = align_pairs(sets, pairs)
+    if alignment.chi2 > chi2_limit(len(pairs)):
+        raise no_fit_error(sets)
+    return Pairing(MarkerPairingCandidate(pairs, alignment), (), float("nan"))
+
+
+def _check_pairs(sets: MarkerSets, pairs: Pairs) -> None:
+    shape = pairs.ndim == 2 and pairs.shape[1] == 2
+    if shape and len(pairs) >= MIN_MARKERS:
+        sizes = np.array([len(sets.found), len(sets.known)])
+        once = all(len(np.unique(column)) == len(pairs) for column in pairs.T)
+        if once and (pairs >= 0).all() and (pairs < sizes).all():
+            return
+    raise DataError(
+        "the pairs given are no pairing of these markers",
+        where="pairs of markers",
+        expected=f"three or more rows (found below {len(sets.found)}, known below {len(sets.known)}), "
+        "counted from 0, none twice",
+        fix="list each marker once",
+    )
+
+
+def _disproved_error(own: MarkerPairingCandidate, alternative: MarkerPairingCandidate) -> DataError:
+    right = dict(map(tuple, alternative.pairs.tolist()))
+    wrong = [(i, j) for i, j in own.pairs.tolist() if right.get(i) != j]
+    return DataError(
+        f"the pairs given do not fit: they leave {_fre(own):.2f} mm, {len(alternative.pairs)} others "
+        f"{_fre(alternative):.2f} mm; at fault are (found -> known, counted from 0) {format_pairs(wrong)}",
+        where="pairs of markers",
+        expected=format_pairs(alternative.pairs),
+        fix="correct the pairs, or give none: all pairings are tried",
+    )
+
+
+def _ambiguous_error(sets: MarkerSets, chosen: Pairing) -> DataError:
+    whole = find_symmetries(sets.known, sets.typical_sd)
+    if len(whole) > 1:
+        groups = "; ".join(", ".join(map(str, group)) for group in group_interchangeable(whole))
+        angle, axis = find_turn(sets.known, whole[1])
+        what = (
+            f"the layout of the known markers is symmetric within the noise: {len(whole)} turns lay it on "
+            f"itself, such as one by {angle:.0f} degrees about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f})"
+            f"; interchangeable are (counted from 0) {groups}"
+        )
+    else:
+        alternative = chosen.alternatives[0]
+        what = (
+            f"{1 + len(chosen.alternatives)} pairings of {len(alternative.pairs)} markers are likely, the "
+            f"best two leave "
+            f"{_fre(chosen.best):.2f} and {_fre(alternative):.2f} mm: {format_pairs(chosen.best.pairs)} or "
+            f"{format_pairs(alternative.pairs)}"
+        )
+    return DataError(
+        what,
+        where="markers",
+        expected="one pairing that is at least 1000 times as likely as all others together",
+        fix="move or add a marker so that no two distances are alike, give the pairs, or give a rough pose",
+    )
+
+
+def _fre(candidate: MarkerPairingCandidate) -> float:
+    return float(np.sqrt(np.mean(np.sum(candidate.alignment.residuals**2, axis=1))))
+
+
+MAX_ROUGH_ANGLE_DEG = 30.0  # degrees by which a pose may differ from the rough one without a word
 
 
 def collect_warnings(
@@ -115,66 +556,37 @@ def _list_numbers(numbers: np.ndarray) -> str:
     return ", ".join(map(str, numbers.tolist()))
 
 
-MAX_TURN_SD_RAD = 0.1
-"""Deviation of a turn, rad, from which on the markers count as lying on a line."""
-
+MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
+# Markers no further beside a line than this part of their reach along it are blamed themselves for a turn
+# that is not known; where they spread wider, it is their deviation.
 MIN_SPREAD_RATIO = 0.1
-"""Markers no further beside a line than this part of their reach along it are blamed themselves for a turn
-that is not known; where they spread wider, it is their deviation."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """The rigid motion from the scan to the world, with its covariance and quality.
+    """The rigid motion from the scan to the world, with its covariance and quality."""
 
-    Attributes
-    ----------
-    rotation, translation : (3, 3), (3,) arrays
-        world = rotation @ scan + translation; determinant +1; mm.
-    pairs : (P, 2) array
-        Number of the found marker, number of the known one, counted from 0.
-    residuals : (P, 3) array
-        Known minus registered place of each pair, world axes, mm.
-    fre : float
-        Fiducial registration error: root mean square length of the residuals, mm.
-    expected_fre : float
-        What the stated noise leads one to expect of it, mm.
-    p_value : float
-        Probability that the stated noise leaves residuals at least as large.
-    wrong_pairing_probability : float
-        Probability that another pairing is the right one; nan if not all were tried.
-    leave_one_out : (P,) array
-        Distance of each marker from its known place when it takes no part in the fit, mm; nan where the
-        others do not fix the motion.
-    expected_leave_one_out : (P,) array
-        What the stated noise leads one to expect of it, root mean square, mm; nan likewise.
-    known : int
-        Number of the known markers, paired or not.
-    centre : (3,) array
-        The point of the world about which `covariance` counts: the mean of the paired known markers, mm.
-    covariance : (6, 6) array
-        Of turn (rad) and shift (mm) about `centre`, world axes, first order.
-    scale : tuple of Scale
-        Factors that the markers suggest and that were not applied.
-    warnings : tuple of str
-        What a person should know; empty if all is as expected.
-    """
-
+    # (3, 3), (3,); world = rotation @ scan + translation; determinant +1; mm.
     rotation: Floats
     translation: Floats
-    pairs: Pairs
-    residuals: Floats
-    fre: float
-    expected_fre: float
-    p_value: float
+    pairs: Pairs  # (P, 2); number of the found marker, number of the known one, counted from 0
+    residuals: Floats  # (P, 3); known minus registered place of each pair, world axes, mm
+    fre: float  # fiducial registration error: root mean square length of the residuals, mm
+    expected_fre: float  # what the stated noise leads one to expect of it, mm
+    p_value: float  # probability that the stated noise leaves residuals at least as large
+    # Probability that another pairing is the right one; nan if not all were tried.
     wrong_pairing_probability: float
+    # (P,); distance of each marker from its known place when it takes no part in the fit, mm; nan where the
+    # others do not fix the motion.
     leave_one_out: Floats
+    # (P,); what the stated noise leads one to expect of it, root mean square, mm; nan likewise.
     expected_leave_one_out: Floats
-    known: int
+    known: int  # number of the known markers, paired or not
+    # (3,); the point of the world about which `covariance` counts: the mean of the paired known markers, mm.
     centre: Floats
-    covariance: Floats
-    scale: tuple[ScaleEstimate, ...]
-    warnings: tuple[str, ...]
+    covariance: Floats  # (6, 6); of turn (rad) and shift (mm) about `centre`, world axes, first order
+    scale: tuple[ScaleEstimate, ...]  # factors that the markers suggest and that were not applied
+    warnings: tuple[str, ...]  # what a person should know; empty if all is as expected
 
 
 def register(
@@ -188,25 +600,16 @@ def register(
 ) -> Registration:
     """Return the rigid motion that takes the markers found in the scan to their known positions.
 
-    Parameters
-    ----------
-    found : (M, 3) array
-        Centres found in the scan, LPS, mm; some may be missing, some may be no markers.
-    known : (N, 3) array
-        Places in the world, mm, in any order.
-    found_sd, known_sd : float or (M,), (M, 3), (M, 3, 3) array (of known: N)
-        Deviation per direction, mm (or covariances, mm^2), along the axes of the scan and of the world.
-    pairs : (P, 2) array, optional
-        Which is which, if it is known (found, known; from 0); tested like any other pairing.
-    rough : Frame, optional
-        The scan's axes and origin in the world, roughly.
+    `found`: (M, 3); centres found in the scan, LPS, mm; some may be missing, some may be no markers.
+    `known`: (N, 3); places in the world, mm, in any order.
+    `found_sd`, `known_sd`: float or (M,), (M, 3), (M, 3, 3) array (of known: N); deviation per direction, mm
+      (or covariances, mm^2), along the axes of the scan and of the world.
+    `pairs`: (P, 2); which is which, if it is known (found, known; from 0); tested like any other pairing.
+    `rough`: the scan's axes and origin in the world, roughly.
 
-    Raises
-    ------
-    DataError
-        Fewer than three markers; markers on a line; no pairing within the noise (and why: mirrored, wrong
-        spacing); several pairings as likely (and which markers are interchangeable); pairs that another
-        pairing disproves; RAS read as LPS, if a rough pose shows it.
+    DataError: fewer than three markers; markers on a line; no pairing within the noise (and why: mirrored,
+    wrong spacing); several pairings as likely (and which markers are interchangeable); pairs that another
+    pairing disproves; RAS read as LPS, if a rough pose shows it.
     """
     sets = make_marker_sets(found, known, found_sd, known_sd)
     try:
@@ -241,12 +644,12 @@ def to_world(registration: Registration, points: ArrayLike) -> Floats:
 def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
     arms = to_world(registration, points) - registration.centre
-    return rigid.propagate_to_targets(arms, registration.covariance)
+    return propagate_to_targets(arms, registration.covariance)
 
 
 def predict_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
     """Return the expected length (N,) of the error at scan `points` (N, 3), mm."""
-    return rigid.mean_error_length(target_covariance(registration, points))
+    return mean_error_length(target_covariance(registration, points))
 
 
 def _build_registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) -> Registration:
@@ -292,7 +695,7 @@ def _leave_one_out(sets: MarkerSets, pairs: Pairs) -> Floats:
 
 def _worst_turn_sd(points: Floats, sd: float) -> float:
     weights = np.broadcast_to(np.eye(3) / sd**2, (len(points), 3, 3))
-    return rigid.worst_turn_sd(points - points.mean(axis=0), weights)
+    return worst_turn_sd(points - points.mean(axis=0), weights)
 
 
 def _refuse_collinear(points: Floats, sd: float) -> None:

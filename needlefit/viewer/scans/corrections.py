@@ -11,8 +11,8 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.faults import as_error
 from needlefit.errors import DataError
-from needlefit.imaging.registration.marker_sets import MIN_MARKERS
-from needlefit.imaging.scan import Scan, placed_contact_fault
+from needlefit.imaging.registration.rigid import MIN_MARKERS
+from needlefit.imaging.scans import Scan, placed_contact_fault
 
 MAX_BALLS = 64
 """Balls that may be placed by hand."""

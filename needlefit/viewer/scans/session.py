@@ -18,9 +18,8 @@ from needlefit.imaging.findings import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.registration.marker_sets import MIN_MARKERS
-from needlefit.imaging.scan import Scan
-from needlefit.imaging.scan_table import write_scan_table
+from needlefit.imaging.registration.rigid import MIN_MARKERS
+from needlefit.imaging.scans import Scan, write_scan_table
 from needlefit.imaging.volume import Volume, grid_to_json
 from needlefit.imaging.volume_files import read_volume
 from needlefit.reporting.figures.scan_views import encode_grey

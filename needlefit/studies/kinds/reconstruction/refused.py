@@ -9,7 +9,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import NeedlefitError
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.findings import Findings
-from needlefit.imaging.scan_table import write_scan_table
+from needlefit.imaging.scans import write_scan_table
 from needlefit.project.atomic_write import replace_folder
 from needlefit.project.toml_text import dumps
 from needlefit.reporting import document

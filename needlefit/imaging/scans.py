@@ -1,18 +1,22 @@
-"""Define one scan of an inserted needle: the input of a reconstruction, and the table row that states it."""
+"""Define one scan of an inserted needle, and read and write the tables whose rows state them."""
 
+import csv
+import difflib
 import math
+import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS, ID_PATTERN
-from needlefit.datasets.faults import Fault
+from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS, ID_PATTERN, make_id
+from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
@@ -24,20 +28,11 @@ from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 @dataclass(frozen=True)
 class StagePose:
-    """The pose of the stage that held the needle, in the world.
+    """The pose of the stage that held the needle, in the world."""
 
-    Attributes
-    ----------
-    entry : (3,) array
-        The tip at first contact, mm.
-    direction : (3,) array
-        Unit vector of insertion, into the tissue.
-    shift_sd, angle_sd : float
-        Standard deviations of both in any one direction, mm and rad.
-    """
-
-    entry: Floats
-    direction: Floats
+    entry: Floats  # (3,); the tip at first contact, mm
+    direction: Floats  # (3,); unit vector of insertion, into the tissue
+    # Standard deviations of both in any one direction, mm and rad.
     shift_sd: float
     angle_sd: float
 
@@ -47,20 +42,13 @@ class LayerSource:
     """A file with a layer's surface (STL, PLY, OBJ), or with a segmentation of all layers.
 
     Segmentations are NRRD, NIfTI, DICOM-SEG or RTSTRUCT files, or a .zip of one.
-
-    Attributes
-    ----------
-    kind : "sheet", "solid" or None
-        None: solid where the mesh is closed.
-    into : int or None
-        The layer it leads into; 1 is the tissue's own surface. None: by its place in the list, from 2.
-    segments : tuple of str
-        Of a segmentation: the segments that are layers 1, 2, ...; empty: all, in its own order.
     """
 
     path: Path
-    kind: SurfaceKind | None = None
+    kind: SurfaceKind | None = None  # None: solid where the mesh is closed
+    # The layer it leads into; 1 is the tissue's own surface. None: by its place in the list, from 2.
     into: int | None = None
+    # Of a segmentation: the segments that are layers 1, 2, ...; empty: all, in its own order.
     segments: tuple[str, ...] = ()
 
     def name_file(self, file: str) -> str:
@@ -77,66 +65,40 @@ class LayerSource:
 
 @dataclass(frozen=True)
 class Scan:
-    """One scan, with everything that is known about it.
+    """One scan, with everything that is known about it."""
 
-    Attributes
-    ----------
-    id, medium, specimen : str
-        As in `insertions.csv`.
-    volume : Path
-        A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` names one of several in a folder.
-    mask : Path or None
-        The needle's voxels, segmented elsewhere; a volume that stands where the scan does.
-    markers : Path or None
-        Known places of the markers in the world; None: the world is the patient frame (LPS) of the scan.
-    fiducials : Path or None
-        The markers as placed in the scan by hand; None: they are looked for in the volume.
-    surfaces_in : "world" or "scan"
-        The frame of `surfaces`; a segmentation always lies in that of its scan.
-    stage : Stage or None
-        None: the entry pose comes from the shaft outside the tissue.
-    bevel : (3,) array or None
-        World direction toward which C's +y shall point, on or off the entry plane.
-    side : int
-        The side of C's x axis that the bevel faces, +1 (toward +y) or -1.
-    layers, layers_alternative : int or None
-        Layers that were met, where somebody counted them; None: as many as are found.
-    guide_distance : float or None
-        As in `insertions.csv`, mm.
-    expected_depth : float or None
-        About how much of the needle is in the tissue, mm: it names the entry among several candidates.
-    needle_at : (3,) array or None
-        A point on the needle that is meant, LPS of the scan, mm.
-    contact, tip : (3,) array or None
-        Where the needle enters the tissue, and where it ends, placed by hand in the scan, LPS, mm; None: they
-        are looked for.
-    propose_layers : bool
-        Whether interfaces that the scan shows are proposed, beside `surfaces`.
-    origin : str
-        "measured" or "synthetic".
-    """
-
+    # `id`, `medium`, `specimen`: as in `insertions.csv`.
     id: str
+    # A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` names one of several in a folder.
     volume: Path
     medium: str
     specimen: str = ""
     series: str | None = None
+    # The needle's voxels, segmented elsewhere; a volume that stands where the scan does.
     mask: Path | None = None
+    # Known places of the markers in the world; None: the world is the patient frame (LPS) of the scan.
     markers: Path | None = None
+    # The markers as placed in the scan by hand; None: they are looked for in the volume.
     fiducials: Path | None = None
     surfaces: tuple[LayerSource, ...] = ()
+    # The frame of `surfaces`; a segmentation always lies in that of its scan.
     surfaces_in: Literal["world", "scan"] = "world"
-    stage: StagePose | None = None
+    stage: StagePose | None = None  # None: the entry pose comes from the shaft outside the tissue
+    # (3,) or None; world direction toward which C's +y shall point, on or off the entry plane.
     bevel: Floats | None = None
-    side: int = 1
+    side: int = 1  # the side of C's x axis that the bevel faces, +1 (toward +y) or -1
+    # Layers that were met, where somebody counted them; None: as many as are found.
     layers: int | None = None
     layers_alternative: int | None = None
-    guide_distance: float | None = None
+    guide_distance: float | None = None  # as in `insertions.csv`, mm
+    # About how much of the needle is in the tissue, mm: it names the entry among several candidates.
     expected_depth: float | None = None
-    needle_at: Floats | None = None
+    needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
+    # (3,) or None; where the needle enters the tissue, and where it ends, placed by hand in the scan, LPS,
+    # mm; None: they are looked for.
     contact: Floats | None = None
     tip: Floats | None = None
-    propose_layers: bool = False
+    propose_layers: bool = False  # whether interfaces that the scan shows are proposed, beside `surfaces`
     origin: Literal["measured", "synthetic"] = "measured"
 
     @property
@@ -151,35 +113,27 @@ COUNT_COLUMNS = ("layers", "layers_alternative")
 NEEDLE_COLUMNS = ("needle_x_mm", "needle_y_mm", "needle_z_mm")
 CONTACT_COLUMNS = ("contact_x_mm", "contact_y_mm", "contact_z_mm")
 TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
-PLACED_COLUMNS = (*NEEDLE_COLUMNS, *CONTACT_COLUMNS, *TIP_COLUMNS)
-"""Points placed by hand in the scan, LPS."""
+PLACED_COLUMNS = (*NEEDLE_COLUMNS, *CONTACT_COLUMNS, *TIP_COLUMNS)  # points placed by hand in the scan, LPS
 LENGTH_COLUMNS = ("guide_distance_mm", "expected_depth_mm")
+# Columns of numbers.
 NUMBER_COLUMNS = (
     *(*STAGE_COLUMNS, *BEVEL_COLUMNS, "bevel_side", *COUNT_COLUMNS),
     *(*LENGTH_COLUMNS, *PLACED_COLUMNS),
 )
-"""Columns of numbers."""
 
+# Every column of a table of scans; those of `insertions.csv` mean the same here.
 SCAN_COLUMNS = (
     *("id", "scan", "series", "medium", "specimen", "mask", "markers", "fiducials"),
     *("surfaces", "surfaces_in", *NUMBER_COLUMNS, "origin"),
 )
-"""Every column of a table of scans; those of `insertions.csv` mean the same here."""
 
-SCANS_DOCUMENT = "docs/reconstruction.md"
-"""Where the columns, and the files that they name, are explained."""
-
+SCANS_DOCUMENT = "docs/reconstruction.md"  # where the columns, and the files that they name, are explained
+# What fixes a bevel that fixes no plane.
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
-"""What fixes a bevel that fixes no plane."""
-
-PROPOSE_LAYERS = "auto"
-"""In place of a file of layers: propose those that the scan shows."""
-
+PROPOSE_LAYERS = "auto"  # in place of a file of layers: propose those that the scan shows
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
-
+# Columns of words; the first is that of an empty cell.
 CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
-"""Columns of words; the first is that of an empty cell."""
-
 _LAYER_PATTERN = re.compile(r"(?P<file>.+)=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2})")
 _SEGMENTS_PATTERN = re.compile(r"(?P<file>.+)=segments:(?P<names>[^=]+)")
 
@@ -424,3 +378,210 @@ def _number_faults(row: ScanRow) -> Iterator[Fault]:
         if number[name] <= 0:
             what, fix = f"{name} is {number[name]:g}", f"leave it empty: {meaning}"
             yield Fault(row.where, what, "a length above 0", fix)
+
+
+MISSING_VOLUME = Fault("", "there is no such file or folder", READABLE_VOLUMES, "check the path")
+SCAN_TABLE_FIX = "write a table of scans, with a column for it"
+
+
+def read_scans(path: Path) -> tuple[Scan, ...]:
+    """Read a table of scans, one per row, in its order; paths in it are relative to its folder.
+
+    Only `scan` is required; what an empty cell means `Scan` says. An id that is not given is the volume's
+    name. Surfaces are separated by `;`, each a file or `file=kind:into`, e.g. `skin.stl=sheet:2`.
+
+    DataError: listing every fault of the table, with its line: cells, columns that are unknown, files
+    missing.
+    """
+    table = read_table(path, SCANS_DOCUMENT)
+    found = list(_column_faults(table))
+    rows = _parse_rows(table, found)
+    unread = {fault.where for fault in found}
+    for row in rows:
+        found += row_faults(row, numbers_read=row.where not in unread)
+    found += _mixed_marker_faults(rows)
+    ids = [row.text["id"] or scan_id(Path(row.text["scan"])) for row in rows]
+    found += _repeated_id_faults(ids, [row.where for row in rows])
+    if found:
+        raise as_error(found, path)
+    return tuple(build_scan(row, id_) for row, id_ in zip(rows, ids, strict=True))
+
+
+def make_scans(
+    volumes: Sequence[Path],
+    *,
+    medium: str = "medium",
+    markers: Path | None = None,
+    layers: Sequence[str] = (),
+    surfaces_in: Literal["world", "scan"] = "world",
+    fiducials: Path | None = None,
+    mask: Path | None = None,
+    series: str | None = None,
+) -> tuple[Scan, ...]:
+    """Return a scan for each of some volumes that share markers and layers; file names become ids.
+
+    `layers`: files, each as in a table of scans: `file` or `file=kind:into`; "auto" proposes layers.
+    `fiducials`, `mask`, `series`: of one scan: no two have them in common.
+
+    DataError: listing every file that is missing, every layer that is not understood, names that are alike or
+    name no file, and fiducials without markers.
+    """
+    found = [replace(MISSING_VOLUME, where=str(volume)) for volume in volumes if not path_exists(volume)]
+    given = {
+        "the known places of the markers": markers,
+        "the markers as placed in the scan": fiducials,
+        "the needle's voxels": mask,
+    }
+    for expected, path in given.items():
+        if path is not None and not is_file(path):
+            found.append(Fault(str(path), "there is no such file", expected, "check the path"))
+    if fiducials and not markers:
+        found.append(
+            unmatched_fiducials_fault(str(fiducials), "name the file of their known places, too: --markers")
+        )
+    once = fiducials or mask or series
+    if len(volumes) > 1 and once:
+        found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
+    sources = [parse_layer_source(text, Path()) for text in layers if text != PROPOSE_LAYERS]
+    found += [source for source in sources if isinstance(source, Fault)]
+    found += name_faults("medium", medium, "medium")
+    for volume in volumes:
+        found += label_faults("scan", volume.name, repr(str(volume)))
+    ids = [scan_id(volume) for volume in volumes]
+    found += _repeated_id_faults(ids, [str(volume) for volume in volumes])
+    if found:
+        raise as_error(found, Path(found[0].where))
+    surfaces = tuple(source for source in sources if not isinstance(source, Fault))
+    return tuple(
+        Scan(
+            id_,
+            volume,
+            medium,
+            series=series,
+            mask=mask,
+            markers=markers,
+            fiducials=fiducials,
+            surfaces=surfaces,
+            surfaces_in=surfaces_in,
+            propose_layers=PROPOSE_LAYERS in layers,
+        )
+        for id_, volume in zip(ids, volumes, strict=True)
+    )
+
+
+def scan_id(volume: Path) -> str:
+    """Return the id of a volume from its file name: without the ending, and with allowed characters only."""
+    name = volume.resolve().name if volume.name in ("", "..") else volume.name
+    ending = next(
+        (end for end in (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm", ARCHIVE_SUFFIX) if name.lower().endswith(end)),
+        "",
+    )
+    return make_id(name[: len(name) - len(ending)], "scan")
+
+
+def _column_faults(table: CsvTable) -> Iterator[Fault]:
+    """Yield columns that nothing is known of: a name mistyped would silently leave its cells out."""
+    where = f"{table.path}:1"
+    if "scan" not in table.cells:
+        expected = (
+            f"the path of each volume: {READABLE_VOLUMES}; there are {list_columns(table.cells.columns)}"
+        )
+        yield Fault(where, "column `scan` is missing", expected, "add the column")
+        return
+    for name in table.cells:
+        if name not in SCAN_COLUMNS:
+            near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
+            fix = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
+            yield Fault(where, f"column `{name}` is unknown", f"one of {', '.join(SCAN_COLUMNS)}", fix)
+
+
+def _mixed_marker_faults(rows: Sequence[ScanRow]) -> Iterator[Fault]:
+    """Yield the rows without markers of a table that has some: their worlds would be others."""
+    if any(row.text["markers"] for row in rows):
+        for row in rows:
+            if not row.text["markers"]:
+                yield Fault(
+                    row.where,
+                    "`markers` is empty, but other scans have some",
+                    "one world for all: markers for every scan, or for none",
+                    "add the markers' places, or put this scan into a table of its own",
+                )
+
+
+def _parse_rows(table: CsvTable, found: list[Fault]) -> list[ScanRow]:
+    blank = [""] * len(table.lines)
+    text = {name: table.cells[name].tolist() if name in table.cells else blank for name in SCAN_COLUMNS}
+    number = {
+        name: parse_numbers(table, name, found, optional=True)
+        if name in table.cells
+        else np.full(len(blank), np.nan)
+        for name in NUMBER_COLUMNS
+    }
+    return [
+        ScanRow(
+            table.where(n),
+            table.path.parent,
+            {name: cells[n] for name, cells in text.items()},
+            {name: float(values[n]) for name, values in number.items()},
+        )
+        for n in range(len(blank))
+    ]
+
+
+def _repeated_id_faults(ids: Iterable[str], places: Iterable[str]) -> Iterator[Fault]:
+    first: dict[str, str] = {}
+    for id_, place in zip(ids, places, strict=True):
+        if id_ in first:
+            yield Fault(
+                place,
+                f"has the id {id_}, as {first[id_]} has",
+                "a different id for every scan: it names files of the dataset",
+                "give each an id of its own in a table of scans",
+            )
+        first.setdefault(id_, place)
+
+
+def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None) -> None:
+    """Write a table of scans, from which `read_scans` reads the same.
+
+    Paths are relative to its folder, or to `home`, where that will stand.
+    """
+    rows = [_to_row(scan, home or path.parent) for scan in scans]
+    columns = [name for name in SCAN_COLUMNS if any(row.get(name) for row in rows)]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _to_row(scan: Scan, folder: Path) -> dict[str, str]:
+    row = {"id": scan.id, "scan": _relative(scan.volume, folder), "medium": scan.medium}
+    row |= {"specimen": scan.specimen, "series": scan.series or "", "surfaces_in": scan.surfaces_in}
+    for name, named in (("mask", scan.mask), ("markers", scan.markers), ("fiducials", scan.fiducials)):
+        row[name] = "" if named is None else _relative(named, folder)
+    layers = [layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces]
+    row["surfaces"] = ";".join([*layers, *([PROPOSE_LAYERS] if scan.propose_layers else [])])
+    stage = scan.stage
+    if stage is not None:
+        values = [*stage.entry, *stage.direction, stage.shift_sd, np.degrees(stage.angle_sd)]
+        row |= _format_numbers(STAGE_COLUMNS, values)
+    for names, point in (
+        (BEVEL_COLUMNS, scan.bevel),
+        (NEEDLE_COLUMNS, scan.needle_at),
+        (CONTACT_COLUMNS, scan.contact),
+        (TIP_COLUMNS, scan.tip),
+    ):
+        row |= {} if point is None else _format_numbers(names, point)
+    row |= {"bevel_side": str(scan.side), "origin": scan.origin}
+    counts = {"layers": scan.layers, "layers_alternative": scan.layers_alternative}
+    row |= {name: "" if count is None else str(count) for name, count in counts.items()}
+    lengths = {"guide_distance_mm": scan.guide_distance, "expected_depth_mm": scan.expected_depth}
+    return row | {name: "" if length is None else f"{length:.10g}" for name, length in lengths.items()}
+
+
+def _format_numbers(names: Sequence[str], values: Sequence[float] | Floats) -> dict[str, str]:
+    return {name: f"{float(value):.10g}" for name, value in zip(names, values, strict=True)}
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

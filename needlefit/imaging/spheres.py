@@ -1,4 +1,12 @@
-"""Fit the image of a ball to the voxels around a marker: its centre, and the centre's standard deviation.
+"""The image that a scanner makes of a ball: a table over the distances across and along the slices' normal.
+
+A hardened beam sees a ball darker in its middle. Where the signal of a ray falls short by its length squared,
+the image falls short by sqrt(1 - r^2 / R^2) in every slice, so that ball and shortfall are both spheres;
+their Fourier transforms are Bessel functions. The scanner multiplies these by its modulation transfer: in the
+slices (1 + b x^2) exp(-x^2), x = k sigma / sqrt(2), whose b lets edges over- and undershoot as sharp kernels
+do; across them that of a box with a Gaussian's edges.
+
+Fit the image of a ball to the voxels around a marker: its centre, and the centre's standard deviation.
 
 The ball, hardened and blurred as a scanner shows it (`sphere_profile`), takes the place of the background
 where it is. The background is two levels with a soft step between them, as a marker glued on a phantom has
@@ -7,28 +15,114 @@ voxels leave open, such as the height of a ball that is cut low, is held by what
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
-from scipy.special import ndtr
+from scipy.special import j0, j1, jv, ndtr, spherical_jn
 
-from needlefit.arrays import Floats
-from needlefit.imaging.marker_blobs import Blob
-from needlefit.imaging.sphere_profile import (
-    ACROSS,
-    ALONG,
-    BALL,
-    SHORTFALL,
-    PointSpread,
-    SphereTables,
-    expected_slice_blur,
-    look_up,
-)
+from needlefit.arrays import Floats, Ints
 from needlefit.imaging.volume import Volume, to_patient
 
+TABLE_STEP_MM = 0.1  # spacing of the table, mm; cubic splines join it
+FREQUENCY_STEP_PER_MM = 0.25  # spacing of the angular frequencies, 1/mm: images of a ball repeat every 25 mm
+BOX_PART = 0.8  # part of the variance of a slice's profile that is a box's, the rest is a Gaussian's
+MAX_FREQUENCY_SD = 4.5  # angular frequencies end at so many over the narrowest blur, 1/mm
+# The tables: ball; shortfall; and the derivatives of ball + `shortfall` x shortfall by the distances across
+# and along, over these distances, 1/mm^2, and by the logarithm of the blur in the slices, b, and the
+# logarithm of the blur across them.
+BALL, SHORTFALL, ACROSS, ALONG = range(4)
+# Deviation of a slice's profile over the slices' distance, and the least: a box has 0.29, helical scans more.
+SLICE_BLUR_RATIO, MIN_EXPECTED_SLICE_BLUR_MM = 0.33, 0.2
+
+
+def expected_slice_blur(distance: float) -> float:
+    """Return the blur across slices that their `distance` lets one expect, mm."""
+    return max(SLICE_BLUR_RATIO * distance, MIN_EXPECTED_SLICE_BLUR_MM)
+
+
+@dataclass(frozen=True)
+class PointSpread:
+    """A scanner's point spread: deviations `blur` and `slice_blur` (mm) in and across slices, and `boost`."""
+
+    blur: float
+    boost: float
+    slice_blur: float
+
+
+@dataclass(frozen=True)
+class SphereTables:
+    """Tables of balls of `radius` out to `reach`, for blurs in and across slices from `min_blur` on; mm."""
+
+    radius: float
+    reach: float
+    min_blur: tuple[float, float]
+
+    @cached_property
+    def _grid(self) -> Floats:
+        return np.arange(0.0, self.reach + 4 * TABLE_STEP_MM, TABLE_STEP_MM)
+
+    @cached_property
+    def _frequencies(self) -> tuple[Floats, Floats]:
+        """Middles of the steps of frequency in the slices, and across them, 1/mm."""
+        ends = [MAX_FREQUENCY_SD / blur for blur in self.min_blur]
+        across, along = (np.arange(0.5, end / FREQUENCY_STEP_PER_MM) * FREQUENCY_STEP_PER_MM for end in ends)
+        return across, along
+
+    @cached_property
+    def _transforms(self) -> tuple[Floats, Floats]:
+        """Fourier transforms of ball and shortfall on the frequencies, times the measure of each."""
+        across, along = self._frequencies
+        x = self.radius * np.hypot(across[:, None], along)
+        rings = across.copy()
+        rings[0] *= 11 / 12  # the end term of Euler and Maclaurin: the integrand begins with a slope
+        measure = rings[:, None] * FREQUENCY_STEP_PER_MM**2 / (2 * np.pi**2) * self.radius**3
+        return 4 * np.pi * spherical_jn(1, x) / x * measure, 2 * np.pi**2 * jv(2, x) / x**2 * measure
+
+    @cached_property
+    def _waves(self) -> tuple[Floats, Floats, Floats, Floats]:
+        across, along = self._frequencies
+        kr, kz = np.outer(self._grid, across), np.outer(along, self._grid)
+        # (J1(x) / x) is 1/2 at 0
+        sloped = np.divide(j1(kr), kr, out=np.full_like(kr, 0.5), where=kr > 0)
+        return j0(kr), -(across**2) * sloped, np.cos(kz), -(along[:, None] ** 2) * np.sinc(kz / np.pi)
+
+    def render(self, shortfall: float, blur: float, boost: float, slice_blur: float) -> list[Floats]:
+        """Return the seven tables (G, G), as splines."""
+        across, along = self._frequencies
+        x2 = (blur * across[:, None]) ** 2 / 2
+        y2 = (1 - BOX_PART) * (slice_blur * along) ** 2 / 2
+        z = np.sqrt(3 * BOX_PART) * slice_blur * along
+        box = np.sinc(z / np.pi)
+        fall = np.exp(-x2 - y2) * box
+        pass_ = (1 + boost * x2) * fall
+        ball, dark = self._transforms
+        both = ball + shortfall * dark
+        wave, sloped, cosine, sine = self._waves
+        tables = [
+            wave @ (ball * pass_) @ cosine,
+            wave @ (dark * pass_) @ cosine,
+            sloped @ (both * pass_) @ cosine,
+            wave @ (both * pass_) @ sine,
+            wave @ (both * 2 * x2 * (boost - 1 - boost * x2) * fall) @ cosine,
+            wave @ (both * x2 * fall) @ cosine,
+            wave @ (both * ((1 + boost * x2) * np.exp(-x2 - y2) * (np.cos(z) - box - 2 * y2 * box))) @ cosine,
+        ]
+        return [spline_filter(table, mode="mirror") for table in tables]
+
+
+def look_up(table: Floats, across: Floats, along: Floats) -> Floats:
+    """Return a table's values (N,) at distances `across` and `along` (N,) >= 0, mm."""
+    places = np.stack([across, along]) / TABLE_STEP_MM
+    return np.asarray(map_coordinates(table, places, order=3, mode="mirror", prefilter=False))
+
+
+# What the 14 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened beam
+# sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost; logarithm
+# of the blur across them; the background's lower level and its step, HU; the step's direction over its width,
+# 1/mm, and its offset.
 CENTER, HEIGHT, DARK, BLUR, BOOST, SLICE, LEVEL, STEP, FACE, OFFSET = (
     slice(0, 3),
     3,
@@ -41,31 +135,25 @@ CENTER, HEIGHT, DARK, BLUR, BOOST, SLICE, LEVEL, STEP, FACE, OFFSET = (
     slice(10, 13),
     13,
 )
-"""What the 14 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened
-beam sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost;
-logarithm of the blur across them; the background's lower level and its step, HU; the step's direction over
-its width, 1/mm, and its offset."""
+
+
+@dataclass(frozen=True)
+class Blob:
+    """A connected component of bright voxels, about as large as a marker."""
+
+    voxels: Ints  # (N, 3); i, j, k
+    level: float  # all of them exceed it, HU
+    diameter: float  # of a ball of as many voxels, mm
 
 
 @dataclass(frozen=True)
 class SphereVoxels:
-    """The voxels around a ball.
+    """The voxels around a ball."""
 
-    Attributes
-    ----------
-    places : (N, 3) array
-        From the blob's middle along the grid's axes, mm.
-    values : (N,) array
-        HU.
-    spacing : (3,) array
-        Of the grid, mm.
-    floor, ceiling : float
-        Where the scanner's numbers begin and end, HU; infinite if they do not.
-    """
-
-    places: Floats
-    values: Floats
-    spacing: Floats
+    places: Floats  # (N, 3); from the blob's middle along the grid's axes, mm
+    values: Floats  # (N,); HU
+    spacing: Floats  # (3,); of the grid, mm
+    # Where the scanner's numbers begin and end, HU; infinite if they do not.
     floor: float
     ceiling: float
 
@@ -129,29 +217,16 @@ def _render_background(places: Floats, theta: Floats) -> tuple[Floats, Floats]:
     return theta[LEVEL] + theta[STEP] * beyond, turned
 
 
-SQUARE_PIXELS = 0.02
-"""Relative difference of a pixel's edges below which it counts as square."""
-
+SQUARE_PIXELS = 0.02  # relative difference of a pixel's edges below which it counts as square
+# How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges.
 FIT_MARGIN_MM = 1.5
-"""How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges."""
-
-GUARD_DISTANCE_MM = 1.0
-"""Voxels this near to another bright thing are left out, mm."""
-
-MAX_VOXELS = 4000
-"""Of more voxels, every second, third ... is taken: neighbours in fine voxels say the same."""
-
-SOFT_LOSS_SD = 2.0
-"""Residuals beyond so many deviations of the noise count less."""
-
-FIRST_NOISE_PART = 0.05
-"""Noise before it is known, in parts of the ball's brightness."""
-
+GUARD_DISTANCE_MM = 1.0  # voxels this near to another bright thing are left out, mm
+MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
+SOFT_LOSS_SD = 2.0  # residuals beyond so many deviations of the noise count less
+FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
+# Deviation of the blur in the slices, mm; a fit that ends at the latter shows no ball.
 MIN_BLUR_MM, MAX_BLUR_MM = 0.15, 1.2
-"""Deviation of the blur in the slices, mm; a fit that ends at the latter shows no ball."""
-
 MIN_SLICE_BLUR_MM, MAX_SLICE_BLUR_MM = 0.1, 2.0
-
 LOWER_BOUNDS = np.array(
     [
         *3 * [-np.inf],
@@ -180,50 +255,32 @@ UPPER_BOUNDS = np.array(
         10.0,
     ]
 )
+# Bounds and typical changes of the model's parameters.
 PARAMETER_SCALES = np.array([0.2, 0.2, 0.2, 0.3, 0.2, 0.2, 0.5, 0.3, 100.0, 100.0, 0.3, 0.3, 0.3, 0.5])
-"""Bounds and typical changes of the model's parameters."""
-
 PRIOR_COLUMNS = [HEIGHT, DARK, BLUR, BOOST, SLICE]
 PRIOR_MEANS = np.array([np.log(1e4), -0.1, np.log(0.45), 0.5])
+# What is known before: metal and glass lie between 2 000 and 50 000 HU; scanners' kernels; the slices' blur
+# is that of `expected_slice_blur`.
 PRIOR_SD = np.array([1.0, 0.2, 0.3, 1.0, 0.3])
-"""What is known before: metal and glass lie between 2 000 and 50 000 HU; scanners' kernels; the slices' blur
-is that of `expected_slice_blur`."""
-
-CORRELATION_LENGTH_MM = 1.0
-"""Errors of voxels farther apart than this are unrelated, mm."""
-
+CORRELATION_LENGTH_MM = 1.0  # errors of voxels farther apart than this are unrelated, mm
+# What the formal deviation is multiplied by, and what no scatter shows, mm. Set on other scans than those of
+# `benchmarks/markers.py`.
 FORMAL_SD_FACTOR, SYSTEMATIC_SD_MM = 0.9, 0.003
-"""What the formal deviation is multiplied by, and what no scatter shows, mm. Set on other scans than those of
-`benchmarks/markers.py`."""
-
-SLICE_ERROR = 0.02
-"""Deviation by thick slices, in squares of their distance over the ball's radius."""
-
+SLICE_ERROR = 0.02  # deviation by thick slices, in squares of their distance over the ball's radius
+# Deviation by what the model does not explain, in misfits times the blur. Both set on the part `tuning` of
+# `benchmarks/real_scanners.py`.
 MISFIT_ERROR = 0.35
-"""Deviation by what the model does not explain, in misfits times the blur. Both set on the part `tuning` of
-`benchmarks/real_scanners.py`."""
 
 
 @dataclass(frozen=True)
 class SphereFit:
-    """A fitted ball.
+    """A fitted ball."""
 
-    Attributes
-    ----------
-    center : (3,) array
-        LPS, mm.
-    sd : float
-        Deviation in any one direction, mm.
-    spread : PointSpread
-        With which it is blurred.
-    misfit, noise : float
-        Root mean square of what the fit leaves in and at the ball, and the deviation of the noise around it,
-        in parts of the ball's height as shown.
-    """
-
-    center: Floats
-    sd: float
-    spread: PointSpread
+    center: Floats  # (3,); LPS, mm
+    sd: float  # deviation in any one direction, mm
+    spread: PointSpread  # with which it is blurred
+    # Root mean square of what the fit leaves in and at the ball, and the deviation of the noise around it, in
+    # parts of the ball's height as shown.
     misfit: float
     noise: float
 

@@ -1,4 +1,6 @@
-"""Explain the brightness around a needle as runs of air, soft material and metal, and fit where they begin.
+"""Sample the brightness of the needle and of its surroundings along it.
+
+Explain the brightness around a needle as runs of air, soft material and metal, and fit where they begin.
 
 Soft is what lies between air and metal: tissue, a gel, the plastic of a guide or of a hub.
 """
@@ -8,65 +10,84 @@ from itertools import groupby
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats
-from needlefit.imaging.intensity_profile import MIN_METAL_HU
-from needlefit.imaging.needle.axis_spline import correlation_factor
+from needlefit.geometry.curves import make_normal
+from needlefit.imaging.needle.axis_spline import AxisFrames, correlation_factor, disc_points, sample_planes
 from needlefit.imaging.reconstruction import IntensityProfile
+from needlefit.imaging.volume import Volume
 
+# Radii between which the surroundings are read, mm: beyond bloom, within the nearest marker as a rule.
+RING_RADII_MM = (3.5, 6.0)
+# Brighter points of a ring are a marker's, HU; where most of a ring is as bright, a hub's or a holder's.
+MIN_METAL_HU = 1000.0
+CORE_RADIUS_MM = 0.45  # radius within which the needle itself is read, mm
+MIN_RING_FRACTION = 0.3  # part of a ring that must lie in the volume, with the points opposite
+
+
+def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> IntensityProfile:
+    """Return the brightness of the needle and of its surroundings at each station.
+
+    The surroundings are the median of a ring: rays, which fill a part of it, do not count. Points outside the
+    volume and on markers are left out, with those opposite; so a slanting face, which some points meet early
+    and others late, turns the median where the needle itself passes through. Where most of the ring is metal,
+    it is a hub or a holder, and its brightness is returned.
+
+    `points`: (N, 3); along the needle, LPS, mm; what lies beyond its tip is welcome.
+    `s`: (N,); where along the needle they are, mm.
+    """
+    axis = np.asarray(points, dtype=np.float64)
+    tangents = np.gradient(axis, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    u = np.cross(tangents, make_normal(tangents[len(axis) // 2]))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    where = AxisFrames(axis, tangents, u, np.cross(tangents, u))
+    plane = disc_points(RING_RADII_MM[1])
+    radius = np.hypot(*plane.T)
+    ring = sample_planes(volume, where, plane[radius >= RING_RADII_MM[0]])
+    metal = _row_medians(ring, MIN_RING_FRACTION)
+    ring = np.where(ring < MIN_METAL_HU, ring, np.nan)
+    ring = np.where(np.isfinite(ring[:, ::-1]), ring, np.nan)  # the same disc, turned round
+    core = sample_planes(volume, where, plane[radius <= CORE_RADIUS_MM])
+    around = np.where(metal > MIN_METAL_HU, metal, _row_medians(ring, MIN_RING_FRACTION))
+    return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around)
+
+
+def _row_medians(values: Floats, least: float) -> Floats:
+    """Return the median (N,) of each row's known values; nan where fewer than the part `least` is known."""
+    enough = np.isfinite(values).mean(axis=1) >= least
+    middle = np.full(len(values), np.nan)
+    if enough.any():
+        middle[enough] = np.nanmedian(values[enough], axis=1)
+    return middle
+
+
+# Air, also that of a gap so narrow that blur fills it half, is darker; fat (-120) and water are not, HU.
 MAX_GAP_HU = -250.0
-"""Air, also that of a gap so narrow that blur fills it half, is darker; fat (-120) and water are not, HU."""
-
+# Soft material must last so long along the needle to be a run, and air before the tissue, mm.
 MIN_SIDE_LENGTH_MM = 2.0
-"""Soft material must last so long along the needle to be a run, and air before the tissue, mm."""
-
-MIN_GAP_LENGTH_MM = 1.0
-"""Air between two soft runs must last so long, mm."""
-
-METAL_BLUR_MM = 2.0
-"""Soft values this near to a hub or holder are its blur, mm."""
-
-NARROW_GAP_MM = 4.0
-"""In a narrower gap blur hides the level of the air, mm: it is taken as known."""
-
-AIR_HU, AIR_SD_HU = -1000.0, 30.0
-"""That of air, HU, and its deviation in a narrow gap."""
-
-EDGE_REACH_MM = 8.0
-"""Distance to either side of the edge over which the model is fitted, mm."""
-
-EDGE_MARGIN_MM = 3.0
-"""Distance within which the blur of an edge shows, mm."""
-
-MIN_EDGE_STEP_HU = 300.0
-"""An edge from air to tissue rises by more than this, HU."""
-
+MIN_GAP_LENGTH_MM = 1.0  # air between two soft runs must last so long, mm
+METAL_BLUR_MM = 2.0  # soft values this near to a hub or holder are its blur, mm
+NARROW_GAP_MM = 4.0  # in a narrower gap blur hides the level of the air, mm: it is taken as known
+AIR_HU, AIR_SD_HU = -1000.0, 30.0  # that of air, HU, and its deviation in a narrow gap
+EDGE_REACH_MM = 8.0  # distance to either side of the edge over which the model is fitted, mm
+EDGE_MARGIN_MM = 3.0  # distance within which the blur of an edge shows, mm
+MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, HU
+# Two soft materials differ by more: rays and a hardened beam leave less in the median of a ring, HU.
 MIN_STEP_HU = 25.0
-"""Two soft materials differ by more: rays and a hardened beam leave less in the median of a ring, HU."""
-
-MIN_STEP_LENGTH_MM = 3.0
-"""A soft material lasts so long along the needle, mm."""
-
-BLUR_MM = 1.5
-"""Stations this near to the end of a run show its edge, mm."""
-
+MIN_STEP_LENGTH_MM = 3.0  # a soft material lasts so long along the needle, mm
+BLUR_MM = 1.5  # stations this near to the end of a run show its edge, mm
+# Scatter of the surroundings along a needle in one material, HU: rays leave so much without noise.
 MIN_STEP_NOISE_HU = 5.0
-"""Scatter of the surroundings along a needle in one material, HU: rays leave so much without noise."""
-
+# The same in parts of the edge's blur: kernels and slices blur both sides of an edge differently.
 SYSTEMATIC_WIDTH_RATIO = 0.1
-"""The same in parts of the edge's blur: kernels and slices blur both sides of an edge differently."""
-
+# A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it.
 WIDTH_MM = 0.5
-"""A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it."""
-
-SOFT_LOSS_SD = 2.0
-"""Stations that stray by more than so many deviations of the noise count less."""
-
-SYSTEMATIC_SD_MM = 0.03
-"""Deviation of an edge that no scatter along the needle shows, mm."""
+SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
+SYSTEMATIC_SD_MM = 0.03  # deviation of an edge that no scatter along the needle shows, mm
 
 
 Kind = Literal["air", "soft", "metal"]
@@ -74,20 +95,13 @@ Kind = Literal["air", "soft", "metal"]
 
 @dataclass(frozen=True)
 class MaterialRun:
-    """A part of the needle whose surroundings are of one kind.
-
-    Attributes
-    ----------
-    begin, end : float
-        Along the needle, mm; a first or last run may go on beyond what is seen.
-    level : float
-        Median of the surroundings, HU.
-    """
+    """A part of the needle whose surroundings are of one kind."""
 
     kind: Kind
+    # Along the needle, mm; a first or last run may go on beyond what is seen.
     begin: float
     end: float
-    level: float
+    level: float  # median of the surroundings, HU
 
     @property
     def length(self) -> float:
@@ -315,10 +329,7 @@ def _fit_steps(
 
     The slope is for what a hardened beam and further layers do. Stations that stray count less.
 
-    Parameters
-    ----------
-    start : tuple
-        Edges (n,), mm; levels (n + 1,), HU; and which of these are air's for certain.
+    `start`: edges (n,), mm; levels (n + 1,), HU; and which of these are air's for certain.
     """
     at, levels, gaps = start
     count = len(at)
