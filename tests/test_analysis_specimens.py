@@ -8,9 +8,7 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.studies.job import Settings
-from needlefit.studies.kinds.specimens.report import draw_figures, summarize
-from needlefit.studies.kinds.specimens.run import run
-from needlefit.studies.kinds.specimens.schema import SpecimensRecord
+from needlefit.studies.kinds.specimens import REPORT, SpecimensRecord, run
 from needlefit.studies.report import write_run
 from needlefit.studies.run import Run
 
@@ -36,8 +34,8 @@ def test_two_specimens_do_not_determine_a_spread(two, tmp_path):
     assert table["low_95"]["spread", "bevel_mm"] == 0.0
     new, mean = (table["high_95"][w, "mu1_pa"] - table["low_95"][w, "mu1_pa"] for w in ("new", "mean"))
     assert new > mean  # a further specimen differs besides
-    assert summarize(answer)[0].startswith("Spread")
-    assert any("bounds" in line for line in summarize(answer)[1:])
+    assert REPORT.summarize(answer)[0].startswith("Spread")
+    assert any("bounds" in line for line in REPORT.summarize(answer)[1:])
     written = write_run(answer, tmp_path / "o")
     assert (written / "specimens.pdf").is_file()
     # what a figure draws: more than the frame of its name
@@ -53,7 +51,7 @@ def test_posteriors_truncated_by_a_bound_are_named(two):
     for away, expected in ((0.19, f"μ₁ of {every['specimen'].iloc[0]}"), (0.21, "")):
         every["mean"] = every["parameter"].map({"mu1_pa": top - 1, "bevel_mm": np.log(0.1)})
         every.loc[first, "mean"] = top - away
-        lines = summarize(replace(two, frames={**two.frames, "specimens": every}))
+        lines = REPORT.summarize(replace(two, frames={**two.frames, "specimens": every}))
         assert (
             "".join(line.split(": ")[1].split(".")[0] for line in lines if "posteriors" in line) == expected
         )
@@ -70,8 +68,8 @@ def test_intervals_cover_the_synthetic_population(tmp_path):
     spreads = coverage[(coverage["quantity"] == "spread") & (coverage["level"] == 0.95)]
     held = found[(found["quantity"] == "spread") & (found["low_95"] == 0.0)]
     assert spreads["covered"].sum() == len(held)
-    assert draw_figures(answer, tmp_path)["recovered"].is_file()
-    assert any("True spread 0" in line for line in summarize(answer))
+    assert REPORT.draw(answer, tmp_path)["recovered"].is_file()
+    assert any("True spread 0" in line for line in REPORT.summarize(answer))
 
 
 def test_a_population_of_one_and_a_mean_left_out_are_refused():

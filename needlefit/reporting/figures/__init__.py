@@ -23,18 +23,21 @@ class Drawing:
         All that is drawn; it is saved as CSV beside the figure.
     options : mapping
         Keyword arguments of the form.
+    prepare : callable
+        Frame -> the frame that the form draws, where that needs columns which are not saved.
     """
 
     form: "str | Callable[..., Figure]"
     frame: pd.DataFrame
     options: Mapping[str, Any] = field(default_factory=dict)
+    prepare: Callable[[pd.DataFrame], pd.DataFrame] = lambda frame: frame
 
     def save(self, path: Path) -> Path:
         """Draw the figure to `path` (PDF), its frame beside it as CSV; return the path."""
         from needlefit.reporting.figures import forms, style  # late: matplotlib takes its time to load
 
         paint = getattr(forms, self.form) if isinstance(self.form, str) else self.form
-        return style.plot(path, self.frame, lambda frame: paint(frame, **self.options))
+        return style.plot(path, self.frame, lambda frame: paint(self.prepare(frame), **self.options))
 
 
 @dataclass(frozen=True)

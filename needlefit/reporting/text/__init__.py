@@ -55,6 +55,7 @@ from needlefit.reporting.table import Table
 from needlefit.reporting.table_layout import TableLayout
 
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
+_SPACE = re.compile(r"\s+")
 _REFERENCE = re.compile(r"\[\[(table|figure|block):(\w+)\]\]")
 _INLINE_RULES = ("escape", "backticks", "emphasis", "link", "newline")
 
@@ -73,7 +74,7 @@ def escape_markdown(value: object) -> Markup:
         return Markup(str(value))  # noqa: S704 - raises, but for an `if` without `else`: empty
     if not isinstance(value, str) and (isinstance(value, bool) or not isinstance(value, Integral)):
         raise TypeError(f"{value!r} in a text needs a filter, such as mm or percent")
-    return Markup(_PUNCTUATION.sub(r"\\\1", " ".join(str(value).split())))  # noqa: S704 - Markdown, escaped
+    return Markup(_PUNCTUATION.sub(r"\\\1", _SPACE.sub(" ", str(value))))  # noqa: S704 - Markdown, escaped
 
 
 def _refer(kind: str) -> Callable[[str], Markup]:
