@@ -18,7 +18,7 @@ from needlefit.datasets.read import read
 from needlefit.inference.problem import make_problem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.project.threads import one_thread
+from needlefit.project.processes import one_thread
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 

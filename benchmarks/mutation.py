@@ -347,7 +347,7 @@ def tabulate(found: list[Mutant]) -> list[list[str]]:
 def main() -> None:
     """Run the mutants, print survivors as they come, and a table at the end."""
     options, found = read_options(), list[Mutant]()
-    # as in needlefit.project.threads, which must not be imported: each fork imports the changed package
+    # as in needlefit.project.processes, which must not be imported: each fork imports the changed package
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     for name in PRELOADED:
         __import__(name)

@@ -24,9 +24,9 @@ from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
 from needlefit.project.load import check, load
 from needlefit.project.locate import FileKind, find_file, find_run, find_studies, is_path
+from needlefit.project.processes import count_cores
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
-from needlefit.project.threads import count_cores
 from needlefit.project.toml_lines import add_file_context
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MediumRecord

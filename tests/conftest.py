@@ -15,7 +15,7 @@ from pathlib import Path
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-from needlefit.project.threads import limit_to_one_thread  # noqa: E402
+from needlefit.project.processes import limit_to_one_thread  # noqa: E402
 
 limit_to_one_thread()  # before what loads BLAS; the processes of xdist, which begin later, inherit it
 

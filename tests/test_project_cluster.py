@@ -1,22 +1,18 @@
 """Tasks on the workers of a Dask cluster: real schedulers and workers, each a process of this machine."""
 
-import gc
 import logging
 import os
 import signal
 import threading
 import time
-import warnings
 from functools import partial
 
 import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.project import cluster
-from needlefit.project.cluster import connect, make_slurm, require_secured
-from needlefit.project.load import check
+from needlefit.project.cluster import connect, require_secured
 from needlefit.project.tasks import LocalPool, run_in_order
-from needlefit.schemas.cluster import SlurmRecord
 from tests.cluster_processes import start_scheduler, start_worker
 from tests.cluster_work import fail, kill_once, nap, square
 
@@ -91,23 +87,17 @@ def test_a_worker_of_other_versions_is_refused(address, monkeypatch):
 
 
 @pytest.mark.sweep
-def test_a_lost_scheduler_is_an_error(tmp_path):
-    with start_scheduler(tmp_path) as (address, server), start_worker(address), connect(address) as pool:
-        results = pool.run(nap, [0.5] * 8)
-        assert next(results)[1] == 0.5
-        os.killpg(server.pid, signal.SIGKILL)
-        with pytest.raises(ConfigError, match="scheduler"):
-            list(results)
-
-
-@pytest.mark.sweep
-def test_a_scheduler_that_is_lost_while_tasks_run_is_an_error_that_names_resume(tmp_path):
+@pytest.mark.parametrize(("seconds", "running"), [(0.5, False), (30.0, True)])
+def test_a_lost_scheduler_is_an_error_that_names_resume(tmp_path, seconds, running):
     with start_scheduler(tmp_path) as (address, server), start_worker(address), connect(address) as pool:
         pool.client.wait_for_workers(1)
-        killer = threading.Timer(1.0, os.killpg, (server.pid, signal.SIGKILL))
+        results = pool.run(nap, [seconds] * 8)
+        if not running:
+            assert next(results)[1] == seconds
+        killer = threading.Timer(running, os.killpg, (server.pid, signal.SIGKILL))
         killer.start()
         with pytest.raises(ConfigError) as caught:
-            list(pool.run(nap, [30.0] * 3))
+            list(results)
         killer.join()
     assert "--resume" in caught.value.fix
 
@@ -118,10 +108,9 @@ def test_the_workers_are_counted_at_most_once_a_second_and_all_of_them(address):
         pool.client.wait_for_workers(2, timeout=30)  # one may have been killed, and begins again
         counted, find = [], pool.client.nthreads
         pool.client.nthreads = lambda: counted.append(time.monotonic()) or find()
-        assert pool.size == 2
         begin = time.monotonic()
         assert list(run_in_order(square, list(range(60)), pool)) == [n**2 for n in range(60)]
-        assert len(counted) <= 3 + (time.monotonic() - begin)
+        assert 1 <= len(counted) <= 2 + (time.monotonic() - begin)
 
 
 @pytest.mark.sweep
@@ -156,6 +145,8 @@ def test_an_address_is_secured(address, secured):
         with pytest.raises(ConfigError) as caught:
             require_secured(address)
         assert caught.value.where == f"--scheduler {address}"
+    if address.startswith("tcp://"):
+        require_secured(address, insecure=True)
 
 
 @pytest.mark.sweep
@@ -181,90 +172,7 @@ def test_an_encrypted_scheduler_works_for_who_has_the_certificates(tmp_path, mon
 
 
 @pytest.mark.sweep
-def test_an_unencrypted_scheduler_needs_a_word():
-    require_secured("tcp://cluster:8786", insecure=True)
-
-
-@pytest.mark.sweep
 def test_no_scheduler_answers(monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
     with pytest.raises(ConfigError, match="no scheduler answers"), connect(f"{LOOPBACK}:9"):
         pass
-
-
-@pytest.mark.sweep
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its files of keys stay open
-def test_the_slurm_job_has_what_the_file_states(tmp_path):
-    keys = {"jobs": 3, "cores": 4, "processes": 4, "memory": "8GB", "walltime": "01:30:00", "queue": "short"}
-    more = {"shared_temp_directory": str(tmp_path), "job_script_prologue": ["module load python"]}
-    record = check({"schema": 1, **keys, **more}, SlurmRecord, "cluster.toml")
-    with make_slurm(record) as found:
-        script = found.job_script()
-    lines = {"#SBATCH -p short", "#SBATCH -t 01:30:00", "#SBATCH --cpus-per-task=4", "module load python"}
-    assert lines <= set(script.splitlines())
-    assert "--nworkers 4" in script and "tls://" in script
-
-
-SLURM = """\
-schema = 1
-jobs = 1
-cores = 1
-memory = "2GB"
-interface = "lo"
-shared_temp_directory = "{folder}"
-"""
-ACCEPTS = """\
-#!/bin/sh
-cp "$1" {folder}/job.sh
-setsid sh {folder}/job.sh >/dev/null 2>&1 &
-echo $! > {folder}/job
-echo "Submitted batch job $!"
-"""
-CANCELS = """\
-#!/bin/sh
-kill -9 -- -"$1"
-echo "$1" > {folder}/cancelled
-"""
-REJECTS = """\
-#!/bin/sh
-echo "sbatch: error: invalid account" >&2
-exit 1
-"""
-
-
-@pytest.fixture
-def slurm(tmp_path, monkeypatch):
-    """Return what writes the commands of Slurm, as scripts, and names the file that describes the jobs."""
-    (tmp_path / "bin").mkdir()
-    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
-    (tmp_path / "cluster.toml").write_text(SLURM.format(folder=tmp_path), encoding="utf-8")
-
-    def write(**commands):
-        for name, text in commands.items():
-            (tmp_path / "bin" / name).write_text(text.format(folder=tmp_path), encoding="utf-8")
-            (tmp_path / "bin" / name).chmod(0o755)
-        return f"slurm:{tmp_path / 'cluster.toml'}"
-
-    yield write
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # dask-jobqueue leaves its files of keys open
-        gc.collect()
-
-
-@pytest.mark.sweep
-def test_slurm_without_its_command_is_an_error(slurm):
-    with pytest.raises(ConfigError, match="sbatch"), connect(slurm()):
-        pass
-
-
-@pytest.mark.sweep
-def test_a_job_that_slurm_rejects_is_an_error_with_its_reason(slurm):
-    with pytest.raises(ConfigError, match="invalid account"), connect(slurm(sbatch=REJECTS, scancel=CANCELS)):
-        pass
-
-
-@pytest.mark.sweep
-def test_a_job_that_slurm_starts_runs_tasks_and_is_cancelled(slurm, tmp_path):
-    with connect(slurm(sbatch=ACCEPTS, scancel=CANCELS)) as pool:
-        assert list(pool.run(square, [3.0])) == [(0, 9.0)]
-    assert (tmp_path / "cancelled").read_text() == (tmp_path / "job").read_text()

@@ -1,46 +1,49 @@
-"""Processes that stay, and the parts of one fit that go to a pool where they are long."""
+"""Tasks in processes, copied or begun anew, and parts of one fit: the same bytes everywhere."""
 
 import math
+import multiprocessing
 import os
 import subprocess
 import sys
+import threading
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from inference_cases import squares_recipe, two_layers
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks, Start
 from needlefit.inference.identifiability.identify import profile_parameters
 from needlefit.inference.optimize import minimize
+from needlefit.inference.sampling.importance import trace_profiles
 from needlefit.project import tasks
 from needlefit.project.cluster import connect
+from needlefit.project.processes import THREAD_VARIABLES, one_thread
 from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskStop, run_in_order, run_parts
+from needlefit.project.tasks import (
+    THIS_PROCESS,
+    LocalPool,
+    TaskStop,
+    compute_beside,
+    run_in_order,
+    run_parts,
+)
 from tests.cluster_processes import start_scheduler, start_worker
 from tests.cluster_work import fail, find_process, nap_until, square, wait_for_stop
 
-
-@pytest.fixture(autouse=True)
-def spawned(monkeypatch):
-    """Processes that begin anew, as where this process has threads."""
-    monkeypatch.setattr(tasks, "can_fork", lambda: False)
-
-
-@pytest.fixture(scope="module")
-def pool():
-    with LocalPool(2) as kept:
-        yield kept
-
+on_linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
+REMOTE = LocalPool(2, remote=True)
+"""Processes of this machine, as if they were on another one."""
 
 COPIES = """
 import os, signal, sys, threading, time
 from needlefit.errors import ConfigError
-from needlefit.project import forked, tasks
+from needlefit.project import tasks
 
 def tell(n):
     time.sleep(0.2)
@@ -56,61 +59,45 @@ def fail_or_die(n):
 if __name__ == "__main__":
     loaded = "before"
     signal.signal(signal.SIGTERM, lambda *_: None)
-    forked.count_cores = lambda: 2
-    with tasks.LocalPool(2) as pool:
-        for expected in ("before", "since"):
-            loaded = expected
-            found = list(tasks.run_in_order(tell, [1, 2, 3, 4], pool))
-            assert [n for n, _, _ in found] == [1, 2, 3, 4] and {one for *_, one in found} == {expected}
-            assert len({process for _, process, _ in found} - {os.getpid()}) == 2
-            assert threading.active_count() == 1
-        for items, error in (([0, 0], ZeroDivisionError), ([1, 2], ConfigError)):
-            try:
-                list(pool.run(fail_or_die, items))
-            except error:
-                continue
-            raise AssertionError(items)
-        print(os.getpid(), flush=True)
-        if sys.argv[1:] == ["pool"]:
-            list(pool.run(time.sleep, [60, 60]))
+    tasks.count_cores = lambda: 2
+    pool = tasks.LocalPool(2)
+    for expected in ("before", "since"):
+        loaded = expected
+        found = list(tasks.run_in_order(tell, [1, 2, 3, 4], pool))
+        assert [n for n, _, _ in found] == [1, 2, 3, 4] and {one for *_, one in found} == {expected}
+        assert len({process for _, process, _ in found} - {os.getpid()}) == 2
+        assert threading.active_count() == 1
+    for items, error in (([0, 0], ZeroDivisionError), ([1, 2], ConfigError)):
+        try:
+            list(pool.run(fail_or_die, items))
+        except error:
+            continue
+        raise AssertionError(items)
+    print(os.getpid(), flush=True)
+    if sys.argv[1:] == ["pool"]:
+        list(pool.run(time.sleep, [60, 60]))
     if sys.argv[1:] == ["beside"]:
-        with forked.compute_beside([lambda: time.sleep(60)] * 2):
+        with tasks.compute_beside([lambda: time.sleep(60)] * 2):
             time.sleep(60)
 """
 """A program whose tasks know what was loaded before them."""
 
 
-@pytest.fixture
-def long(monkeypatch):
+@pytest.fixture(params=[False, pytest.param(True, marks=on_linux)], ids=["spawned", "copied"])
+def processes(request, monkeypatch):
+    monkeypatch.setattr(tasks, "can_fork", lambda: request.param)
     monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
 
 
-@pytest.fixture
-def remote(pool):
-    """The same processes, as if they were on another machine."""
-    return replace(pool, remote=True)
-
-
+@on_linux
 @pytest.mark.sweep
-def test_processes_stay_until_the_end_of_the_with_statement(pool):
-    first, second = (set(run_in_order(find_process, [0.3] * 4, pool)) for _ in range(2))
-    assert first == second and len(first) == 2 and os.getpid() not in first
-
-
-@pytest.mark.sweep
-@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
-def test_copies_of_this_process_have_what_it_has_loaded_and_end_with_each_run(tmp_path):
-    (tmp_path / "copies.py").write_text(COPIES)
-    subprocess.run((sys.executable, "copies.py"), cwd=tmp_path, check=True, timeout=50)
-
-
-@pytest.mark.sweep
-@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
 @pytest.mark.parametrize(("where", "expected"), [("pool", 2), ("beside", 1)])
-def test_copies_end_with_a_killed_process(tmp_path, where, expected):
+def test_copies_have_what_is_loaded_and_end_with_each_run_and_with_a_killed_process(
+    tmp_path, where, expected
+):
     (tmp_path / "copies.py").write_text(COPIES)
     command = (sys.executable, "copies.py", where)
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 50
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout.readline()
         children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
@@ -130,8 +117,8 @@ def _is_running(process):
 
 
 @pytest.mark.sweep
-def test_processes_serve_again_after_a_stop_and_an_error(pool):
-    begun = time.monotonic()
+def test_a_stop_and_an_error_end_the_processes(processes):
+    pool, begun = LocalPool(2), time.monotonic()
     assert list(pool.run(wait_for_stop, [60.0, 60.0], lambda: time.monotonic() > begun + 0.5)) == []
     with pytest.raises(ConfigError, match="of task 1"):
         list(pool.run(fail, [1, 1]))
@@ -139,61 +126,194 @@ def test_processes_serve_again_after_a_stop_and_an_error(pool):
     assert time.monotonic() < begun + 60
 
 
-def test_short_parts_stay_in_this_process(remote):
-    found = dict(run_parts(find_process, [0.0] * 4, remote, 1, TaskStop(never_stop)))
+def test_short_parts_stay_in_this_process():
+    found = dict(run_parts(find_process, [0.0] * 4, REMOTE, 1, TaskStop(never_stop)))
     assert found == dict.fromkeys(range(4), os.getpid())
 
 
 @pytest.mark.sweep
-def test_long_parts_go_to_a_remote_pool_after_the_first(remote, long):
-    found = dict(run_parts(find_process, [0.3] * 5, remote, 1, TaskStop(never_stop)))
+def test_long_parts_go_to_a_remote_pool_after_the_first(processes):
+    found = dict(run_parts(find_process, [0.3] * 5, REMOTE, 1, TaskStop(never_stop)))
     assert sorted(found) == [0, 1, 2, 3, 4] and found.pop(0) == os.getpid()
     assert os.getpid() not in found.values() and len(set(found.values())) == 2
+
+
+@pytest.mark.sweep
+def test_a_part_that_is_stopped_returns_what_it_has(processes):
+    begun = time.monotonic()
+    stop = TaskStop(lambda: time.monotonic() > begun + 0.5)
+    found = list(LocalPool(2).run(partial(nap_until, stop), [60.0, 60.0, 60.0], stop))
+    assert len(found) == 2 and all(slept < 60 for _, slept in found)
+
+
+# --- parts of one fit -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return two_layers(count=2)
+
+
+@pytest.fixture(scope="module")
+def fit(problem):
+    return minimize(problem, squares_recipe(starts=2), random_stream(1, "starts"))
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize(
     "changed", [{}, {"algorithm": "praxis"}, {"minimize": "metric", "algorithm": "slsqp"}]
 )
-def test_a_search_in_processes_has_the_same_bytes(remote, long, changed):
-    problem, search = two_layers(count=2), squares_recipe(starts=5, evaluations=60, **changed)
+def test_a_search_has_the_same_bytes(problem, processes, changed):
+    search = squares_recipe(starts=4, evaluations=60, **changed)
     fits = [
-        minimize(problem, search, random_stream(1, "starts"), Callbacks(pool=where))
-        for where in (THIS_PROCESS, remote)
+        minimize(problem, search, random_stream(1, "starts"), Callbacks(pool=where, jobs=2))
+        for where in (THIS_PROCESS, REMOTE)
     ]
     assert fits[0] == fits[1]
 
 
-@pytest.mark.sweep
-def test_a_part_that_is_stopped_returns_what_it_has(pool):
-    begun = time.monotonic()
-    stop = TaskStop(lambda: time.monotonic() > begun + 0.5)
-    found = list(pool.run(partial(nap_until, stop), [60.0, 60.0, 60.0], stop))
-    assert len(found) == 2 and all(slept < 60 for _, slept in found)
-
-
-def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(remote, long):
-    problem, search = two_layers(count=2), squares_recipe(starts=50, algorithm="praxis", evaluations=20_000)
+def test_a_search_that_is_stopped_in_processes_keeps_its_best_point(problem, processes):
+    search = squares_recipe(starts=50, algorithm="praxis", evaluations=20_000)
     ended: list[Start] = []
     # once the first start has ended, the others are in the processes
-    callbacks = Callbacks(report=ended.append, stop=lambda: bool(ended), pool=remote)
+    callbacks = Callbacks(report=ended.append, stop=lambda: bool(ended), pool=REMOTE)
     part = minimize(problem, search, random_stream(1, "starts"), callbacks)
     assert part.interrupted and math.isfinite(part.objective)
 
 
 @pytest.mark.sweep
-def test_profiles_in_processes_have_the_same_bytes(remote, long):
-    problem = two_layers(count=2)
-    fit = minimize(problem, squares_recipe(starts=2), random_stream(1, "starts"))
-    found = [profile_parameters(problem, fit, pool=where) for where in (THIS_PROCESS, remote)]
+def test_profiles_have_the_same_bytes(problem, fit, processes):
+    found = [profile_parameters(problem, fit, pool=where) for where in (THIS_PROCESS, REMOTE)]
     assert len(found[0].parameters) >= 3 and repr(found[0]) == repr(found[1])
+    alone, apart = (
+        trace_profiles(problem, np.array(fit.theta), 2, where) for where in (THIS_PROCESS, REMOTE)
+    )
+    assert len(alone) > 3
+    for part in ("theta", "information"):
+        assert [getattr(one, part).tobytes() for one in alone] == [
+            getattr(one, part).tobytes() for one in apart
+        ]
 
 
 @pytest.mark.sweep
-def test_a_search_on_a_cluster_has_the_same_bytes(tmp_path, long):
+def test_a_search_on_a_cluster_has_the_same_bytes(problem, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    problem, search = two_layers(count=2), squares_recipe(starts=4, evaluations=60)
-    run = partial(minimize, problem, search)
+    monkeypatch.setattr(tasks, "MIN_SHARED_S", 0.0)
+    run = partial(minimize, problem, squares_recipe(starts=4, evaluations=60))
     with start_scheduler(tmp_path) as (address, _), start_worker(address), connect(address) as cluster:
         found = run(random_stream(1, "starts"), Callbacks(pool=cluster))
     assert found == run(random_stream(1, "starts"))
+
+
+# --- work beside this process ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def copied(monkeypatch):
+    monkeypatch.setattr(tasks, "can_fork", lambda: sys.platform == "linux")
+
+
+def compute(work):
+    with compute_beside(work) as end:
+        return end()
+
+
+def tell_process(number):
+    return f"{number} {os.getpid()}".encode()
+
+
+def test_results_come_in_order(copied):
+    found = compute([lambda n=n: tell_process(n) for n in range(40)])
+    assert [int(one.split()[0]) for one in found] == list(range(40))
+
+
+def test_what_a_copy_cannot_do_is_done_here_and_errors_are_raised(copied):
+    here = os.getpid()
+
+    def fail_in_copy():
+        if os.getpid() != here:
+            raise ValueError
+        return tell_process(0)
+
+    assert compute([fail_in_copy] * 9) == [tell_process(0)] * 9
+    with pytest.raises(ZeroDivisionError):
+        compute([lambda: bytes(1 // 0)] * 3)
+
+
+@on_linux
+def test_a_process_with_threads_is_not_copied():
+    ended = threading.Event()
+    other = threading.Thread(target=ended.wait)
+    other.start()
+    try:
+        found = compute([lambda: tell_process(0)] * 9)
+    finally:
+        ended.set()
+        other.join()
+    assert found == [tell_process(0)] * 9
+
+
+@on_linux
+def test_the_copy_works_while_this_process_does_other_things(copied, tmp_path):
+    def work():
+        (tmp_path / "begun").touch()
+        return tell_process(0)
+
+    with compute_beside([work] * 2) as end:
+        until = time.monotonic() + 30.0
+        while not (tmp_path / "begun").exists() and time.monotonic() < until:
+            time.sleep(0.01)
+        found = end()
+    assert tell_process(0) not in found[:1]
+
+
+@on_linux
+def test_after_an_error_the_copy_ends(copied):
+    with pytest.raises(ZeroDivisionError), compute_beside([lambda: tell_process(0)] * 9):
+        raise ZeroDivisionError
+    assert multiprocessing.active_children() == []
+
+
+@on_linux
+def test_without_room_for_a_copy_all_is_done_here(copied, monkeypatch):
+    def refuse():
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "fork", refuse)
+    assert compute([lambda: tell_process(0)] * 9) == [tell_process(0)] * 9
+
+
+# --- one thread for linear algebra ----------------------------------------------------------------------
+
+COMMAND = """
+import sys
+from needlefit.cli import main
+try:
+    main(["--version"])
+except SystemExit:
+    pass
+assert "numpy" not in sys.modules
+import scipy.linalg
+from threadpoolctl import threadpool_info
+print(*[found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"])
+"""
+
+
+def count_blas_threads():
+    return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
+
+
+def test_a_run_from_a_program_has_one_thread_and_restores_the_setting():
+    with threadpool_limits(2, user_api="blas"):
+        before = count_blas_threads()
+        assert one_thread(count_blas_threads)() == {1}
+        assert count_blas_threads() == before == {2}
+
+
+def test_the_command_line_has_one_thread_whatever_the_environment():
+    environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "2")}
+    done = subprocess.run(
+        [sys.executable, "-c", COMMAND], env=environment, capture_output=True, text=True, check=True
+    )
+    _, found = done.stdout.splitlines()
+    assert set(found.split()) == {"1"}

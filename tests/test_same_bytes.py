@@ -15,7 +15,7 @@ import pytest
 from made_again import read_files
 from world import COMMANDS, build_project, find_words
 
-from needlefit.project.threads import THREAD_VARIABLES as THREADS
+from needlefit.project.processes import THREAD_VARIABLES as THREADS
 from tests.cluster_processes import start_scheduler, start_worker
 
 ON_CORES = """

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from needlefit.cli import exit_codes, standard_streams
 from needlefit.cli.application import build
 from needlefit.cli.exit_codes import Invocation
-from needlefit.project.threads import limit_to_one_thread
+from needlefit.project.processes import limit_to_one_thread
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

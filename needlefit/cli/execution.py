@@ -12,7 +12,7 @@ from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.progress import show_progress
 from needlefit.errors import ConfigError
-from needlefit.project.threads import count_cores
+from needlefit.project.processes import count_cores
 
 if TYPE_CHECKING:
     from needlefit.project.progress import Progress
@@ -137,8 +137,7 @@ def open_pool(jobs: int | None, scheduler: str | None, insecure: bool) -> "Itera
     from needlefit.project.tasks import LocalPool
 
     if scheduler is None:
-        with LocalPool(jobs or count_cores()) as local:
-            yield local
+        yield LocalPool(jobs or count_cores())
         return
     from needlefit.project.cluster import connect
 

@@ -65,7 +65,7 @@ Scheduler = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Run tasks on a Dask cluster: tls://HOST:PORT, or slurm:FILE.toml (docs/scale.md).",
+        help="Run tasks on a Dask cluster: tls://HOST:PORT (docs/scale.md).",
     ),
 ]
 Insecure = Annotated[

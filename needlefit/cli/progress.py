@@ -86,7 +86,7 @@ def _bar() -> Iterator[Report]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     remaining = RemainingTime()
-    # without its thread: a process with threads is not forked (`project.forked`)
+    # without its thread: a process with threads is not forked (`project.tasks`)
     with Progress(
         *columns,
         TextColumn("{task.fields[left]}"),

@@ -17,8 +17,8 @@ from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
+from needlefit.project.processes import count_cores
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
-from needlefit.project.threads import count_cores
 
 if TYPE_CHECKING:
     from needlefit.imaging.batch import ReconstructionFailure

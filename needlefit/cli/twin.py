@@ -8,7 +8,7 @@ import typer
 from needlefit.cli import options, screen
 from needlefit.cli.execution import open_pool
 from needlefit.cli.progress import show_progress
-from needlefit.project.threads import count_cores
+from needlefit.project.processes import count_cores
 
 Jobs = Annotated[
     int | None, typer.Option(min=1, help="Processes (default: all cores); they do not change the result.")

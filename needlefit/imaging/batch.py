@@ -29,9 +29,9 @@ from needlefit.project.checkpoint_file import (
     write_checkpoint_file,
 )
 from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
+from needlefit.project.processes import one_thread
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
-from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")  # endings of volumes that are one file

@@ -63,7 +63,7 @@ from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Scan
 from needlefit.imaging.views import render_views
 from needlefit.imaging.volume import Volume, VoxelGrid, require_hounsfield
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.threads import one_thread
+from needlefit.project.processes import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 # Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends.

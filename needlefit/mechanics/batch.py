@@ -33,7 +33,7 @@ from needlefit.mechanics.shape import (
 )
 from needlefit.mechanics.simulate import STATUS_NAMES, read_shape
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.threads import count_cores
+from needlefit.project.processes import count_cores
 from needlefit.schemas.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES, MAX_NUMBER
 
 

@@ -10,8 +10,6 @@ import logging
 import math
 import pickle
 import platform
-import shlex
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -22,19 +20,15 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlsplit
 
 from needlefit.errors import ConfigError
-from needlefit.project.load import load
 from needlefit.project.progress import Note, Stop, never_stop, no_note
-from needlefit.project.tasks import STOP_POLL_S
-from needlefit.schemas.cluster import SlurmRecord
+from needlefit.project.tasks import as_finished
 
 if TYPE_CHECKING:
-    from dask_jobqueue.slurm import SLURMJob
-    from distributed import Client, Future, SpecCluster
+    from distributed import Client, Future
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -54,8 +48,6 @@ TASKS_PER_WORKER = 2
 CHECKED_PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "trimesh")
 """Packages that results depend on; their versions are equal everywhere."""
 
-SLURM_PREFIX = "slurm:"
-
 _ONE_AT_A_TIME = threading.Lock()
 """A worker of several threads runs one task at a time: limits of linear algebra hold for a whole process."""
 
@@ -69,11 +61,6 @@ class ClusterPool:
     remote: bool = True
     _noted: set[str] = field(default_factory=set)
 
-    @property
-    def size(self) -> int:
-        """Tasks that run at once: one on each worker that is connected now."""
-        return max(1, self._require_workers())
-
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop
     ) -> Iterator[tuple[int, Result]]:
@@ -86,25 +73,25 @@ class ClusterPool:
         """
         # versions travel outside of the work: a worker with other code could not read that
         shared = self._submit("work", _keep, pickle.dumps((describe_code(), pickle.dumps(work))))
-        waiting = list(range(len(items)))[::-1]
-        running: dict[Future[tuple[Result, str]], int] = {}
-        finished: SimpleQueue[Future[tuple[Result, str]]] = SimpleQueue()
+        running: set[Future[tuple[Result, str]]] = set()
         wanted, count_at = 0, -math.inf
+
+        def submit(n: int) -> "Future[tuple[Result, str]]":
+            future = self._submit("task", _run_task, pickle.dumps(items[n]), shared)
+            running.add(future)
+            return future
+
+        def count_wanted() -> int:
+            nonlocal wanted, count_at
+            if time.monotonic() >= count_at:
+                wanted = TASKS_PER_WORKER * max(1, self._count_workers())
+                count_at = time.monotonic() + COUNT_WORKERS_S
+            return wanted
+
         try:
-            while (waiting or running) and not stop():
-                if time.monotonic() >= count_at:
-                    wanted, count_at = TASKS_PER_WORKER * self.size, time.monotonic() + COUNT_WORKERS_S
-                while waiting and len(running) < wanted:
-                    n = waiting.pop()
-                    future = self._submit("task", _run_task, pickle.dumps(items[n]), shared)
-                    running[future] = n
-                    # each future reports itself: a round costs the same however many run
-                    future.add_done_callback(finished.put)
-                try:
-                    future = finished.get(timeout=STOP_POLL_S)
-                except Empty:
-                    continue
-                yield running.pop(future), self._result(future)
+            for n, future in as_finished(submit, len(items), count_wanted, stop, drop=True):
+                running.remove(future)
+                yield n, self._result(future)
         finally:
             if self.client.status == "running":
                 with suppress(OSError):  # lost just now: nothing is left to cancel
@@ -117,7 +104,7 @@ class ClusterPool:
         digest = hashlib.sha256(data + b"".join(str(one.key).encode() for one in work)).hexdigest()
         return self.client.submit(function, data, *work, key=f"needlefit-{kind}-{digest}", pure=True)
 
-    def _require_workers(self) -> int:
+    def _count_workers(self) -> int:
         """Return how many workers are connected; ConfigError if the scheduler is lost."""
         if self.client.status != "running":
             raise _lost_scheduler()
@@ -173,7 +160,7 @@ def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Ite
     Parameters
     ----------
     scheduler : str
-        `tls://HOST:PORT`, `tcp://HOST:PORT` on this machine, or `slurm:FILE.toml`, which starts jobs.
+        `tls://HOST:PORT`, or `tcp://HOST:PORT` on this machine.
     insecure : bool
         Whether an unencrypted scheduler on another machine is accepted.
 
@@ -186,39 +173,24 @@ def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Ite
         raise ConfigError(
             "a cluster needs Dask, which is not installed", fix="pip install 'needlefit[cluster]'"
         )
+    from distributed import Client
     from distributed.utils import silence_logging_cmgr
 
+    require_secured(scheduler, insecure)
     with silence_logging_cmgr(logging.CRITICAL):  # it logs a traceback where a connection is lost
-        if scheduler.startswith(SLURM_PREFIX):
-            yield from _connect_to_slurm(Path(scheduler.removeprefix(SLURM_PREFIX)), note)
-        else:
-            require_secured(scheduler, insecure)
-            yield from _connect_to_scheduler(scheduler, note)
-
-
-def _connect_to_slurm(file: Path, note: Note) -> Iterator[ClusterPool]:
-    from distributed import Client
-
-    with start_slurm(file) as cluster, Client(cluster) as client:
-        yield ClusterPool(client, note)
-
-
-def _connect_to_scheduler(scheduler: str, note: Note) -> Iterator[ClusterPool]:
-    from distributed import Client
-
-    try:
-        client = Client(scheduler, timeout=CONNECT_S)
-    except (OSError, TimeoutError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"no scheduler answers: {error}",
-            where=f"--scheduler {scheduler}",
-            expected="a running Dask scheduler and, for tls://, the certificates in Dask's configuration",
-            fix="start one with `dask scheduler`; see docs/scale.md",
-        ) from None
-    try:
-        yield ClusterPool(client, note)
-    finally:
-        client.close(timeout=CLOSE_S)
+        try:
+            client = Client(scheduler, timeout=CONNECT_S)
+        except (OSError, TimeoutError, ValueError, TypeError) as error:
+            raise ConfigError(
+                f"no scheduler answers: {error}",
+                where=f"--scheduler {scheduler}",
+                expected="a running Dask scheduler and, for tls://, the certificates in Dask's configuration",
+                fix="start one with `dask scheduler`; see docs/scale.md",
+            ) from None
+        try:
+            yield ClusterPool(client, note)
+        finally:
+            client.close(timeout=CLOSE_S)
 
 
 def require_secured(scheduler: str, insecure: bool = False) -> None:
@@ -231,7 +203,10 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
         whole = False
     if not whole:
         raise ConfigError(
-            "is no address of a scheduler", where=where, expected="tls://HOST:PORT or slurm:FILE.toml"
+            "is no address of a scheduler",
+            where=where,
+            expected="tls://HOST:PORT",
+            fix="start a scheduler with `dask scheduler`; see docs/scale.md",
         )
     if parts.scheme == "tls" or insecure or _is_loopback(str(parts.hostname)):
         return
@@ -248,86 +223,6 @@ def _is_loopback(host: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-@contextmanager
-def start_slurm(file: Path) -> "Iterator[SpecCluster]":
-    """Start workers as Slurm jobs, by dask-jobqueue; cancel the jobs in the end.
-
-    Raises
-    ------
-    ConfigError
-        If the file does not hold what it should, or dask-jobqueue or Slurm is not here.
-    """
-    record = load(file, SlurmRecord)
-    try:
-        cluster = make_slurm(record)
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ConfigError(f"no cluster could be started: {error}", where=str(file)) from None
-    try:
-        command = shlex.split(_find_job_class().submit_command)[0]
-        if shutil.which(command) is None:
-            raise ConfigError(
-                f"there is no command {command} on this machine",
-                where=str(file),
-                expected="a machine that submits jobs to Slurm",
-                fix="run it on the login node of the cluster",
-            )
-        try:
-            cluster.sync(_submit_jobs, cluster, record.jobs)
-        except (OSError, RuntimeError, ValueError) as error:
-            raise ConfigError(
-                f"a job was rejected: {' '.join(str(error).split())}",
-                where=str(file),
-                expected="keys that this cluster accepts",
-                fix=f"correct the keys of the file, or ask {command} why",
-            ) from None
-        yield cluster
-    finally:
-        cluster.close()
-
-
-async def _submit_jobs(cluster: "SpecCluster", jobs: int) -> None:
-    """Submit jobs, as `cluster.scale` does, which only logs a job that is rejected."""
-    while len(cluster.worker_spec) < jobs:
-        cluster.worker_spec.update(cluster.new_worker_spec())
-    await cluster
-
-
-def make_slurm(record: SlurmRecord) -> "SpecCluster":
-    """Return the cluster (`dask_jobqueue.SLURMCluster`) that a record describes; its jobs are not started."""
-    if find_spec("dask_jobqueue") is None:
-        raise ConfigError(
-            "Slurm needs dask-jobqueue, which is not installed", fix="pip install 'needlefit[cluster]'"
-        )
-    from dask_jobqueue.slurm import SLURMCluster
-    from distributed.security import Security
-
-    options = record.model_dump(exclude={"schema_", "jobs"}, exclude_none=True)
-    # the status page has no encryption: nobody else sees it
-    hidden = {"dashboard_address": "127.0.0.1:0"}
-    security = Security.temporary()
-    return SLURMCluster(
-        protocol="tls://",
-        security=security,
-        scheduler_options=hidden,
-        job_cls=_find_job_class(),  # type: ignore[arg-type]  # of a class, it is declared as an instance
-        **options,
-    )
-
-
-@cache
-def _find_job_class() -> "type[SLURMJob]":
-    """Return the class of a Slurm job, which is closed once it is cancelled: `SpecCluster` requires it."""
-    from dask_jobqueue.slurm import SLURMJob
-    from distributed.deploy.spec import ProcessInterface
-
-    class ClosedJob(SLURMJob):
-        async def close(self) -> None:
-            await super().close()  # type: ignore[no-untyped-call]
-            await ProcessInterface.close(self)
-
-    return ClosedJob
 
 
 def _keep(data: bytes) -> bytes:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from needlefit import errors
 from needlefit.errors import ConfigError, DataError, NeedlefitError
-from needlefit.project.forked import end_with
+from needlefit.project.processes import end_with
 
 try:
     import resource

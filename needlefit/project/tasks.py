@@ -5,33 +5,31 @@ runs tasks: `LocalPool` here, `project.cluster` on other machines. The standard 
 between processes. It travels through pipes between processes of this program, or between the members of a
 cluster that trust each other; no file is ever unpickled.
 
+On Linux a process without threads is forked: a copy has loaded everything that it has, and begins at once.
+
 This module imports nothing heavy, so that a new process limits itself to one thread before it imports numpy.
 """
 
 import os
 import pickle
 import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-    as_completed,
-    wait,
-)
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
-from typing import Any, Protocol, Self, TypeVar
+from queue import Empty, SimpleQueue
+from typing import Any, Protocol, TypeVar
 
 from needlefit.errors import ConfigError
-from needlefit.project.forked import begin_copy, block_signals, can_fork
+from needlefit.project.processes import count_cores, end_with, limit_to_one_thread
 from needlefit.project.progress import Stop, never_stop
-from needlefit.project.threads import limit_to_one_thread
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -39,9 +37,12 @@ Result = TypeVar("Result")
 STOP_POLL_S = 0.2
 """Seconds between two questions whether to stop, while tasks run elsewhere."""
 
-
 MIN_SHARED_S = 8.0
 """Seconds of work that are worth sending to other machines."""
+
+_ENDING_SIGNALS = (
+    {signal.SIGTERM, signal.SIGHUP, signal.SIGINT} if sys.platform == "linux" else set[signal.Signals]()
+)
 
 
 class TaskPool(Protocol):
@@ -76,45 +77,88 @@ class TaskPool(Protocol):
 
 @dataclass(frozen=True)
 class LocalPool:
-    """Processes of this machine; with one task or `size` 1 everything is done in this process.
-
-    They end with each run, or, in a `with` statement, with that; forked ones always with the run.
-    """
+    """Processes of this machine, new ones for each run; with one task or `size` 1 this process does all."""
 
     size: int = 1
     remote: bool = False
-    _kept: "list[_Processes]" = field(default_factory=list, repr=False, compare=False)
-
-    def __enter__(self) -> Self:
-        self._kept.append(_Processes(self.size))
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._kept.pop().close()
 
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item], stop: Stop = never_stop
     ) -> Iterator[tuple[int, Result]]:
         """Yield results as they are finished: see `TaskPool.run`."""
         count = min(self.size, len(items))
-        if count > 1:
-            # forked processes begin at once, and later ones have what was loaded since
-            own = can_fork() or not self._kept
-            processes = _Processes(count) if own else self._kept[-1]
-            try:
-                yield from processes.run(work, items, count, self.size // count, stop)
-            finally:
-                if own:
-                    processes.close()
+        if count <= 1:
+            for n, item in enumerate(items):
+                if stop():
+                    return
+                yield n, work(item)
             return
-        for n, item in enumerate(items):
-            if stop():
-                return
-            yield n, work(item)
+        data = pickle.dumps(work)
+        with _open_processes(count) as (pool, event):
+
+            def ask_to_stop() -> bool:
+                if stop():
+                    event.set()
+                return event.is_set()
+
+            def submit(n: int) -> "Future[tuple[Result, bool]]":
+                return pool.submit(_run_task, data, items[n], self.size // count)
+
+            try:
+                for n, future in as_finished(submit, len(items), lambda: count, ask_to_stop):
+                    result, whole = future.result()
+                    if whole:
+                        yield n, result
+            except BrokenProcessPool:
+                raise ConfigError(
+                    "one of the processes was ended from outside, or could not begin",
+                    expected="processes that nobody ends, and memory for as many as --jobs states",
+                    fix="run it again, with fewer --jobs if memory was short",
+                ) from None
+            finally:  # where a task failed, or nobody wants more, the others end early
+                event.set()
 
 
 THIS_PROCESS = LocalPool()
 """One task at a time, in this process."""
+
+
+def as_finished(
+    submit: Callable[[int], Any],
+    count: int,
+    wanted: Callable[[], int],
+    stop: Stop,
+    drop: bool = False,
+) -> Iterator[tuple[int, Any]]:
+    """Yield the number of each of `count` tasks and its future, once it is done.
+
+    Parameters
+    ----------
+    submit : callable
+        The number of a task -> its future.
+    wanted : callable
+        Returns how many tasks are submitted at once.
+    stop : callable
+        Once it is true, no further task is submitted.
+    drop : bool
+        Whether those that run are not waited for then.
+    """
+    waiting, running = list(range(count))[::-1], dict[Any, int]()
+    finished: SimpleQueue[Any] = SimpleQueue()
+    while waiting or running:
+        if (stopped := stop()) and (drop or not running):
+            return
+        most = wanted()
+        while waiting and len(running) < most and not stopped:
+            n = waiting.pop()
+            future = submit(n)
+            running[future] = n
+            future.add_done_callback(finished.put)  # a round costs the same however many run
+        try:
+            future = finished.get(timeout=STOP_POLL_S)
+        except Empty:
+            continue
+        yield running.pop(future), future
 
 
 def run_in_order(
@@ -205,12 +249,48 @@ def _unless_stopped(work: Callable[[Item], Result], item: Item, stop: Stop) -> t
     return () if stop() else (work(item),)
 
 
+@contextmanager
+def compute_beside(work: Sequence[Callable[[], bytes]]) -> "Iterator[Callable[[], list[bytes]]]":
+    """Begin pieces of work in a copy of this process; yield a function that returns what they give.
+
+    Until it is called this process may do other work. It then takes its share, the last pieces first. What
+    failed in the copy is repeated here, so that its errors are raised here. Work must not wait for threads of
+    this process, which the copy lacks: those of typst among them.
+    """
+    futures: list[Future[bytes]] = []
+
+    def end() -> list[bytes]:
+        done = {n: work[n]() for n in range(len(work))[::-1] if not futures or futures[n].cancel()}
+        others = {n: one for n, one in enumerate(futures) if n not in done}
+        done |= {n: work[n]() if one.exception() else one.result() for n, one in others.items()}
+        return [done[n] for n in range(len(work))]
+
+    with ExitStack() as stack:
+        if len(work) > 1 and can_fork():
+            _Surroundings.work = work
+            with suppress(OSError):  # without a copy all is done here
+                pool, _ = stack.enter_context(_open_processes(1))
+                futures += [pool.submit(_run_piece, n) for n in range(len(work))]
+            _Surroundings.work = ()
+        try:
+            yield end
+        finally:
+            for future in futures:  # after an error nobody wants the rest
+                future.cancel()
+
+
+def _run_piece(number: int) -> bytes:
+    return _Surroundings.work[number]()
+
+
 class _Surroundings:
     """What a task may know about the process that it runs in."""
 
     stop: Event | None = None
     stopped = False
     threads = 1
+    work: Sequence[Callable[[], bytes]] = ()
+    """What this process was copied for."""
 
 
 def stop_requested() -> bool:
@@ -228,56 +308,48 @@ def threads_of_task() -> int:
     return _Surroundings.threads
 
 
-class _Processes:
-    """Processes that run tasks until they are closed; they are started when tasks need them."""
+def can_fork() -> bool:
+    """Return whether a copy works: libraries of macOS do not survive it, nor do locks that threads hold.
 
-    def __init__(self, size: int) -> None:
-        self._size = size
+    Threads of libraries are not seen: a copy must not wait for one that has worked here, such as typst's.
+    """
+    return sys.platform == "linux" and count_cores() > 1 and threading.active_count() == 1
 
-    def run(
-        self, work: Callable[[Item], Result], items: Sequence[Item], count: int, threads: int, stop: Stop
-    ) -> Iterator[tuple[int, Result]]:
-        pool, event = self._pool
-        data = pickle.dumps(work)
-        waiting = list(range(len(items)))[::-1]
-        running: dict[Future[tuple[Result, bool]], int] = {}
-        try:
-            while True:
-                if stop():
-                    event.set()
-                while waiting and len(running) < count and not event.is_set():
-                    n = waiting.pop()
-                    running[pool.submit(_run_task, data, items[n], threads)] = n
-                if not running:
-                    return
-                for future in wait(running, STOP_POLL_S, FIRST_COMPLETED).done:
-                    n = running.pop(future)
-                    result, whole = _result(future)
-                    if whole:
-                        yield n, result
-        finally:
-            if running:  # where a task failed, or nobody wants more: the others end early
-                event.set()
-                wait(running)
-            event.clear()
 
-    def close(self) -> None:
-        """End the processes."""
-        if "_pool" in self.__dict__:
-            self._pool[0].shutdown()
-
-    @cached_property
-    def _pool(self) -> tuple[ProcessPoolExecutor, Event]:
-        # a copy of this process has everything loaded, but would also copy locks that other threads hold
-        copied = can_fork()
-        context = get_context("fork" if copied else "spawn")
-        event = context.Event()
-        parent = os.getpid() if copied else None
-        pool = ProcessPoolExecutor(self._size, context, _begin_process, (event, parent))
+@contextmanager
+def _open_processes(count: int) -> Iterator[tuple[ProcessPoolExecutor, Event]]:
+    """Open processes that run tasks, and the event that requests them to stop."""
+    copied = can_fork()
+    context = get_context("fork" if copied else "spawn")
+    event, parent = context.Event(), os.getpid() if copied else None
+    with ProcessPoolExecutor(count, context, _begin_process, (event, parent)) as pool:
         if copied:
-            with block_signals():
+            # a copy has this process's handlers at first, which only note a signal: it comes later
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING_SIGNALS)
+            try:
                 pool.submit(int)  # the first task forks all processes
-        return pool, event
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        yield pool, event
+
+
+def _begin_process(stop: Event, parent: int | None) -> None:
+    """Keep linear algebra to one thread, and leave Ctrl-C to the process that started this one.
+
+    `parent` is the process that this one is a copy of: it then has loaded its linear algebra already. A copy
+    ends with it, and by signals.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if parent is not None:
+        from threadpoolctl import threadpool_limits
+
+        end_with(parent)
+        for number in _ENDING_SIGNALS - {signal.SIGINT}:
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING_SIGNALS)
+        threadpool_limits(1, user_api="blas")
+    limit_to_one_thread()
+    _Surroundings.stop = stop
 
 
 def _run_task(data: bytes, item: object, threads: int) -> tuple[Any, bool]:
@@ -291,29 +363,3 @@ def _run_task(data: bytes, item: object, threads: int) -> tuple[Any, bool]:
 def _read_work(data: bytes) -> Callable[[object], object]:
     work: Callable[[object], object] = pickle.loads(data)  # noqa: S301  from the process that started this one
     return work
-
-
-def _result(future: "Future[tuple[Result, bool]]") -> tuple[Result, bool]:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        raise ConfigError(
-            "one of the processes was ended from outside, or could not begin",
-            expected="processes that nobody ends, and memory for as many as --jobs states",
-            fix="run it again, with fewer --jobs if memory was short",
-        ) from None
-
-
-def _begin_process(stop: Event, parent: int | None) -> None:
-    """Keep linear algebra to one thread, and leave Ctrl-C to the process that started this one.
-
-    `parent` is the process that this one is a copy of: it then has loaded its linear algebra already.
-    """
-    if parent is not None:
-        from threadpoolctl import threadpool_limits
-
-        begin_copy(parent)
-        threadpool_limits(1, user_api="blas")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    limit_to_one_thread()
-    _Surroundings.stop = stop

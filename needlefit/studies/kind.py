@@ -12,8 +12,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from needlefit.project.checkpoint_folder import release_checkpoint
+from needlefit.project.processes import one_thread
 from needlefit.project.source_revision import find_source_revision
-from needlefit.project.threads import one_thread
 from needlefit.project.toml_lines import add_study_context
 from needlefit.registry import Registry
 from needlefit.schemas.base import FileRecord

@@ -21,7 +21,6 @@ from needlefit.project.load import read_toml
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.cluster import SlurmRecord
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord, TrackDatasetRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
@@ -59,7 +58,6 @@ SHIPPED: Mapping[str, tuple[type[FileRecord], str, tuple[str, ...]]] = {
     "scene": (SceneRecord, "Scene", ("configs/scenes/phantom1.toml", "configs/scenes/figure1.toml")),
     "reconstruction": (ReconstructionRecord, "Reconstruction", ()),
     "tracker": (TrackerRecord, "Tracker", ()),
-    "cluster": (SlurmRecord, "Slurm cluster", ()),
     "statements": (CredibilityStatementsRecord, "Credibility statements", ()),
     "tracks_study": (TrackStudyRecord, "Study of tip tracks", ("studies/guided_tip.toml",)),
 }

@@ -25,10 +25,10 @@ from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import Detections, derive_reconstruction, reconstruct
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import register
+from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, run_in_order
-from needlefit.project.threads import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
 from needlefit.synthetic.exposure import WHOLE_BOX_SETUP, Exposure, expose, sample_whole_needle

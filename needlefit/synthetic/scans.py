@@ -14,9 +14,9 @@ from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_C
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scans import LayerSource, Scan, StagePose
 from needlefit.imaging.volume_files import write_volume
+from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress
 from needlefit.project.tasks import TaskPool, run_in_order
-from needlefit.project.threads import one_thread
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
 from needlefit.synthetic.design import PlannedInsertion

@@ -24,9 +24,9 @@ from needlefit.inference.objective import (
 )
 from needlefit.inference.optimize.local_search import search, select_algorithms
 from needlefit.inference.side_by_side import run_side_by_side
+from needlefit.project.processes import one_thread
 from needlefit.project.progress import Stop
 from needlefit.project.tasks import TaskStop, run_parts
-from needlefit.project.threads import one_thread
 from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
 SAME_OBJECTIVE, SAME_THETA = 1e-3, 1e-2

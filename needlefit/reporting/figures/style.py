@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
-from needlefit.project.forked import compute_beside
 from needlefit.project.outputs import require_folder
+from needlefit.project.tasks import compute_beside
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
 from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table_files import write_csv

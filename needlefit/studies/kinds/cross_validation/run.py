@@ -19,8 +19,8 @@ from needlefit.inference.identifiability.identify import (
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import sample
+from needlefit.project.processes import one_thread
 from needlefit.project.random_streams import random_stream
-from needlefit.project.threads import one_thread
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies import provenance
 from needlefit.studies.checkpoint import Checkpoint, open_checkpoint

@@ -1,4 +1,6 @@
-"""One thread for linear algebra, in every run: the same work gives the same bytes on any number of cores.
+"""The process that runs: its cores, its end, and one thread for linear algebra.
+
+With one thread the same work gives the same bytes on any number of cores.
 
 A product or a decomposition that BLAS shares out among threads ends in other digits with another number
 of them, and what is made of its eigenvectors differs by 1e-12 mm. Fits of a few unknowns also lose more by
@@ -9,6 +11,8 @@ the package has loaded BLAS already: there the functions that begin a run hold i
 """
 
 import os
+import signal
+import sys
 from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar
@@ -21,6 +25,8 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
 )
 
+_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
+
 
 def limit_to_one_thread() -> None:
     """Keep this process, and those that it starts, to one thread; before numpy is imported."""
@@ -30,6 +36,16 @@ def limit_to_one_thread() -> None:
 def count_cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def end_with(parent: int) -> None:
+    """Let this process be ended together with its parent, by its id, where the system offers it."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+        if os.getppid() != parent:  # it ended before
+            os._exit(1)
 
 
 def one_thread(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
