@@ -75,8 +75,7 @@ def _fit_least_squares(baseline: Baseline, pairs: Sequence[tuple[Insertion, Comp
     def residuals(scaled: Floats) -> Floats:
         return _residuals(baseline, scales * scaled, pairs)
 
-    found: Floats = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
-    return found
+    return scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
 
 
 def _residuals(
@@ -96,21 +95,13 @@ MAX_COEFFICIENT = 10.0
 
 @dataclass(frozen=True)
 class CurveDensity:
-    """The posterior of the coefficients of one empirical curve, given some insertions.
+    """The posterior of the coefficients of one empirical curve, given some insertions."""
 
-    Attributes
-    ----------
-    name : str
-        Of the baseline.
-    max_scale : float
-        Largest noise scale.
-    """
-
-    name: str
+    name: str  #: of the baseline
     dataset: Dataset
     insertions: tuple[Insertion, ...]
     likelihood: LikelihoodRecord
-    max_scale: float
+    max_scale: float  #: largest noise scale
 
     @property
     def baseline(self) -> Baseline:
@@ -161,8 +152,7 @@ class CurveDensity:
         scaled = np.array(closest) * (1 / np.array(self.baseline.scales))
         starts = [np.array([*scaled, np.log(scale)]) for scale in (1.0, min(10.0, self.max_scale))]
         ends = [minimize(self._negative_log_density, at, method="Nelder-Mead", tol=1e-6) for at in starts]
-        best: Floats = min(ends, key=lambda end: float(end.fun)).x
-        return best
+        return min(ends, key=lambda end: float(end.fun)).x
 
     def _negative_log_density(self, theta: Floats) -> float:
         return -float(self(theta[None])[0])

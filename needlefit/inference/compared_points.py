@@ -46,8 +46,7 @@ from needlefit.mechanics.batch import (
 )
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 
-DEPTH_TOLERANCE_MM = 1e-9
-"""mm; depths closer than this are one."""
+DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one
 
 MIN_CONSTRAINT_POINTS = 2
 """Constraint points that a moved guide must have between two readings: they tell where the tip stood."""
@@ -108,8 +107,7 @@ def extrapolate_tip(passed: Floats, tip: Floats, depth: Floats) -> Floats:
     at = np.maximum(np.searchsorted(passed, depth - DEPTH_TOLERANCE_MM) - 1, 0)
     before = np.maximum(at - 1, 0)
     apart = np.where(at > before, passed[at] - passed[before], 1.0)
-    found: Floats = tip[..., at] + (tip[..., at] - tip[..., before]) * ((depth - passed[at]) / apart)
-    return found
+    return tip[..., at] + (tip[..., at] - tip[..., before]) * ((depth - passed[at]) / apart)
 
 
 def find_end(track: TipTrack, spacing: float) -> float:
@@ -187,19 +185,10 @@ def make_curve(shape: NeedleShape, insertion: Insertion | None = None) -> Simula
 
 @dataclass(frozen=True)
 class ComparedPoints:
-    """The measured points of one comparison, and where the simulated ones are taken.
+    """The measured points of one comparison, and where the simulated ones are taken."""
 
-    Attributes
-    ----------
-    s : (K,) array
-        Where on the beam the simulated points are taken, mm from the entry.
-    measured : (K, 2) array
-        Measured points, entry side first, tip last, mm.
-    pose : "known", "free" or "tracker"
-    """
-
-    s: Floats
-    measured: Floats
+    s: Floats  #: (K,) where on the beam the simulated points are taken, mm from the entry
+    measured: Floats  #: (K, 2) measured points, entry side first, tip last, mm
     pose: Pose
 
 
@@ -270,8 +259,7 @@ def rotate_to_entry_axes(points: Floats) -> Floats:
     direction = np.linalg.svd(centred, full_matrices=False)[2][0]
     direction = direction if direction @ (first[-1] - first[0]) >= 0 else -direction
     to_axes = np.array([[direction[0], -direction[1]], [direction[1], direction[0]]])
-    turned: Floats = (points - points[0]) @ to_axes
-    return turned
+    return (points - points[0]) @ to_axes
 
 
 def _count_entry_side(count: int) -> int:

@@ -13,8 +13,7 @@ from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
 
-MET_BY_PROFILE = "profile"
-"""Of a start that stands for a better point, which the profiles about the fit met."""
+MET_BY_PROFILE = "profile"  #: of a start that stands for a better point, which the profiles about the fit met
 
 CONVERGED_REASONS = ("tolerance", "bound", "flat", "roundoff")
 """Reasons to end after which no further gain is expected."""
@@ -126,31 +125,19 @@ def _ignore_step(done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class Callbacks:
-    """Callbacks to resume, report and stop a long computation.
+    """Callbacks to resume, report and stop a long computation."""
 
-    Attributes
-    ----------
-    finished : mapping
-        Starts already computed, by index; they are not repeated.
-    report : callable
-        Called with each start that ends, in the calling thread; an interrupted one is not reported,
-        so a resumed search repeats it.
-    stop : callable
-        Asked before every evaluation or step, from any thread.
-    step : callable
-        Called with the steps a sampler has done and all it will do, or the starts whose approach has ended,
-        and all.
-    jobs : int
-        Threads; the result does not depend on their number.
-    pool : TaskPool
-        Where the starts of a search run, if they take long; nor does it depend on that.
-    """
-
+    #: starts already computed, by index; they are not repeated
     finished: Mapping[int, Start] = field(default_factory=lambda: MappingProxyType({}))
+    #: called with each start that ends, in the calling thread; an interrupted one is not reported, so a
+    #: resumed search repeats it
     report: Callable[[Start], None] = _ignore_start
-    stop: Callable[[], bool] = never_stop
+    stop: Callable[[], bool] = never_stop  #: asked before every evaluation or step, from any thread
+    #: called with the steps a sampler has done and all it will do, or the starts whose approach has ended,
+    #: and all
     step: Callable[[int, int], None] = _ignore_step
-    jobs: int = 1
+    jobs: int = 1  #: threads; the result does not depend on their number
+    #: where the starts of a search run, if they take long; nor does it depend on that
     pool: TaskPool = THIS_PROCESS
 
 

@@ -47,8 +47,7 @@ from needlefit.schemas.scene import (
     StepRecord,
 )
 
-MAX_ELEMENT_MM = 1.0
-"""Mesh size aimed at, mm; the mesh size used divides the constraint spacing."""
+MAX_ELEMENT_MM = 1.0  #: mesh size aimed at, mm; the mesh size used divides the constraint spacing
 
 
 def predict(
@@ -114,8 +113,7 @@ def stack_shape(table: Mapping[str, Any], law: str, sequence: Sequence[int]) -> 
     """Return the shape parameters (B, p, n) of layers, from the values (B,) of each parameter."""
     rows = [[np.asarray(table[name]) for name in row] for row in LAWS[law].name_shape(sequence)]
     count = len(next(iter(table.values())))
-    found: Floats = np.moveaxis(np.array(rows, dtype=np.float64).reshape(-1, len(sequence), count), -1, 0)
-    return found
+    return np.moveaxis(np.array(rows, dtype=np.float64).reshape(-1, len(sequence), count), -1, 0)
 
 
 def _tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:

@@ -42,23 +42,12 @@ from needlefit.schemas.medium import MaterialRecord, MediumRecord, ParameterReco
 
 @dataclass(frozen=True)
 class AlphaProfile:
-    """The profile of alpha: the sum of squares at each alpha, with the best mu for it.
+    """The profile of alpha: the sum of squares at each alpha, with the best mu for it."""
 
-    Attributes
-    ----------
-    alpha : (G,) array
-    mu : (G,) array
-        MPa.
-    ratio : (G,) array
-        Sum of squares over the smallest one.
-    limit : float
-        Ratio up to which an alpha belongs to the 95 % region.
-    """
-
-    alpha: Floats
-    mu: Floats
-    ratio: Floats
-    limit: float
+    alpha: Floats  #: (G,)
+    mu: Floats  #: (G,) MPa
+    ratio: Floats  #: (G,) sum of squares over the smallest one
+    limit: float  #: ratio up to which an alpha belongs to the 95 % region
 
     @property
     def regions(self) -> tuple[tuple[float, float], ...]:
@@ -85,69 +74,43 @@ class AlphaProfile:
         return float(self.alpha[within] + part * (self.alpha[out] - self.alpha[within]))
 
 
-ALPHA_RANGE = (-50.0, 50.0)
-"""Values of alpha that are looked at."""
-
-ALPHA_GRID_POINTS = 401
-"""Values of alpha at which the profile is searched for minima: every 0.25."""
+ALPHA_RANGE = (-50.0, 50.0)  #: values of alpha that are looked at
+ALPHA_GRID_POINTS = 401  #: values of alpha at which the profile is searched for minima: every 0.25
 
 DENSE_REACH_SD, DENSE_GRID_POINTS = 8.0, 161
 """About a minimum the profile is followed this many standard deviations to each side, on so many values."""
 
-MAX_ALPHA_WIDTH = 10.0
-"""A 95 % region wider than this, and than alpha itself, leaves alpha open."""
+MAX_ALPHA_WIDTH = 10.0  #: a 95 % region wider than this, and than alpha itself, leaves alpha open
 
 MIN_EFFECTIVE_POINTS = 4.0
 """No curve counts as fewer points: two are fitted, and two remain to estimate the noise."""
 
-MIN_ALPHA_DISTANCE = 1e-3
-"""Minima nearer than this in alpha are one."""
+MIN_ALPHA_DISTANCE = 1e-3  #: minima nearer than this in alpha are one
 
 MIN_NOISE_FRACTION = 1e-7
 """Part of the largest stress that counts as noise at least: a file has so many digits."""
 
-UPPER_QUANTILE_95 = 0.975
-"""Quantile of intervals of 95 %."""
-
-NORMAL_95_HALF_WIDTH_SD = 1.959964
-"""Value of the standard normal distribution at that quantile."""
+UPPER_QUANTILE_95 = 0.975  #: quantile of intervals of 95 %
+NORMAL_95_HALF_WIDTH_SD = 1.959964  #: value of the standard normal distribution at that quantile
 
 
 @dataclass(frozen=True)
 class SpecimenFit:
-    """The fit of mu and alpha to the loading of one specimen.
-
-    Attributes
-    ----------
-    measure : "nominal" or "true"
-    mu : float
-        Shear modulus of the material, MPa.
-    covariance : (2, 2) array
-        Of ln mu and alpha. Alpha's variance is what the width of its profile says, and mu follows it: where
-        alpha begins to turn the curve round a linear estimate has nothing to go by.
-    residuals : (N,) array
-        Fitted minus measured, MPa.
-    noise : float
-        Standard deviation of the residuals, MPa.
-    neighbour_correlation : float
-        Correlation of neighbouring residuals.
-    effective_points : float
-        Effective number of independent points.
-    other_alphas : tuple of float
-        Other alphas at which the misfit has a minimum inside the 95 % region.
-    """
+    """The fit of mu and alpha to the loading of one specimen."""
 
     specimen: SpecimenLoading
     measure: StressMeasure
-    mu: float
+    mu: float  #: shear modulus of the material, MPa
     alpha: float
+    #: (2, 2) of ln mu and alpha. Alpha's variance is what the width of its profile says, and mu follows it:
+    #: where alpha begins to turn the curve round a linear estimate has nothing to go by.
     covariance: Floats
-    residuals: Floats
-    noise: float
-    neighbour_correlation: float
-    effective_points: float
+    residuals: Floats  #: (N,) fitted minus measured, MPa
+    noise: float  #: standard deviation of the residuals, MPa
+    neighbour_correlation: float  #: correlation of neighbouring residuals
+    effective_points: float  #: effective number of independent points
     profile: AlphaProfile
-    other_alphas: tuple[float, ...]
+    other_alphas: tuple[float, ...]  #: other alphas at which the misfit has a minimum inside the 95 % region
 
     @property
     def identified(self) -> bool:
@@ -215,8 +178,7 @@ def fit_specimen(specimen: SpecimenLoading, measure: StressMeasure) -> SpecimenF
     )
 
 
-Minimum = tuple[tuple[float, float], Floats]
-"""(ln mu, alpha) of a minimum, and the residuals there."""
+Minimum = tuple[tuple[float, float], Floats]  #: (ln mu, alpha) of a minimum, and the residuals there
 
 
 def _sum_of_squares(found: Minimum) -> float:
@@ -308,8 +270,7 @@ def _inverse_information(
 ) -> Floats:
     """Return the inverse of J^T J (2, 2)."""
     slopes = _jacobian(np.array(theta), specimen, measure)
-    inverse: Floats = np.asarray(np.linalg.inv(slopes.T @ slopes), dtype=np.float64)
-    return inverse
+    return np.asarray(np.linalg.inv(slopes.T @ slopes), dtype=np.float64)
 
 
 def _count_effective_points(residuals: Floats) -> tuple[float, float]:
@@ -328,28 +289,15 @@ def _count_effective_points(residuals: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class MaterialEstimate:
-    """The predicted distribution of a further specimen, given those of one compression test.
+    """The predicted distribution of a further specimen, given those of one compression test."""
 
-    Attributes
-    ----------
-    fits : tuple of SpecimenFit
-        One of each specimen.
-    pooled : tuple of str
-        The specimens whose alpha the test identifies: mean and spread are theirs.
-    mean : (2,) array
-        Of ln mu (mu in MPa) and alpha; NaN if no specimen identifies alpha.
-    between : (2, 2) array
-        Covariance between specimens, by moments; NaN with fewer than two.
-    covariance : (2, 2) array
-        Of a further specimen about `mean`, widened so that 1.96 standard deviations are 95 % in spite of the
-        few specimens that determine the scatter. With a single specimen its own alone, widened for the few
-        independent points that determine its noise.
-    """
-
-    fits: tuple[SpecimenFit, ...]
-    pooled: tuple[str, ...]
-    mean: Floats
-    between: Floats
+    fits: tuple[SpecimenFit, ...]  #: one of each specimen
+    pooled: tuple[str, ...]  #: the specimens whose alpha the test identifies: mean and spread are theirs
+    mean: Floats  #: (2,) of ln mu (mu in MPa) and alpha; NaN if no specimen identifies alpha
+    between: Floats  #: (2, 2) covariance between specimens, by moments; NaN with fewer than two
+    #: (2, 2) of a further specimen about `mean`, widened so that 1.96 standard deviations are 95 % in spite
+    #: of the few specimens that determine the scatter. With a single specimen its own alone, widened for the
+    #: few independent points that determine its noise.
     covariance: Floats
 
     @property
@@ -406,33 +354,23 @@ def pool(estimates: Sequence[Floats], covariances: Sequence[Floats]) -> tuple[Fl
 def _nearest_positive(matrix: Floats) -> Floats:
     """Return the nearest matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh(matrix)
-    nearest: Floats = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return nearest
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 ALPHA_REACH_SD = 4.0
 """A fixed alpha that a test identifies becomes free within this many standard deviations."""
 
-TEST_LAW = "ogden"
-"""The law that alpha and mu of a compression test belong to."""
+TEST_LAW = "ogden"  #: the law that alpha and mu of a compression test belong to
 
 NUMBER_FORMAT = ".6g"
 
 
 @dataclass(frozen=True)
 class MaterialFoundation:
-    """The user's factor between the mu of the model and the shear modulus of the material.
+    """The user's factor between the mu of the model and the shear modulus of the material."""
 
-    Attributes
-    ----------
-    factor : float
-        Its median.
-    spread : float
-        Known within this factor, above 1: a standard deviation of the logarithm.
-    """
-
-    factor: float
-    spread: float
+    factor: float  #: its median
+    spread: float  #: known within this factor, above 1: a standard deviation of the logarithm
 
     def __post_init__(self) -> None:
         if not (self.factor > 0 and self.spread > 1 and math.isfinite(self.factor * self.spread)):

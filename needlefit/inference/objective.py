@@ -78,38 +78,26 @@ class SupportsMetric(SupportsApproach, Protocol):
 
 @dataclass(frozen=True)
 class ObjectiveFunction:
-    """A function on a box, to be minimised; any evaluation may fail or not be finite.
+    """A function on a box, to be minimised; any evaluation may fail or not be finite."""
 
-    Attributes
-    ----------
-    lower, upper : (P,) array
-        Of theta; infinite bounds are for searches that need no box (gradients, least squares).
-    value : callable
-        theta (P,) -> the value to minimise.
-    gradient : callable or None
-        theta -> the value and its exact gradient (P,).
-    residuals : callable or None
-        theta -> (R,); the value is half their sum of squares but for a constant.
-    jacobian : callable or None
-        theta -> the residuals and their exact Jacobian (R, P).
-    absolute_tolerance : float
-        Absolute change of the value under which a search may end; 0 leaves it to relative changes.
-    approach : ObjectiveFunction or None
-        An easier one with its minima next to this one's; a search minimises that first.
-    """
-
+    #: lower, upper: (P,) of theta; infinite bounds are for searches that need no box (gradients, least
+    #: squares)
     lower: Floats
     upper: Floats
-    value: Callable[[Floats], float]
+    value: Callable[[Floats], float]  #: theta (P,) -> the value to minimise
+    #: theta -> the value and its exact gradient (P,)
     gradient: Callable[[Floats], tuple[float, Floats]] | None = None
+    #: theta -> (R,); the value is half their sum of squares but for a constant
     residuals: Callable[[Floats], Floats] | None = None
+    #: theta -> the residuals and their exact Jacobian (R, P)
     jacobian: Callable[[Floats], tuple[Floats, Floats]] | None = None
+    #: absolute change of the value under which a search may end; 0 leaves it to relative changes
     absolute_tolerance: float = 0.0
+    #: an easier one with its minima next to this one's; a search minimises that first
     approach: "ObjectiveFunction | None" = None
 
 
-POSTERIOR_TOLERANCE = 1e-9
-"""Change of the log posterior under which a search for its peak ends."""
+POSTERIOR_TOLERANCE = 1e-9  #: change of the log posterior under which a search for its peak ends
 
 APPROACH_TOLERANCES: dict[ObjectiveName, float] = {"posterior": 1e-6, "metric": 1e-3}
 """The same on the way to where a search begins, by what it minimises.
@@ -291,8 +279,7 @@ class EvaluationRecorder:
         if self.reason:
             raise SearchEnded
         self.evaluations += 1
-        point: Floats = np.clip(theta, self.objective_function.lower, self.objective_function.upper)
-        return point
+        return np.clip(theta, self.objective_function.lower, self.objective_function.upper)
 
     def _evaluate(self, function: Callable[[Floats], Value], theta: Floats) -> Value | None:
         try:

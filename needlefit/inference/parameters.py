@@ -155,33 +155,21 @@ class SoftTie:
 
 @dataclass(frozen=True)
 class Prior:
-    """A Gaussian prior of some parameters, in their coordinates of theta.
+    """A Gaussian prior of some parameters, in their coordinates of theta."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Q of them.
-    whitening : (R, Q) array
-        What takes logarithms, and shape parameters themselves, to independent numbers of unit variance; R < Q
-        where only combinations are stated, as by a tie.
-    centre : (R,) array
-        Their means.
-    ties : tuple of SoftTie
-        Those among it, for print.
-    """
-
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()  #: q of them
+    #: (R, Q) what takes logarithms, and shape parameters themselves, to independent numbers of unit variance;
+    #: R < Q where only combinations are stated, as by a tie
     whitening: tuple[tuple[float, ...], ...] = ()
-    centre: tuple[float, ...] = ()
-    ties: tuple[SoftTie, ...] = ()
+    centre: tuple[float, ...] = ()  #: (R,) their means
+    ties: tuple[SoftTie, ...] = ()  #: those among it, for print
 
     def residuals(self, values: Mapping[str, float]) -> Floats:
         """Return the whitened deviations (R,) of `values` (Pa, mm) from the prior mean."""
         if not self.names:
             return np.empty(0)
         at = np.array([to_coordinate(name, values[name]) for name in self.names])
-        white: Floats = np.array(self.whitening) @ at - np.array(self.centre)
-        return white
+        return np.array(self.whitening) @ at - np.array(self.centre)
 
     def log_density(self, values: Mapping[str, float]) -> float:
         """Return the logarithm of the density of `values`, not normalised: 0 at its peak."""
@@ -194,14 +182,12 @@ class Prior:
         chosen = np.array([[float(name == own) for name in names] for own in self.names])  # (Q, P)
         if not self.names:
             return np.zeros((0, len(names)))
-        slopes: Floats = np.array(self.whitening) @ chosen
-        return slopes
+        return np.array(self.whitening) @ chosen
 
     def information(self, names: Sequence[str]) -> Floats:
         """Return the precision (P, P) of theta of the free parameters `names`; 0 where nothing is stated."""
         slopes = self.slopes(names)
-        precision: Floats = slopes.T @ slopes
-        return precision
+        return slopes.T @ slopes
 
     @cached_property
     def marginals(self) -> Mapping[str, tuple[float, float]]:
@@ -346,36 +332,22 @@ MATERIAL_SPREAD = 1.2
 The layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness.
 """
 
-MAX_TIE_SDS = 6.0
-"""Standard deviations of a tie beyond which a tied parameter is not searched."""
+MAX_TIE_SDS = 6.0  #: standard deviations of a tie beyond which a tied parameter is not searched
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Which parameters are free, fixed and tied; every parameter is exactly one of these.
+    """Which parameters are free, fixed and tied; every parameter is exactly one of these."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        All parameters in the order of layers: mu1_pa, alpha1, ..., bevel_mm or cut_angle_deg,
-        guide_distance_mm.
-    bounds : mapping
-        Low and high of each free parameter, in its own unit.
-    fixed : mapping
-        Value of each fixed parameter.
-    ties : mapping
-        Factor and source of each that is tied exactly; a source is free.
-    prior : Prior
-        What the medium states of some of them, ties with a spread among it; flat within the bounds otherwise.
-    half_normal : mapping
-        Standard deviation of the half-normal prior of a spread, by its name.
-    """
-
+    #: all parameters in the order of layers: mu1_pa, alpha1, ..., bevel_mm or cut_angle_deg,
+    #: guide_distance_mm
     names: tuple[str, ...]
-    bounds: Mapping[str, tuple[float, float]]
-    fixed: Mapping[str, float]
-    ties: Mapping[str, tuple[float, str]]
+    bounds: Mapping[str, tuple[float, float]]  #: low and high of each free parameter, in its own unit
+    fixed: Mapping[str, float]  #: value of each fixed parameter
+    ties: Mapping[str, tuple[float, str]]  #: factor and source of each that is tied exactly; a source is free
+    #: what the medium states of some of them, ties with a spread among it; flat within the bounds otherwise
     prior: Prior = field(default=Prior())
+    #: standard deviation of the half-normal prior of a spread, by its name
     half_normal: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod

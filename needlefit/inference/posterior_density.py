@@ -35,31 +35,20 @@ from needlefit.schemas.medium import MediumRecord
 Values = Mapping[str, float]
 
 
-SETS_AT_ONCE = 256
-"""Sets of values whose needles are held at once: those of thousands would take gigabytes."""
+SETS_AT_ONCE = 256  #: sets of values whose needles are held at once: those of thousands would take gigabytes
 
 
 @dataclass(frozen=True)
 class PosteriorDensity:
-    """The posterior of a medium's parameters, given some insertions; functions of all values (Pa, mm).
+    """The posterior of a medium's parameters, given some insertions; functions of all values (Pa, mm)."""
 
-    Attributes
-    ----------
-    parameters : Parameters
-        Theta's; with their prior.
-    observations : tuple of Observation
-        One of each insertion.
-    scale : float
-        What the deviations of the points' noise are multiplied by, where it is no parameter.
-    centred_bevels : bool
-        Whether b is the mean of the insertions' own, from which their deviations sum to zero.
-    """
-
-    parameters: Parameters
+    parameters: Parameters  #: Theta's; with their prior
     medium: MediumRecord
     needle: Needle
-    observations: tuple[Observation, ...]
+    observations: tuple[Observation, ...]  #: one of each insertion
+    #: what the deviations of the points' noise are multiplied by, where it is no parameter
     scale: float = 1.0
+    #: whether b is the mean of the insertions' own, from which their deviations sum to zero
     centred_bevels: bool = False
 
     def log_density(self, values: Values) -> float:

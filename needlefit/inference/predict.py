@@ -27,36 +27,22 @@ from needlefit.arrays import Floats, Ints
 from needlefit.inference.parameters import NOISE_SCALE, Parameters
 from needlefit.inference.sampling.posterior import Posterior
 
-INTERVAL_PROBABILITIES = (0.50, 0.95)
-"""Probabilities of the central intervals that are reported."""
-
-CURVES = 2000
-"""Curves that are drawn, at least, where the whole curve is asked about."""
+INTERVAL_PROBABILITIES = (0.50, 0.95)  #: probabilities of the central intervals that are reported
+CURVES = 2000  #: curves that are drawn, at least, where the whole curve is asked about
 
 PAIR_DRAWS = 125
 """Draws, at most, whose pairs show how much the Gaussians add to the distances between draws."""
 
-BRACKET_SD = 9.0
-"""Deviations beyond which a Gaussian has next to nothing: 1e-19 on each side."""
-
-TINY_MM = 1e-9
-"""The bracket of a quantile has at least this width where draws leave nothing open."""
+BRACKET_SD = 9.0  #: deviations beyond which a Gaussian has next to nothing: 1e-19 on each side
+TINY_MM = 1e-9  #: the bracket of a quantile has at least this width where draws leave nothing open
 
 
 @dataclass(frozen=True)
 class PredictiveMixture:
-    """A mixture of equally weighted Gaussians with one standard deviation, for K quantities at once.
+    """A mixture of equally weighted Gaussians with one standard deviation, for K quantities at once."""
 
-    Attributes
-    ----------
-    means : (B, K) array
-        One row a draw.
-    sd : (K,) array
-        0 where a draw leaves nothing open.
-    """
-
-    means: Floats
-    sd: Floats
+    means: Floats  #: (B, K) one row a draw
+    sd: Floats  #: (K,) 0 where a draw leaves nothing open
 
 
 def cdf(mixture: PredictiveMixture, at: ArrayLike) -> Floats:
@@ -68,8 +54,7 @@ def cdf(mixture: PredictiveMixture, at: ArrayLike) -> Floats:
     if not mixture.sd.all():
         # with a deviation of 0 the CDF is a step, and 0 / 0 at the step itself counts as the middle
         scaled = np.where(away == 0, 0.0, scaled)
-    below: Floats = ndtr(scaled, out=scaled).mean(axis=0)
-    return below
+    return ndtr(scaled, out=scaled).mean(axis=0)
 
 
 def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
@@ -88,8 +73,7 @@ def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
         ranked[np.minimum(high, count - 1), columns] + beyond,
     )
     # one search for all: its overhead is that of thousands of draws
-    found: Floats = elementwise.find_root(excess, bracket, args=(columns, wanted)).x
-    return found
+    return elementwise.find_root(excess, bracket, args=(columns, wanted)).x
 
 
 def interval(mixture: PredictiveMixture, level: float) -> tuple[Floats, Floats]:
@@ -117,8 +101,7 @@ def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
     added = [(_mean_absolute(m, s) - m).sum() for m, s in zip(near, sd, strict=True)]
     # each pair of different draws counts twice, and each draw beside itself
     between = between + (2 * np.array(added) / len(some) + _mean_absolute(np.zeros(len(sd)), sd)) / len(some)
-    score: Floats = off - between / 2
-    return score
+    return off - between / 2
 
 
 def simulate_shape_pit(
@@ -140,8 +123,7 @@ def simulate_shape_pit(
 
     def worst(curve: Floats) -> Floats:
         away = np.abs(curve - centre)
-        farthest: Floats = np.max(np.divide(away, spread, out=np.zeros_like(away), where=spread > 0), axis=-1)
-        return farthest
+        return np.max(np.divide(away, spread, out=np.zeros_like(away), where=spread > 0), axis=-1)
 
     return float(np.mean(worst(curves) < worst(observed)))
 
@@ -152,8 +134,7 @@ def _mean_absolute(mean: Floats, sd: Floats) -> Floats:
         # a deviation of 0 is a point mass: its mean absolute value is |mean|
         z = np.where(sd > 0, mean / sd, 0.0)
     density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    spread: Floats = np.where(sd > 0, 2 * sd * density + mean * (2 * ndtr(z) - 1), np.abs(mean))
-    return spread
+    return np.where(sd > 0, 2 * sd * density + mean * (2 * ndtr(z) - 1), np.abs(mean))
 
 
 Source = Literal["posterior", "importance"]

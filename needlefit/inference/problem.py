@@ -61,8 +61,7 @@ def metric_misfit_gradient(
     """Return the derivatives (P,) of `metric_misfit`, given those of the simulated points, (K, 2, P)."""
     off = simulated - measured
     along = off / np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2)[:, None]  # (K, 2)
-    moved: Floats = np.einsum("k,ki,kip->p", _station_weights(measured, weights), along, slopes)
-    return moved
+    return np.einsum("k,ki,kip->p", _station_weights(measured, weights), along, slopes)
 
 
 def _station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
@@ -340,18 +339,11 @@ def make_problem(
 
 @dataclass(frozen=True)
 class EvaluationFailure:
-    """Why one evaluation failed, and at which insertion.
+    """Why one evaluation failed, and at which insertion."""
 
-    Attributes
-    ----------
-    insertion : str
-        The first one without a solution; empty if all have one.
-    reason : str
-        The status of its shape; or the error that was raised, `ModelError: ...`; or "value not finite",
-        if every simulation converged.
-    """
-
-    insertion: str
+    insertion: str  #: the first one without a solution; empty if all have one
+    #: the status of its shape; or the error that was raised, `ModelError: ...`; or "value not finite", if
+    #: every simulation converged
     reason: str
 
 

@@ -22,11 +22,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Value = TypeVar("Value")
 
-MAX_SEARCHES = 16
-"""Searches that run side by side: two blocks of lanes."""
+MAX_SEARCHES = 16  #: searches that run side by side: two blocks of lanes
 
-_Function = Callable[[Floats, int], Sequence[Value]]
-"""Thetas (B, P) and a number of threads -> B values."""
+_Function = Callable[[Floats, int], Sequence[Value]]  #: Thetas (B, P) and a number of threads -> B values
 
 
 def evaluate(function: "_Function[Value]", theta: Floats) -> Value:
@@ -34,8 +32,7 @@ def evaluate(function: "_Function[Value]", theta: Floats) -> Value:
     group: _Group | None = getattr(_this_thread, "group", None)
     if group is None:
         return function(np.asarray(theta)[None], 1)[0]
-    value: Value = group.evaluate(function, np.asarray(theta))
-    return value
+    return group.evaluate(function, np.asarray(theta))
 
 
 def run_side_by_side(
@@ -134,8 +131,7 @@ class _Group:
                     self._changed.wait()
         if request.error is not None:
             raise request.error
-        value: Value = request.value
-        return value
+        return request.value
 
     def _evaluate_all(self) -> None:
         requests, self._waiting = self._waiting, []

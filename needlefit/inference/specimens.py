@@ -53,8 +53,7 @@ from needlefit.inference.sampling.log_density import approximate_by_laplace
 GRID_POINTS, LARGEST_SPREAD = 48, 8.0
 """Values of each spread, evenly spaced up to this many deviations of its prior."""
 
-MAX_REDRAWS = 100
-"""Times that a specimen outside the bounds is drawn again; then it is put on them."""
+MAX_REDRAWS = 100  #: times that a specimen outside the bounds is drawn again; then it is put on them
 
 
 @dataclass(frozen=True)
@@ -67,27 +66,16 @@ class SpecimenEstimate:
 
 @dataclass(frozen=True)
 class SpecimenSpread:
-    """The posterior of the standard deviations between specimens, of ln mu and of ln b.
+    """The posterior of the standard deviations between specimens, of ln mu and of ln b."""
 
-    Attributes
-    ----------
-    taus : (G, 2) array
-        Of moduli and of the bevel offset.
-    weights : (G,) array
-        They sum to 1.
-    specimens : int
-        How many it was learned from; the prior alone is left from fewer than two.
-    """
-
-    taus: Floats
-    weights: Floats
-    specimens: int
+    taus: Floats  #: (G, 2) of moduli and of the bevel offset
+    weights: Floats  #: (G,) they sum to 1
+    specimens: int  #: how many it was learned from; the prior alone is left from fewer than two
 
     @property
     def rms(self) -> Floats:
         """Root mean squares (2,) of both spreads."""
-        found: Floats = np.sqrt(self.weights @ self.taus**2)
-        return found
+        return np.sqrt(self.weights @ self.taus**2)
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return draws (B, 2)."""
@@ -125,8 +113,7 @@ def make_covariances(parameters: Parameters, taus: Floats) -> Floats:
     groups = list_groups(parameters)
     marks = np.array([[float(name in names) for name in parameters.free] for _, names in groups])
     squares = np.array([taus[:, which] ** 2 for which, _ in groups]).T  # (G, groups)
-    found: Floats = np.einsum("gk,kp,kq->gpq", squares, marks, marks)
-    return found
+    return np.einsum("gk,kp,kq->gpq", squares, marks, marks)
 
 
 def list_groups(parameters: Parameters) -> list[tuple[int, tuple[str, ...]]]:
@@ -195,37 +182,25 @@ def estimate_specimen(problem: Problem, begin: Floats) -> SpecimenEstimate | Non
     return SpecimenEstimate(found.theta, covariance)
 
 
-KERNELS_PER_SPECIMEN = 100
-"""Draws that stand for the posterior of a specimen."""
+KERNELS_PER_SPECIMEN = 100  #: draws that stand for the posterior of a specimen
 
 SPREAD_EFFORT = Effort(draws=400, min_ess=400.0)
 
-MAX_TAU_SD = 5.0
-"""Bound of tau, in standard deviations of its prior."""
-
-DENSITY_POINTS = 400
-"""Places at which a marginal density is looked at."""
+MAX_TAU_SD = 5.0  #: bound of tau, in standard deviations of its prior
+DENSITY_POINTS = 400  #: places at which a marginal density is looked at
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """The posterior of one specimen as a mixture of equally weighted Gaussian kernels.
+    """The posterior of one specimen as a mixture of equally weighted Gaussian kernels."""
 
-    Attributes
-    ----------
-    centres : (K, P) array
-    kernel : (P, P) array
-        Their covariance.
-    """
-
-    centres: Floats
-    kernel: Floats
+    centres: Floats  #: (K, P)
+    kernel: Floats  #: (P, P) their covariance
 
     @property
     def mean(self) -> Floats:
         """Mean of the posterior: (P,)."""
-        found: Floats = self.centres.mean(axis=0)
-        return found
+        return self.centres.mean(axis=0)
 
     @property
     def covariance(self) -> Floats:
@@ -245,19 +220,11 @@ def make_specimen(draws: Floats) -> Specimen:
 
 @dataclass(frozen=True)
 class Population:
-    """The posterior of mean m and spread tau over specimens, given some of them.
-
-    Attributes
-    ----------
-    bounds : (P,), (P,) arrays
-        Of m.
-    spread_sd : float
-        Of the half-normal prior of every tau.
-    """
+    """The posterior of mean m and spread tau over specimens, given some of them."""
 
     specimens: tuple[Specimen, ...]
-    bounds: tuple[Floats, Floats]
-    spread_sd: float
+    bounds: tuple[Floats, Floats]  #: (P,), (P,) of m
+    spread_sd: float  #: of the half-normal prior of every tau
 
     @property
     def lower(self) -> Floats:
@@ -298,8 +265,7 @@ class Population:
         # bound
         spread = np.sqrt(np.maximum(means.var(axis=0) - within, 0.01 * self.spread_sd**2))
         low, high = self.lower, self.upper
-        begin: Floats = np.clip(np.concatenate([means.mean(axis=0), spread]), low, high)
-        return begin
+        return np.clip(np.concatenate([means.mean(axis=0), spread]), low, high)
 
 
 def _likelihoods(one: Specimen, means: Floats, taus: Floats) -> Floats:
@@ -310,16 +276,14 @@ def _likelihoods(one: Specimen, means: Floats, taus: Floats) -> Floats:
     white = np.linalg.solve(factor, away.transpose(0, 2, 1))  # (W, P, K)
     logs = -0.5 * np.sum(white**2, axis=1)
     volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-    found: Floats = logsumexp(logs, axis=1) - np.log(logs.shape[1]) - volume
-    return found
+    return logsumexp(logs, axis=1) - np.log(logs.shape[1]) - volume
 
 
 def best_determined(specimens: Sequence[Specimen]) -> Floats:
     """Return the combination (P,), of length 1, that the specimens determine best on average."""
     information = np.mean([np.linalg.inv(one.covariance) for one in specimens], axis=0)
     vector: Floats = np.linalg.eigh(information)[1][:, -1]
-    upright: Floats = vector * np.sign(vector[np.argmax(np.abs(vector))])
-    return upright
+    return vector * np.sign(vector[np.argmax(np.abs(vector))])
 
 
 def marginal_density(values: Floats, weights: Floats, lowest: float) -> tuple[Floats, Floats]:

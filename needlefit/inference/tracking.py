@@ -77,25 +77,16 @@ class TipNoise(NamedTuple):
     slope: float
 
 
-REGISTRATION = 2
-"""Entries of the state behind theta: c_0, mm, and c_1."""
+REGISTRATION = 2  #: entries of the state behind theta: c_0, mm, and c_1
 
 
 @dataclass(frozen=True)
 class TrackingEstimate:
-    """A Gaussian of the state: logarithms of the moduli (MPa) and of b (mm) or theta (rad), then c_0, c_1.
+    """A Gaussian of the state: logarithms of the moduli (MPa) and of b (mm) or theta (rad), then c_0, c_1."""
 
-    Attributes
-    ----------
-    mean : (P + 2,) array
-    covariance : (P + 2, P + 2) array
-    readings : int
-        Number of readings behind it; 0: what was known before.
-    """
-
-    mean: Floats
-    covariance: Floats
-    readings: int = 0
+    mean: Floats  #: (P + 2,)
+    covariance: Floats  #: (P + 2, P + 2)
+    readings: int = 0  #: number of readings behind it; 0: what was known before
 
     @property
     def theta(self) -> Floats:
@@ -105,19 +96,16 @@ class TrackingEstimate:
     @property
     def sd(self) -> Floats:
         """Standard deviations (P,) of theta."""
-        found: Floats = np.sqrt(np.diag(self.covariance))[:-REGISTRATION]
-        return found
+        return np.sqrt(np.diag(self.covariance))[:-REGISTRATION]
 
     def interval(self) -> Floats:
         """Return median and 95 % limits (3, P) of the parameters: low, median, high (MPa; mm or rad)."""
-        limits: Floats = np.exp(self.theta + np.array([-1.96, 0.0, 1.96])[:, None] * self.sd)
-        return limits
+        return np.exp(self.theta + np.array([-1.96, 0.0, 1.96])[:, None] * self.sd)
 
     def transform(self, normal: Floats) -> Floats:
         """Return the parameters (B, P) of standard normal draws (B, P)."""
         spread, axes = np.linalg.eigh(self.covariance[:-REGISTRATION, :-REGISTRATION])
-        drawn: Floats = np.exp(self.theta + normal @ (axes * np.sqrt(np.maximum(spread, 0.0))).T)
-        return drawn
+        return np.exp(self.theta + normal @ (axes * np.sqrt(np.maximum(spread, 0.0))).T)
 
 
 def make_prior_from_draws(mu: Floats, strength: Floats, noise: TipNoise) -> TrackingEstimate:
@@ -249,30 +237,20 @@ def _linearize(tracked: TrackedNeedle, state: Floats, depths: Floats) -> _Linear
     return _LinearizedTip(tip, by_state, by_depth)
 
 
-SHIFT_SD_MM = 100.0
-"""Prior deviation of a shift, mm: no reading lies as far from another."""
-
-MIN_TUNED_RUNS = 4
-"""Runs from whose scatter the slope of a further one is estimated."""
+SHIFT_SD_MM = 100.0  #: prior deviation of a shift, mm: no reading lies as far from another
+MIN_TUNED_RUNS = 4  #: runs from whose scatter the slope of a further one is estimated
 
 
 @dataclass(frozen=True)
 class TrackDraws:
-    """B draws of a model: the deflections of some runs, and the scale of the noise.
+    """B draws of a model: the deflections of some runs, and the scale of the noise."""
 
-    Attributes
-    ----------
-    tuned, held_out : tuples of (B, n) arrays
-        Deflections at the readings of the runs fitted to, and of those predicted, mm.
-    scale : (B,) array
-        What the stated deviations of the noise are multiplied by.
-    alike : bool
-        Whether the slope of a run is estimated from those alone whose guide moved, or rested, as in it.
-    """
-
+    #: tuned, held_out: (B, n) each deflections at the readings of the runs fitted to, and of those predicted,
+    #: mm
     tuned: tuple[Floats, ...]
     held_out: tuple[Floats, ...]
-    scale: Floats
+    scale: Floats  #: (B,) what the stated deviations of the noise are multiplied by
+    #: whether the slope of a run is estimated from those alone whose guide moved, or rested, as in it
     alike: bool = False
 
 
@@ -350,8 +328,7 @@ def predict_readings(
         - gain.transpose(0, 2, 1) @ total[:, :observed_count, observed_count:]
     )
     root = np.linalg.cholesky(remaining)
-    drawn: Floats = centre + np.einsum("brs,bs->br", root, rng.normal(size=centre.shape))
-    return drawn
+    return centre + np.einsum("brs,bs->br", root, rng.normal(size=centre.shape))
 
 
 def draw_baseline(

@@ -32,8 +32,7 @@ MIN_SPREAD = 1e-3
 """Spread that is always added, so that what the old medium fixes or ties keeps a density in the new one."""
 
 
-BOUND_TOLERANCE = 1e-9
-"""Part of a bound by which a fit at it may miss it."""
+BOUND_TOLERANCE = 1e-9  #: part of a bound by which a fit at it may miss it
 
 
 def widen_posterior(
@@ -75,24 +74,12 @@ def widen_posterior(
 
 @dataclass(frozen=True)
 class TransferredPrior:
-    """The mixture of Gaussians about the draws of an old posterior: the prior of some new parameters.
+    """The mixture of Gaussians about the draws of an old posterior: the prior of some new parameters."""
 
-    Attributes
-    ----------
-    parameters : Parameters
-        Of the new medium, with the Gaussian of `widen_posterior` as their prior.
-    names : tuple of str
-        Q of them: those of the mixture.
-    centres : (B, Q) array
-        Draws of the old posterior, in theta's coordinates.
-    sds : (Q,) array
-        Of each Gaussian.
-    """
-
-    parameters: Parameters
-    names: tuple[str, ...]
-    centres: Floats
-    sds: Floats
+    parameters: Parameters  #: of the new medium, with the Gaussian of `widen_posterior` as their prior
+    names: tuple[str, ...]  #: q of them: those of the mixture
+    centres: Floats  #: (B, Q) draws of the old posterior, in theta's coordinates
+    sds: Floats  #: (Q,) of each Gaussian
 
     @classmethod
     def from_draws(
@@ -126,8 +113,7 @@ class TransferredPrior:
         mixture: Floats = logsumexp(-0.5 * np.sum(white**2, axis=2), axis=1)
         prior = self.parameters.prior
         gaussian = np.array([prior.log_density(self.parameters.values(theta)) for theta in thetas])
-        found: Floats = mixture - gaussian
-        return found
+        return mixture - gaussian
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return draws (`count`, P) of the prior within the bounds; what is not in the mixture is flat."""

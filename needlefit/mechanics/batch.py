@@ -180,8 +180,7 @@ class Batch:
         return needle, tuple(change_step(step) for step in self.steps)
 
 
-VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]
-"""What a set may give."""
+VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]  #: what a set may give
 
 
 @dataclass(frozen=True)
@@ -415,8 +414,7 @@ def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -
         for part in (shape.x, shape.u, shape.slope, jacobian.u, jacobian.slope)
     )
     wanted, x_by = np.ascontiguousarray(s, dtype=np.float64), np.ascontiguousarray(jacobian.x)
-    found: Floats = native.compute_position_derivatives(x, u, slope, wanted, x_by, u_by, slope_by)[0]
-    return found
+    return native.compute_position_derivatives(x, u, slope, wanted, x_by, u_by, slope_by)[0]
 
 
 def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:

@@ -30,16 +30,14 @@ StressMeasure = Literal["nominal", "true"]
 
 STRESS_MEASURES: tuple[StressMeasure, ...] = get_args(StressMeasure)
 
-SERIES_LIMIT = 1e-2
-"""|x| below which two terms of a series are more exact than the closed form."""
+SERIES_LIMIT = 1e-2  #: |x| below which two terms of a series are more exact than the closed form
 
 
 def compute_stress(mu: float, alpha: float | Floats, stretch: Floats, measure: StressMeasure) -> Floats:
     """Return the stress (N,) at `stretch` (N,), in the unit of the shear modulus `mu`."""
     h = np.log(stretch)
     true_stress = 3 * mu * h * np.exp(alpha * h / 4) * _sinhc(0.75 * alpha * h)
-    found: Floats = true_stress / stretch if measure == "nominal" else true_stress
-    return found
+    return true_stress / stretch if measure == "nominal" else true_stress
 
 
 def compute_log_stress_derivative(alpha: float, stretch: Floats) -> Floats:
@@ -48,20 +46,17 @@ def compute_log_stress_derivative(alpha: float, stretch: Floats) -> Floats:
     It is h / 4 (1 + 3 (coth x - 1 / x)): in small strain alpha tilts the curve by h / 4, no more.
     """
     h = np.log(stretch)
-    found: Floats = h / 4 * (1 + 3 * _langevin(0.75 * alpha * h))
-    return found
+    return h / 4 * (1 + 3 * _langevin(0.75 * alpha * h))
 
 
 def _sinhc(x: Floats) -> Floats:
     small = np.abs(x) < SERIES_LIMIT
     safe = np.where(small, 1.0, x)
-    found: Floats = np.where(small, 1 + x**2 / 6 * (1 + x**2 / 20), np.sinh(safe) / safe)
-    return found
+    return np.where(small, 1 + x**2 / 6 * (1 + x**2 / 20), np.sinh(safe) / safe)
 
 
 def _langevin(x: Floats) -> Floats:
     """Return coth x - 1 / x."""
     small = np.abs(x) < SERIES_LIMIT
     safe = np.where(small, 1.0, x)
-    found: Floats = np.where(small, x / 3 * (1 - x**2 / 15), 1 / np.tanh(safe) - 1 / safe)
-    return found
+    return np.where(small, x / 3 * (1 - x**2 / 15), 1 / np.tanh(safe) - 1 / safe)

@@ -26,8 +26,7 @@ from needlefit.mechanics.native import (
 LEAST_COMPRESSION = MAX_SERIES_COMPRESSION
 """|e| / t that every table must reach: the kernel's series may go so far."""
 
-TABLE_TOLERANCE = SERIES_TOLERANCE / 10
-"""Relative error of k in a table."""
+TABLE_TOLERANCE = SERIES_TOLERANCE / 10  #: relative error of k in a table
 
 _PIECE = TABLE_COMPRESSION / TABLE_PIECES
 _END = 1e-12  # a table ends within its last good piece, not at the beginning of the next one

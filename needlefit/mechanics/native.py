@@ -29,26 +29,22 @@ LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
 
 _FIX = "install needlefit again; of a checkout: pip install -e ."
 
-SAME_DEPTH_MM = 1e-9
-"""Two depths that differ by less than this, mm, are the same."""
+SAME_DEPTH_MM = 1e-9  #: two depths that differ by less than this, mm, are the same
 GUIDE_ENGAGEMENT_MM = 0.05
 """A guide in the tissue holds the needle once the tip is this far past it: a length of the model."""
-LINEAR_CUT = -1.0
-"""In place of a `switch`: the cut is linear between its constraint points."""
+LINEAR_CUT = -1.0  #: in place of a `switch`: the cut is linear between its constraint points
 TABLE_PIECES, TABLE_TERMS, TABLE_COMPRESSION = 16, 20, 0.8
 """Of a law's table: its pieces of equal length, the Chebyshev terms of each, |e| / t at its end."""
 SERIES_TERMS, SERIES_TOLERANCE, MAX_SERIES_COMPRESSION = 6, 1e-10, 0.2
 """Of the polynomial fitted to a law: its terms, its relative error, and |e| / t at the end of the longest."""
 
-MAX_SHAPES = 16
-"""Most shape parameters of a law."""
+MAX_SHAPES = 16  #: most shape parameters of a law
 
 CONVERGED, NON_FINITE = 0, 3
 PERMANENT, STARTS_RAY, EXTRAPOLATES = 1, 2, 4
 STOP = np.dtype(
     [("tip", "f8"), ("cell", "i8"), ("ray", "i8"), ("bevel", "i8"), ("inputs", "i8"), ("flags", "i8")]
-)
-"""A stop of the tip; `flags` is a sum of the three above."""
+)  #: a stop of the tip; `flags` is a sum of the three above
 
 _SIZES = [
     "sets",
@@ -85,8 +81,7 @@ _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
     "turn_by": (float, ("bevels",)),
     "column_of": (np.int64, (9,)),
     "guide_columns": (np.int64, ("any", 3)),
-}
-"""Type and shape of each array."""
+}  #: type and shape of each array
 _DERIVATIVES = {"law_by", "turn_by", "column_of", "guide_columns"}
 
 FAULTS = (
@@ -98,8 +93,7 @@ FAULTS = (
     "a column of a derivative lies outside of the Jacobian",
     "the arrays for shapes are too small",
     "points or nodes do not increase, or lie too deep",
-)
-"""By the numbers that the kernel returns: `Fault` of `native/checks.hpp`."""
+)  #: by the numbers that the kernel returns: `Fault` of `native/checks.hpp`
 BAD_POINTS = 7
 
 

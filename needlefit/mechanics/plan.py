@@ -76,8 +76,7 @@ def check_reach(length: float, depth: float, controls: Controls) -> None:
     )
 
 
-SAME_DEPTH_MM = 1e-9
-"""Two depths that differ by less than this, mm, are the same."""
+SAME_DEPTH_MM = 1e-9  #: two depths that differ by less than this, mm, are the same
 
 
 class Move(NamedTuple):
@@ -89,37 +88,21 @@ class Move(NamedTuple):
 
 
 class TipStop(NamedTuple):
-    """One stop of the tip: one equilibrium of an insertion.
+    """One stop of the tip: one equilibrium of an insertion."""
 
-    Attributes
-    ----------
-    tip : float
-        Depth of the tip, mm.
-    cell : int
-        m, the number of the constraint point under the tip: 0 ... m - 1 lie behind it. 0: the tip stands
-        at the entry, in no tissue, and there is no ray.
-    permanent : bool
-        Whether that point belongs to the lattice of constraint points, or only goes with the tip.
-    ray : int
-        Number of the ray that leads here, counted from the entry.
-    starts_ray : bool
-        Whether that ray begins where the tip stood at the stop before, along its tangent there.
-    bevel_id : int
-        Number of the bevel that cuts, or has cut, the ray.
-    controls_id : int
-        Number of the controls that hold the needle.
-    extrapolates : bool
-        Whether that ray follows one of equal length under the same inputs: an advance by the path angle then
-        takes on the slope that the tip will have in the middle of the cell.
-    """
-
-    tip: float
+    tip: float  #: depth of the tip, mm
+    #: m, the number of the constraint point under the tip: 0 ... m - 1 lie behind it. 0: the tip stands at
+    #: the entry, in no tissue, and there is no ray.
     cell: int
+    #: whether that point belongs to the lattice of constraint points, or only goes with the tip
     permanent: bool
-    ray: int
+    ray: int  #: number of the ray that leads here, counted from the entry
+    #: whether that ray begins where the tip stood at the stop before, along its tangent there
     starts_ray: bool
-    bevel_id: int
-    controls_id: int
+    bevel_id: int  #: number of the bevel that cuts, or has cut, the ray
+    controls_id: int  #: number of the controls that hold the needle
+    #: whether that ray follows one of equal length under the same inputs: an advance by the path angle then
+    #: takes on the slope that the tip will have in the middle of the cell
     extrapolates: bool = False
 
 
@@ -139,18 +122,10 @@ class Ray:
 
 @dataclass(frozen=True)
 class Lattice:
-    """The depths at which an insertion can have constraint points.
+    """The depths at which an insertion can have constraint points."""
 
-    Attributes
-    ----------
-    first_cell : float
-        x_1, mm; at most `spacing`.
-    spacing : float
-        C_int, mm.
-    """
-
-    first_cell: float
-    spacing: float
+    first_cell: float  #: x_1, mm; at most `spacing`
+    spacing: float  #: C_int, mm
 
     def __post_init__(self) -> None:
         if not SAME_DEPTH_MM < self.first_cell <= self.spacing + 2 * SAME_DEPTH_MM:
@@ -189,24 +164,12 @@ class Lattice:
 
 
 class Position(NamedTuple):
-    """The present position in a plan: the last stop, and the rays that led to it.
+    """The present position in a plan: the last stop, and the rays that led to it."""
 
-    Attributes
-    ----------
-    last : TipStop or None
-        The stop at which the tip stands; None before first contact.
-    ray : Ray or None
-        The one that led there, and so all before it; None at the entry.
-    move : Move or None
-        The move before, whose inputs the next one may change.
-    inputs_changed : bool
-        Whether inputs have changed since the tip came to this depth.
-    """
-
-    last: TipStop | None = None
-    ray: Ray | None = None
-    move: Move | None = None
-    inputs_changed: bool = False
+    last: TipStop | None = None  #: the stop at which the tip stands; None before first contact
+    ray: Ray | None = None  #: the one that led there, and so all before it; None at the entry
+    move: Move | None = None  #: the move before, whose inputs the next one may change
+    inputs_changed: bool = False  #: whether inputs have changed since the tip came to this depth
 
 
 def list_rays(position: Position) -> list[Ray]:

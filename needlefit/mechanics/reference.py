@@ -174,8 +174,7 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     simpson = np.array([1, *(4, 2) * 999, 4, 1]) / 6000
     ahead, aside = (np.diff(edges) * (part @ simpson) for part in (np.cos(rotation), np.sin(rotation)))
     reached = np.vstack(([shape.x[0], shape.u[0]], np.column_stack((ahead, aside)))).cumsum(axis=0)
-    found: Floats = reached[np.searchsorted(edges, s)]
-    return found
+    return reached[np.searchsorted(edges, s)]
 
 
 def modulus(tissue: Tissue, layer: NDArray[np.int64], lam: Floats) -> tuple[Floats, Floats]:
@@ -211,8 +210,7 @@ def cut(rules: ModelOptions, x: Floats, change: Floats, constraints: Floats) -> 
     """Return c(x): the y of the nearest constraint point (section 3), or linear between them (section 4)."""
     if rules.path_angle:
         return np.interp(x, constraints[:, 0], constraints[:, 1])
-    found: Floats = constraints[np.searchsorted(change, x), 1]
-    return found
+    return constraints[np.searchsorted(change, x), 1]
 
 
 def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Floats, Floats]:

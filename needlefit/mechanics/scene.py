@@ -24,8 +24,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import MAX_SHOWN_POSITIONS
 from needlefit.schemas.scene import GuideRecord, ResolvedStep, SceneEntryRecord, SceneRecord, resolve_steps
 
-MAX_AXIS_ANGLE_RAD = math.radians(45)
-"""Greatest angle between C's x axis and a guide's or the stage's."""
+MAX_AXIS_ANGLE_RAD = math.radians(45)  #: greatest angle between C's x axis and a guide's or the stage's
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,7 @@ and entry by so much, mm: few know the place of a guide better."""
 MAX_COMPRESSION = 0.5
 """|e| / t: compression tests of soft tissue, the basis of the laws, end at about half of the thickness."""
 
-MAX_ROUNDING_MM = 1e-3
-"""Rounding error of the solver, mm: the precision of files and tables."""
+MAX_ROUNDING_MM = 1e-3  #: rounding error of the solver, mm: the precision of files and tables
 
 ROUNDING_FACTOR, ROUNDING_ORDER = 300.0, 2.5
 """Coefficients of `Validity.rounding_mm`, fitted to the errors that `benchmarks/validity.py` measures."""
@@ -77,37 +76,24 @@ class Validity:
     """How near a solution comes to the limits of the model's assumptions; of a batch with leading axes (...).
 
     All are NaN where there is no solution, and such a one is not `ok`.
-
-    Attributes
-    ----------
-    max_slope : (...) array
-        Greatest |u'| of the needle, between its nodes too, and of its tip on the way.
-    deflection_per_length : (...) array
-        Range of the needle's deflections over its length.
-    shortening_per_layer : (...) array
-        How much nearer to the base the tip lies than the needle's length, over the thinnest layer that it
-        has entered (at least one constraint spacing); 0 where the tissue is one layer.
-    miss_mm : (...) array
-        Greatest |integral of u' - sin u'| from the base to the entry: how far the needle's points miss the
-        places of the guides before the tissue and of the first contact, mm.
-    compression : (...) array
-        Greatest |e| / t at a constraint point.
-    rounding_mm : (...) array
-        Estimate, rather too large, of the error that the solver's arithmetic leaves, mm.
     """
 
-    max_slope: Floats
-    deflection_per_length: Floats
+    max_slope: Floats  #: (...) greatest |u'| of the needle, between its nodes too, and of its tip on the way
+    deflection_per_length: Floats  #: (...) range of the needle's deflections over its length
+    #: (...) how much nearer to the base the tip lies than the needle's length, over the thinnest layer that
+    #: it has entered (at least one constraint spacing); 0 where the tissue is one layer
     shortening_per_layer: Floats
+    #: (...) greatest |integral of u' - sin u'| from the base to the entry: how far the needle's points miss
+    #: the places of the guides before the tissue and of the first contact, mm
     miss_mm: Floats
-    compression: Floats
+    compression: Floats  #: (...) greatest |e| / t at a constraint point
+    #: (...) estimate, rather too large, of the error that the solver's arithmetic leaves, mm
     rounding_mm: Floats
 
     @property
     def ok(self) -> Bools:
         """Whether every quantity is within its limit, (...)."""
-        within: Bools = np.logical_and.reduce([getattr(self, name) <= limit for name, limit, _ in LIMITS])
-        return within
+        return np.logical_and.reduce([getattr(self, name) <= limit for name, limit, _ in LIMITS])
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -135,8 +121,7 @@ LIMITS: tuple[tuple[str, float, str], ...] = (
     ("miss_mm", MAX_MISS_MM, "miss of guides or entry"),
     ("compression", MAX_COMPRESSION, "compression of the tissue"),
     ("rounding_mm", MAX_ROUNDING_MM, "rounding error"),
-)
-"""Attribute of `Validity`, its limit, and its printed name."""
+)  #: attribute of `Validity`, its limit, and its printed name
 
 
 def find_worst(solutions: Sequence[Validity]) -> Validity:
@@ -172,8 +157,7 @@ def compute_validity(solved: SolvedShape) -> Validity:
         )
 
 
-ENTRY_TOLERANCE_MM = -1e-9
-"""An element that begins before this depth, mm, lies before the entry."""
+ENTRY_TOLERANCE_MM = -1e-9  #: an element that begins before this depth, mm, lies before the entry
 
 
 def _find_shortest_element(x: Floats, step: Floats) -> Floats:
@@ -183,8 +167,7 @@ def _find_shortest_element(x: Floats, step: Floats) -> Floats:
     insertion, or between a guide and the entry, one may be as short as a micrometre.
     """
     within = np.where(x[..., :-1] < ENTRY_TOLERANCE_MM, np.inf, step).min(axis=-1)
-    found: Floats = np.where(np.isinf(within), step.min(axis=-1), within)
-    return found
+    return np.where(np.isinf(within), step.min(axis=-1), within)
 
 
 def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats, Floats]:
@@ -221,8 +204,7 @@ def _find_compression(solved: SolvedShape) -> Floats:
     bend = 3 * (u1 - u0) - span * (2 * s0 + s1)
     curl = 2 * (u0 - u1) + span * (s0 + s1)
     needle = u0 + t * (span * s0 + t * (bend + t * curl))
-    found: Floats = np.abs(needle - y).max(axis=-1)
-    return found
+    return np.abs(needle - y).max(axis=-1)
 
 
 def compute_scales(tissue: Tissue, rigidity: float, depth: float, spacing: float) -> Floats:
@@ -363,8 +345,7 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
             expected=f"{shape.x[0]:g} ... {shape.x[-1]:g} mm",
         )
     x, u, slope = (np.ascontiguousarray(part)[None] for part in (shape.x, shape.u, shape.slope))
-    points: Floats = native.compute_positions(x, u, slope, wanted)[0]
-    return points
+    return native.compute_positions(x, u, slope, wanted)[0]
 
 
 def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:

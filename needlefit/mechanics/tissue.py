@@ -83,8 +83,7 @@ class Tissue:
         names = LAWS[self.law].shape_names
         if "alpha" not in names:
             raise ModelError(f"the tissue law `{self.law}` has no alpha", expected=f"of {', '.join(names)}")
-        found: Floats = self.shape[names.index("alpha")]
-        return found
+        return self.shape[names.index("alpha")]
 
     @property
     def layers(self) -> int:

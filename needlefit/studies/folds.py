@@ -11,8 +11,7 @@ from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.study import FitRecord, StudyRecord
 
-MAX_NAMED_SPECIMENS = 8
-"""Specimens that a warning names."""
+MAX_NAMED_SPECIMENS = 8  #: specimens that a warning names
 
 
 @dataclass(frozen=True)

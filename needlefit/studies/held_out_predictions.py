@@ -54,11 +54,8 @@ from needlefit.studies.planned_draws import (
 from needlefit.studies.posterior_fit import PREDICTION_DRAWS, weigh_or_sample
 from needlefit.studies.score import Row
 
-FIGURE_DRAWS = 400
-"""Parameter sets that a figure of the posterior shows."""
-
-MIN_SOLVED_DRAWS = 10
-"""Fewer solved draws make no distribution."""
+FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
+MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
 """Expected width of the 95 % interval of the tip after one measured insertion into the new specimen."""
@@ -114,11 +111,9 @@ def draw_fold_parameters(
 BAND_COLUMNS = (
     *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
     *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
-)
-"""Columns: where a held-out needle was predicted to be measured, point by point, at its measured x."""
+)  #: columns: where a held-out needle was predicted to be measured, point by point, at its measured x
 
-BAND_POINTS = 41
-"""Points of a band that are kept, of up to some 200."""
+BAND_POINTS = 41  #: points of a band that are kept, of up to some 200
 
 
 @dataclass(frozen=True)

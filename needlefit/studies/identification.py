@@ -50,17 +50,10 @@ PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "fisher_de
 
 @dataclass(frozen=True)
 class IdentificationRows:
-    """The rows about every parameter of one fold, before or after the fit.
+    """The rows about every parameter of one fold, before or after the fit."""
 
-    Attributes
-    ----------
-    judgements : mapping
-        By parameter.
-    rows, points : tuple of rows
-        Of the frames "identification" and "profiles".
-    """
-
-    judgements: Mapping[str, Assessment]
+    judgements: Mapping[str, Assessment]  #: by parameter
+    #: rows, points: of the frames "identification" and "profiles"
     rows: tuple[Row, ...]
     points: tuple[Row, ...]
 

@@ -32,17 +32,11 @@ MAX_INSERTIONS = 4
 
 @dataclass
 class NewSpecimens:
-    """The spreads that predictions of a fold use; they and the estimates of specimens are kept.
-
-    Attributes
-    ----------
-    theta : (P,) array
-        The fit, from which the estimates are searched.
-    """
+    """The spreads that predictions of a fold use; they and the estimates of specimens are kept."""
 
     job: Job
     fold: Fold
-    theta: Floats
+    theta: Floats  #: (P,) the fit, from which the estimates are searched
     estimates: dict[str, SpecimenEstimate | None] = field(default_factory=dict)
     spreads: dict[tuple[str, ...], SpecimenSpread] = field(default_factory=dict)
 

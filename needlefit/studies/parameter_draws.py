@@ -17,21 +17,11 @@ from needlefit.mechanics.tissue import Tissue
 
 @dataclass(frozen=True)
 class ParameterDraws:
-    """Posterior draws of the parameters of the layers that one insertion meets.
+    """Posterior draws of the parameters of the layers that one insertion meets."""
 
-    Attributes
-    ----------
-    mu : (B, n) array
-        Of the n layers that it meets, MPa.
-    shape : (B, p, n) array
-        Shape parameters of the law.
-    bevel : (B,) array
-        b, mm; of an advance by the path angle theta, rad.
-    """
-
-    mu: Floats
-    shape: Floats
-    bevel: Floats
+    mu: Floats  #: (B, n) of the n layers that it meets, MPa
+    shape: Floats  #: (B, p, n) shape parameters of the law
+    bevel: Floats  #: (B,) b, mm; of an advance by the path angle theta, rad
 
     def __len__(self) -> int:
         return len(self.bevel)

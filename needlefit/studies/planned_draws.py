@@ -30,35 +30,25 @@ from needlefit.studies.planned_insertions import with_planned_layers
 MAX_LAYERS = 32
 """Depth errors drawn for an insertion, so that what a draw is does not depend on the layers it meets."""
 
-PATH_POINTS = 101
-"""Points of a needle among which its crossings are looked for."""
-
-TABLE_POINTS = 9
-"""Parallels to the entry axis along which the places of surfaces are tabulated."""
-
-OUTERMOST = (0.002, 0.998)
-"""Quantiles of the points of all draws between which surfaces are tabulated."""
+PATH_POINTS = 101  #: points of a needle among which its crossings are looked for
+TABLE_POINTS = 9  #: parallels to the entry axis along which the places of surfaces are tabulated
+OUTERMOST = (0.002, 0.998)  #: quantiles of the points of all draws between which surfaces are tabulated
 
 TABLE_MARGIN_MM = 0.5
 """Distance of the outermost parallels from the outermost draws, mm, and of surfaces that no tip reaches."""
 
-BEYOND_TIP_MM = 10.0
-"""Length of the parallels beyond the tip, mm."""
+BEYOND_TIP_MM = 10.0  #: length of the parallels beyond the tip, mm
 
 NODE_PLACES, NODE_SD = (-1.0, 1.0), 1.2
 """Where each depth is simulated besides its middle, in units of so many deviations over the draws."""
 
-MIN_NODE_MM = 0.05
-"""Least distance of the depths at which needles are simulated, mm."""
-
-NODE_DRAWS = 96
-"""Draws, at most, that are simulated with other depths than the middle."""
+MIN_NODE_MM = 0.05  #: least distance of the depths at which needles are simulated, mm
+NODE_DRAWS = 96  #: draws, at most, that are simulated with other depths than the middle
 
 FAR_DRAWS = 32
 """Draws of these that are chosen because they lie farthest from the others: nothing is extrapolated far."""
 
-SAME_DRAW = 1e-6
-"""Deviations of parameters (ln of positive ones) below which draws do not differ."""
+SAME_DRAW = 1e-6  #: deviations of parameters (ln of positive ones) below which draws do not differ
 
 CROSSING_ROUNDS = 6
 """Rounds in which the crossings of interpolated needles converge; each changes them by a slope less."""
@@ -66,18 +56,10 @@ CROSSING_ROUNDS = 6
 
 @dataclass(frozen=True)
 class DrawnConditions:
-    """What is drawn for every prediction beside the parameters, B draws of it.
+    """What is drawn for every prediction beside the parameters, B draws of it."""
 
-    Attributes
-    ----------
-    deep : (B,) array
-        Errors of the entry, mm.
-    wrong : (B, MAX_LAYERS) array
-        Errors of the boundaries in the order met, mm.
-    """
-
-    deep: Floats
-    wrong: Floats
+    deep: Floats  #: (B,) errors of the entry, mm
+    wrong: Floats  #: (B, MAX_LAYERS) errors of the boundaries in the order met, mm
 
 
 @dataclass(frozen=True)

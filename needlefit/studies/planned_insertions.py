@@ -25,11 +25,8 @@ from needlefit.studies.job import Job
 
 Layers = tuple[Floats, tuple[int, ...]]
 
-CROSSING_TOLERANCE_MM = 1e-3
-"""Crossings that move by less, mm, stand still."""
-
-MAX_ROUNDS = 30
-"""Rounds in which they must; past the first ten each moves them only half way."""
+CROSSING_TOLERANCE_MM = 1e-3  #: crossings that move by less, mm, stand still
+MAX_ROUNDS = 30  #: rounds in which they must; past the first ten each moves them only half way
 
 
 def with_planned_layers(

@@ -27,8 +27,7 @@ from needlefit.inference.sampling.sample import sample
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.job import Job, Settings
 
-PREDICTION_DRAWS = 1000
-"""Parameter sets of which a needle is predicted."""
+PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
 
 
 @dataclass(frozen=True)

@@ -44,11 +44,8 @@ from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
 
-MIN_WEIGHT = 1e-12
-"""Of a cross-section that counts for nothing: its noise must stay finite."""
-
-FREE_POSE_SHIFT_SD_MM = 10.0
-"""Standard deviation of where a shape lies whose pose is free, mm."""
+MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
+FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
 
 TRACKER_FRAME_SD = (FREE_POSE_SHIFT_SD_MM, 0.1)
 """Standard deviations of the shift, mm, and the slope of a tracker's frame."""
@@ -183,8 +180,7 @@ def _move_randomly(planar: Floats, rng: np.random.Generator) -> Floats:
     return moved_
 
 
-POINT_SPACING_MM = 1.0
-"""Distance of measured points along a needle, mm."""
+POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm
 
 DATASET_MEDIUM = "made"
 

@@ -7,14 +7,12 @@ from typing import Any
 from needlefit.mechanics.shape import LIMITS, Validity
 from needlefit.project.result_warnings import ResultWarning
 
-VALIDITY_KEY = "validity"
-"""Key in `run.json`."""
+VALIDITY_KEY = "validity"  #: key in `run.json`
 
 FITTED_METHODS = ("fitted", "fitted_metric")
 """Rivals of which a warning is given; how far a published set strains the model is counted only."""
 
-MAX_LISTED_ROWS = 20
-"""Scored simulations outside that are listed; the others are counted."""
+MAX_LISTED_ROWS = 20  #: scored simulations outside that are listed; the others are counted
 
 _WORDS = {
     "scored": "scored simulations",
@@ -39,24 +37,15 @@ class ValidityCount:
 
 @dataclass
 class ValidityCounts:
-    """The simulations of one run, and how many of them are outside the model's assumptions.
+    """The simulations of one run, and how many of them are outside the model's assumptions."""
 
-    Attributes
-    ----------
-    starts : ValidityCount
-        Ends of all starts of all searches: one is outside if any of its insertions is.
-    draws : ValidityCount
-        Of the posterior, sampled or by importance about the fit; counted likewise.
-    predicted : ValidityCount
-        Needles predicted of held-out insertions, one for each draw.
-    scored : list of dict
-        Fold, role, method, insertion and boundaries of every scored simulation, with `faults` (empty:
-        inside).
-    """
-
+    #: ends of all starts of all searches: one is outside if any of its insertions is
     starts: ValidityCount = field(default_factory=ValidityCount)
+    #: of the posterior, sampled or by importance about the fit; counted likewise
     draws: ValidityCount = field(default_factory=ValidityCount)
+    #: needles predicted of held-out insertions, one for each draw
     predicted: ValidityCount = field(default_factory=ValidityCount)
+    #: fold, role, method, insertion and boundaries of every scored simulation, with `faults` (empty: inside)
     scored: list[dict[str, Any]] = field(default_factory=list)
 
     def score(self, place: Mapping[str, Any], validity: Validity) -> None:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Insertion, Pose
     from needlefit.inference.compared_points import Curve
 
-COEFFICIENT_LENGTH_MM = 100.0
-"""Scale of the coefficients of a curvature: c_k is of the size LENGTH^-(k + 1)."""
+COEFFICIENT_LENGTH_MM = 100.0  #: scale of the coefficients of a curvature: c_k is of the size LENGTH^-(k + 1)
 
 
 @dataclass(frozen=True)

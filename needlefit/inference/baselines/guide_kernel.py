@@ -12,8 +12,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.inference.baselines import Baseline, make_curvature_curve
 
-DECAY_MM = 20.0
-"""L: about the length within which a needle bends at an entry, mm."""
+DECAY_MM = 20.0  #: L: about the length within which a needle bends at an entry, mm
 
 
 def make_kernel_basis(track: Insertion) -> Floats:

@@ -16,11 +16,8 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.inference.baselines import Baseline
 from needlefit.inference.compared_points import Curve, select_points
 
-CHORD_MM = 5.0
-"""Short beside the bends of needles, long beside the noise of their points."""
-
-STEP_MM = 0.25
-"""Step of the integration along the curve, mm."""
+CHORD_MM = 5.0  #: short beside the bends of needles, long beside the noise of their points
+STEP_MM = 0.25  #: step of the integration along the curve, mm
 
 
 def average_turns(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Floats:
@@ -28,8 +25,7 @@ def average_turns(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> F
     each = [_find_turns(pose, drop, one) for one in insertions]
     longest = max(len(turns) for turns in each)
     padded = np.array([np.pad(turns, (0, longest - len(turns)), constant_values=np.nan) for turns in each])
-    mean: Floats = np.nanmean(padded, axis=0)
-    return mean
+    return np.nanmean(padded, axis=0)
 
 
 def _find_turns(pose: Pose, drop: float, insertion: Insertion) -> Floats:

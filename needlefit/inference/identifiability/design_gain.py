@@ -49,51 +49,30 @@ MIN_RELATIVE_VARIANCE = 1e-12
 
 @dataclass(frozen=True)
 class ExpectedGain:
-    """The expected information gain of one insertion, about all parameters and about single quantities.
+    """The expected information gain of one insertion, about all parameters and about single quantities."""
 
-    Attributes
-    ----------
-    nats : float
-        About all parameters together.
-    nats_se : float
-        Its standard error, of the outer draws.
-    sds : (Q,) array
-        Expected standard deviation of each quantity afterwards: the root of the mean variance.
-    quantity_nats : (Q,) array
-        About each quantity: the mean fall of the logarithm of its standard deviation, which for a Gaussian
-        quantity is the fall of its entropy.
-    effective_sample_size : float
-        Median over the data of the effective number of draws of the posterior afterwards.
-    """
-
-    nats: float
-    nats_se: float
+    nats: float  #: about all parameters together
+    nats_se: float  #: its standard error, of the outer draws
+    #: (Q,) expected standard deviation of each quantity afterwards: the root of the mean variance
     sds: Floats
+    #: (Q,) about each quantity: the mean fall of the logarithm of its standard deviation, which for a
+    #: Gaussian quantity is the fall of its entropy
     quantity_nats: Floats
+    #: median over the data of the effective number of draws of the posterior afterwards
     effective_sample_size: float
 
 
 @dataclass(frozen=True)
 class PredictedData:
-    """Draws of the present posterior, and the data of one insertion that each of them predicts.
+    """Draws of the present posterior, and the data of one insertion that each of them predicts."""
 
-    Attributes
-    ----------
-    log_weights : (B,) array
-        The weights sum to 1.
-    scales, spreads : (B,) arrays
-        What each draw multiplies the deviations of the noise by, and its relative bevel SD.
-    white : (B, m, R) array
-        Whitened deflections at the m nodes of the insertion, from any origin.
-    group : NodeGroup
-        Of this insertion alone.
-    """
-
-    log_weights: Floats
+    log_weights: Floats  #: (B,) the weights sum to 1
+    #: scales, spreads: (B,) what each draw multiplies the deviations of the noise by, and its relative bevel
+    #: SD
     scales: Floats
     spreads: Floats
-    white: Floats
-    group: NodeGroup
+    white: Floats  #: (B, m, R) whitened deflections at the m nodes of the insertion, from any origin
+    group: NodeGroup  #: of this insertion alone
 
     def log_likelihoods(self, outer_draws: NDArray[np.intp], rng: np.random.Generator) -> Floats:
         """Return the log likelihood (O, B) of every draw, of data predicted by draws `outer_draws` (O,)."""
@@ -141,8 +120,7 @@ def _variances(weights: Floats, quantities: Floats) -> Floats:
     """Return the variances (O, Q) of quantities (B, Q) under weights (O, B)."""
     centred = quantities - quantities.mean(axis=0)
     spread = weights @ centred**2 - (weights @ centred) ** 2
-    kept: Floats = np.maximum(spread, MIN_RELATIVE_VARIANCE * centred.var(axis=0))
-    return kept
+    return np.maximum(spread, MIN_RELATIVE_VARIANCE * centred.var(axis=0))
 
 
 def linearized_gain(covariance: Floats, slopes: Floats) -> float:
@@ -156,36 +134,20 @@ def linearized_gain(covariance: Floats, slopes: Floats) -> float:
 DesignFunction = Callable[[Mapping[str, float]], Problem | None]
 """Values (Pa, mm) -> the problem of insertions as these would shape them; None where one has no solution."""
 
-OTHER_POINTS = 8
-"""Places besides the one asked for."""
-
-MAX_POINT_SD = 1.0
-"""Standard deviation of the places along directions that the design leaves open, in theta."""
+OTHER_POINTS = 8  #: places besides the one asked for
+MAX_POINT_SD = 1.0  #: standard deviation of the places along directions that the design leaves open, in theta
 
 
 @dataclass(frozen=True)
 class ExpectedPrecision:
-    """The standard deviations that a design is expected to give; coordinates are those of theta.
+    """The standard deviations that a design is expected to give; coordinates are those of theta."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        P of them.
-    sds : (D, P) array
-        Cramer-Rao, bounds and stated prior included, at each place; the one asked for comes first.
-    prior_sds : (P,) array
-        What bounds and stated prior say alone.
-    directions : tuple of Direction
-        At the place asked for, best known first.
-    direction_sds : (D, P) array
-        Of the principal directions at each place, best known first.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: p of them
+    #: (D, P) Cramer-Rao, bounds and stated prior included, at each place; the one asked for comes first
     sds: Floats
-    prior_sds: Floats
-    directions: tuple[Direction, ...]
-    direction_sds: Floats
+    prior_sds: Floats  #: (P,) what bounds and stated prior say alone
+    directions: tuple[Direction, ...]  #: at the place asked for, best known first
+    direction_sds: Floats  #: (D, P) of the principal directions at each place, best known first
 
 
 def expect_precision(
@@ -214,8 +176,7 @@ def expect_precision(
 def fisher_information(problem: Problem, theta: Floats) -> Floats:
     """Return the Fisher information (P, P) of insertions, plus that of the bounds or the stated prior."""
     _, slope, _ = linearize(problem, theta)
-    found: Floats = slope.T @ slope + prior_and_noise_information(problem)
-    return found
+    return slope.T @ slope + prior_and_noise_information(problem)
 
 
 def _draw_points(

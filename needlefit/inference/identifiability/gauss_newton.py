@@ -20,11 +20,8 @@ from needlefit.schemas.recipe import ObjectiveName
 MIN_GAIN = 1e-3
 """A minimum is reached where a further step would lessen the sum of squares by less than this."""
 
-FIRST_RADIUS = 2.0
-"""Longest first step along any parameter: of a logarithm, or of a shape parameter."""
-
-MAX_EVALUATIONS = 40
-"""Evaluations after which a descent gives up."""
+FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
+MAX_EVALUATIONS = 40  #: evaluations after which a descent gives up
 
 
 class SumOfSquares(SupportsBounds, Protocol):
@@ -43,27 +40,14 @@ class SumOfSquares(SupportsBounds, Protocol):
 
 @dataclass(frozen=True)
 class LocalMinimum:
-    """The point where a Gauss-Newton search ended.
+    """The point where a Gauss-Newton search ended."""
 
-    Attributes
-    ----------
-    theta : (P,) array
-    value : float
-        Sum of squares; infinite where it cannot be computed.
-    slope : (P,) array
-        Its derivatives.
-    information : (P, P) array
-        J^T J.
-    converged : bool
-        Whether this is a minimum, as far as steps from it tell.
-    """
-
-    theta: Floats
-    value: float
-    slope: Floats
-    information: Floats
+    theta: Floats  #: (P,)
+    value: float  #: sum of squares; infinite where it cannot be computed
+    slope: Floats  #: (P,) its derivatives
+    information: Floats  #: (P, P) J^T J
     evaluations: int = 1
-    converged: bool = False
+    converged: bool = False  #: whether this is a minimum, as far as steps from it tell
 
 
 def minimize_squares(
@@ -115,8 +99,7 @@ def _step(at: LocalMinimum, moving: NDArray[np.bool_], step_bounds: tuple[Floats
         -0.5 * (axes.T @ at.slope[moving]) / root,
     )
     # bvls solves the box exactly; the default, trf, only approaches active bounds
-    step: Floats = lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
-    return step
+    return lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
 
 
 def _evaluate(target: SumOfSquares, theta: Floats) -> LocalMinimum:

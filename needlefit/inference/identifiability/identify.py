@@ -70,51 +70,29 @@ LOG_POSTERIOR_TOLERANCE = 0.1
 METRIC_RELATIVE_TOLERANCE, METRIC_TOLERANCE_MM = 0.01, 0.002
 """The same for the metric objective: within 1 % or 0.002 mm of the best one's."""
 
-MIN_NAMED_WEIGHT = 0.1
-"""Weight from which on a direction is named in the note of a parameter."""
+MIN_NAMED_WEIGHT = 0.1  #: weight from which on a direction is named in the note of a parameter
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Which free parameters the data determine, and how well; mappings are keyed by parameter name.
+    """Which free parameters the data determine, and how well; mappings are keyed by parameter name."""
 
-    Attributes
-    ----------
-    sds : mapping
-        Posterior standard deviation, of the logarithm (of a shape parameter itself).
-    determined : mapping
-        Whether the data determine it.
-    at_bound : mapping
-        "lower" or "upper" where the best point lies at a bound, else "".
-    spread_low, spread_high : mapping
-        Its range among the starts within tolerance of the best (Pa, mm).
-    equal_starts : int
-        How many starts these are.
-    directions : tuple of Direction
-        Principal directions of the information, best known first.
-    notes : mapping
-        One sentence for a person.
-    chi_square : float
-        Reduced: mean square of the whitened residuals at the best point; 1 where the noise explains them.
-    noise_estimated : bool
-        Whether the dataset states no noise, so that the fit's residuals had to stand for it.
-    conditions : mapping
-        Under which assumption alone the data determine it, "" otherwise.
-    loosened : tuple of Loosened
-        The standard deviations with assumptions loosened; none where nothing is determined anyway.
-    """
-
-    sds: Mapping[str, float]
-    determined: Mapping[str, bool]
-    at_bound: Mapping[str, str]
+    sds: Mapping[str, float]  #: posterior standard deviation, of the logarithm (of a shape parameter itself)
+    determined: Mapping[str, bool]  #: whether the data determine it
+    at_bound: Mapping[str, str]  #: "lower" or "upper" where the best point lies at a bound, else ""
+    #: spread_low, spread_high: its range among the starts within tolerance of the best (Pa, mm)
     spread_low: Mapping[str, float]
     spread_high: Mapping[str, float]
-    equal_starts: int
-    directions: tuple[Direction, ...]
-    notes: Mapping[str, str]
+    equal_starts: int  #: how many starts these are
+    directions: tuple[Direction, ...]  #: principal directions of the information, best known first
+    notes: Mapping[str, str]  #: one sentence for a person
+    #: reduced: mean square of the whitened residuals at the best point; 1 where the noise explains them
     chi_square: float
+    #: whether the dataset states no noise, so that the fit's residuals had to stand for it
     noise_estimated: bool
+    #: under which assumption alone the data determine it, "" otherwise
     conditions: Mapping[str, str] = field(default_factory=dict)
+    #: the standard deviations with assumptions loosened; none where nothing is determined anyway
     loosened: tuple[Loosened, ...] = ()
 
 
@@ -275,30 +253,18 @@ def find_usual_bounds(law: str, name: str) -> tuple[float, float]:
 MAX_OTHER_STARTS = 2
 """Most ends of other starts from which profiles are tried again, beside the middle of the bounds."""
 
-MIN_SEPARATION = 0.05
-"""Ends closer than this part of the bounds, in every parameter, are one place."""
+MIN_SEPARATION = 0.05  #: ends closer than this part of the bounds, in every parameter, are one place
 
 
 @dataclass(frozen=True)
 class ParameterProfile:
-    """The profile of one parameter; for a fixed shape parameter also the range of the tip.
-
-    Attributes
-    ----------
-    bounds : tuple of two floats
-        In the parameter's coordinate of theta.
-    fixed_at : float or None
-        Its value in the fit, where it was fixed there and freed for this.
-    same : tuple of str
-        Other parameters that went with it.
-    tip_range_mm : float or None
-        How far the tip moves most while it goes through its bounds, the others held, mm.
-    """
+    """The profile of one parameter; for a fixed shape parameter also the range of the tip."""
 
     profile: LikelihoodProfile
-    bounds: tuple[float, float]
-    fixed_at: float | None = None
-    same: tuple[str, ...] = ()
+    bounds: tuple[float, float]  #: in the parameter's coordinate of theta
+    fixed_at: float | None = None  #: its value in the fit, where it was fixed there and freed for this
+    same: tuple[str, ...] = ()  #: other parameters that went with it
+    #: how far the tip moves most while it goes through its bounds, the others held, mm
     tip_range_mm: float | None = None
 
     @property
@@ -309,27 +275,13 @@ class ParameterProfile:
 
 @dataclass(frozen=True)
 class FitProfiles:
-    """The profiles of all parameters of one fit.
+    """The profiles of all parameters of one fit."""
 
-    Attributes
-    ----------
-    parameters : tuple of ParameterProfile
-        Free ones in the order of theta, then fixed shape parameters.
-    scale : float
-        What deviances were divided by: the reduced chi-square where it is above 1.
-    evaluations : int
-        Jacobians computed, those that led to the optimum included.
-    gain : float
-        How much higher than at the fit the log posterior is at the best point met on the way.
-    best : tuple of float
-        Theta of that point.
-    """
-
-    parameters: tuple[ParameterProfile, ...]
-    scale: float
-    evaluations: int
-    gain: float
-    best: tuple[float, ...]
+    parameters: tuple[ParameterProfile, ...]  #: free ones in the order of theta, then fixed shape parameters
+    scale: float  #: what deviances were divided by: the reduced chi-square where it is above 1
+    evaluations: int  #: Jacobians computed, those that led to the optimum included
+    gain: float  #: how much higher than at the fit the log posterior is at the best point met on the way
+    best: tuple[float, ...]  #: Theta of that point
 
 
 def profile_parameters(
@@ -401,8 +353,7 @@ def _select_separate(problem: Problem, thetas: Sequence[Sequence[float]]) -> lis
     return kept[: 1 + MAX_OTHER_STARTS] or [np.array(thetas[0])]
 
 
-NORMAL_95_HALF_WIDTH_SD = 1.96
-"""Half width of a Gaussian 95 % interval, in standard deviations."""
+NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
 
 AGREEMENT_FACTOR = 1.5
 """Half widths of intervals, and standard deviations, that differ by less than this factor agree."""
@@ -412,29 +363,16 @@ AGREEMENT = "standard deviation, information and profile agree"
 
 @dataclass(frozen=True)
 class Assessment:
-    """How well one parameter is identified, by its profile and by the information.
-
-    Attributes
-    ----------
-    flat : bool
-        Whether the data determine nothing: every value between the bounds is within the interval.
-    determined : bool
-        Whether the 95 % interval of its profile ends on both sides and is as narrow as that of a parameter
-        called determined.
-    interval : tuple of two floats
-        That interval (Pa, mm); the last values looked at where it does not end.
-    profile_verdict : str
-        The profile in words.
-    agreement : str
-        `AGREEMENT`, or where standard deviation, information and profile do not, in words.
-    """
+    """How well one parameter is identified, by its profile and by the information."""
 
     name: str
-    flat: bool
+    flat: bool  #: whether the data determine nothing: every value between the bounds is within the interval
+    #: whether the 95 % interval of its profile ends on both sides and is as narrow as that of a parameter
+    #: called determined
     determined: bool
-    interval: tuple[float, float]
-    profile_verdict: str
-    agreement: str
+    interval: tuple[float, float]  #: that interval (Pa, mm); the last values looked at where it does not end
+    profile_verdict: str  #: the profile in words
+    agreement: str  #: `AGREEMENT`, or where standard deviation, information and profile do not, in words
 
 
 def assess_parameter(

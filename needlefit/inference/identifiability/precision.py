@@ -41,30 +41,17 @@ UNINFORMED_SD_RATIO = 0.9
 KNOWN_BY_PRIOR = ", by the stated ties, priors or bounds alone"
 """What is added to the words of such a direction."""
 
-MIN_RELATIVE_WEIGHT = 0.05
-"""Weights below this part of the largest are left out of the words."""
+MIN_RELATIVE_WEIGHT = 0.05  #: weights below this part of the largest are left out of the words
 
 
 @dataclass(frozen=True)
 class Direction:
-    """One principal direction of the information on theta, with its standard deviation.
+    """One principal direction of the information on theta, with its standard deviation."""
 
-    Attributes
-    ----------
-    sd : float
-        Standard deviation of theta along it (unit length in theta).
-    weights : tuple of float
-        Its components, in the order of the free parameters.
-    words : str
-        The same in words, for a person.
-    prior_sd : float
-        Standard deviation of the prior along it; infinite where none is given.
-    """
-
-    sd: float
-    weights: tuple[float, ...]
-    words: str
-    prior_sd: float = math.inf
+    sd: float  #: standard deviation of theta along it (unit length in theta)
+    weights: tuple[float, ...]  #: its components, in the order of the free parameters
+    words: str  #: the same in words, for a person
+    prior_sd: float = math.inf  #: standard deviation of the prior along it; infinite where none is given
 
     @property
     def sd_ratio(self) -> float:
@@ -107,8 +94,7 @@ def cramer_rao(information: Floats) -> Floats:
         # a singular direction must make only its own parameters infinite: components below rounding would
         # give 0 / 0
         variance = np.where(vectors**2 > 1e-14, vectors**2 / np.maximum(precision, 0.0), 0.0)
-    sd: Floats = np.sqrt(variance.sum(axis=1))
-    return sd
+    return np.sqrt(variance.sum(axis=1))
 
 
 def principal_directions(
@@ -206,8 +192,7 @@ MAX_LOG_SD, MAX_SHAPE_SD = 0.3, 0.5
 MAX_SD_RATIO = 0.5
 """Largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine."""
 
-BOUND_FRACTION = 1e-3
-"""A parameter closer to a bound than this part of its range lies at it."""
+BOUND_FRACTION = 1e-3  #: a parameter closer to a bound than this part of its range lies at it
 
 CUT_OFF_FRACTION = 0.01
 """A 95 % interval that ends closer to a bound than this part of the bounds is cut off there."""
@@ -281,8 +266,7 @@ def between_needle_sds(problem: Problem, slope: Floats, residuals: Floats, infor
     inverse = np.linalg.inv(information)
     # the sandwich: bread is the inverse information, the filling the scatter of the groups' scores
     covariance = n / (n - 1) * inverse @ (scatter.T @ scatter) @ inverse
-    sd: Floats = np.sqrt(np.diag(covariance))
-    return sd
+    return np.sqrt(np.diag(covariance))
 
 
 def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:

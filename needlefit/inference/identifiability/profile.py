@@ -30,21 +30,11 @@ from needlefit.inference.side_by_side import map_side_by_side
 
 @dataclass(frozen=True)
 class ProfileSteps:
-    """How far a profile is traced, and how finely.
+    """How far a profile is traced, and how finely."""
 
-    Attributes
-    ----------
-    stop_deviance : float
-        Deviance at which a side ends.
-    root_rise : float
-        Wanted step, of the root of the deviance; twice as much is accepted.
-    min_gain : float
-        Fall of the sum of squares below which a point counts as minimised.
-    """
-
-    stop_deviance: float
-    root_rise: float
-    min_gain: float = MIN_GAIN
+    stop_deviance: float  #: deviance at which a side ends
+    root_rise: float  #: wanted step, of the root of the deviance; twice as much is accepted
+    min_gain: float = MIN_GAIN  #: fall of the sum of squares below which a point counts as minimised
 
 
 INTERVAL_STEPS = ProfileSteps(stop_deviance=1.5 * float(2 * gammaincinv(0.5, 0.95)), root_rise=0.6)
@@ -53,17 +43,13 @@ INTERVAL_STEPS = ProfileSteps(stop_deviance=1.5 * float(2 * gammaincinv(0.5, 0.9
 MAX_STEP_GROWTH, MAX_STEP_FRACTION = 3.0, 0.34
 """A step is at most this times the one before, and this part of the parameter's range."""
 
-MIN_STEP_FRACTION = 1e-4
-"""And at least this part of the range."""
-
-MAX_SIDE_POINTS = 24
-"""Most points of one side."""
+MIN_STEP_FRACTION = 1e-4  #: and at least this part of the range
+MAX_SIDE_POINTS = 24  #: most points of one side
 
 MAX_ROOT_JUMP = 1.0
 """Largest jump of the root of the deviance beyond the expected one; above it other starts are tried too."""
 
-MIN_IMPROVEMENT = 5 * MIN_GAIN
-"""A value is lower than another one if it is so by more than this."""
+MIN_IMPROVEMENT = 5 * MIN_GAIN  #: a value is lower than another one if it is so by more than this
 
 MAX_BRANCH_RISE = 10.0
 """A minimum of the cheaper problem that is higher than another by more is so in the full one too."""
@@ -72,23 +58,16 @@ SAME_MINIMUM_GAP = 0.1
 """Ends of two searches are one minimum if neither their values, nor the squares of their distance in standard
 deviations, differ by more."""
 
-MAX_RESTARTS = 3
-"""Largest number of restarts of a profile after a better optimum was found."""
+MAX_RESTARTS = 3  #: largest number of restarts of a profile after a better optimum was found
 
 
 @dataclass
 class ProfilePath:
-    """The points of one profile that were computed so far.
+    """The points of one profile that were computed so far."""
 
-    Attributes
-    ----------
-    points : list of LocalMinimum
-        The optimum, and the best for each value of the held parameter that was tried.
-    at_bound : list of two bools
-        Whether the lower and the upper side end at the bound.
-    """
-
+    #: the optimum, and the best for each value of the held parameter that was tried
     points: list[LocalMinimum] = field(default_factory=list)
+    #: whether the lower and the upper side end at the bound
     at_bound: list[bool] = field(default_factory=lambda: [False, False])
     evaluations: int = 0
     retries: int = 0
@@ -317,57 +296,38 @@ def _deviance_root(settings: _PathSettings, optimum: LocalMinimum, point: LocalM
 
 End = Literal["closed", "bound", "lost"]
 
-DEVIANCE_95 = float(2 * gammaincinv(0.5, 0.95))
-"""Deviance at the ends of a 95 % interval, 3.84."""
+DEVIANCE_95 = float(2 * gammaincinv(0.5, 0.95))  #: deviance at the ends of a 95 % interval, 3.84
 
 MIN_DEPTH = 0.2
 """Deviance by which the profile must fall away from the optimum to be said to have another minimum."""
 
-MIN_POINT_DISTANCE = 1e-6
-"""Points closer than this part of the range are one."""
-
-CURVE_POINTS = 401
-"""Points on which the curve between the computed ones is searched and drawn."""
+MIN_POINT_DISTANCE = 1e-6  #: points closer than this part of the range are one
+CURVE_POINTS = 401  #: points on which the curve between the computed ones is searched and drawn
 
 
 @dataclass(frozen=True)
 class LikelihoodProfile:
-    """The profile likelihood of one parameter, in its coordinate of theta.
-
-    Attributes
-    ----------
-    at, deviance, slope : (G,) arrays
-        Where it was computed, in order; the deviance there and its derivative.
-    thetas : (G, P) array
-        All parameters there, re-optimised.
-    best : float
-        Where the deviance is 0.
-    sd : float
-        Standard deviation that the information at the optimum implies, the others known to lie within their
-        bounds (12 / width^2 each); infinite where it knows nothing.
-    low, high : float
-        Ends of the 95 % interval, the outermost if it is in pieces; where one is not closed, the last value
-        that was looked at.
-    ends : tuple of two
-        Of each end: "closed"; "bound" where the bound comes first; "lost" where no solution was found
-        further out.
-    minima : int
-        Local minima of the profile; 1 for one that rises to both sides.
-    evaluations, retries : int
-        Jacobians computed, and points that were tried from elsewhere too.
-    """
+    """The profile likelihood of one parameter, in its coordinate of theta."""
 
     name: str
+    #: at, deviance, slope: (G,) where it was computed, in order; the deviance there and its derivative
     at: Floats
     deviance: Floats
     slope: Floats
-    thetas: Floats
-    best: float
+    thetas: Floats  #: (G, P) all parameters there, re-optimised
+    best: float  #: where the deviance is 0
+    #: standard deviation that the information at the optimum implies, the others known to lie within their
+    #: bounds (12 / width^2 each); infinite where it knows nothing
     sd: float
+    #: low, high: ends of the 95 % interval, the outermost if it is in pieces; where one is not closed, the
+    #: last value that was looked at
     low: float
     high: float
+    #: of each end: "closed"; "bound" where the bound comes first; "lost" where no solution was found further
+    #: out
     ends: tuple[End, End]
-    minima: int
+    minima: int  #: local minima of the profile; 1 for one that rises to both sides
+    #: evaluations, retries: Jacobians computed, and points that were tried from elsewhere too
     evaluations: int
     retries: int
 
@@ -474,8 +434,7 @@ def _find_crossing(curve: tuple[Floats, Floats, Floats], inside: float, outside:
 def _interpolate(at: Floats, deviance: Floats, slope: Floats, where: Floats) -> Floats:
     if len(at) == 1:
         return np.full(len(where), deviance[0])
-    spline: Floats = CubicHermiteSpline(at, deviance, slope)(where)
-    return spline
+    return CubicHermiteSpline(at, deviance, slope)(where)
 
 
 def _information_sd(information: Floats, k: int, width: Floats) -> float:

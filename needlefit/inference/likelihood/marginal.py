@@ -44,8 +44,7 @@ def log_marginals(whites: Sequence[Floats], group: NodeGroup, scale: Floats, spr
     # completing the square in what is shared: its precision is stiff, its mean solve(stiff, -pull)
     stiff, pull = np.eye(len(group.surfaces)) + total[:, 1:, 1:], total[:, 1:, 0]
     gained = np.sum(pull * np.linalg.solve(stiff, pull[..., None])[..., 0], axis=1)
-    found: Floats = density - 0.5 * (total[:, 0, 0] - gained + log_det + _log_det(stiff))
-    return found
+    return density - 0.5 * (total[:, 0, 0] - gained + log_det + _log_det(stiff))
 
 
 def mixing_matrices(

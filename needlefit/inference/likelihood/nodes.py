@@ -31,39 +31,31 @@ NODE_POSITIONS_SD: dict[DepthTreatment, tuple[float, ...]] = {
     "fixed": (),
     "linear": (-1.0, 1.0),
     "quadrature": QUADRATURE_NODES,
-}
-"""Where each axis is simulated besides its centre, in standard deviations."""
+}  #: where each axis is simulated besides its centre, in standard deviations
 
 FRAME, BEVEL = -1, -2
 """Stand in place of a layer where what is shared is the tracker's frame, or the bevel of one insertion that
 was measured at several depths."""
 
-BEVEL_STEP = 0.1
-"""Part of the bevel's offset by which it is changed to simulate its effect, to both sides."""
+BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
 
 MIN_BEVEL_FACTOR = 0.05
 """Least bevel of an insertion, as part of the mean: a normal distribution does not end at zero."""
 
-MIN_GAP_MM = 1e-3
-"""Smallest distance, mm, of moved boundaries from each other and from the entry."""
+MIN_GAP_MM = 1e-3  #: smallest distance, mm, of moved boundaries from each other and from the entry
 
 
 @dataclass(frozen=True)
 class ErrorAxis:
-    """An uncertain depth: t = own * e + shared * z with e and z of unit variance.
+    """An uncertain depth: t = own * e + shared * z with e and z of unit variance."""
 
-    Attributes
-    ----------
-    own, shared : float
-        Deviations of the insertion's own part and of the one that others have too; their squares sum to 1.
-    surface : tuple
-        What z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or `BEVEL`
-        and the number of an insertion, whose t is the deviation of its bevel in SDs between
-        insertions; empty where nothing is shared.
-    """
-
+    #: own, shared: deviations of the insertion's own part and of the one that others have too; their squares
+    #: sum to 1
     own: float = 1.0
     shared: float = 0.0
+    #: what z belongs to: a specimen and two layers, or `FRAME` and a part of a tracker's frame, or `BEVEL`
+    #: and the number of an insertion, whose t is the deviation of its bevel in SDs between insertions; empty
+    #: where nothing is shared
     surface: tuple[str, int, int] | tuple[()] = ()
 
     @property
@@ -74,33 +66,17 @@ class ErrorAxis:
 
 @dataclass(frozen=True)
 class Nodes:
-    """The m conditions under which one insertion is simulated; the first is as measured.
+    """The m conditions under which one insertion is simulated; the first is as measured."""
 
-    Attributes
-    ----------
-    insertions : tuple of Insertion
-        With their boundaries, depth and bevel.
-    s : (m, K) array
-        Beam coordinates of the measured points in each, mm.
-    axes : tuple of ErrorAxis
-        The d uncertain depths.
-    linear : (1 + d, m + c) array
-        Takes the curves r_k to r(0) and the slopes by t along the d axes. Behind the curves of the nodes
-        stand c constant ones, what a unit deviation of the pose does.
-    effects : (l, m + c) array
-        Takes them to what acts linearly whatever `rule` says: the bevel, the pose.
-    bevel : bool
-        Whether the first effect is the bevel's.
-    rule : QuadratureRule or None
-        How the depths are integrated over; None where they act linearly. Of the first nodes alone.
-    """
-
-    insertions: tuple[Insertion, ...]
-    s: Floats
-    axes: tuple[ErrorAxis, ...]
+    insertions: tuple[Insertion, ...]  #: with their boundaries, depth and bevel
+    s: Floats  #: (m, K) beam coordinates of the measured points in each, mm
+    axes: tuple[ErrorAxis, ...]  #: the d uncertain depths
+    #: (1 + d, m + c) takes the curves r_k to r(0) and the slopes by t along the d axes. Behind the curves of
+    #: the nodes stand c constant ones, what a unit deviation of the pose does.
     linear: Floats
-    effects: Floats
-    bevel: bool
+    effects: Floats  #: (l, m + c) takes them to what acts linearly whatever `rule` says: the bevel, the pose
+    bevel: bool  #: whether the first effect is the bevel's
+    #: how the depths are integrated over; None where they act linearly. Of the first nodes alone.
     rule: QuadratureRule | None
 
     def share_bevel(self, insertion: tuple[str, int]) -> "Nodes":
@@ -253,19 +229,11 @@ def enforce_order(boundaries: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class NodeGroup:
-    """Insertions whose depths err together, as the surfaces of one specimen do.
-
-    Attributes
-    ----------
-    nodes : tuple of Nodes
-    surfaces : tuple
-        The k that at least two of them cross.
-    centred : bool
-        Whether all bevels, which are then among `surfaces`, are deviations from their mean.
-    """
+    """Insertions whose depths err together, as the surfaces of one specimen do."""
 
     nodes: tuple[Nodes, ...]
-    surfaces: tuple[tuple[str, int, int], ...]
+    surfaces: tuple[tuple[str, int, int], ...]  #: the k that at least two of them cross
+    #: whether all bevels, which are then among `surfaces`, are deviations from their mean
     centred: bool = False
 
     @cached_property

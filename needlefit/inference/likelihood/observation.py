@@ -56,8 +56,7 @@ from needlefit.project.toml_lines import locate_key
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 
-SHARED_ERROR_LENGTH_MM = 7.5
-"""Length over which errors that neighbouring cross-sections share fade, mm."""
+SHARED_ERROR_LENGTH_MM = 7.5  #: length over which errors that neighbouring cross-sections share fade, mm
 
 DEPTH_ERRORS_KEPT = 4.0
 """Cross-sections within so many deviations of the depth from the needle's base are left out: a depth that
@@ -66,36 +65,17 @@ errs must not move them off the needle."""
 
 @dataclass(frozen=True)
 class SectionData:
-    """The cross-sections of one insertion, as the likelihood takes them.
+    """The cross-sections of one insertion, as the likelihood takes them."""
 
-    Attributes
-    ----------
-    s : (K,) array
-        Their beam coordinates, mm; negative outside the tissue.
-    planar : (K, 2) array
-        Places in C's xy plane, mm.
-    operator : (F, K) array
-        From their deflections to the F coefficients of the spline.
-    covariance : (F, F) array
-        Of these coefficients, by the spline itself and by what neighbours share, mm^2.
-    shared : (K, K) array
-        Covariance of what neighbours share, mm^2.
-    slope : (K,) array
-        Slope of the spline there, dy/dx.
-    reached : (C,) array
-        Which of the spline's coefficients the F are.
-    stored : SplineSections
-        As stored; those left out are not in it.
-    """
-
-    s: Floats
-    planar: Floats
-    operator: Floats
+    s: Floats  #: (K,) their beam coordinates, mm; negative outside the tissue
+    planar: Floats  #: (K, 2) places in C's xy plane, mm
+    operator: Floats  #: (F, K) from their deflections to the F coefficients of the spline
+    #: (F, F) of these coefficients, by the spline itself and by what neighbours share, mm^2
     covariance: Floats
-    shared: Floats
-    slope: Floats
-    reached: NDArray[np.bool_]
-    stored: SplineSections
+    shared: Floats  #: (K, K) covariance of what neighbours share, mm^2
+    slope: Floats  #: (K,) slope of the spline there, dy/dx
+    reached: NDArray[np.bool_]  #: (C,) which of the spline's coefficients the F are
+    stored: SplineSections  #: as stored; those left out are not in it
 
 
 def select_sections(insertion: Insertion, needle: Needle) -> SectionData | None:
@@ -119,8 +99,7 @@ def select_sections(insertion: Insertion, needle: Needle) -> SectionData | None:
 def _slope(fit: SplineFit, planar: Floats) -> Floats:
     """Return dy/dx (K,) of the spline through `planar` (K, 2)."""
     by_q = fit.slope @ (fit.operator @ planar)  # (K, 2)
-    slope: Floats = by_q[:, 1] / by_q[:, 0]
-    return slope
+    return by_q[:, 1] / by_q[:, 0]
 
 
 def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:
@@ -140,22 +119,16 @@ def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """A smooth misfit of the model, independent between insertions: a Gaussian process along the needle.
+    """A smooth misfit of the model, independent between insertions: a Gaussian process along the needle."""
 
-    Attributes
-    ----------
-    sd, length : float
-        Its standard deviation and the length over which it fades, mm.
-    """
-
+    #: sd, length: its standard deviation and the length over which it fades, mm
     sd: float
     length: float
 
     def covariance(self, s: Floats) -> Floats:
         """Return its covariance (K, K), mm^2, at arc lengths `s` (K,)."""
         apart = (s[:, None] - s) / self.length
-        found: Floats = self.sd**2 * np.exp(-0.5 * apart**2)
-        return found
+        return self.sd**2 * np.exp(-0.5 * apart**2)
 
 
 def bias_covariance(measurement: MeasurementRecord, s: Floats, insertions: int) -> Floats | None:
@@ -218,53 +191,32 @@ def points_covariance(s: Floats, noise: Noise, sd: Floats | None = None) -> Floa
     """
     deviation = np.full(len(s), noise.correlated_sd) if sd is None else sd
     shared = np.outer(deviation, deviation) * noise.correlate(s)
-    total: Floats = noise.point_sd**2 * np.eye(len(s)) + shared
-    return total
+    return noise.point_sd**2 * np.eye(len(s)) + shared
 
 
-PLAIN_LIKELIHOOD = LikelihoodRecord(bevel_spread=0.0)
-"""All insertions have the same b."""
+PLAIN_LIKELIHOOD = LikelihoodRecord(bevel_spread=0.0)  #: all insertions have the same b
 
 
 @dataclass(frozen=True)
 class Observation:
-    """One insertion, prepared for comparison with simulated needles.
+    """One insertion, prepared for comparison with simulated needles."""
 
-    Attributes
-    ----------
-    measured : (K, 2) array
-        Measured places, mm; of a tip track depth and tip.
-    point_covariance : (C, C) array
-        Of the errors of what is compared at noise scale 1, mm^2: of the K measured y, or of C spline
-        coefficients.
-    pose_spread : (C, c) array
-        What a deviation of a known pose adds to them, mm; c = 0 where it is free.
-    free : (C, f) array
-        What a free pose does to them, per unit; f = 0 where it is known.
-    whitening : (R, K) array
-        From differences of the K deflections to independent residuals of unit variance; R = C less what a
-        free pose takes.
-    log_norm : float
-        Logarithm of the Gaussian's normalising factor.
-    pose : "known", "free" or "tracker"
-        A free shape is aligned before its residuals are formed.
-    nodes : Nodes
-        The layer and insertion depths it is simulated with, and where its points then lie on the beam.
-    pose_curves : (c, R) array
-        What a deviation of the pose does to the residuals, where `whitening` does not know it.
-    offset : (R,) array or float
-        Added to the residuals: what smoothing would do to points that are stored smoothed.
-    """
-
-    measured: Floats
+    measured: Floats  #: (K, 2) measured places, mm; of a tip track depth and tip
+    #: (C, C) of the errors of what is compared at noise scale 1, mm^2: of the K measured y, or of C spline
+    #: coefficients
     point_covariance: Floats
-    pose_spread: Floats
-    free: Floats
+    pose_spread: Floats  #: (C, c) what a deviation of a known pose adds to them, mm; c = 0 where it is free
+    free: Floats  #: (C, f) what a free pose does to them, per unit; f = 0 where it is known
+    #: (R, K) from differences of the K deflections to independent residuals of unit variance; R = C less what
+    #: a free pose takes
     whitening: Floats
-    log_norm: float
-    pose: Pose
+    log_norm: float  #: logarithm of the Gaussian's normalising factor
+    pose: Pose  #: a free shape is aligned before its residuals are formed
+    #: the layer and insertion depths it is simulated with, and where its points then lie on the beam
     nodes: Nodes
+    #: (c, R) what a deviation of the pose does to the residuals, where `whitening` does not know it
     pose_curves: Floats
+    #: (R,) added to the residuals: what smoothing would do to points that are stored smoothed
     offset: Floats | float = 0.0
 
     @property
@@ -279,8 +231,7 @@ class Observation:
 
     def covariance(self, scale: float = 1.0) -> Floats:
         """Return the covariance (K, K) of the errors of the measured y, mm^2, with a scale of the noise."""
-        total: Floats = scale**2 * self.point_covariance + self.pose_spread @ self.pose_spread.T
-        return total
+        return scale**2 * self.point_covariance + self.pose_spread @ self.pose_spread.T
 
     @cached_property
     def estimator(self) -> Floats:
@@ -494,16 +445,14 @@ def whiten_residuals(observation: Observation, simulated: Floats) -> Floats:
 
 def whiten_deflections(observation: Observation, deflections: Floats) -> Floats:
     """Return the whitened residuals (..., R) of deflections (..., K), without alignment."""
-    white: Floats = (deflections - observation.measured[:, 1]) @ observation.whitening.T + observation.offset
-    return white
+    return (deflections - observation.measured[:, 1]) @ observation.whitening.T + observation.offset
 
 
 def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floats) -> Floats:
     """Return the derivatives (..., R, P) of `whiten_residuals`, given those of the points, (..., K, 2, P)."""
     if observation.pose == "free":
         slopes = differentiate_align_rigid(simulated, observation.measured, slopes)
-    white: Floats = observation.whitening @ slopes[..., 1, :]
-    return white
+    return observation.whitening @ slopes[..., 1, :]
 
 
 def _select_points(dataset: Dataset, insertion: Insertion) -> tuple[Floats, Floats, Floats | None]:

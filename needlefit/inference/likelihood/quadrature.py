@@ -24,8 +24,7 @@ QUADRATURE_NODES = (-0.7, 0.7, -1.6, 1.6)
 Of several spacings tried on synthetic insertions these came closest to brute force.
 """
 
-RANGE_SD = 3.2
-"""Standard deviations up to which each axis is integrated: 0.14 % of its prior lies beyond."""
+RANGE_SD = 3.2  #: standard deviations up to which each axis is integrated: 0.14 % of its prior lies beyond
 
 MAX_AXIS_POINTS, MAX_TABLE_POINTS = 17, 30_000
 """Most points of one axis, and of the whole table: with more than three axes they become fewer on each."""
@@ -41,24 +40,13 @@ MAX_ENTRIES_AT_ONCE = 1_000_000
 
 @dataclass(frozen=True)
 class QuadratureRule:
-    """A product quadrature rule over d axes of n points.
+    """A product quadrature rule over d axes of n points."""
 
-    Attributes
-    ----------
-    points : (n,) array
-        Of each axis, in standard deviations.
-    log_weights : (n,) array
-        Theirs under the prior.
-    steps : (1 + d n, m) array
-        Takes the curves at the m nodes to r_0 and to f_j at the n points of every axis.
-    axes : int
-        d.
-    """
-
-    points: Floats
-    log_weights: Floats
+    points: Floats  #: (n,) of each axis, in standard deviations
+    log_weights: Floats  #: (n,) theirs under the prior
+    #: (1 + d n, m) takes the curves at the m nodes to r_0 and to f_j at the n points of every axis
     steps: Floats
-    axes: int
+    axes: int  #: d
 
 
 @lru_cache
@@ -91,18 +79,10 @@ def _make_points(count: int) -> Floats:
 
 @dataclass(frozen=True)
 class TableAxis:
-    """How one axis of a table is folded: onto the points of a shared error, or summed.
+    """How one axis of a table is folded: onto the points of a shared error, or summed."""
 
-    Attributes
-    ----------
-    shared : int or None
-        Number of the shared error; None where the insertion's error is its own.
-    fold : (n_z, n) array
-        Probability of the axis' points given each z; one row where the axis is summed.
-    """
-
-    shared: int | None
-    fold: Floats
+    shared: int | None  #: number of the shared error; None where the insertion's error is its own
+    fold: Floats  #: (n_z, n) probability of the axis' points given each z; one row where the axis is summed
 
 
 def make_table_axes(rule: QuadratureRule, own: Floats, shared: Floats) -> tuple[TableAxis, ...]:
@@ -229,8 +209,7 @@ def _second_moments(weights: Floats, rule: QuadratureRule) -> Floats:
         for i in range(j):
             pair = weights.sum(axis=tuple(k for k in range(axes) if k not in (i, j)))  # (n, n)
             found[places[i], place], found[place, places[i]] = pair, pair.T
-    mixed: Floats = rule.steps.T @ found @ rule.steps
-    return mixed
+    return rule.steps.T @ found @ rule.steps
 
 
 def make_spline_weights(places: Sequence[float], t: Floats) -> Floats:
@@ -243,8 +222,7 @@ def make_spline_weights(places: Sequence[float], t: Floats) -> Floats:
     spline = CubicSpline(inner, np.eye(len(inner))[order], bc_type="natural")
     # beyond the outer nodes the spline goes on as a line: its cubic would run away
     held = np.clip(t, inner[0], inner[-1])
-    each: Floats = (spline(held) + spline(held, 1) * (t - held)[:, None])[:, 1:]
-    return each
+    return (spline(held) + spline(held, 1) * (t - held)[:, None])[:, 1:]
 
 
 def _log_table(products: Floats, rule: QuadratureRule) -> Floats:

@@ -22,17 +22,13 @@ MIN_TOLERANCE = 1e-15
 TYPICAL_HALF_SQUARES = 1e2
 """About as large as half the squares are at their least: a part of them is negligible."""
 
-NEAR_TOLERANCE = 1e-2
-"""Relative change of the sum of squares by a step under which a minimum is near."""
-
-MAX_FAILED_STEPS = 3
-"""Newton's steps in a row from which the sum of squares rises: there its method is left."""
+NEAR_TOLERANCE = 1e-2  #: relative change of the sum of squares by a step under which a minimum is near
+MAX_FAILED_STEPS = 3  #: Newton's steps in a row from which the sum of squares rises: there its method is left
 
 MIN_COSINE = 1e-6
 """Cosine between a step and the change of the gradient below which that gives no curvature along the step."""
 
-VALUE_ROUNDING = 1e-9
-"""Rise of the sum of squares, as a part of it, that may be rounding of the simulation."""
+VALUE_ROUNDING = 1e-9  #: rise of the sum of squares, as a part of it, that may be rounding of the simulation
 
 SUM_TOLERANCE, CONSTANT_ROUNDING = 1e-6, 1e-12
 """Differences between value and sum of squares from which on one does not stand for the other: of the best
@@ -118,8 +114,7 @@ def _find_step(slope: Floats, curvature: Floats, low: Floats, high: Floats) -> F
     step: Floats = solve_triangular(factor.T, target, lower=False)
     if np.all((step >= low) & (step <= high)):
         return step
-    bounded: Floats = lsq_linear(factor.T, target, (np.minimum(low, 0), np.maximum(high, 0)), method="bvls").x
-    return bounded
+    return lsq_linear(factor.T, target, (np.minimum(low, 0), np.maximum(high, 0)), method="bvls").x
 
 
 def _update_curvature(curvature: Floats, step: Floats, change: Floats, whole: Floats) -> Floats:
@@ -135,8 +130,7 @@ def _update_curvature(curvature: Floats, step: Floats, change: Floats, whole: Fl
         curvature = curvature * min(1.0, abs(float(change @ step) / predicted))
     missing = change - curvature @ step
     both = np.outer(missing, whole) + np.outer(whole, missing)
-    updated: Floats = curvature + both / along - float(missing @ step) / along**2 * np.outer(whole, whole)
-    return updated
+    return curvature + both / along - float(missing @ step) / along**2 * np.outer(whole, whole)
 
 
 class _ScipySteps:

@@ -33,11 +33,8 @@ from needlefit.inference.optimize.least_squares_search import run_least_squares
 from needlefit.project.progress import never_stop
 from needlefit.schemas.recipe import RecipeRecord
 
-FIRST_STEP = 0.25
-"""Initial step of a local search without gradients, as a part of each parameter's range."""
-
-FIRST_GRADIENT_STEP = 0.1
-"""First step of a search by gradients, likewise."""
+FIRST_STEP = 0.25  #: initial step of a local search without gradients, as a part of each parameter's range
+FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, likewise
 
 GRADIENT_STEP_TOLERANCE = 1e-12
 """Step, likewise, under which a search by gradients for the peak of a posterior ends."""
@@ -167,24 +164,13 @@ def _run(optimizer: "nlopt.opt", start: Floats) -> str:
 
 @dataclass(frozen=True)
 class Algorithm:
-    """One search algorithm that a recipe may name.
+    """One search algorithm that a recipe may name."""
 
-    Attributes
-    ----------
-    run : callable
-        Recorder, theta to start from (P,), tolerance of the recipe -> why it ended.
-    needs : "value", "gradient" or "jacobian"
-        What of the objective function it evaluates.
-    stochastic : bool
-        Whether it draws random numbers.
-    dimensions : int
-        The fewest free parameters that it can search; below, Nelder-Mead takes its place.
-    """
-
+    #: recorder, theta to start from (P,), tolerance of the recipe -> why it ended
     run: Callable[[EvaluationRecorder, Floats, float], str]
-    needs: Literal["value", "gradient", "jacobian"] = "value"
-    stochastic: bool = False
-    dimensions: int = 1
+    needs: Literal["value", "gradient", "jacobian"] = "value"  #: what of the objective function it evaluates
+    stochastic: bool = False  #: whether it draws random numbers
+    dimensions: int = 1  #: the fewest free parameters that it can search; below, Nelder-Mead takes its place
 
 
 def _use_values(code: int, stochastic: bool = False, dimensions: int = 1) -> Algorithm:
@@ -211,8 +197,7 @@ ALGORITHMS = {
     "crs2": _use_values(nlopt.GN_CRS2_LM, stochastic=True),
     "isres": _use_values(nlopt.GN_ISRES, stochastic=True),
     "esch": _use_values(nlopt.GN_ESCH, stochastic=True),
-}
-"""Algorithms that a recipe may name: `leastsquares`, `bobyqa+neldermead`, `crs2+slsqp`."""
+}  #: algorithms that a recipe may name: `leastsquares`, `bobyqa+neldermead`, `crs2+slsqp`
 
 
 def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple[Algorithm, ...]:

@@ -203,8 +203,7 @@ def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Gen
     from scipy.stats import qmc  # late: it takes 0.2 s to load, which a report need not wait for
 
     cube = qmc.Halton(len(lower), scramble=True, rng=rng).random(count)
-    spread: Floats = lower + cube * (upper - lower)
-    return spread
+    return lower + cube * (upper - lower)
 
 
 def _load_finished(callbacks: Callbacks, design: Floats) -> dict[int, Start]:

@@ -21,11 +21,8 @@ MAX_R_HAT, MIN_LENGTH_TAU, MIN_ESS = 1.01, 50, 400
 """The rule: R-hat below, at least this many autocorrelation times long, and more independent draws than this
 in the bulk and in the tails of every ensemble."""
 
-MIN_ENSEMBLES = 4
-"""Fewest ensembles whose agreement means something."""
-
-TAIL_QUANTILES = (0.05, 0.95)
-"""Quantiles whose indicators tell how well the tails are known."""
+MIN_ENSEMBLES = 4  #: fewest ensembles whose agreement means something
+TAIL_QUANTILES = (0.05, 0.95)  #: quantiles whose indicators tell how well the tails are known
 
 WINDOW_TAU = 5.0
 """Autocorrelations are summed up to this many autocorrelation times (Sokal): beyond is noise."""
@@ -33,28 +30,15 @@ WINDOW_TAU = 5.0
 
 @dataclass(frozen=True)
 class Convergence:
-    """Convergence diagnostics of Q quantities and E ensembles of S steps.
+    """Convergence diagnostics of Q quantities and E ensembles of S steps."""
 
-    Attributes
-    ----------
-    quantities : tuple of str
-        Parameters, "direction 1" (the stiffest) and on, "log posterior".
-    r_hat : (Q,) array
-        NaN with fewer than two ensembles.
-    tau : (E, Q) array
-        Autocorrelation time in steps; infinite where all walkers stand still.
-    ess_bulk, ess_tail : (E, Q) arrays
-        Independent draws, of the value and of the worse of the two tails.
-    steps : int
-        Of each ensemble.
-    """
-
-    quantities: tuple[str, ...]
-    r_hat: Floats
-    tau: Floats
+    quantities: tuple[str, ...]  #: parameters, "direction 1" (the stiffest) and on, "log posterior"
+    r_hat: Floats  #: (Q,) naN with fewer than two ensembles
+    tau: Floats  #: (E, Q) autocorrelation time in steps; infinite where all walkers stand still
+    #: ess_bulk, ess_tail: (E, Q) independent draws, of the value and of the worse of the two tails
     ess_bulk: Floats
     ess_tail: Floats
-    steps: int
+    steps: int  #: of each ensemble
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -172,8 +156,7 @@ def _along_directions(thetas: Floats) -> Floats:
     """Return the draws (E, S, W, P) in principal coordinates of their covariance, stiffest first."""
     flat = thetas.reshape(-1, thetas.shape[-1])
     _, axes = np.linalg.eigh(np.atleast_2d(np.cov(flat.T)))  # (P, P), ascending variance
-    along: Floats = thetas @ axes
-    return along
+    return thetas @ axes
 
 
 def _normal_scores(draws: Floats) -> Floats:
@@ -181,8 +164,7 @@ def _normal_scores(draws: Floats) -> Floats:
 
     ranks = rankdata(draws, axis=None).reshape(draws.shape)
     # Blom's offsets 3/8 and 1/4, as in Vehtari et al.
-    scores: Floats = ndtri((ranks - 0.375) / (draws.size + 0.25))
-    return scores
+    return ndtri((ranks - 0.375) / (draws.size + 0.25))
 
 
 def _folded_scores(draws: Floats) -> Floats:

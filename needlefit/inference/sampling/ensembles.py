@@ -26,39 +26,23 @@ from needlefit.errors import ConfigError
 
 RandomState = np.random.RandomState
 
-DEGREES_OF_FREEDOM = 5.0
-"""Degrees of freedom: tails heavier than those of most posteriors."""
-
-MAX_CENTRES = 400
-"""Most points that a proposal density is fitted to."""
+DEGREES_OF_FREEDOM = 5.0  #: degrees of freedom: tails heavier than those of most posteriors
+MAX_CENTRES = 400  #: most points that a proposal density is fitted to
 
 WIDE_SCALE, WIDE_FRACTION = 1.5, 0.2
 """Scale of the wide Student-t in standard deviations, and the part of the proposals drawn from it."""
 
-MIN_VARIANCE = 1e-8
-"""Added to the variances of whitened places: walkers that stood still have none."""
+MIN_VARIANCE = 1e-8  #: added to the variances of whitened places: walkers that stood still have none
 
 
 @dataclass(frozen=True)
 class ProposalDensity:
-    """A mixture of Student's t in P dimensions, all of one shape.
+    """A mixture of Student's t in P dimensions, all of one shape."""
 
-    Attributes
-    ----------
-    mean : (P,) array
-        Middle of the wide one.
-    factor : (P, P) array
-        Lower Cholesky factor of the covariance that gives them their shape.
-    centres : (K, P) array
-        Middles of the narrow ones; none before anything is learned.
-    width : float
-        Scale of the narrow ones.
-    """
-
-    mean: Floats
-    factor: Floats
-    centres: Floats
-    width: float
+    mean: Floats  #: (P,) middle of the wide one
+    factor: Floats  #: (P, P) lower Cholesky factor of the covariance that gives them their shape
+    centres: Floats  #: (K, P) middles of the narrow ones; none before anything is learned
+    width: float  #: scale of the narrow ones
 
     @property
     def dimensions(self) -> int:
@@ -86,16 +70,14 @@ class ProposalDensity:
             found = WIDE_FRACTION * found + (1 - WIDE_FRACTION) * self._density(
                 points, self.centres, self.width
             )
-        logarithm: Floats = np.log(found)  # tails of powers: never 0
-        return logarithm
+        return np.log(found)  # tails of powers: never 0
 
     def _density(self, points: Floats, about: Floats, scale: float) -> Floats:
         """Return the mean (N,) over the Student-t's about some places (K, P), but for a constant."""
         apart = (points @ self._whitening - (about @ self._whitening)[:, None]) / scale  # (K, N, P)
         squares = np.einsum("knp,knp->kn", apart, apart)
         powers = (1.0 + squares / DEGREES_OF_FREEDOM) ** (-0.5 * (DEGREES_OF_FREEDOM + self.dimensions))
-        found: Floats = powers.mean(axis=0) / scale**self.dimensions
-        return found
+        return powers.mean(axis=0) / scale**self.dimensions
 
     @cached_property
     def _whitening(self) -> Floats:
@@ -133,8 +115,7 @@ MOVE_WEIGHTS = {"stretch": 1.0, "de": 0.8, "snooker": 0.2, INDEPENDENT: 1.0}
 SNOOKER_LENGTH = 1.7
 """Length of a snooker step in differences of two others; ter Braak & Vrugt, Stat. Comput. 18 (2008) 435."""
 
-ENSEMBLE_PARTS = 2
-"""Parts of an ensemble that move in turn, each looking at the other."""
+ENSEMBLE_PARTS = 2  #: parts of an ensemble that move in turn, each looking at the other
 
 _MOVE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[a-z]+)\s*")
 
@@ -172,19 +153,11 @@ def _moves_error(moves: str) -> ConfigError:
 
 @dataclass(frozen=True)
 class WalkerState:
-    """The positions of all walkers of E ensembles, and the state of the random generator.
+    """The positions of all walkers of E ensembles, and the state of the random generator."""
 
-    Attributes
-    ----------
-    coordinates : (E, W, P) array
-    log_density : (E, W) array
-    random : tuple
-        State of the legacy generator, the one that emcee takes.
-    """
-
-    coordinates: Floats
-    log_density: Floats
-    random: tuple[Any, ...]
+    coordinates: Floats  #: (E, W, P)
+    log_density: Floats  #: (E, W)
+    random: tuple[Any, ...]  #: state of the legacy generator, the one that emcee takes
 
 
 @dataclass(frozen=True)
@@ -290,8 +263,7 @@ def _make_proposal(name: str, proposal_density: ProposalDensity) -> Proposal:
         return partial(_propose_independent, proposal_density)
     move = {"stretch": moves.StretchMove, "de": moves.DEMove}[name]()
     move.setup(np.empty((0, proposal_density.dimensions)))  # differential evolution scales with the dimension
-    proposal: Proposal = move.get_proposal
-    return proposal
+    return move.get_proposal
 
 
 def _propose_snooker(own: Floats, others: Sequence[Floats], random: RandomState) -> tuple[Floats, Floats]:

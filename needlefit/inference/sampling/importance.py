@@ -59,17 +59,13 @@ from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import never_stop
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
 
-MAX_PARETO_K = 0.7
-"""Largest k of weights whose means come to rest at any practical number of draws."""
-
-MIN_TAIL_WEIGHTS = 5
-"""Fewer weights make no tail."""
+MAX_PARETO_K = 0.7  #: largest k of weights whose means come to rest at any practical number of draws
+MIN_TAIL_WEIGHTS = 5  #: fewer weights make no tail
 
 PRIOR_SHAPE, PRIOR_WEIGHTS = 0.5, 10.0
 """The estimated k is shrunk to this shape, with the weight of so many further weights."""
 
-GRID_COARSENESS = 3.0
-"""The grid of the profile likelihood is that of a first quartile divided by this."""
+GRID_COARSENESS = 3.0  #: the grid of the profile likelihood is that of a first quartile divided by this
 
 
 def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:
@@ -116,42 +112,28 @@ DEGREES_OF_FREEDOM = 5.0
 
 @dataclass(frozen=True)
 class StudentMixture:
-    """A mixture of multivariate Student's t distributions, each with its own centre and scale.
+    """A mixture of multivariate Student's t distributions, each with its own centre and scale."""
 
-    Attributes
-    ----------
-    weights : (M,) array
-        They sum to 1.
-    centres : (M, P) array
-    factors : (M, P, P) array
-        Lower triangular roots of their scale matrices.
-    """
-
-    weights: Floats
-    centres: Floats
-    factors: Floats
+    weights: Floats  #: (M,) they sum to 1
+    centres: Floats  #: (M, P)
+    factors: Floats  #: (M, P, P) lower triangular roots of their scale matrices
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return `count` draws (N, P)."""
         which = rng.choice(len(self.weights), size=count, p=self.weights)
         normal = rng.standard_normal((count, self.centres.shape[1]))
         spread = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, size=count))
-        drawn: Floats = self.centres[which] + spread[:, None] * np.einsum(
-            "npq,nq->np", self.factors[which], normal
-        )
-        return drawn
+        return self.centres[which] + spread[:, None] * np.einsum("npq,nq->np", self.factors[which], normal)
 
     def log_density(self, at: Floats) -> Floats:
         """Return the log density (N,) at points (N, P)."""
-        found: Floats = logsumexp(self._joint(at, self._distances(at)), axis=1)
-        return found
+        return logsumexp(self._joint(at, self._distances(at)), axis=1)
 
     def _distances(self, at: Floats) -> Floats:
         """Return squared distances (N, M) from the centres in units of the scales."""
         away = at[None] - self.centres[:, None]  # (M, N, P)
         white = np.linalg.solve(self.factors, away.transpose(0, 2, 1))  # (M, P, N)
-        squares: Floats = np.sum(white**2, axis=1).T
-        return squares
+        return np.sum(white**2, axis=1).T
 
     def _joint(self, at: Floats, squares: Floats) -> Floats:
         """Return log weight and density (N, M) of every component."""
@@ -164,8 +146,7 @@ class StudentMixture:
         volume = np.sum(np.log(np.diagonal(self.factors, axis1=1, axis2=2)), axis=1)  # (M,)
         with np.errstate(divide="ignore"):
             own = np.log(self.weights) + norm - volume
-        joint: Floats = own - 0.5 * (DEGREES_OF_FREEDOM + p) * np.log1p(squares / DEGREES_OF_FREEDOM)
-        return joint
+        return own - 0.5 * (DEGREES_OF_FREEDOM + p) * np.log1p(squares / DEGREES_OF_FREEDOM)
 
     def refit(self, at: Floats, weights: Floats, least: Floats) -> "StudentMixture":
         """Return the mixture after one EM step towards points (N, P) of `weights` (N,), which sum to 1.
@@ -195,51 +176,26 @@ LogDensityFunction = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Effort:
-    """How many draws an importance sampler makes.
+    """How many draws an importance sampler makes."""
 
-    Attributes
-    ----------
-    draws : int
-        Of each round, within the bounds.
-    rounds : int
-        The most; the last one may be earlier, once the weights are good.
-    min_ess : float
-        Independent draws that they must be worth, to be good.
-    components : int
-        Of the mixture.
-    profiles : bool
-        Whether the first draws are made along the profiles too, beside the modes.
-    """
-
-    draws: int = 250
-    rounds: int = 14
-    min_ess: float = 250.0
-    components: int = 12
-    profiles: bool = True
+    draws: int = 250  #: of each round, within the bounds
+    rounds: int = 14  #: the most; the last one may be earlier, once the weights are good
+    min_ess: float = 250.0  #: independent draws that they must be worth, to be good
+    components: int = 12  #: of the mixture
+    profiles: bool = True  #: whether the first draws are made along the profiles too, beside the modes
 
 
 @dataclass(frozen=True)
 class WeightedDraws:
-    """Weighted draws of a posterior, and how far their weights can be trusted.
+    """Weighted draws of a posterior, and how far their weights can be trusted."""
 
-    Attributes
-    ----------
-    thetas : (N, P) array
-    log_density, log_weights : (N,) arrays
-        The weights, smoothed, sum to 1.
-    k : float
-        Pareto shape of the weights' tail.
-    min_ess : float
-        Independent draws that they had to be worth.
-    log_evidence : float
-        Logarithm of the density's integral within the bounds: of the mean weight before smoothing.
-    """
-
-    thetas: Floats
+    thetas: Floats  #: (N, P)
+    #: log_density, log_weights: (N,) the weights, smoothed, sum to 1
     log_density: Floats
     log_weights: Floats
-    k: float
-    min_ess: float
+    k: float  #: Pareto shape of the weights' tail
+    min_ess: float  #: independent draws that they had to be worth
+    #: logarithm of the density's integral within the bounds: of the mean weight before smoothing
     log_evidence: float
 
     @property
@@ -345,14 +301,9 @@ def _weight_rounds(rounds: Sequence[_Round], min_ess: float) -> WeightedDraws:
     )
 
 
-EM_STEPS = 6
-"""Steps of expectation and maximisation between rounds."""
-
-MIN_ESS_PER_COMPONENT = 12.0
-"""Independent draws per component that a flatter density is chosen by."""
-
-FLAT_ROUNDS = 5
-"""In so many rounds the mixture follows a flat density only."""
+EM_STEPS = 6  #: steps of expectation and maximisation between rounds
+MIN_ESS_PER_COMPONENT = 12.0  #: independent draws per component that a flatter density is chosen by
+FLAT_ROUNDS = 5  #: in so many rounds the mixture follows a flat density only
 
 COMPONENTS_PER_STEEP_ONE = 6
 """The half of a mixture that follows a steeper density has as many times fewer components."""
@@ -363,8 +314,7 @@ EARLY_ROUNDS, EARLY_POWER = 2, 0.5
 EARLY_WIDENING, WIDENING = 1.5, 1.2
 """Factors on the scales in the first rounds and later, so that tails are reached."""
 
-MIN_COVARIANCE_FRACTION = 1e-4
-"""Part of the draws' whole covariance that every component has at least."""
+MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
 
 
 def _fit_proposal(
@@ -416,8 +366,7 @@ def _flatten_weights(found: WeightedDraws, power: float, fewest: float) -> Float
     drawn = density - found.log_weights[known]  # log density of all rounds together, but for a constant
 
     def log_weights(at: float) -> Floats:
-        flattened: Floats = at * (density - density.max()) - drawn
-        return flattened
+        return at * (density - density.max()) - drawn
 
     def missing(at: float) -> float:
         return compute_ess(log_weights(at)) - min(fewest, 0.5 * len(known))
@@ -433,8 +382,7 @@ def _flatten_weights(found: WeightedDraws, power: float, fewest: float) -> Float
 MAX_LOG_DENSITY_GAP = 10.0
 """A start that ended with a log density this much below the best one's found no mode."""
 
-MIN_MODE_DISTANCE = 1e-3
-"""Ends nearer to each other than this part of the bounds are one mode."""
+MIN_MODE_DISTANCE = 1e-3  #: ends nearer to each other than this part of the bounds are one mode
 
 PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.05)
 """Profiles along which draws begin: coarse ones, down to densities of a thousandth of the peak's."""
@@ -552,27 +500,14 @@ def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -
 
 @dataclass(frozen=True)
 class PredictiveDensity:
-    """The predictive density of further data, with its Monte Carlo error.
+    """The predictive density of further data, with its Monte Carlo error."""
 
-    Attributes
-    ----------
-    log_density : float
-        log p(y | D).
-    se : float
-        Its Monte Carlo error.
-    shared_se : float
-        The part of it that comes from Z(D), and is the same error for all that is asked after D.
-    k : float
-        Pareto's: the larger of the two integrals'.
-    effective_sample_size : float
-        Effective number of independent draws: the fewer of the two integrals'.
-    """
-
-    log_density: float
-    se: float
+    log_density: float  #: log p(y | D)
+    se: float  #: its Monte Carlo error
+    #: the part of it that comes from Z(D), and is the same error for all that is asked after D
     shared_se: float
-    k: float
-    effective_sample_size: float
+    k: float  #: Pareto's: the larger of the two integrals'
+    effective_sample_size: float  #: effective number of independent draws: the fewer of the two integrals'
 
 
 ZERO_DENSITY = PredictiveDensity(-math.inf, math.inf, math.inf, math.nan, 0.0)

@@ -38,25 +38,14 @@ class LogDensity(SupportsValues, Protocol):
 
 @dataclass
 class Evaluator:
-    """Evaluate the density of many thetas at once; failures are counted and get density 0.
-
-    Attributes
-    ----------
-    jobs : int
-        Threads.
-    ensembles : int
-        What is asked for belongs to as many ensembles, an equal part to each, one after the other.
-    failures : int
-        Evaluations that were no number, or raised.
-    failed : list of lists of theta
-        By ensemble the first of these.
-    """
+    """Evaluate the density of many thetas at once; failures are counted and get density 0."""
 
     problem: LogDensity
-    jobs: int
+    jobs: int  #: threads
+    #: what is asked for belongs to as many ensembles, an equal part to each, one after the other
     ensembles: int = 1
-    failures: int = 0
-    failed: list[list[tuple[float, ...]]] = field(default_factory=list)
+    failures: int = 0  #: evaluations that were no number, or raised
+    failed: list[list[tuple[float, ...]]] = field(default_factory=list)  #: by ensemble the first of these
 
     def __post_init__(self) -> None:
         self.failed = [[] for _ in range(self.ensembles)]
@@ -95,39 +84,25 @@ LogDensityFunction = Callable[[Floats], Floats]
 MAX_LOG_DENSITY_DROP = 0.5
 """Largest fall of the log density over one step: one standard deviation, if all other parameters are held."""
 
-STEP_FRACTIONS = 0.25 * 0.5 ** np.arange(0, 16)
-"""Steps that are tried, as parts of the range."""
-
-UNIFORM_PRECISION = 12.0
-"""Precision of a uniform distribution, by its width squared."""
-
-BOUND_MARGIN = 1e-3
-"""A point at a bound is taken this part of the range inside: differences need both sides."""
+STEP_FRACTIONS = 0.25 * 0.5 ** np.arange(0, 16)  #: steps that are tried, as parts of the range
+UNIFORM_PRECISION = 12.0  #: precision of a uniform distribution, by its width squared
+BOUND_MARGIN = 1e-3  #: a point at a bound is taken this part of the range inside: differences need both sides
 
 
 @dataclass(frozen=True)
 class LaplaceApproximation:
-    """The Gaussian at the peak: theta = centre + axes @ z, with z standard normal.
+    """The Gaussian at the peak: theta = centre + axes @ z, with z standard normal."""
 
-    Attributes
-    ----------
-    centre : (P,) array
-    axes : (P, P) array
-        Columns: principal directions times their standard deviations, sloppiest first.
-    """
-
-    centre: Floats
-    axes: Floats
+    centre: Floats  #: (P,)
+    axes: Floats  #: (P, P) columns: principal directions times their standard deviations, sloppiest first
 
     def thetas(self, z: Floats) -> Floats:
         """Return the thetas (..., P) of whitened coordinates (..., P)."""
-        found: Floats = self.centre + z @ self.axes.T
-        return found
+        return self.centre + z @ self.axes.T
 
     def whitened(self, thetas: Floats) -> Floats:
         """Return the whitened coordinates (..., P) of thetas (..., P)."""
-        found: Floats = (thetas - self.centre) @ np.linalg.inv(self.axes).T
-        return found
+        return (thetas - self.centre) @ np.linalg.inv(self.axes).T
 
 
 def approximate_by_laplace(
@@ -174,8 +149,7 @@ def _choose_steps(at: LogDensityFunction, centre: Floats) -> Floats:
     falls = (found[0] - np.min(found[1:].reshape(2, *steps.shape), axis=0)) <= MAX_LOG_DENSITY_DROP  # (L, P)
     # argmax finds the first True, the longest step; without any, the shortest is taken
     chosen = np.where(falls.any(axis=0), np.argmax(falls, axis=0), len(STEP_FRACTIONS) - 1)
-    picked: Floats = steps[chosen, np.arange(len(centre))]
-    return picked
+    return steps[chosen, np.arange(len(centre))]
 
 
 def _difference_information(at: LogDensityFunction, centre: Floats, steps: Floats) -> Floats:
@@ -190,5 +164,4 @@ def _difference_information(at: LogDensityFunction, centre: Floats, steps: Float
     for (i, j), (pp, mm, pm, mp) in zip(pairs, four.reshape(-1, 4), strict=True):
         # mixed second difference; its sign is that of the negative log density
         information[i, j] = information[j, i] = (pm + mp - pp - mm) / 4
-    known: Floats = np.where(np.isfinite(information), information, 0.0)
-    return known
+    return np.where(np.isfinite(information), information, 0.0)

@@ -13,16 +13,13 @@ from numpy.typing import NDArray
 from needlefit.project.input_files import open_regular
 from needlefit.project.sandbox import READER_BYTES, ReaderLimits, SandboxArrays, read_in_sandbox
 
-MAX_POSTERIOR_BYTES = 4 * 2**30
-"""Size of a file of draws; those of the paper's studies have some MB."""
+MAX_POSTERIOR_BYTES = 4 * 2**30  #: size of a file of draws; those of the paper's studies have some MB
 
 READ_BYTES_PER_SECOND = 16 * 2**20
-BASE_SECONDS = 4
-"""Processor time of the reader of a small file; one of the paper's studies takes 0.3 s."""
+BASE_SECONDS = 4  #: processor time of the reader of a small file; one of the paper's studies takes 0.3 s
 
 GROUPS = ("posterior", "sample_stats", "convergence")
-QUANTITY = "quantity"
-"""Variable whose values are texts: what the rule of convergence looks at."""
+QUANTITY = "quantity"  #: variable whose values are texts: what the rule of convergence looks at
 
 
 def read_numbers(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]]]:

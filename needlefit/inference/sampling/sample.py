@@ -68,28 +68,14 @@ Failed = tuple[tuple[tuple[float, ...], ...], ...]
 
 @dataclass(frozen=True)
 class Block:
-    """Some successive steps of all ensembles, as they are stored.
+    """Some successive steps of all ensembles, as they are stored."""
 
-    Attributes
-    ----------
-    coordinates : (E, S, W, P) array
-    log_density : (E, S, W) array
-    accepted : (E, W) array
-        How many proposals each walker took.
-    random : tuple
-        State of the legacy generator after the last step.
-    failures : int
-        Evaluations that were no number, or raised.
-    failed : tuple of tuples of theta
-        By ensemble the first of these.
-    """
-
-    coordinates: Floats
-    log_density: Floats
-    accepted: NDArray[np.int64]
-    random: tuple[Any, ...]
-    failures: int
-    failed: Failed
+    coordinates: Floats  #: (E, S, W, P)
+    log_density: Floats  #: (E, S, W)
+    accepted: NDArray[np.int64]  #: (E, W) how many proposals each walker took
+    random: tuple[Any, ...]  #: state of the legacy generator after the last step
+    failures: int  #: evaluations that were no number, or raised
+    failed: Failed  #: by ensemble the first of these
 
     @property
     def steps(self) -> int:
@@ -222,8 +208,7 @@ def _select_plausible(evaluator: Evaluator, ends: Floats) -> Floats:
     found = evaluator(ends)
     good = found >= found[0] - MAX_LOG_DENSITY_GAP
     good[0] = True
-    chosen: Floats = ends[good]
-    return chosen
+    return ends[good]
 
 
 def _draw_walkers(
@@ -259,8 +244,7 @@ def _reflect_at_bounds(thetas: Floats, lower: Floats, upper: Floats) -> Floats:
     """Return thetas reflected at the bounds: cut off there, many would lie on one bound and span nothing."""
     # a triangle wave of period 2 in units of the range: reflection at both bounds, any number of times
     cube = np.abs((thetas - lower) / (upper - lower)) % 2
-    folded: Floats = lower + (1 - np.abs(1 - cube)) * (upper - lower)
-    return folded
+    return lower + (1 - np.abs(1 - cube)) * (upper - lower)
 
 
 ADAPTATION_STEPS = (50, 150, 500, 1200, 3000)
@@ -298,8 +282,7 @@ def make_proposal_densities(settings: SampleRecord, coordinates: Floats) -> Sequ
     return [fit_proposal(visited.reshape(-1, dimensions)) for visited in coordinates[:, last // 2 : last]]
 
 
-BURN_IN_TAU = 10.0
-"""Autocorrelation times that are thrown away."""
+BURN_IN_TAU = 10.0  #: autocorrelation times that are thrown away
 
 
 def sample(

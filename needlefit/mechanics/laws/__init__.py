@@ -21,8 +21,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.registry import Registry
 
-Numbers = NDArray[Any]
-"""Real or complex."""
+Numbers = NDArray[Any]  #: real or complex
 
 COMPLEX_STEP = 1e-30
 
@@ -99,14 +98,12 @@ class TissueLaw(ABC):
 
     def dk_dstretch(self, stretch: Floats, *shape: Floats) -> Floats:
         """Return dk/dlambda over mu."""
-        found: Floats = self.k(stretch + 1j * COMPLEX_STEP, *shape).imag / COMPLEX_STEP
-        return found
+        return self.k(stretch + 1j * COMPLEX_STEP, *shape).imag / COMPLEX_STEP
 
     def dk_dshape(self, number: int, stretch: Floats, *shape: Floats) -> Floats:
         """Return the derivative of k over mu by a shape parameter, `number` its place in `parameters`."""
         stepped = [value + 1j * COMPLEX_STEP * (p == number) for p, value in enumerate(shape)]
-        found: Floats = self.k(stretch, *stepped).imag / COMPLEX_STEP
-        return found
+        return self.k(stretch, *stepped).imag / COMPLEX_STEP
 
     @cached_property
     def shape_names(self) -> tuple[str, ...]:
@@ -154,14 +151,12 @@ class PowerLaw(TissueLaw):
     def k(self, stretch: Numbers, *shape: Numbers) -> Numbers:
         """Return the tangent modulus over mu."""
         c, q = self._terms_of(stretch, shape)
-        found: Numbers = np.sum(c * stretch[..., None] ** q, axis=-1)
-        return found
+        return np.sum(c * stretch[..., None] ** q, axis=-1)
 
     def dk_dstretch(self, stretch: Floats, *shape: Floats) -> Floats:
         """Return dk/dlambda over mu."""
         c, q = self._terms_of(stretch, shape)
-        found: Floats = np.sum(c * q * stretch[..., None] ** (q - 1), axis=-1)
-        return found
+        return np.sum(c * q * stretch[..., None] ** (q - 1), axis=-1)
 
     def _terms_of(self, stretch: Numbers, shape: Sequence[Numbers]) -> tuple[Numbers, Numbers]:
         if not shape:

@@ -29,8 +29,7 @@ class Fung(TissueLaw):
 
 
 def _exponential(stretch: Numbers, alpha: Numbers) -> Numbers:
-    found: Numbers = np.exp(alpha * (stretch * stretch + 2 / stretch - 3))
-    return found
+    return np.exp(alpha * (stretch * stretch + 2 / stretch - 3))
 
 
 FUNG = Fung()

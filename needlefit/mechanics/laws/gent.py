@@ -27,13 +27,11 @@ class Gent(TissueLaw):
 
     def stress(self, stretch: Numbers, jm: Numbers) -> Numbers:
         """Return lambda dW/dlambda over mu."""
-        found: Numbers = jm / _find_rest(stretch, jm) * (stretch**2 - 1 / stretch)
-        return found
+        return jm / _find_rest(stretch, jm) * (stretch**2 - 1 / stretch)
 
 
 def _find_rest(stretch: Numbers, jm: Numbers) -> Numbers:
-    rest: Numbers = jm - (stretch**2 + 2 / stretch - 3)
-    return rest
+    return jm - (stretch**2 + 2 / stretch - 3)
 
 
 GENT = Gent()

@@ -25,8 +25,7 @@ class TwoTermOgden(PowerLaw):
     def stress(self, stretch: Numbers, alpha: Numbers, beta: Numbers, share: Numbers) -> Numbers:
         """Return the stresses of the two terms, each by its share."""
         first, second = (OGDEN.stress(stretch, exponent) for exponent in (alpha, beta))
-        found: Numbers = (1 - share) * first + share * second
-        return found
+        return (1 - share) * first + share * second
 
 
 TWO_TERM_OGDEN = TwoTermOgden()
