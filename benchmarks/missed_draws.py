@@ -20,8 +20,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.calibration.replicate import simulate_experiment
-from needlefit.studies.kinds.calibration.run import weigh_design
+from needlefit.studies.kinds.calibration import prepare_experiment, simulate_experiment
 
 
 def compute_shares(job: Job, number: int, starts: int, direction: np.ndarray) -> list[str]:
@@ -55,7 +54,7 @@ def main() -> None:
     arguments = parser.parse_args()
     name = arguments.study
     job = prepare(name, load(find_file("study", name), StudyRecord), Settings())
-    direction = np.array(list(weigh_design(job, job.folds[0]).values()))
+    direction = np.array(list(prepare_experiment(job).stiff.values()))
     ways = ("about peaks", "along profiles", "with the truth")
     print("replicate", *(f"{way}: PIT | draws worth | Pareto k | s" for way in ways), sep=" | ")
     for number in map(int, arguments.replicates.split(",")):

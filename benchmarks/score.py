@@ -20,8 +20,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.calibration.replicate import simulate_experiment
-from needlefit.studies.kinds.calibration.run import weigh_design
+from needlefit.studies.kinds.calibration import prepare_experiment, simulate_experiment
 
 CENTRAL = {50: 0.674, 95: 1.960}
 """Half widths of central intervals of the normal distribution, by percent."""
@@ -49,7 +48,7 @@ def main() -> None:
     print("study | mean | standard error | SD | in 50 % | in 95 % | s each")
     for name in arguments.studies:
         job = prepare(name, load(find_file("study", name), StudyRecord), Settings())
-        direction = np.array(list(weigh_design(job, job.folds[0]).values()))
+        direction = np.array(list(prepare_experiment(job).stiff.values()))
         began = time.process_time()
         scores = np.array([compute_score(job, n, direction) for n in range(arguments.replicates)])
         spent = (time.process_time() - began) / len(scores)

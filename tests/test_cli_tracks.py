@@ -14,7 +14,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.job import Settings, prepare, with_one_bevel
-from needlefit.studies.kinds.calibration.replicate import simulate_experiment
+from needlefit.studies.kinds.calibration import simulate_experiment
 from needlefit.studies.kinds.tracks.report import lay_out_positions
 from needlefit.studies.kinds.tracks.results import RUN_COLUMNS
 from needlefit.studies.run import restore_run

@@ -17,9 +17,13 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
-from needlefit.studies.kinds.calibration.replicate import Experiment, replicate, simulate_experiment
-from needlefit.studies.kinds.calibration.run import average_tips
-from needlefit.studies.kinds.calibration.schema import CONTROLS
+from needlefit.studies.kinds.calibration import (
+    CONTROLS,
+    Experiment,
+    average_tips,
+    replicate,
+    simulate_experiment,
+)
 from needlefit.studies.rank_statistics import (
     RANK_DRAWS,
     count_covered,

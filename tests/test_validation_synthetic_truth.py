@@ -11,22 +11,22 @@ from test_cli import run
 from needlefit.project.locate import find_file
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.calibration.run import add_intervals
-from needlefit.studies.kinds.calibration.schema import CalibrationRecord
-from needlefit.studies.kinds.calibration.synthetic_truth import (
-    HELD_OUT_TIP,
+from needlefit.studies.kinds.calibration import (
     PREDICTION_DRAWS,
-    find_true_value,
+    CalibrationRecord,
+    add_intervals,
     prepare_synthetic,
     replicate_synthetic,
 )
 from needlefit.studies.rank_statistics import (
+    HELD_OUT_TIP,
     RANK_DRAWS,
     count_covered,
     place_pit,
     tabulate_coverage,
     tabulate_ecdfs,
 )
+from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.study_files import load_study
 from needlefit.synthetic.truth import draw_specimen
 

@@ -9,8 +9,7 @@ import pytest
 from reporting_results import study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.studies.kinds.calibration.run import find_calibration_faults
-from needlefit.studies.kinds.calibration.summary import headline_calibration
+from needlefit.studies.kinds.calibration import find_calibration_faults, headline_calibration
 from needlefit.studies.kinds.cross_validation.verdict import describe_evidence
 from needlefit.studies.report import run_to_json
 from needlefit.studies.run import Run

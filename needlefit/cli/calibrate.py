@@ -13,7 +13,7 @@ from needlefit.cli.show_results import show_run, show_warnings
 from needlefit.schemas.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
-    from needlefit.studies.kinds.calibration.schema import Control
+    from needlefit.studies.rank_statistics import Control
     from needlefit.studies.run import Run
 
 
@@ -109,7 +109,7 @@ def calibrate(
 def _controls(named: str | None) -> "list[Control | None]":
     if named is None:
         return [None]
-    from needlefit.studies.kinds.calibration.schema import CONTROLS
+    from needlefit.studies.kinds.calibration import CONTROLS
 
     if named == ALL:
         return list(CONTROLS)
@@ -136,7 +136,7 @@ def _suffix(sample: bool, ct: bool, truth: str) -> str:
 
 def _end(invocation: Invocation, found: "dict[str, Run]", json: bool) -> None:
     """Show the results; end with an exit code if one is not what it should be."""
-    from needlefit.studies.kinds.calibration.summary import summarize_calibration
+    from needlefit.studies.kind import find_kind
     from needlefit.studies.report import run_to_json
 
     if json:
@@ -149,7 +149,9 @@ def _end(invocation: Invocation, found: "dict[str, Run]", json: bool) -> None:
             show_run(invocation, one, Path(folder), named=len(found) > 1)
     wrong = [folder for folder, one in found.items() if one.run["conclusive"] and not one.run["passes"]]
     for folder in wrong:
-        screen.print_note(f"needlefit: {folder}: {summarize_calibration(found[folder])[0]}")
+        screen.print_note(
+            f"needlefit: {folder}: {find_kind('calibration').report.summarize(found[folder])[0]}"
+        )
     if wrong:
         raise typer.Exit(exit_codes.VERIFICATION_FAILED)
     if any(one.faults for one in found.values()):

@@ -8,6 +8,7 @@ place, and the limits of equal pointwise probability that keep it at what is wan
 
 import math
 from collections.abc import Mapping
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, gammaln, xlogy  # scipy.stats takes 0.4 s to load
 
 from needlefit.arrays import Bools, Floats
+from needlefit.reporting.number_format import format_bare_symbol
 
 Counts = NDArray[np.int64]
 
@@ -75,6 +77,41 @@ def _poisson(counts: Counts, mean: float) -> Floats:
     return np.asarray(np.exp(xlogy(counts, mean) - gammaln(counts + 1) - mean))
 
 
+Control = Literal["sigma", "prior", "pose", "shuffled"]
+
+UNDERSTATED_SD_FACTOR = 0.7
+"""Factor on the true deviation of the noise that the control "sigma" assumes."""
+
+CONTROL_NAMES: Mapping[str, str] = {
+    "sigma": f"errors of points and pose understated by a factor of {UNDERSTATED_SD_FACTOR}",
+    "prior": "the prior returned as the posterior",
+    "pose": "errors of the pose ignored",
+    "shuffled": "shape of another insertion, or wrong bevel side",
+}
+"""What is made wrong on purpose, which the ranks must show."""
+
+DESIGN, FIT, TIP, LIKELIHOOD = "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"
+"""Beside the parameters: the combination that the design determines best, the one that the data determine
+best at the fitted values, the tip of the deepest insertion, and the log likelihood, without which the prior
+itself would pass for a posterior."""
+
+HELD_OUT_TIP = "held_out_tip"
+"""The quantity of all held-out tips of a synthetic truth: those of one replicate count as one trial."""
+
+_QUANTITY_NAMES = {
+    HELD_OUT_TIP: "held-out tips",
+    DESIGN: "stiffest, of the design",
+    FIT: "stiffest, at the fit",
+    TIP: "tip of the deepest",
+    LIKELIHOOD: "log likelihood",
+}
+
+
+def name_quantity(name: str) -> str:
+    """Return the printed name of a ranked quantity."""
+    return _QUANTITY_NAMES.get(name, format_bare_symbol(name))
+
+
 RANK_DRAWS = 79
 """Draws of each posterior: among them the truth has 80 places, of which every level is a whole part."""
 
@@ -116,14 +153,8 @@ FAMILY_ERROR = 0.01
 coverages at every level of all quantities. As these go together, the true one is smaller."""
 
 COVERAGE_COLUMNS = (
-    "quantity",
-    "level",
-    "replicates",
-    "covered",
-    "expected",
-    "count_low",
-    "count_high",
-    "passes",
+    *("quantity", "level", "replicates", "covered", "expected"),
+    *("count_low", "count_high", "passes"),
 )
 
 

@@ -43,6 +43,9 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
+from needlefit.studies.job import Job
+from needlefit.synthetic.design import list_planned_insertions
+from needlefit.synthetic.truth import bevel_offset, draw_specimen
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
@@ -254,3 +257,21 @@ def _assemble_dataset(name: str, record: SyntheticDataRecord, insertions: tuple[
         digest=hashlib.sha256(text.encode()).hexdigest(),
         outer_diameter=record.needle.outer_diameter_mm,
     )
+
+
+def find_true_value(job: Job, name: str, seed: int) -> float:
+    """Return the geometric mean of a parameter over specimens, layers and bevels that a fit learns from.
+
+    NaN for what the truth has not: hyperparameters, exponents, the angle of a cut.
+    """
+    planned = {one.id: one for one in list_planned_insertions()}
+    tuned = [planned[one.id] for one in job.folds[0].tune]
+    specimens = [draw_specimen(seed, one.medium, one.specimen) for one in tuned]
+    if name == "bevel_mm":
+        known = [bevel_offset(*pair) for pair in zip(specimens, tuned, strict=True)]
+        return float(np.exp(np.mean(np.log(known))))
+    same = [name, *(tied for tied, (_, source) in job.parameters.ties.items() if source == name)]
+    layers = [int(one.removeprefix("mu").removesuffix("_pa")) - 1 for one in same if one.startswith("mu")]
+    if not layers:
+        return float("nan")
+    return float(1e6 * np.exp(np.mean([np.log(specimen.mu[layers]) for specimen in specimens])))

@@ -12,7 +12,6 @@ from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.identification_tables import describe_verdicts
-from needlefit.studies.kinds.calibration.summary import CONTROL_NAMES, is_of_synthetic_truths, name_quantity
 from needlefit.studies.kinds.credibility.case import (
     CredibilityCase,
     FactorFindings,
@@ -25,6 +24,7 @@ from needlefit.studies.kinds.credibility.case import (
 from needlefit.studies.kinds.credibility.evidence import EVIDENCE_FIGURES, CredibilityEvidence
 from needlefit.studies.kinds.cross_validation import sentences
 from needlefit.studies.kinds.cross_validation.sentences import describe_undetermined
+from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
 from needlefit.studies.run import Run
 
 _CELLS_FILE, _STUDIES_FILE = "cells.csv", "studies.csv"
@@ -227,7 +227,7 @@ def _find_calibration(case: CredibilityCase, one: CredibilityEvidence) -> Factor
     wide, half = (rows[rows["level"] == level] for level in (rows["level"].max(), rows["level"].min()))
     names = _list_failing(one)
     verdict = f"NOT calibrated: {names}" if names else f"all {len(wide)} quantities inside what chance allows"
-    synthetic = is_of_synthetic_truths(one.run)
+    synthetic = one.run["study"].get("truth") == "synthetic"
     proves = "It tests the model on one other" if synthetic else "It proves the computation, not the model"
     words = (
         f"{_count_truths(one)}: {verdict}; the {100 * wide['level'].max():.0f} % intervals held "
@@ -250,7 +250,7 @@ def _describe_control(one: CredibilityEvidence) -> str:
 
 
 def _count_truths(one: CredibilityEvidence) -> str:
-    synthetic = is_of_synthetic_truths(one.run)
+    synthetic = one.run["study"].get("truth") == "synthetic"
     source = "synthetic truths of another model" if synthetic else "truths drawn from the prior"
     return f"{one.run['replicates']} {source}"
 

@@ -13,7 +13,6 @@ from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.calibration.synthetic_truth import find_true_value
 from needlefit.studies.kinds.cross_validation.result_rows import make_predictors
 from needlefit.studies.kinds.seeds.schema import SeedsRecord
 from needlefit.studies.paper_cells import (
@@ -27,6 +26,7 @@ from needlefit.studies.paper_cells import (
 )
 from needlefit.studies.runner import FrameRows
 from needlefit.studies.score import Predictor, Row, curve_predictor, list_score_columns
+from needlefit.studies.simulated_data import find_true_value
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
 from needlefit.synthetic.insertion import SyntheticInsertion, simulate_insertion

@@ -1,0 +1,855 @@
+"""Check by simulation that the computed uncertainty is right if the model is.
+
+Truths are parameters from the prior, which is simulation-based calibration, or those of another model.
+S. Talts, M. Betancourt, D. Simpson, A. Vehtari, A. Gelman, arXiv 1804.06788; the log likelihood among what is
+ranked is from M. Modrak et al., Bayesian Anal. 20 (2025) 461.
+
+The other model is that of the synthetic dataset (`needlefit.synthetic.truth`): friction, layers that differ
+between specimens, muscle whose modulus varies from place to place, a needle stiffer or softer than stated,
+and errors of pose and roll. Each replicate draws it anew for the insertions of the study, has them measured
+and reconstructed, fits as the study does, and ranks true values and measured tips in what was inferred.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, model_validator
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.read import read
+from needlefit.datasets.tip_tracks import TipTrack
+from needlefit.errors import ConfigError, FitError, ModelError
+from needlefit.inference.forward_model import simulate_deflections
+from needlefit.inference.identifiability.precision import linearize
+from needlefit.inference.optimize import minimize
+from needlefit.inference.parameters import NOISE_SCALE
+from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior
+from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.importance import (
+    WeightedDraws,
+    escalate_effort,
+    find_modes,
+    resample,
+    sample_about_modes,
+)
+from needlefit.inference.sampling.sample import sample
+from needlefit.project.json_values import to_json_values
+from needlefit.project.random_streams import random_stream
+from needlefit.project.toml_lines import locate_key
+from needlefit.reporting.figures import Drawing
+from needlefit.reporting.number_format import insert_symbols
+from needlefit.reporting.table import Table, part, pivot
+from needlefit.reporting.table_files import to_records
+from needlefit.reporting.text import KindText
+from needlefit.schemas.analyses import TargetRecord
+from needlefit.schemas.limits import MAX_REPLICATES
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.studies.checkpoint import open_checkpoint
+from needlefit.studies.csv_tables import ANY_COLUMNS
+from needlefit.studies.folds import Fold
+from needlefit.studies.held_out_predictions import predict_held_out
+from needlefit.studies.job import Inputs, Job, Settings, prepare
+from needlefit.studies.kind import StudyKind
+from needlefit.studies.new_specimens import NewSpecimens
+from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
+from needlefit.studies.proportions import wilson_interval
+from needlefit.studies.rank_statistics import (
+    CONTROL_NAMES,
+    DESIGN,
+    FAMILY_ERROR,
+    FIT,
+    HELD_OUT_TIP,
+    LEVELS,
+    LIKELIHOOD,
+    RANK_DRAWS,
+    TIP,
+    UNDERSTATED_SD_FACTOR,
+    Control,
+    Counts,
+    find_failing,
+    name_quantity,
+    place_pit,
+    rank_truth,
+    single_check_error,
+    tabulate_coverage,
+    tabulate_ecdfs,
+)
+from needlefit.studies.report import report_from_text
+from needlefit.studies.run import Run
+from needlefit.studies.run_differences import Difference, TableComparison
+from needlefit.studies.score import Row
+from needlefit.studies.simulated_data import draw_bevels, find_true_value, simulate_measurement
+from needlefit.studies.targets import begin_run, prepare_target, prepare_with_held_out, target_name
+from needlefit.studies.verdict import Status, Verdict, headline_fault
+from needlefit.synthetic.build import build_dataset, build_unscanned
+from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
+
+CONTROLS: tuple[Control, ...] = get_args(Control)
+
+DEFAULT_REPLICATES, DEFAULT_SAMPLED_REPLICATES, DEFAULT_SYNTHETIC_REPLICATES = 500, 100, 50
+"""By importance sampling, by MCMC, and of synthetic truths: about 20 minutes each on two cores."""
+
+
+class CalibrationRecord(TargetRecord):
+    """`kind = "calibration"`: are the uncertainties calibrated? Ranks of known true parameters in their
+    posteriors.
+    """
+
+    kind: Literal["calibration"]
+    replicates: int = Field(default=DEFAULT_REPLICATES, ge=1, le=MAX_REPLICATES)
+    """Simulated datasets; default 500, with `sampled` 100, with `truth = "synthetic"` 50."""
+    control: Control | None = None
+    """Negative control: a part of the likelihood that is made wrong on purpose."""
+    sampled: bool = False
+    """Whether every posterior is sampled by MCMC (three insertions at most) in place of importance
+    sampling."""
+    truth: Literal["prior", "synthetic"] = "prior"
+    """True parameters from the prior, or synthetic datasets of a model that is not the fitted one."""
+    ct: bool = False
+    """Whether synthetic datasets are measured through simulated CT volumes."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _set_default_replicates(cls, keys: object) -> object:
+        if not isinstance(keys, dict) or "replicates" in keys:
+            return keys
+        count = DEFAULT_SAMPLED_REPLICATES if keys.get("sampled") is True else DEFAULT_REPLICATES
+        synthetic = keys.get("truth") == "synthetic"
+        return {**keys, "replicates": DEFAULT_SYNTHETIC_REPLICATES if synthetic else count}
+
+    @model_validator(mode="after")
+    def _check_truth(self) -> Self:
+        if self.ct and self.truth != "synthetic":
+            raise ValueError('ct = true needs truth = "synthetic": draws of the prior are not scanned')
+        if self.truth == "synthetic" and (self.control or self.sampled):
+            raise ValueError('control and sampled need truth = "prior": they test the computation')
+        return self
+
+
+KIND = StudyKind("calibration", CalibrationRecord, __name__)
+"""What `needlefit calibrate` runs, or a study file."""
+
+# ---- a posterior, and what is ranked in it
+
+
+@dataclass(frozen=True)
+class InferredPosterior:
+    """One computed posterior: its draws and how they were computed.
+
+    Attributes
+    ----------
+    thetas : (L, P) array
+        Draws of equal weight.
+    log_posterior : (L,) array
+    mode : (P,) array
+    draw_source : "importance", "sampler" or "prior"
+    trusted : bool
+        Whether the weights were certified, or the sampler converged.
+    weights : WeightedDraws or None
+        Of importance, whoever drew in the end.
+    """
+
+    thetas: Floats
+    log_posterior: Floats
+    mode: Floats
+    draw_source: Literal["importance", "sampler", "prior"]
+    trusted: bool
+    weights: WeightedDraws | None = None
+
+    def describe(self) -> Row:
+        """Return the cells of a replicate that say how its posterior was computed."""
+        return {
+            "draw_source": self.draw_source,
+            "certified": self.trusted,
+            "pareto_k": None if self.weights is None else self.weights.k,
+            "ess": None if self.weights is None else self.weights.effective_sample_size,
+            "evaluations": None if self.weights is None else len(self.weights.thetas),
+        }
+
+
+Sampler = Literal["always", "otherwise", "never"]
+
+
+def infer_posterior(
+    problem: Problem,
+    recipe: RecipeRecord,
+    draws: int,
+    rng: np.random.Generator,
+    sampler: Sampler = "otherwise",
+) -> InferredPosterior:
+    """Return the posterior of a problem, from its prior; no start of the search uses the truth.
+
+    The sampler draws always, never, or only where the weights of importance are not certified.
+    """
+    searched = recipe.model_copy(update={"minimize": "posterior"})
+    ends = find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
+    found = None
+    if sampler != "always":
+        found = escalate_effort(lambda effort: sample_about_modes(problem, ends, rng, effort=effort))
+        if found.certified or sampler == "never":
+            chosen = resample(found, draws, rng)
+            thetas, density = found.thetas[chosen], found.log_density[chosen]
+            return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found)
+    posterior = sample(problem, ends, recipe.sample, rng)
+    thetas = thin_posterior(posterior, problem.parameters, draws).thetas
+    density = problem.log_posteriors(thetas)
+    return InferredPosterior(thetas, density, ends[0], "sampler", posterior.converged, found)
+
+
+def _draw_prior_only(problem: Problem, draws: int, rng: np.random.Generator) -> InferredPosterior:
+    """Return draws of the prior where the model has a solution, in place of the posterior."""
+    thetas = np.empty((0, len(problem.names)))
+    while len(thetas) < draws:
+        drawn = draw_from_prior(problem.parameters, draws, rng)
+        thetas = np.concatenate([thetas, drawn[np.isfinite(problem.log_posteriors(drawn))]])
+    thetas = thetas[:draws]
+    density = problem.log_posteriors(thetas)
+    return InferredPosterior(thetas, density, thetas[int(np.argmax(density))], "prior", True)
+
+
+@dataclass(frozen=True)
+class RankedQuantities:
+    """The ranked functions of theta under one problem.
+
+    Attributes
+    ----------
+    problem : Problem
+    directions : (2, P) array
+        Unit vectors of `DESIGN` and `FIT`.
+    tip : Insertion
+        As planned.
+    """
+
+    problem: Problem
+    directions: Floats
+    tip: Insertion
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the Q quantities; with a single parameter no combination is added."""
+        free = self.problem.names
+        return (*free, *((DESIGN, FIT) if len(free) > 1 else ()), TIP, LIKELIHOOD)
+
+    def __call__(self, thetas: Floats, log_posterior: Floats) -> Floats:
+        """Return the quantities (N, Q) at thetas (N, P)."""
+        combined = thetas @ self.directions.T if thetas.shape[1] > 1 else thetas[:, :0]
+        sets = [self.problem.values(theta) for theta in thetas]
+        prior = self.problem.parameters.prior
+        likelihood = log_posterior - [prior.log_density(values) for values in sets]
+        medium, needle = self.problem.medium, self.problem.dataset.needle
+        (tips,) = simulate_deflections(sets, medium, needle, [self.tip], [np.array([self.tip.depth])])
+        return np.column_stack([thetas, combined, tips, likelihood])
+
+
+def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
+    """Return the combination (P,), of length 1, that the insertions determine best at theta."""
+    if len(theta) == 0:
+        return np.zeros(0)
+    _, slope, _ = linearize(problem, theta)
+    vector: Floats = np.linalg.svd(slope, full_matrices=False)[2][0]
+    upright: Floats = vector * np.sign(vector[np.argmax(np.abs(vector))])
+    return upright
+
+
+# ---- replicates whose truths are drawn from the prior
+
+MAX_PRIOR_DRAWS = 1000
+"""Draws of the prior among which one must have a solution."""
+
+MAX_SAMPLED_INSERTIONS = 3
+"""Insertions of the design whose posteriors the sampler draws: the shallowest, the middle and the deepest."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The data that all replicates share.
+
+    Attributes
+    ----------
+    job : Job
+        Of one fold: its insertions are the design.
+    stiff : mapping
+        Weights of the combination that the design determines best, by name.
+    sampled : bool
+        Whether every posterior is drawn by the sampler.
+    control : Control or None
+        In what the likelihood is wrong.
+    """
+
+    job: Job
+    stiff: Mapping[str, float]
+    sampled: bool = False
+    control: Control | None = None
+
+
+@dataclass(frozen=True)
+class SimulatedExperiment:
+    """True parameters, the problem of inferring them, and how often they were drawn again."""
+
+    theta: Floats
+    problem: Problem
+    redrawn: int
+
+
+def prepare_experiment(job: Job, sampled: bool = False, control: Control | None = None) -> Experiment:
+    """Return what is repeated.
+
+    Raises
+    ------
+    ConfigError
+        If the dataset states no noise, or nothing is free.
+    FitError
+        If the planned insertions have no solution where they are looked at.
+    """
+    if not job.dataset.noise.stated:
+        raise ConfigError(
+            f"the dataset `{job.dataset.name}` states no noise: nothing can be drawn from it",
+            where=locate_key(job.dataset.path, "noise.point_sd_mm"),
+            expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
+        )
+    _require_free(job)
+    fold = job.folds[0]
+    by_depth = sorted(fold.tune, key=lambda one: one.depth)
+    if sampled:
+        few = len(by_depth) <= MAX_SAMPLED_INSERTIONS
+        chosen = fold.tune if few else tuple(by_depth[k] for k in (0, len(by_depth) // 2, -1))
+        fold = Fold(fold.name, chosen, ())
+    values, place = choose_reference_values(job)
+    design = simulate_design(job, fold, values)
+    if design is None:
+        raise FitError(
+            f"the planned insertions have no solution at {place}", fix="name a set of the paper's parameters"
+        )
+    stiff = best_determined_direction(design, design.parameters.theta(values))
+    weights = dict(zip(design.names, stiff.tolist(), strict=True))
+    return Experiment(replace(job, folds=(fold,)), weights, sampled, control)
+
+
+def _require_free(job: Job) -> None:
+    if not job.parameters.free:
+        raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
+
+
+def replicate(number: int, experiment: Experiment) -> Row:
+    """Return one row: the truth, its ranks among draws of its posterior, and how these were computed."""
+    recipe, name, control = experiment.job.recipe, experiment.job.name, experiment.control
+    stream = (recipe.seed, name, "calibrate", number)
+    simulated = simulate_experiment(experiment.job, random_stream(*stream, "data"))
+    truth = simulated.problem.values(simulated.theta)
+    scale = truth.get(NOISE_SCALE, simulated.problem.density.scale)
+    problem = corrupt_problem(simulated.problem, control, scale)
+    rng = random_stream(*stream, "inference")
+    if control == "prior":
+        found = _draw_prior_only(problem, RANK_DRAWS, rng)
+    else:  # a wrong likelihood is to be noticed, not to be sampled well
+        sampler: Sampler = "always" if experiment.sampled else "otherwise" if control is None else "never"
+        found = infer_posterior(problem, recipe, RANK_DRAWS, rng, sampler)
+    tip = max(simulated.problem.insertions, key=lambda one: one.depth)
+    design = np.array([experiment.stiff[name] for name in problem.names])
+    directions = np.array([design, best_determined_direction(problem, found.mode)])
+    quantities = RankedQuantities(problem, directions, tip)
+    theta = problem.parameters.theta(truth)[None]
+    true = quantities(theta, problem.log_posteriors(theta))[0]
+    placed = rank_truth(true, quantities(found.thetas, found.log_posterior), rng)
+    return {
+        "replicate": number,
+        **{name: truth[name] for name in simulated.problem.names},
+        "redrawn": simulated.redrawn,
+        **found.describe(),
+        **{f"rank_{name}": int(rank) for name, rank in zip(quantities.names, placed, strict=True)},
+    }
+
+
+def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperiment:
+    """Draw parameters from the prior, and simulate the measurement of the design with them.
+
+    Raises
+    ------
+    FitError
+        If the prior hardly holds parameters that the design has a solution for.
+    """
+    (fold,) = job.folds
+    everything = job.problem(fold)
+    for redrawn in range(MAX_PRIOR_DRAWS):
+        theta = draw_from_prior(job.parameters, 1, rng)[0]
+        values = everything.values(theta)
+        design = simulate_design(job, fold, values)
+        if design is None:
+            continue
+        true = {NOISE_SCALE: everything.density.scale, **values}
+        shared = draw_bevels(job.dataset, design.insertions, rng) if everything.linear_bevels else {}
+        measurements = [
+            simulate_measurement(job.dataset, one, true, job.medium, rng, shared) for one in design.insertions
+        ]
+        known = tuple(one for one in measurements if one is not None)
+        if len(known) < len(measurements):
+            continue
+        problem = replace(everything, insertions=known)
+        if np.isfinite(problem.log_posterior(theta)):
+            return SimulatedExperiment(theta, problem, redrawn)
+    raise FitError(
+        f"of {MAX_PRIOR_DRAWS} parameter sets drawn from the prior the design has a solution for none",
+        fix="narrow the bounds of the medium",
+    )
+
+
+def corrupt_problem(problem: Problem, control: Control | None, scale: float) -> Problem:
+    """Return the problem with a deliberate error; `scale` is the true noise scale.
+
+    "sigma" understates the noise and does not estimate it, "pose" takes every pose as it was measured,
+    "shuffled" confounds the shapes of the shallowest and the deepest insertion (of one alone, and of the
+    deepest tip track, the side of its bevel). "prior" leaves the problem as it is, for there nothing is
+    inferred at all.
+    """
+    if control == "sigma":
+        understated = UNDERSTATED_SD_FACTOR * scale
+        parameters = problem.parameters
+        if NOISE_SCALE in parameters.names:
+            others = [name for name in parameters.free if name != NOISE_SCALE]
+            parameters = parameters.with_only(others, {NOISE_SCALE: understated})
+        likelihood = problem.likelihood.model_copy(update={"noise_scale": understated})
+        scaled = _scale_pose(problem, UNDERSTATED_SD_FACTOR)
+        return replace(scaled, likelihood=likelihood, parameters=parameters)
+    if control == "pose":
+        sure = _scale_pose(problem, 0.0)
+        return replace(sure, dataset=replace(sure.dataset, pose="known"))
+    if control == "shuffled":
+        return replace(problem, insertions=_swap_shapes(problem.insertions))
+    return problem
+
+
+def _scale_pose(problem: Problem, factor: float) -> Problem:
+    """Return the problem with stated errors of the pose that are `factor` times as large."""
+    noise = problem.dataset.noise
+    noise = replace(noise, registration_mean=factor * noise.registration_mean)
+    scaled = (
+        one
+        if isinstance(one, TipTrack)
+        else replace(one, pose_shift_sd=factor * one.pose_shift_sd, pose_angle_sd=factor * one.pose_angle_sd)
+        for one in problem.insertions
+    )
+    return replace(problem, dataset=replace(problem.dataset, noise=noise), insertions=tuple(scaled))
+
+
+def _swap_shapes(insertions: tuple[Insertion, ...]) -> tuple[Insertion, ...]:
+    by_depth = sorted(insertions, key=lambda one: one.depth)
+    first, last = by_depth[0], by_depth[-1]
+    if len(insertions) == 1 or any(isinstance(one, TipTrack) for one in insertions):
+        deepest = max(insertions, key=lambda one: one.depth)
+        return tuple(replace(one, side=-one.side) if one is deepest else one for one in insertions)
+    others = {id(first): last, id(last): first}
+    return tuple(_with_shape(one, others[id(one)]) if id(one) in others else one for one in insertions)
+
+
+def _with_shape(one: Insertion, other: Insertion) -> Insertion:
+    """Return an insertion with the measured shape of another."""
+    sections = other.sections
+    if sections is not None:
+        sections = replace(sections, points=one.frame.to_world(other.frame.to_local(sections.points)))
+    measured = {name: getattr(other, name) for name in ("planar", "centerline", "out_of_plane", "sd")}
+    return replace(one, **measured, sections=sections)
+
+
+# ---- replicates whose truths are those of another model
+
+PREDICTION_DRAWS = 13 * (RANK_DRAWS + 1) - 1
+"""Draws of each posterior, 1039: among them the truth has 13 places for each place of a rank."""
+
+MAX_TWIN_SEEDS = 20
+"""Seeds of a replicate among which one must have a solution."""
+
+
+@dataclass(frozen=True)
+class SyntheticExperiment:
+    """The data that all replicates share.
+
+    Attributes
+    ----------
+    job : Job
+        Of one fold, with what it holds out.
+    plan : tuple of PlannedInsertion
+        Simulated for each replicate: the study's, and those that show how much its specimens differ.
+    ct : bool
+        Whether they are rendered as CT volumes and reconstructed.
+    """
+
+    job: Job
+    plan: tuple[PlannedInsertion, ...]
+    ct: bool
+
+
+def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
+    """Return what is repeated.
+
+    Raises
+    ------
+    ConfigError
+        If the study has several folds, nothing is free, or an insertion is none of the synthetic dataset.
+    """
+    if len(job.folds) > 1:
+        raise ConfigError(
+            f"`{job.name}` has {len(job.folds)} folds: a synthetic truth is fitted once",
+            expected="a study with [tune] and [[validate]], or a fit",
+        )
+    _require_free(job)
+    planned = {one.id: one for one in list_planned_insertions()}
+    wanted = {one.id for one in job.insertions}
+    for one in job.insertions:
+        if one.id not in planned:
+            raise ConfigError(
+                f"insertion {one.id} of dataset `{job.dataset.name}` is none of the synthetic dataset",
+                expected="a study or fit on the dataset `twin`: others have no synthetic truth",
+            )
+    (fold,) = job.folds
+    new = NewSpecimens(job, fold, job.parameters.expected)
+    others = {name for one in fold.validate if new.differs(one) for name in new.list_others(one)}
+    wanted |= {one.id for one in job.dataset.insertions if one.specimen in others}
+    return SyntheticExperiment(job, tuple(one for name, one in planned.items() if name in wanted), ct)
+
+
+def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> Row:
+    """Return one row: ranks of true values and of held-out tips, and their PIT values as nested rows."""
+    job, seed, redrawn = _draw_study(number, experiment)
+    (fold,) = job.folds
+    rng = random_stream(job.recipe.seed, job.name, "inference")
+    found = infer_posterior(job.problem(fold), job.recipe, PREDICTION_DRAWS, rng)
+    parameters = _compare_parameters(job, found, seed)
+    source: Literal["posterior", "importance"] = (
+        "posterior" if found.draw_source == "sampler" else "importance"
+    )
+    draws = Draws(found.thetas, source, () if found.trusted else ("the posterior is not certified",))
+    new = NewSpecimens(job, fold, found.mode)
+    predictions = [one.row for one in predict_held_out(job, fold, draws, new)]
+    pits = {one["insertion"]: one["tip_pit"] for one in predictions}
+    tips = {}
+    for one in fold.validate:
+        pit = pits.get(one.id)  # of less toward +y; the truth of what cannot be predicted lies outside
+        tips[one.id] = place_pit(0.0 if pit is None else pit if one.side > 0 else 1 - pit)
+    return {
+        "replicate": number,
+        "seed": seed,
+        "redrawn": redrawn,
+        **found.describe(),
+        **{f"rank_{HELD_OUT_TIP}:{name}": rank for name, rank in tips.items()},
+        **{f"rank_{one['parameter']}": place_pit(one["pit"]) for one in parameters},
+        "parameters": to_json_values(parameters),
+        "predictions": to_json_values(predictions),
+    }
+
+
+def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int, int]:
+    """Return the study on the data of a replicate, its seed, and how often it was drawn again."""
+    job, build = experiment.job, build_dataset if experiment.ct else build_unscanned
+    for redrawn in range(MAX_TWIN_SEEDS):
+        rng = random_stream(job.recipe.seed, job.name, "calibrate", number, "twin", redrawn)
+        seed = int(rng.integers(2**31))
+        try:
+            with TemporaryDirectory() as folder:
+                dataset = read(build(Path(folder), seed, experiment.plan))
+        except ModelError:  # a needle that does not settle
+            continue
+        # the name keys the random numbers of predictions, which no two replicates share
+        settings = Settings(seed=job.recipe.seed, inputs=Inputs(medium=job.medium, recipe=job.recipe))
+        return prepare(f"{job.name} {number}", job.record, settings, dataset), seed, redrawn
+    raise ModelError(
+        f"of {MAX_TWIN_SEEDS} synthetic datasets none has a solution for every insertion",
+        fix="select other insertions",
+    )
+
+
+def _compare_parameters(job: Job, found: InferredPosterior, seed: int) -> list[Row]:
+    """Return a row for each free parameter that has a true value."""
+    sets = [job.parameters.values(theta) for theta in found.thetas]
+    rows = []
+    for name in job.parameters.free:
+        truth, values = find_true_value(job, name, seed), np.array([one[name] for one in sets])
+        if np.isfinite(truth):
+            low, middle, high = np.percentile(values, [2.5, 50.0, 97.5]).tolist()
+            pit = (int(np.sum(values < truth)) + 0.5) / (len(values) + 1)  # the middle of the truth's place
+            ends = {"interval_low": low, "interval_high": high}
+            rows.append({"parameter": name, "truth": truth, "value": middle, **ends, "pit": pit})
+    return rows
+
+
+# ---- the run
+
+CHECKPOINT_ROWS, RANK_PREFIX = "replicates", "rank_"
+
+NESTED_FRAMES = ("parameters", "predictions")
+"""Frames of synthetic truths: each replicate's rows, which its checkpoint keeps with it."""
+
+
+def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
+    """Rank the truth in its posterior for `record.replicates` random insertions.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong, or no noise is stated.
+    FitError
+        If the design has no solution where it is looked at, or nowhere in the prior.
+    """
+    target = target_name(record, settings).removesuffix("-tune")
+    synthetic = record.truth == "synthetic"
+    if synthetic:
+        job = prepare_with_held_out(record, target, settings)
+        task = partial(replicate_synthetic, experiment=prepare_synthetic(job, record.ct))
+        work: Row = {"draws": PREDICTION_DRAWS}
+    else:
+        prepared = prepare_target(record, target, replace(settings, sample=record.sampled))
+        experiment = prepare_experiment(prepared, record.sampled, record.control)
+        job, task = experiment.job, partial(replicate, experiment=experiment)
+        work = {"draws": RANK_DRAWS, "stiff_design": dict(experiment.stiff)}
+    about = begin_run(name, record, job, f"Calibration: {job.record.title or target}")
+    work = {**about.run, **work}
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
+    stored = checkpoint.rows(CHECKPOINT_ROWS, ("replicate",))
+    known = {row["replicate"]: row for row in stored if row["replicate"] < record.replicates}
+    left = [number for number in range(record.replicates) if number not in known]
+    label = f"{job.name}: replicates"
+    settings.progress(label, len(known), record.replicates)
+    for _, row in settings.task_pool().run(task, left, settings.stop):
+        known[row["replicate"]] = row
+        checkpoint.keep_row(CHECKPOINT_ROWS, row)
+        settings.progress(label, len(known), record.replicates)
+    (fold,) = job.folds
+    design = pd.DataFrame({"insertion": [i.id for i in fold.tune], "depth_mm": [i.depth for i in fold.tune]})
+    frames = {"design": design, **_make_frames([known[number] for number in sorted(known)], synthetic)}
+    outcome = judge_ranks(frames, record.control) if known else {}
+    return replace(
+        about,
+        frames=frames,
+        origin="synthetic" if synthetic else about.origin,
+        run={**work, **outcome},
+        interrupted=len(known) < record.replicates,
+        faults=tuple(find_calibration_faults(outcome)) if known else (),
+    )
+
+
+def _make_frames(rows: Sequence[Row], synthetic: bool) -> dict[str, pd.DataFrame]:
+    """Return the frames of replicates: a row per replicate, coverage, and ECDFs of the ranks.
+
+    The nested rows of synthetic truths are frames of their own.
+    """
+    replicates = pd.DataFrame([{k: v for k, v in row.items() if k not in NESTED_FRAMES} for row in rows])
+    ranks = _collect_ranks(replicates)
+    coverage, ecdfs = tabulate_coverage(ranks), pd.DataFrame()
+    if ranks:
+        ecdfs = tabulate_ecdfs(ranks)
+        ecdfs["calibrated"] = ~ecdfs["quantity"].isin(find_failing(coverage, ecdfs))
+    frames = {"replicates": replicates, "coverage": coverage, "ranks": ecdfs}
+    if synthetic and rows:
+        frames["coverage"] = add_intervals(coverage)
+        for name in NESTED_FRAMES:
+            nested = [{"replicate": row["replicate"], **one} for row in rows for one in row[name]]
+            frames[name] = pd.DataFrame(nested)
+        if len(frames["predictions"]):
+            frames["tips"] = average_tips(frames["predictions"])
+    return frames
+
+
+def _collect_ranks(replicates: pd.DataFrame) -> dict[str, Counts]:
+    """Return the ranks (N,) of every quantity; (N, K) of one with K columns, `rank_<quantity>:<which>`."""
+    columns: dict[str, list[str]] = {}
+    for column in replicates.columns:
+        if column.startswith(RANK_PREFIX):
+            columns.setdefault(column.removeprefix(RANK_PREFIX).partition(":")[0], []).append(column)
+    found = {name: replicates[each].to_numpy(dtype=np.int64) for name, each in columns.items()}
+    return {name: ranks[:, 0] if ranks.shape[1] == 1 else ranks for name, ranks in found.items()}
+
+
+def average_tips(predictions: pd.DataFrame) -> pd.DataFrame:
+    """Return a row per replicate: its number of held-out tips, and means of their intervals and scores."""
+    ends = [f"tip_{level}_{end}_mm" for level in ("50", "95") for end in ("low", "high")]
+    scores = ["tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm"]
+    groups = predictions[["replicate", *ends, *scores]].astype(float).groupby("replicate")
+    means = groups.mean()
+    means.insert(0, "insertions", groups.size())
+    return means.reset_index().astype({"replicate": int})
+
+
+def add_intervals(coverage: pd.DataFrame) -> pd.DataFrame:
+    """Return the coverage with the share covered and its 95 % binomial interval (Wilson's)."""
+    share = coverage["covered"] / coverage["replicates"]
+    ends = [wilson_interval(*pair) for pair in zip(share, coverage["replicates"], strict=True)]
+    low, high = np.array(ends).reshape(-1, 2).T
+    return coverage.assign(share=share, low=low, high=high)
+
+
+def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict[str, Any]:
+    """Return the outcome. It passes if it is calibrated, or not if the likelihood is wrong on purpose."""
+    replicates, coverage = frames["replicates"], frames["coverage"]
+    failing = find_failing(coverage, frames["ranks"])
+    half = coverage[coverage["level"] == min(coverage["level"])]
+    outcome = {
+        "replicates": len(replicates),
+        "control": control,
+        "passes": bool(failing) == (control is not None),
+        "conclusive": bool((half["count_low"] > 0).all()),
+        "not_calibrated": failing,
+        "draw_source": replicates["draw_source"].value_counts().to_dict(),
+        "untrusted": int((~replicates["certified"].astype(bool)).sum()),
+        "redrawn": int(replicates["redrawn"].sum()),
+    }
+    if "predictions" in frames:  # there is none where too few draws had a solution
+        asked = sum(str(name).startswith(f"{RANK_PREFIX}{HELD_OUT_TIP}:") for name in replicates)
+        outcome["not_predicted"] = asked * len(replicates) - len(frames["predictions"])
+    return outcome
+
+
+def find_calibration_faults(outcome: Mapping[str, Any]) -> Iterator[str]:
+    """Yield why a calibration is not passed, from its outcome."""
+    if not outcome["conclusive"] and (outcome["control"] or not outcome["not_calibrated"]):
+        yield f"{outcome['replicates']} replicates are too few to decide"
+    elif outcome["not_calibrated"] and not outcome["passes"]:
+        yield f"not calibrated: {', '.join(outcome['not_calibrated'])}"
+    elif not outcome["passes"]:
+        yield f"the control `{outcome['control']}` is not noticed"
+    if outcome["untrusted"] and outcome["control"] is None:
+        yield f"{outcome['untrusted']} posteriors have not converged"
+    if outcome.get("not_predicted"):
+        yield f"{outcome['not_predicted']} held-out insertions could not be predicted"
+
+
+# ---- the report
+
+PRINTED_LEVELS = (0.50, 0.95)
+"""Of synthetic truths: the intervals whose coverage is printed."""
+
+
+_MEANS = ("tip_crps_mm", "tip_interval_score_mm")
+
+
+def describe(found: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    design, coverage, study = found.frames["design"], to_records(found.frames["coverage"]), found.run["study"]
+    tips = [row for row in coverage if row["quantity"] == HELD_OUT_TIP and row["level"] in PRINTED_LEVELS]
+    predictions = found.frames.get("predictions", pd.DataFrame())
+    means: Mapping[Any, float] = {} if predictions.empty else predictions[list(_MEANS)].mean().to_dict()
+    return {
+        **{key: found.run[key] for key in (*_OUTCOME_KEYS, "replicates", "conclusive")},
+        "interrupted": found.interrupted,
+        "synthetic": study.get("truth") == "synthetic",
+        "control": CONTROL_NAMES.get(found.run["control"], ""),
+        "failing": [insert_symbols(name_quantity(name)) for name in found.run["not_calibrated"]],
+        "quantities": len({row["quantity"] for row in coverage}),
+        "tips": tips if len(predictions) else [],
+        "predictions": len(predictions),
+        **means,
+        "insertions": list(design["insertion"]),
+        "depths": list(dict.fromkeys(f"{depth:.3g}" for depth in design["depth_mm"].agg(["min", "max"]))),
+        "sampled": study["sampled"],
+        "ct": study["ct"],
+        "sources": found.run["draw_source"].items(),
+        "draws": RANK_DRAWS,
+        "family_error": FAMILY_ERROR,
+        "single_error": f"{single_check_error(len({row['quantity'] for row in coverage})):.1e}",
+    }
+
+
+def tabulate(found: Run) -> list[Table]:
+    """Return a row per quantity: true values covered by each central interval, and the range by chance."""
+    outside = found.frames["ranks"].query("not passes").groupby("quantity").size()
+    calibrated = "yes" if found.run["conclusive"] else "undecided"
+    rows = [
+        {
+            **row,
+            "mark": "" if row["passes"] else "!",
+            "ranks": f"{out} of {RANK_DRAWS} outside"
+            if (out := outside.get(row["quantity"], 0))
+            else "inside",
+            "calibrated": "NO" if row["quantity"] in found.run["not_calibrated"] else calibrated,
+            "quantity": name_quantity(row["quantity"]),
+        }
+        for row in to_records(found.frames["coverage"])
+    ]
+    levels = (part("covered_by_chance", level=one) for one in LEVELS)
+    if found.run["study"].get("truth") == "synthetic":
+        levels = (part("covered_share", level=one) for one in PRINTED_LEVELS)
+    columns = ("quantity", *levels, "ranks", "calibrated")
+    return [Table("calibration", "", pivot(rows, ["quantity"], ["level"]), columns)]
+
+
+def draw(found: Run) -> dict[str, Drawing]:
+    """Return, for each quantity, the ECDF of the ranks minus that of uniform ranks, on the band by chance.
+
+    A curve that is first above and then below: posteriors too narrow; the other way round: too wide.
+    """
+    synthetic = found.run["study"].get("truth") == "synthetic"
+    options = {"x_label": "PIT of the truth" if synthetic else "rank of the truth"}
+    frame = found.frames["ranks"].assign(origin=found.origin)
+    return {"ranks": Drawing("steps_in_bands", frame, options | {"y_label": "ECDF − uniform"}, _center_ecdfs)}
+
+
+def _center_ecdfs(ranks: pd.DataFrame) -> pd.DataFrame:
+    x = ranks["rank"] / (RANK_DRAWS + 1)
+    count = ranks["expected"] / x
+    ends = {name: ranks[key] / count - x for name, key in (("low", "count_low"), ("high", "count_high"))}
+    names = ranks["quantity"].map(name_quantity)
+    about = {"x": x, "y": ranks["below"] / count - x, "inside": ranks["passes"]}
+    return ranks.assign(panel=names, **ends, **about, passes=ranks["calibrated"])
+
+
+def judge(found: Run) -> list[Verdict]:
+    """Return whether the uncertainties are correct; a control passes if it is detected."""
+    status: Status = "pass" if found.run["passes"] else "fail"
+    numbers = {"replicates": found.run["replicates"], "not_calibrated": len(found.run["not_calibrated"])}
+    sentence = TEXT.sentence("verdict", describe(found)).rstrip(".")
+    return [Verdict(sentence, status if found.run["conclusive"] else "warn", "", numbers)]
+
+
+def headline_calibration(fault: str) -> str:
+    """Return the headline of a fault; of an outcome that is the verdict itself."""
+    missing = fault.endswith(("have not converged", "could not be predicted"))
+    return headline_fault(fault) if missing else ""
+
+
+_LISTED_FRAMES = ("coverage", *NESTED_FRAMES)
+_OUTCOME_KEYS = ("control", "passes", "not_calibrated", "draw_source", "untrusted", "redrawn")
+
+
+def calibration_to_json(found: Run) -> dict[str, Any]:
+    """Return the calibration as JSON values, without the warnings."""
+    keys = (*_OUTCOME_KEYS, "interrupted", *(("not_predicted",) if "not_predicted" in found.run else ()))
+    return {
+        **{"name": found.run["name"], "origin": found.origin, "dataset": found.dataset_title},
+        **{key: found.run[key] for key in keys},
+        "sentences": REPORT.summarize(found),
+        **{
+            name: to_records(found.frames[name])
+            for name in ("coverage", *NESTED_FRAMES)
+            if name in found.frames
+        },
+    }
+
+
+def _compare_coverages(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    """Yield counts of a calibration that changed; it matters where one is now within chance, or out of it."""
+    both = before.merge(after, validate="1:1", on=["quantity", "level"], suffixes=("_a", "_b"), sort=False)
+    for row in both.to_dict("records"):
+        counts = int(row["covered_a"]), int(row["covered_b"])
+        matters = bool(row["passes_a"]) != bool(row["passes_b"])
+        if counts[0] != counts[1] or matters:
+            where = f"{row['quantity']}, {100 * row['level']:.0f} % interval"
+            why = "the verdict changed" if matters else "both as chance allows, or both not"
+            yield Difference("state", where, *counts, matters, why)
+
+
+TEXT = KindText("calibration")
+REPORT = report_from_text(
+    TEXT,
+    describe,
+    tabulate,
+    draw,
+    to_json=calibration_to_json,
+    judge=judge,
+    headline=headline_calibration,
+    comparisons={"coverage": TableComparison(ANY_COLUMNS, _compare_coverages)},
+)
