@@ -23,6 +23,7 @@ from scipy.stats import t as student
 
 from needlefit.arrays import Floats
 from needlefit.inference import compared_points
+from needlefit.inference.proportions import estimate_proportion
 from needlefit.mechanics.batch import Jacobian, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.load import load
@@ -33,7 +34,6 @@ from needlefit.studies.held_out_predictions import tabulate_held_out
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.posterior_fit import find_fit, fit_posterior
-from needlefit.studies.proportions import estimate_proportion
 from needlefit.studies.score import Scorer, model_predictor
 
 GEOMETRIES = ("rotation", "tangent")

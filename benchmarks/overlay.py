@@ -17,10 +17,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
-from needlefit.studies.parameter_draws import ParameterDraws
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlay.band import compute_band
 from needlefit.viewer.overlay.measured import compute_live_errors

@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.mechanics.batch import compute_batch_positions
-from needlefit.studies.kinds.plan.search import Goal, find_hits
-from needlefit.studies.kinds.plan.steering import StartedInsertion, find_reachable_region, plan_steering
-from needlefit.studies.parameter_draws import ParameterDraws
+from needlefit.planning.goals import Goal, find_hits
+from needlefit.planning.steering import StartedInsertion, find_reachable_region, plan_steering
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.opening.plan import begin_insertion
 

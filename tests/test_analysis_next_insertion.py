@@ -6,17 +6,13 @@ import numpy as np
 import pytest
 
 from needlefit.inference.sampling.importance import Effort
+from needlefit.studies import further_insertion
+from needlefit.studies.further_insertion import WeightedPosterior, find_template
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kinds.next_insertion import run
+from needlefit.studies.kinds.next_insertion.candidates import frame_of, predict_candidate
 from needlefit.studies.kinds.next_insertion.report import summarize
 from needlefit.studies.kinds.next_insertion.schema import CandidateEntryRecord, NextInsertionRecord
-from needlefit.studies.kinds.plan import candidates
-from needlefit.studies.kinds.plan.candidates import (
-    WeightedPosterior,
-    find_template,
-    frame_of,
-    predict_candidate,
-)
 from needlefit.studies.report import write_run
 
 CHICKEN = {
@@ -90,7 +86,7 @@ def test_the_mean_bevel_of_all_needles_is_less_known_than_that_of_some(ids):
 
 def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "OUTER_DRAWS", 40)
-    monkeypatch.setattr(candidates, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))
+    monkeypatch.setattr(further_insertion, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))
     answer = run.run("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())
     found = answer.frames["candidates"].set_index("depth_mm")
     assert found["nats"][80] > found["nats"][10] + 5 * found["nats_se"][10]

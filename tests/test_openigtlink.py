@@ -26,8 +26,8 @@ from test_viewer_server import Page, visit
 
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame, Placement, to_lps
+from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.mechanics.shape import compute_positions
-from needlefit.studies.parameter_draws import ParameterDraws
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import read_recording, replay
 from needlefit.viewer.serving import openigtlink

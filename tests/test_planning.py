@@ -11,21 +11,28 @@ from test_datasets_markups import markup, point, save
 
 from needlefit.errors import DataError, ModelError
 from needlefit.geometry.frames import Frame, Placement
+from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.studies.kinds.plan.goals import Ball, cut_plane, name_obstacles, read_goal_points
-from needlefit.studies.kinds.plan.schema import ObstacleRecord
-from needlefit.studies.kinds.plan.search import Goal, compute_clearances, find_hits
-from needlefit.studies.kinds.plan.steering import (
+from needlefit.planning.goals import (
+    Ball,
+    Goal,
+    compute_clearances,
+    cut_plane,
+    find_hits,
+    name_obstacles,
+    read_goal_points,
+)
+from needlefit.planning.steering import (
     PlanLimits,
     StartedInsertion,
     draw_target,
     find_reachable_region,
     plan_steering,
 )
-from needlefit.studies.parameter_draws import ParameterDraws
+from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.opening.plan import begin_insertion
 from needlefit.viewer.recording import read_recording, replay

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needlefit.inference.predict import PredictiveMixture, simulate_shape_pit
-from needlefit.studies.proportions import estimate_proportion, wilson_interval
+from needlefit.inference.proportions import estimate_proportion, wilson_interval
 
 
 def test_wilson_gives_the_textbook_interval():

@@ -13,6 +13,7 @@ from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.likelihood.observation import make_observation, pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
+from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.project import tasks
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
@@ -33,7 +34,6 @@ from needlefit.studies.kinds.cross_validation.score_tables import lay_out_covera
 from needlefit.studies.kinds.cross_validation.verdict import describe_after_one
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.planned_draws import draw_conditions, simulate_planned
-from needlefit.studies.planned_insertions import with_planned_layers
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 

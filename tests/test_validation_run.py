@@ -16,6 +16,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.forward_model import predict
+from needlefit.inference.planned_layers import planned_layers
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate
@@ -28,7 +29,6 @@ from needlefit.studies.kinds.cross_validation.parameter_table import arrange_par
 from needlefit.studies.kinds.cross_validation.results import COLUMNS
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.kinds.cross_validation.sentences import describe_failures
-from needlefit.studies.planned_insertions import planned_layers
 from needlefit.studies.report import write_run
 from needlefit.studies.run import Run
 

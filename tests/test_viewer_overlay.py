@@ -22,6 +22,7 @@ from needlefit.imaging.volume import Volume, to_patient
 from needlefit.imaging.volume_files import write_volume
 from needlefit.inference.compared_points import compare_points
 from needlefit.inference.forward_model import make_scene_record, predict
+from needlefit.inference.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
@@ -29,7 +30,6 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import compute_metrics
-from needlefit.studies.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.viewer.overlay.band import compute_band
 from needlefit.viewer.overlay.measured import compute_live_errors, make_measured_overlay
 from needlefit.viewer.overlay.slice import InsertionScan, find_scan, read_slice

@@ -14,9 +14,9 @@ import pytest
 from needlefit.errors import ModelError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.studies.kinds.plan.schema import ObstacleRecord
-from needlefit.studies.kinds.plan.search import Goal
-from needlefit.studies.kinds.plan.steering import PlanLimits, plan_steering
+from needlefit.planning.goals import Goal
+from needlefit.planning.steering import PlanLimits, plan_steering
+from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.opening.plan import begin_insertion

@@ -15,8 +15,8 @@ from needlefit.cli.screen import print_warnings
 from needlefit.project.outputs import require_output_files
 
 if TYPE_CHECKING:
-    from needlefit.studies.kinds.plan.goals import PlaneGoal
-    from needlefit.studies.kinds.plan.steering import SteeringPlan
+    from needlefit.planning.goals import PlaneGoal
+    from needlefit.planning.steering import SteeringPlan
     from needlefit.viewer.viewed_scene import ViewedScene
 
 
@@ -86,7 +86,7 @@ def plan(
     The plan has the greatest probability, over posterior draws of the parameters, that the tip ends within
     --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact.
     """
-    from needlefit.studies.kinds.plan.steering import PlanLimits, plan_steering
+    from needlefit.planning.steering import PlanLimits, plan_steering
     from needlefit.viewer.opening import open_target
     from needlefit.viewer.opening.plan import begin_insertion, write_plan
 
@@ -122,7 +122,7 @@ def _make_goal(
     markups: Path | None,
     obstacle_radius: float,
 ) -> "PlaneGoal":
-    from needlefit.studies.kinds.plan.goals import Ball, cut_plane, name_obstacles, read_goal_points
+    from needlefit.planning.goals import Ball, cut_plane, name_obstacles, read_goal_points
     from needlefit.viewer.opening.plan import find_placement
 
     aim, balls = None, list[Ball]()

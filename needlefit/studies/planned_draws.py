@@ -23,12 +23,9 @@ from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.nodes import find_bevel_factors, shift_depths
 from needlefit.inference.likelihood.quadrature import make_spline_weights
 from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD
+from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
-from needlefit.studies.planned_insertions import with_planned_layers
-
-MAX_LAYERS = 32
-"""Depth errors drawn for an insertion, so that what a draw is does not depend on the layers it meets."""
 
 PATH_POINTS = 101  #: points of a needle among which its crossings are looked for
 TABLE_POINTS = 9  #: parallels to the entry axis along which the places of surfaces are tabulated
@@ -59,7 +56,7 @@ class DrawnConditions:
     """What is drawn for every prediction beside the parameters, B draws of it."""
 
     deep: Floats  #: (B,) errors of the entry, mm
-    wrong: Floats  #: (B, MAX_LAYERS) errors of the boundaries in the order met, mm
+    wrong: Floats  #: (B, MAX_DRAWN_LAYERS) errors of the boundaries in the order met, mm
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,8 @@ def draw_conditions(insertion: Insertion, count: int, rng: np.random.Generator) 
     """Draw the errors of depths of an insertion, as they are stated."""
     whole = float(np.hypot(*split_boundary_sd(insertion)))
     return DrawnConditions(
-        insertion.depth_sd * rng.standard_normal(count), whole * rng.standard_normal((count, MAX_LAYERS))
+        insertion.depth_sd * rng.standard_normal(count),
+        whole * rng.standard_normal((count, MAX_DRAWN_LAYERS)),
     )
 
 

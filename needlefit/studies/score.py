@@ -13,11 +13,11 @@ from needlefit.geometry.compare import compare_curves
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points, make_curve
 from needlefit.inference.forward_model import predict
+from needlefit.inference.planned_layers import planned_layers
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.metrics import METRICS, Metric, compute_metrics, headline_metrics, list_metrics
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
-from needlefit.studies.planned_insertions import planned_layers
 from needlefit.studies.validity import ValidityCounts
 
 Row = dict[str, Any]

@@ -32,6 +32,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import NOISE_SCALE
 from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior
 from needlefit.inference.problem import Problem
+from needlefit.inference.proportions import wilson_interval
 from needlefit.inference.sampling.importance import (
     WeightedDraws,
     escalate_effort,
@@ -59,7 +60,6 @@ from needlefit.studies.job import Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
-from needlefit.studies.proportions import wilson_interval
 from needlefit.studies.rank_statistics import (
     CONTROL_NAMES,
     DESIGN,

@@ -24,6 +24,7 @@ from needlefit.inference.identifiability.precision import describe_combination
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.problem import Problem
+from needlefit.inference.proportions import wilson_interval
 from needlefit.inference.sampling.importance import Effort, sample_about_fit
 from needlefit.inference.specimens import (
     KERNELS_PER_SPECIMEN,
@@ -54,7 +55,6 @@ from needlefit.studies.folds import group_insertions
 from needlefit.studies.job import Job, Settings, prepare, with_one_bevel
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.posterior_fit import fit_posterior
-from needlefit.studies.proportions import wilson_interval
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis

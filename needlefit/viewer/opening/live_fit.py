@@ -19,6 +19,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.inference.forward_model import find_layers
 from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.inference.sampling.importance import (
     Effort,
@@ -30,7 +31,6 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import WeightsRecord
-from needlefit.studies.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.viewer.overlay.measured import make_measured_overlay
 from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
 

@@ -12,7 +12,7 @@ from needlefit.geometry.frames import Placement
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.mechanics.scene import Scene
-from needlefit.studies.kinds.plan.steering import StartedInsertion, SteeringPlan
+from needlefit.planning.steering import StartedInsertion, SteeringPlan
 from needlefit.viewer.interaction.inputs import Change, find_changes
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head

@@ -12,6 +12,7 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read_shapes
 from needlefit.errors import DataError
 from needlefit.inference.forward_model import find_layers
+from needlefit.inference.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.inference.parameters import BEVEL_SPREAD, Parameters
 from needlefit.inference.problem import find_new_bevel_sd
 from needlefit.inference.specimens import SpecimenSpread, move_to_new_specimen
@@ -25,7 +26,6 @@ from needlefit.studies.job import Inputs, Settings, prepare
 from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.packing import unpack
-from needlefit.studies.parameter_draws import ParameterDraws, select_layer_draws
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.report import list_run_warnings
 from needlefit.studies.run import Run, restore_run

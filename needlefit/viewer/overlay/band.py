@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
-from needlefit.studies.parameter_draws import ParameterDraws
 
 MAX_BAND_DRAWS = 100
 """Needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves."""

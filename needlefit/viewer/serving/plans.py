@@ -8,10 +8,8 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.studies.kinds.plan.goals import cut_plane, name_obstacles, read_goal_points
-from needlefit.studies.kinds.plan.schema import ObstacleRecord
-from needlefit.studies.kinds.plan.search import Goal
-from needlefit.studies.kinds.plan.steering import (
+from needlefit.planning.goals import Goal, cut_plane, name_obstacles, read_goal_points
+from needlefit.planning.steering import (
     PlanLimits,
     ReachableRegion,
     StartedInsertion,
@@ -20,6 +18,7 @@ from needlefit.studies.kinds.plan.steering import (
     find_reachable_region,
     plan_steering,
 )
+from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.opening.plan import continue_insertion, find_placement, restart_insertion
 from needlefit.viewer.serving.messages import Message
 from needlefit.viewer.serving.trials import DEFAULT_RADIUS_MM, InteractiveTrial, TrialAim

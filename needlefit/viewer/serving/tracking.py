@@ -18,6 +18,7 @@ from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import ConfigError, ModelError, NeedlefitError
 from needlefit.geometry.frames import Frame, Placement, to_lps
 from needlefit.imaging.registration.rigid import fit_kabsch
+from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.inference.tracking import (
     TipNoise,
     TrackedNeedle,
@@ -29,7 +30,6 @@ from needlefit.inference.tracking import (
 )
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.tracker import TrackerRecord
-from needlefit.studies.parameter_draws import ParameterDraws
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.opening.plan import find_placement
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry

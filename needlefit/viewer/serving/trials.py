@@ -11,9 +11,9 @@ from time import monotonic
 from needlefit.errors import ModelError
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.scene import Scene
-from needlefit.studies.kinds.plan.schema import ObstacleRecord
-from needlefit.studies.kinds.plan.search import Goal
-from needlefit.studies.kinds.plan.steering import SteeringPlan
+from needlefit.planning.goals import Goal
+from needlefit.planning.steering import SteeringPlan
+from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.interaction.inputs import Change, find_changes, find_tissue_changes
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.opening.live_fit import FitScope

@@ -15,6 +15,7 @@ from needlefit.inference.parameters import (
     is_shape_parameter,
     with_hyperparameters,
 )
+from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.sampling.importance import (
     ZERO_DENSITY,
     PredictiveDensity,
@@ -33,7 +34,6 @@ from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_ang
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.comparison.schema import PATH_ANGLE
-from needlefit.studies.planned_insertions import with_planned_layers
 from needlefit.studies.posterior_fit import find_fit
 from needlefit.studies.score import Predictor, curve_predictor, model_predictor
 

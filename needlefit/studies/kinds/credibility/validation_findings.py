@@ -6,6 +6,7 @@ from dataclasses import replace
 import pandas as pd
 
 from needlefit.datasets.select import group_independent
+from needlefit.inference.proportions import estimate_proportion
 from needlefit.metrics import list_metrics
 from needlefit.reporting import labels
 from needlefit.reporting.columns import find_column
@@ -26,7 +27,6 @@ from needlefit.studies.kinds.cross_validation.score_tables import (
 )
 from needlefit.studies.kinds.cross_validation.sentences import describe_noise_floor, summarize_errors
 from needlefit.studies.kinds.cross_validation.tables import study_label
-from needlefit.studies.proportions import estimate_proportion
 from needlefit.studies.run import Run
 from needlefit.studies.summary import aggregate
 

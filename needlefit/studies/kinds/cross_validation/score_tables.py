@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from needlefit.datasets.select import group_independent
+from needlefit.inference.proportions import Proportion, estimate_proportion
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name, study_name
@@ -31,7 +32,6 @@ from needlefit.studies.kinds.cross_validation.verdict import (
     median_error,
     median_width,
 )
-from needlefit.studies.proportions import Proportion, estimate_proportion
 from needlefit.studies.run import Run
 
 _ROW_NOTES = {  # what a row means; it stands under the table where the row does

@@ -9,6 +9,7 @@ import pandas as pd
 
 from needlefit.datasets.select import group_independent
 from needlefit.inference.baselines import BASELINES
+from needlefit.inference.proportions import Proportion, estimate_proportion
 from needlefit.project.result_warnings import ResultWarning, read_warnings
 from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_symbol, join_words
@@ -23,7 +24,6 @@ from needlefit.studies.kinds.cross_validation.tables import (
     list_held_out_groups,
     tabulate_tuning,
 )
-from needlefit.studies.proportions import Proportion, estimate_proportion
 from needlefit.studies.run import Run
 from needlefit.studies.summary import beats_fit, compare_methods
 from needlefit.studies.verdict import (

@@ -32,20 +32,22 @@ from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.inference.problem import Problem
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.folds import Fold
-from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.next_insertion.schema import NextInsertionRecord, QuantityRecord
-from needlefit.studies.kinds.plan.candidates import (
-    CandidatePlace,
+from needlefit.studies.further_insertion import (
     WeightedPosterior,
     check_reach,
     describe_posterior,
     find_template,
+    weigh_posterior,
+)
+from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.kinds.next_insertion.candidates import (
+    CandidatePlace,
     iterate_places,
     predict_candidate,
     predict_tips,
-    weigh_posterior,
     with_predicted_shape,
 )
+from needlefit.studies.kinds.next_insertion.schema import NextInsertionRecord, QuantityRecord
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.planned_insertions import simulate_design
 from needlefit.studies.run import Frames, Run

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from needlefit.schemas.analyses import TunedAnalysisRecord
 from needlefit.schemas.base import Name, Record
 from needlefit.schemas.limits import MAX_CANDIDATES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM
-from needlefit.studies.kinds.plan.schema import Vector
+from needlefit.schemas.planning import Vector
 
 
 class CandidateEntryRecord(Record):

@@ -165,11 +165,10 @@ def _describe_search(result: Run, now: Row) -> str:
     entry_plane = _record(result).entry_plane
     made = f"{now['insertions']} insertion{'s' if now['insertions'] > 1 else ''}"
     source = "sampled" if now["sampled"] else f"importance-weighted, Pareto k {now['pareto_k']:.2f}"
-    ranges = {"offset": entry_plane.offset_mm, "angle": entry_plane.angle_deg, "depth": entry_plane.depth_mm}
     units = {"offset": " mm", "angle": "°", "depth": " mm"}
     within = ", ".join(
         f"{name} {_format_signed(low, 0)} to {_format_signed(high, 0)}{units[name]}"
-        for name, (low, high) in ranges.items()
+        for name, (low, high) in entry_plane.ranges.items()
     )
     return (
         f"The plan minimises the mean squared miss over draws of the posterior of {made} ({source}). All "

@@ -11,34 +11,33 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import pandas as pd
 
 from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.crossings import find_crossings
-from needlefit.project.random_streams import random_stream
-from needlefit.studies.job import Settings, prepare
-from needlefit.studies.kinds.plan.aiming import (
+from needlefit.inference.proportions import wilson_interval
+from needlefit.planning.aiming import (
     Aim,
     ExecutionDraw,
-    OptimizedAim,
     TargetSite,
     aim_straight,
-    clearance,
     draw_execution,
-    execute_exactly,
     optimize_aim,
 )
-from needlefit.studies.kinds.plan.candidates import (
+from needlefit.planning.goals import PATH_POINTS, Goal, compute_clearances
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.planning import EntryPlaneRecord
+from needlefit.studies.further_insertion import (
     WeightedPosterior,
     check_reach,
     describe_posterior,
     find_template,
     weigh_posterior,
 )
-from needlefit.studies.kinds.plan.schema import EntryPlaneRecord, PlanRecord
+from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.kinds.plan.schema import PlanRecord
 from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
 from needlefit.studies.planned_draws import vary_bevels
-from needlefit.studies.proportions import estimate_proportion
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, run_analysis
 from needlefit.studies.score import Row
@@ -59,6 +58,7 @@ EXPECTED, BEST_FIT, HAND_TUNED, STRAIGHT = "expected", "best_fit", "hand_tuned",
 
 TARGET = "target"
 
+_PLAN_COLUMNS = {"offset": "offset_mm", "angle": "angle_deg", "depth": "depth_mm"}
 _MISS_COLUMNS = ("median_mm", "miss_95_mm", "rms_mm", "bias_x_mm", "bias_y_mm", "spread_mm")
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "plans": (
@@ -84,6 +84,8 @@ target."""
 class _PlanningDraws:
     """The posterior at planning time, and the draws that plans are optimised and tested on."""
 
+    job: Job
+    record: PlanRecord
     site: TargetSite
     knowledge: WeightedPosterior
     new: NewSpecimens | None
@@ -105,9 +107,9 @@ def run(name: str, record: PlanRecord, settings: Settings) -> Run:
         If the fit has no solution.
     """
     job = prepare(name, record.tuning(), settings)
-    site = TargetSite(job, find_template(job, record.template_insertion), record)
+    site = make_site(job, record)
     check_reach(job, site.like, {"entry_plane.depth_mm": record.entry_plane.depth_mm[1]})
-    known = Shared(partial(_draw_executions, site, settings))
+    known = Shared(partial(_draw_executions, job, record, site, settings))
     names = [EXPECTED, BEST_FIT, *([HAND_TUNED] if job.hand_tuned is not None else []), STRAIGHT]
     tasks: dict[str, AnalysisTask] = {
         "posterior": partial(_posterior_row, known),
@@ -119,42 +121,48 @@ def run(name: str, record: PlanRecord, settings: Settings) -> Run:
     return run_analysis(name, record, settings, plan)
 
 
-def _draw_executions(site: TargetSite, settings: Settings) -> _PlanningDraws | None:
-    found = weigh_posterior(site.job, settings)
+def make_site(job: Job, record: PlanRecord) -> TargetSite:
+    """Return target, plane and tissue of a plan."""
+    goal = Goal(record.target_mm, obstacles=record.obstacles)
+    like = find_template(job, record.template_insertion)
+    return TargetSite(job.medium, job.dataset.needle, like, record.entry_plane, goal)
+
+
+def _draw_executions(
+    job: Job, record: PlanRecord, site: TargetSite, settings: Settings
+) -> _PlanningDraws | None:
+    found = weigh_posterior(job, settings)
     if found is None:
         return None
-    new = _find_new_specimen(site, found)
+    new = find_new_specimen(job, record.specimen, site.like, found)
     # search and test use different draws: a plan must not be tried on the draws it was fitted to
     even = np.arange(len(found.thetas)) % 2 == 0
-    return _PlanningDraws(
-        site,
-        found,
-        new,
-        _draw_trials(site, found.only(even), new, SEARCH_DRAWS),
-        _draw_trials(site, found.only(~even), new, TEST_DRAWS),
-    )
+    search_draws = draw_trials(job, site.like, found.only(even), new, SEARCH_DRAWS)
+    test_draws = draw_trials(job, site.like, found.only(~even), new, TEST_DRAWS)
+    return _PlanningDraws(job, record, site, found, new, search_draws, test_draws)
 
 
-def _find_new_specimen(site: TargetSite, known: WeightedPosterior) -> NewSpecimens | None:
+def find_new_specimen(
+    job: Job, stated: str | None, like: Insertion, known: WeightedPosterior
+) -> NewSpecimens | None:
     """Return by how much the parameters of the plan's specimen differ; None if it was tuned on."""
-    (fold,) = site.job.folds
-    new = NewSpecimens(site.job, fold, np.array(known.learned.fit.theta))
-    stated = site.record.specimen
-    differs = new.differs(site.like) if stated is None else stated == "new"
+    (fold,) = job.folds
+    new = NewSpecimens(job, fold, np.array(known.learned.fit.theta))
+    differs = new.differs(like) if stated is None else stated == "new"
     return new if differs else None
 
 
-def _draw_trials(
-    site: TargetSite, known: WeightedPosterior, new: NewSpecimens | None, count: int
+def draw_trials(
+    job: Job, like: Insertion, known: WeightedPosterior, new: NewSpecimens | None, count: int
 ) -> tuple[ExecutionDraw, ...]:
     """Return draws of parameters and of errors; other counts are other draws."""
-    rng = random_stream(site.job.recipe.seed, site.job.name, "trials", count)
+    rng = random_stream(job.recipe.seed, job.name, "trials", count)
     thetas = known.thetas[known.drawn(count, rng)]
     if new is not None:
-        thetas = new.move(thetas, site.like, rng)
+        thetas = new.move(thetas, like, rng)
     sets = [known.problem.values(theta) for theta in thetas]
     sets = vary_bevels(sets, known.problem.new_bevel_sd, rng)
-    return tuple(draw_execution(values, site.like, rng) for values in sets)
+    return tuple(draw_execution(values, like, rng) for values in sets)
 
 
 def _posterior_row(known: GetDraws) -> FrameRows:
@@ -173,55 +181,52 @@ def _run_task(known: GetDraws, name: str, settings: Settings) -> FrameRows:
     aimed = _find_aim(now, name)
     if settings.stop():
         return {}
-    paths = [now.site.executed(aimed.aim, one) for one in now.test_draws]
-    return _result_rows(now, name, aimed, paths)
+    return _result_rows(now, name, aimed, [now.site.execute(aimed, one) for one in now.test_draws])
 
 
-def _find_aim(now: _PlanningDraws, name: str) -> OptimizedAim:
-    site, middle = now.site, now.knowledge.middle
+def _find_aim(now: _PlanningDraws, name: str) -> Aim:
+    site, plane = now.site, now.record.entry_plane
     if name == EXPECTED:
-        return optimize_aim(site, now.search_draws, middle)
+        return optimize_aim(site, now.search_draws, now.knowledge.middle)
     if name == STRAIGHT:
-        low, high = site.record.entry_plane.angle_deg
-        return OptimizedAim(
-            aim_straight(site.record.entry_plane, site.record.target_mm, float(np.clip(0, low, high)), 1), 0.0
-        )
-    values = dict(now.knowledge.learned.fit.values if name == BEST_FIT else site.job.hand_tuned or {})
-    return optimize_aim(site, [execute_exactly(values)], values)
+        return aim_straight(plane, site.goal.target, float(np.clip(0, *plane.angle_deg)), 1)
+    values = dict(now.knowledge.learned.fit.values if name == BEST_FIT else now.job.hand_tuned or {})
+    return optimize_aim(site, [ExecutionDraw(values)], values)
 
 
-def _result_rows(
-    now: _PlanningDraws, name: str, aimed: OptimizedAim, paths: list[Floats | None]
-) -> FrameRows:
-    site, target = now.site, np.asarray(now.site.record.target_mm)
+def _result_rows(now: _PlanningDraws, name: str, aim: Aim, paths: list[Floats | None]) -> FrameRows:
+    middle = now.knowledge.middle
     solved = {number: path for number, path in enumerate(paths) if path is not None}
     tips = np.array([path[-1] for path in solved.values()]).reshape(-1, 2)
-    misses = np.linalg.norm(tips - target, axis=1)
-    (nominal,) = site.paths(aimed.aim, [execute_exactly(now.knowledge.middle)], now.knowledge.middle)
-    row = _plan_row(name, aimed, tips - target, len(paths) - len(solved))
+    off = tips - now.record.target_mm
+    misses = np.linalg.norm(off, axis=1)
+    (nominal,) = now.site.find_paths(aim, [ExecutionDraw(middle)], middle)
+    row = _plan_row(name, aim, off, len(paths) - len(solved))
     if now.knowledge.learned.draws.faults:
         row |= dict.fromkeys(_MISS_COLUMNS)
         solved, tips, misses = {}, tips[:0], misses[:0]
     fan = dict(list(solved.items())[:FIGURE_NEEDLES]) if name == EXPECTED else {}
     drawn = {**({} if nominal is None else {-1: nominal}), **fan}
-    ends = pd.DataFrame({"trial": list(solved), "x_mm": tips[:, 0], "y_mm": tips[:, 1], "miss_mm": misses})
+    head = {"method": name}
     return {
         "plans": [row],
-        "exceedances": _exceedance_rows(site.record, name, misses, list(solved.values())),
-        "misses": [{"method": name, **dict(row)} for _, row in ends.iterrows()],
+        "exceedances": _exceedance_rows(now.record, name, misses, list(solved.values())),
+        "misses": [
+            {**head, "trial": number, "x_mm": x, "y_mm": y, "miss_mm": miss}
+            for number, (x, y), miss in zip(solved, tips.tolist(), misses.tolist(), strict=True)
+        ],
         "needles": [
-            {"method": name, "trial": number, "x_mm": x, "y_mm": y}
+            {**head, "trial": number, "x_mm": x, "y_mm": y}
             for number, path in drawn.items()
             for x, y in path.tolist()
         ],
     }
 
 
-def _plan_row(name: str, aimed: OptimizedAim, off: Floats, failed: int) -> Row:
+def _plan_row(name: str, aim: Aim, off: Floats, failed: int) -> Row:
     """Return one plan and its misses; `off` (B, 2) are the tips less the target."""
-    aim: Aim = aimed.aim
     chosen: Row = {"method": name, "offset_mm": aim.offset, "angle_deg": aim.angle, "depth_mm": aim.depth}
-    chosen |= {"bevel_side": aim.side, "search_rms_mm": None if name == STRAIGHT else aimed.rms}
+    chosen |= {"bevel_side": aim.side, "search_rms_mm": aim.rms}
     chosen |= {"draws": len(off) + failed, "failed_solves": failed}
     if not len(off):
         return chosen
@@ -234,12 +239,10 @@ def _plan_row(name: str, aimed: OptimizedAim, off: Floats, failed: int) -> Row:
 
 def at_bounds(entry_plane: EntryPlaneRecord, row: Row) -> tuple[str, ...]:
     """Return which values of a plan lie at a bound of the study file, at the precision of the tables."""
-    ranges = {"offset": entry_plane.offset_mm, "angle": entry_plane.angle_deg, "depth": entry_plane.depth_mm}
-    values = {"offset": row["offset_mm"], "angle": row["angle_deg"], "depth": row["depth_mm"]}
     return tuple(
         name
-        for name, ends in ranges.items()
-        if min(abs(values[name] - end) for end in ends) < BOUND_TOLERANCE
+        for name, ends in entry_plane.ranges.items()
+        if min(abs(row[_PLAN_COLUMNS[name]] - end) for end in ends) < BOUND_TOLERANCE
     )
 
 
@@ -247,14 +250,13 @@ def _exceedance_rows(record: PlanRecord, name: str, misses: Floats, paths: list[
     """Return how many needles miss by more than each tolerance, and how many touch an obstacle."""
     held = [(TARGET, limit, misses > limit) for limit in record.tolerances_mm]
     for one in record.obstacles:
-        held.append((one.name, 0.0, np.array([clearance(path, one) < 0 for path in paths])))
+        held.append((one.name, 0.0, compute_clearances(np.array(paths).reshape(-1, PATH_POINTS, 2), one) < 0))
     rows = []
     for what, limit, wrong in held:
-        found = (
-            estimate_proportion(wrong.tolist(), [str(k) for k in range(len(wrong))]) if len(wrong) else None
-        )
-        ends = (None,) * 3 if found is None else (found.hits / found.trials, found.low, found.high)
-        row = dict(zip(("share", "low", "high"), ends, strict=True))
+        row: Row = {"share": None, "low": None, "high": None}
+        if len(wrong):
+            rate = float(wrong.mean())
+            row = dict(zip(row, (rate, *wilson_interval(rate, len(wrong))), strict=True))
         rows.append({"method": name, "object": what, "limit_mm": limit, **row})
     return rows
 
@@ -263,7 +265,7 @@ def _layer_rows(site: TargetSite) -> FrameRows:
     """Return the layers of the plane, on lines along x; nothing where the dataset has no surfaces."""
     if not site.like.surfaces:
         return {}
-    entry_plane, (x, y) = site.record.entry_plane, site.record.target_mm
+    entry_plane, (x, y) = site.entry_plane, site.goal.target
     half = max(abs(entry_plane.offset_mm[0]), abs(entry_plane.offset_mm[1]), abs(y)) + 5.0
     far = max(entry_plane.depth_mm[1], x) + 5.0
     rows = []

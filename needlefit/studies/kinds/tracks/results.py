@@ -8,8 +8,8 @@ import pandas as pd
 from scipy.stats import t as student
 
 from needlefit.inference.baselines import BASELINES, list_baselines
+from needlefit.inference.proportions import estimate_proportion
 from needlefit.reporting.labels import method_name
-from needlefit.studies.proportions import estimate_proportion
 
 READING_COLUMNS = (
     *("fit", "run", "medium", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),

@@ -1,44 +1,22 @@
-"""Make candidate insertions with the layers each would meet, and the posterior from those made so far."""
+"""A further insertion: the posterior given those made so far, its stated errors, and how deep it can go."""
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.layers import select_layers
 from needlefit.errors import ConfigError
-from needlefit.geometry.frames import Frame, make_entry_frame, normalize
-from needlefit.inference.forward_model import make_batch, predict
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_fit
-from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
-from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import describe_key as place_of
+from needlefit.project.toml_lines import describe_key
 from needlefit.studies.job import Job, Settings, farthest_guide
-from needlefit.studies.kinds.next_insertion.schema import CandidateEntryRecord, NextInsertionRecord
-from needlefit.studies.planned_insertions import planned_layers
 from needlefit.studies.posterior_fit import PosteriorFit, fit_posterior
 from needlefit.studies.score import Row
-
-CandidatePlace = tuple[CandidateEntryRecord, float, float]
-"""Entry, angle (degrees) and depth (mm)."""
-
-MEASURED_POINTS = 31
-"""At which a candidate would be measured: neighbours err alike, so that more add next to nothing."""
-
-
-def iterate_places(record: NextInsertionRecord) -> Iterator[CandidatePlace]:
-    """Yield the entry, angle and depth of every candidate."""
-    for entry in record.entries:
-        for angle in entry.angles_deg:
-            for depth in entry.depths_mm or record.depths_mm:
-                yield entry, angle, depth
 
 
 def find_template(job: Job, like: str) -> Insertion:
@@ -53,7 +31,7 @@ def find_template(job: Job, like: str) -> Insertion:
     if like not in known:
         raise ConfigError(
             f"insertion {like} is not in the dataset",
-            where=place_of(job.name, "template_insertion"),
+            where=describe_key(job.name, "template_insertion"),
             key="template_insertion",
             expected=f"one of {', '.join(known)}",
         )
@@ -75,74 +53,12 @@ def check_reach(job: Job, like: Insertion, depths: Mapping[str, float]) -> None:
         if depth >= longest:
             raise ConfigError(
                 f"a needle of {job.dataset.needle.length:g} mm{through} cannot be inserted {depth:g} mm",
-                where=place_of(job.name, key),
+                where=describe_key(job.name, key),
                 key=key,
                 expected=f"depths below {longest:g} mm",
                 fix=f"correct `{key}`, or the needle's length in the dataset",
             )
 
-
-def predict_candidate(
-    job: Job, like: Insertion, place: CandidatePlace, values: Mapping[str, float]
-) -> Insertion | None:
-    """Return a candidate as `values` (Pa, mm) predict it; None if it has no solution or leaves the medium.
-
-    The layers are those that the predicted needle meets, the same for all draws of the parameters: as it will
-    be once they are measured.
-
-    Raises
-    ------
-    ConfigError
-        If nothing says which layers it meets.
-    """
-    entry, angle, depth = place
-    planned = replace(like, id=entry.name, depth=depth, frame=frame_of(entry, angle))
-    layers = _find_layers(job, planned, entry, values)
-    if layers is None or max(layers[1]) > job.medium.layers:
-        return None
-    return with_predicted_shape(job, replace(planned, boundaries=layers[0], sequence=layers[1]), values)
-
-
-def with_predicted_shape(job: Job, insertion: Insertion, values: Mapping[str, float]) -> Insertion | None:
-    """Return an insertion with the shape that `values` predict as the measured one; None if there is none."""
-    needle = predict(values, job.medium, job.dataset.needle, insertion)
-    return (
-        replace(insertion, planar=sample_inserted_points(needle, MEASURED_POINTS), sections=None)
-        if needle.converged
-        else None
-    )
-
-
-def frame_of(entry: CandidateEntryRecord, angle: float) -> Frame:
-    """Return the frame C in the world at an entry, with x turned by `angle` (degrees) to the bevel side."""
-    x = normalize(entry.direction)
-    y = make_entry_frame(entry.position_mm, x, entry.bending_direction).rotation[:, 1]
-    cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-    return make_entry_frame(entry.position_mm, cos * x + sin * y, cos * y - sin * x)
-
-
-def _find_layers(
-    job: Job, planned: Insertion, entry: CandidateEntryRecord, values: Mapping[str, float]
-) -> tuple[Floats, tuple[int, ...]] | None:
-    """Return boundaries (n - 1,) and the n layers met; None where the planned path does not come to rest."""
-    if entry.layers is not None:
-        before, met = select_layers(np.array(entry.boundaries_mm, dtype=np.float64), planned.depth)
-        return before, entry.layers[: len(met)]
-    if not planned.surfaces:
-        raise ConfigError(
-            f"medium {planned.medium} has no surfaces: the layers at entry `{entry.name}` are not known",
-            where=place_of(job.name, "entries"),
-            key="entries",
-            fix="list the entry's `layers`, and their boundaries_mm",
-        )
-
-    def shape(boundaries: Floats, sequence: tuple[int, ...]) -> NeedleShape:
-        return predict(values, job.medium, job.dataset.needle, planned, boundaries, sequence)
-
-    return planned_layers(planned, shape)
-
-
-Mask = NDArray[np.bool_]
 
 PLANNING_EFFORT = Effort(draws=500, min_ess=1000.0)
 """More draws than a prediction needs: what data tell is seen by how few of them are left."""
@@ -190,7 +106,7 @@ class WeightedPosterior:
         found: Floats = (away * self.weights[:, None]).T @ away
         return found
 
-    def only(self, kept: Mask) -> Self:
+    def only(self, kept: Bools) -> Self:
         """Return only the draws of a mask (B,)."""
         weights = self.weights[kept]
         return replace(self, thetas=self.thetas[kept], weights=weights / weights.sum())
@@ -218,14 +134,6 @@ def weigh_posterior(job: Job, settings: Settings) -> WeightedPosterior | None:
     heavy = np.sort(order[np.cumsum(weights[order]) > DROPPED_WEIGHT])
     kept = weights[heavy] / weights[heavy].sum()
     return WeightedPosterior(problem, learned, found.thetas[heavy], kept, found.k)
-
-
-def predict_tips(known: WeightedPosterior, insertion: Insertion) -> Floats:
-    """Return the tip deflection (B,) of an insertion for every draw, mm; NaN where a solve fails."""
-    batch = make_batch(known.sets, known.problem.medium, known.problem.dataset.needle, insertion)
-    (shapes,) = simulate_batches([batch], 1)
-    found: Floats = compute_batch_positions(shapes, np.array([insertion.depth]))[:, 0, 1]
-    return np.where(shapes.converged, found, np.nan)
 
 
 def describe_posterior(known: WeightedPosterior) -> Row:

@@ -3,7 +3,7 @@
 The plan is the one of least risk: the share of posterior draws whose tip misses the target by more than its
 radius, or whose needle touches an obstacle. Turns of the bevel are chosen from a grid of constraint points;
 for each choice one Gauss-Newton step brings the expected tip to the target, the best few are then optimised
-(`search.minimize_miss`) and their risk lowered. What is reported comes of draws that no plan was sought with.
+(`goals.minimize_miss`) and their risk lowered. What is reported comes of draws that no plan was sought with.
 
 Depths are arc lengths, as the needle is inserted; target and obstacles are in the constraint frame C.
 """
@@ -19,12 +19,14 @@ from scipy.optimize import minimize
 
 from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
+from needlefit.inference.parameter_draws import ParameterDraws
+from needlefit.inference.proportions import wilson_interval
 from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions, simulate_batches
 from needlefit.mechanics.control import Controls, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, make_lattice
 from needlefit.mechanics.tissue import Tissue
-from needlefit.studies.kinds.plan.search import (
+from needlefit.planning.goals import (
     PATH_POINTS,
     Goal,
     compute_clearances,
@@ -33,8 +35,6 @@ from needlefit.studies.kinds.plan.search import (
     find_hits,
     minimize_miss,
 )
-from needlefit.studies.parameter_draws import ParameterDraws
-from needlefit.studies.proportions import wilson_interval
 
 SEARCH_DRAWS = 32
 """Draws on which a plan is sought. The others test it."""
@@ -109,7 +109,11 @@ REACH_DEPTHS = 6
 REACH_SHARES = (0.05, 0.5, 0.95)
 """Shares of draws for which the reachable region is given."""
 
-DIFFERENCE_STEP_MM, DIFFERENCE_STEP_SLOPE = 0.05, 1e-3
+DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3])
+"""Of the differences: entry, depth and base (mm), slope of the base."""
+
+LIMITED = ("entry", "base", "base angle")
+"""What `PlanLimits` limits, as `SteeringPlan.at_limit` names it."""
 
 
 @dataclass(frozen=True)
@@ -326,13 +330,9 @@ class _Search:
         now, limits = self.insertion.now, self.limits
         entry = limits.entry_mm if now.depth <= SAME_DEPTH_MM else 0.0
         nearest = max(self.end - DEPTH_RANGE_MM, now.depth + 0.1)
+        deepest = min(self.end + DEPTH_RANGE_MM, self.insertion.reach)
         low = [-entry, nearest, -limits.base_mm, -limits.base_slope]
-        high = [
-            entry,
-            min(self.end + DEPTH_RANGE_MM, self.insertion.reach),
-            limits.base_mm,
-            limits.base_slope,
-        ]
+        high = [entry, deepest, limits.base_mm, limits.base_slope]
         margin = 1e-5  # of what is fixed: least_squares wants bounds that differ
         return np.minimum(low, self.still) - margin, np.maximum(high, self.still) + margin
 
@@ -409,7 +409,7 @@ class _Search:
         near = LIMIT_PART * (high - low)
         moved = np.abs(choice.at - self.still) > near
         at_end = moved & ((choice.at <= low + near) | (choice.at >= high - near))
-        return tuple(name for name, met in zip(_LIMITED, at_end[[0, 2, 3]], strict=True) if met)
+        return tuple(name for name, met in zip(LIMITED, at_end[[0, 2, 3]], strict=True) if met)
 
     def residuals(self, choices: Sequence[_Choice]) -> list[Floats]:
         """Return the misses of each choice over the draws of the search, and how far it moves the base."""
@@ -476,15 +476,13 @@ class _Search:
 
     def _step_once(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices after one Gauss-Newton step each, all their needles simulated together."""
-        moves = np.vstack([np.zeros(4), np.diag(_STEPS)])
+        moves = np.vstack([np.zeros(4), np.diag(DIFFERENCE_STEPS)])
         shifted = [replace(one, at=one.at + move) for one in choices for move in moves]
         values = self.residuals(shifted)
         stepped = []
         for n, one in enumerate(choices):
             here, *moved = values[5 * n : 5 * n + 5]
-            slopes = np.stack(
-                [(there - here) / step for there, step in zip(moved, _STEPS, strict=True)], axis=1
-            )
+            slopes = (np.array(moved) - here).T / DIFFERENCE_STEPS
             low, high = self.bounds
             weights = high - low  # of equal size within the bounds
             step = np.linalg.lstsq(slopes * weights, -here, rcond=1e-6)[0] * weights
@@ -492,11 +490,10 @@ class _Search:
         return stepped
 
     def _optimize(self, choice: _Choice) -> _Choice:
-        def many(all_at: Sequence[Floats]) -> list[Floats]:
-            return self.residuals([replace(choice, at=at) for at in all_at])
+        def residuals(places: Sequence[Floats]) -> list[Floats]:
+            return self.residuals([replace(choice, at=at) for at in places])
 
-        found, _ = minimize_miss(lambda at: many([at])[0], many, choice.at, self.bounds, _STEPS)
-        return replace(choice, at=found)
+        return replace(choice, at=minimize_miss(residuals, choice.at, self.bounds, DIFFERENCE_STEPS)[0])
 
     def _lower_risk(self, choice: _Choice) -> _Choice:
         """Return a choice of lower risk nearby: the least expected miss is not always it.
@@ -522,18 +519,11 @@ class _Search:
         return replace(choice, at=at) if found.fun < risk(choice.at) - 1e-3 else choice
 
 
-_LIMITED = ("entry", "base", "base angle")
-"""What `PlanLimits` limits, as `SteeringPlan.at_limit` names it."""
-
-_STEPS = np.array([DIFFERENCE_STEP_MM, DIFFERENCE_STEP_MM, DIFFERENCE_STEP_MM, DIFFERENCE_STEP_SLOPE])
-
-
 def _move_base(controls: Controls, part: float, base_y: float, base_slope: float) -> Controls:
     """Return controls whose base has gone a part of its way."""
     y = controls.base_y + part * (base_y - controls.base_y)
-    return replace(
-        controls, base_y=y, base_slope=controls.base_slope + part * (base_slope - controls.base_slope)
-    )
+    slope = controls.base_slope + part * (base_slope - controls.base_slope)
+    return replace(controls, base_y=y, base_slope=slope)
 
 
 def _spread(stations: Sequence[float], count: int) -> tuple[float, ...]:

@@ -1,0 +1,228 @@
+"""What a plan is for: a target, obstacles, and how far needles miss them; read from space or from 3D Slicer.
+
+Needles are arrays (B, K, 2) of B draws, entry to tip in the plane of the plan, mm, NaN where a draw has none.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from needlefit.arrays import Bools, Floats
+from needlefit.datasets.formats.fcsv import read_fcsv
+from needlefit.datasets.formats.mrk_json import read_mrk_json
+from needlefit.errors import DataError
+from needlefit.geometry.frames import Placement
+from needlefit.schemas.names import name_fault
+from needlefit.schemas.planning import ObstacleRecord
+
+PATH_POINTS = 41
+"""Points of a needle, entry to tip."""
+
+UNSOLVED_MISS_MM = 100.0
+"""The miss that stands for a needle without a solution, mm."""
+
+OBSTACLE_PENALTY = 10.0
+"""By how much a mm of an obstacle counts more than a mm beside the target."""
+
+SEARCH_TOLERANCE, MAX_EVALUATIONS = 1e-4, 25
+"""Of one search: relative change at which it ends, and its evaluations with a gradient."""
+
+TARGET_LABEL = "target"
+"""Beginning of the label of the target in a file of markups, in any case."""
+
+MAX_NAME_LENGTH = 40
+"""Characters of the name of an obstacle; of a longer label the first ones."""
+
+SpacePoint = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a plan is for: a target (mm), the distance that still counts as a hit (mm), and obstacles."""
+
+    target: tuple[float, float]
+    radius: float = math.inf
+    obstacles: tuple[ObstacleRecord, ...] = ()
+
+    def move(self, shift: float) -> "Goal":
+        """Return the goal `shift` mm along y."""
+        (x, y), around = self.target, []
+        for one in self.obstacles:
+            along, across = one.centre_mm
+            around.append(one.model_copy(update={"centre_mm": (along, across + shift)}))
+        return replace(self, target=(x, y + shift), obstacles=tuple(around))
+
+
+def compute_clearances(needles: Floats, obstacle: ObstacleRecord) -> Floats:
+    """Return the distance (B,), mm, of needles (B, K, 2) from the rim of an obstacle; negative inside it."""
+    start, along = needles[:, :-1], np.diff(needles, axis=1)
+    away = np.asarray(obstacle.centre_mm) - start
+    part = np.clip(np.sum(away * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-30), 0.0, 1.0)
+    nearest: Floats = np.linalg.norm(away - part[..., None] * along, axis=2).min(axis=1)
+    return nearest - obstacle.radius_mm
+
+
+def compute_misses(needles: Floats, goal: Goal) -> Floats:
+    """Return the distance (B,), mm, of every tip from the target."""
+    found: Floats = np.linalg.norm(needles[:, -1] - goal.target, axis=1)
+    return found
+
+
+def find_hits(needles: Floats, goal: Goal) -> Bools:
+    """Return which needles (B,) end within the radius of the target and touch no obstacle."""
+    hits: Bools = compute_misses(needles, goal) <= goal.radius
+    for obstacle in goal.obstacles:
+        hits &= compute_clearances(needles, obstacle) >= 0
+    return hits
+
+
+def compute_residuals(needles: Floats, goal: Goal) -> Floats:
+    """Return what is squared and summed: misses, and how far needles come too near to obstacles."""
+    solved = np.isfinite(needles[:, -1, 0])
+    parts = [np.where(solved[:, None], needles[:, -1] - goal.target, UNSOLVED_MISS_MM)]
+    for one in goal.obstacles:
+        near = np.maximum(0.0, one.margin_mm - compute_clearances(needles, one))
+        parts.append(OBSTACLE_PENALTY * np.where(solved, near, 0.0)[:, None])
+    scaled: Floats = np.hstack(parts).ravel() / math.sqrt(len(needles))
+    return scaled
+
+
+def minimize_miss(
+    residuals: Callable[[Sequence[Floats]], list[Floats]],
+    start: Floats,
+    bounds: tuple[Floats, Floats],
+    steps: Floats,
+) -> tuple[Floats, float]:
+    """Return the choice with the least expected squared miss within bounds, and the root of that, mm.
+
+    Parameters
+    ----------
+    residuals : callable
+        Several choices -> `compute_residuals` of the needles of each; a gradient asks for all its choices at
+        once.
+    steps : (P,) array
+        Of the differences.
+    """
+    low, high = bounds
+
+    def slopes(at: Floats) -> Floats:
+        moves = np.diag(np.where(at + steps > high, -steps, steps))
+        still, *moved = residuals([at, *(at + move for move in moves)])
+        return np.stack([(one - still) / move.sum() for one, move in zip(moved, moves, strict=True)], axis=1)
+
+    def here(at: Floats) -> Floats:
+        return residuals([at])[0]
+
+    found = least_squares(
+        here,
+        np.clip(start, low + 1e-6, high - 1e-6),
+        slopes,
+        bounds=bounds,
+        xtol=SEARCH_TOLERANCE,
+        ftol=SEARCH_TOLERANCE,
+        max_nfev=MAX_EVALUATIONS,
+    )
+    return found.x, math.sqrt(2 * found.cost)
+
+
+@dataclass(frozen=True)
+class Ball:
+    """An obstacle in space: centre (x, y, z) in C and radius, mm."""
+
+    name: str
+    centre: SpacePoint
+    radius: float
+
+
+@dataclass(frozen=True)
+class PlaneGoal:
+    """A goal in the plane of the needle, which is rolled about x so that it contains the target.
+
+    Attributes
+    ----------
+    roll_deg : float
+        From C's y toward z, degrees.
+    beside : tuple of str
+        Obstacles that the plane does not cut.
+    """
+
+    goal: Goal
+    roll_deg: float = 0.0
+    beside: tuple[str, ...] = ()
+
+
+def cut_plane(target: SpacePoint, radius: float, balls: tuple[Ball, ...]) -> PlaneGoal:
+    """Return the goal in the plane through x and the target; obstacles are cut to circles."""
+    x, y, z = target
+    # the smaller of the two turns, at most 90 degrees: the bevel reaches both sides
+    roll = math.atan(z / y) if y else math.copysign(math.pi / 2, z) if z else 0.0
+    cos, sin = math.cos(roll), math.sin(roll)
+    circles, beside = [], []
+    for ball in balls:
+        along, left, up = ball.centre
+        off = up * cos - left * sin
+        if abs(off) >= ball.radius:
+            beside.append(ball.name)
+            continue
+        cut = math.sqrt(ball.radius**2 - off**2)
+        circles.append(
+            ObstacleRecord(name=ball.name, centre_mm=(along, left * cos + up * sin), radius_mm=cut)
+        )
+    goal = Goal((x, y * cos + z * sin if z else y), radius, tuple(circles))
+    return PlaneGoal(goal, math.degrees(roll), tuple(beside))
+
+
+def read_goal_points(
+    path: Path, placement: Placement, obstacle_radius: float
+) -> tuple[SpacePoint | None, tuple[Ball, ...]]:
+    """Return the target and the obstacles of a file of 3D Slicer, in C, mm.
+
+    The point whose label begins with "target" is the target, also the only point of a file; all others are
+    centres of obstacles.
+
+    Raises
+    ------
+    DataError
+        If the file is wrong, or names two targets.
+    """
+    lists = read_mrk_json(path) if path.suffix == ".json" else (read_fcsv(path),)
+    labels = [label for one in lists for label in one.labels]
+    world = placement.patient.to_world(np.concatenate([one.points for one in lists]))
+    points: list[SpacePoint] = [tuple(point) for point in placement.frame.to_local(world).tolist()]
+    aims = [n for n, label in enumerate(labels) if label.lower().startswith(TARGET_LABEL)]
+    if not aims and len(points) == 1:
+        aims = [0]
+    if len(aims) > 1:
+        raise DataError(
+            f"names {len(aims)} targets: {', '.join(labels[n] for n in aims)}",
+            where=str(path),
+            expected="one point whose label begins with `target`",
+            fix="rename the others",
+        )
+    others = [n for n in range(len(points)) if n not in aims]
+    names = name_obstacles(labels[n] for n in others)
+    balls = tuple(Ball(name, points[n], obstacle_radius) for name, n in zip(names, others, strict=True))
+    return (points[aims[0]] if aims else None), balls
+
+
+def name_obstacles(labels: Iterable[str]) -> tuple[str, ...]:
+    """Return a name for each obstacle, no two the same: its label, cut to `MAX_NAME_LENGTH`.
+
+    One without a label, or with one that is no name, gets the first free `obstacle 1`, `obstacle 2`, ...
+    """
+    wanted = [" ".join(label.split())[:MAX_NAME_LENGTH] for label in labels]
+    taken, found = set(wanted), list[str]()
+    for name in wanted:
+        usable = bool(name) and not name_fault(name)
+        if usable and name not in found:
+            found.append(name)
+            continue
+        stem, first = (name, 2) if usable else ("obstacle", 1)
+        found.append(next(one for n in count(first) if (one := f"{stem} {n}") not in taken))
+        taken.add(found[-1])
+    return tuple(found)
