@@ -19,8 +19,8 @@ from import_cases import (
 from scipy.io import savemat
 
 from needlefit.datasets.importing import slicer_scene
-from needlefit.datasets.importing.cells import parse_number, read_sheets, read_text_cells
 from needlefit.datasets.importing.files import read_content
+from needlefit.datasets.importing.tables import parse_number, read_sheets, read_text_cells
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import read_surface
 

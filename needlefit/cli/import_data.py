@@ -87,9 +87,8 @@ def import_data(
     it understood as a table and a picture (DIR/import.png), and lists every decision under [import] in
     DIR/dataset.toml.
     """
-    from needlefit.datasets.importing.conversion import plan_import
+    from needlefit.datasets.importing.conversion import name_study_file, plan_import
     from needlefit.datasets.importing.decisions import Decisions
-    from needlefit.datasets.importing.starter import name_study_file
     from needlefit.datasets.read import check_all
     from needlefit.project.atomic_write import require_new
     from needlefit.project.outputs import require_no_inputs_within

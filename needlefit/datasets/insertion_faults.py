@@ -12,7 +12,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.insertion_table import describe_column
 from needlefit.datasets.layers import select_layers
-from needlefit.datasets.points import Points
+from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import RAS_TO_LPS, normalize
@@ -20,9 +20,6 @@ from needlefit.geometry.surfaces import Surface, transform_surface
 from needlefit.project.toml_lines import locate_key
 from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord
-
-MIN_POINTS = 5
-"""Fewer points are no curve."""
 
 MAX_BACKWARD_MM = 0.05
 """A centreline may go back by this, mm, between two points: noise does that."""

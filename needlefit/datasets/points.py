@@ -1,13 +1,22 @@
 """The points of a curve as they are in a file, before any check."""
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.datasets.faults import Fault
+
 MAX_COORDINATE = 1e6
 """No number of a dataset is greater: a kilometre in mm."""
+
+MIN_POINTS = 5
+"""Fewer points are no curve."""
+
+_PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
 
 
 @dataclass(frozen=True)
@@ -52,3 +61,25 @@ class Points:
         if self.lines is None:
             return f"{self.path}, point {index + 1}"
         return f"{self.path}:{self.lines[index]}" if len(self.lines) else str(self.path)
+
+    def find_faults(self, name: str) -> list[Fault]:
+        """Return why the points of curve `name` can be no centreline: too few, or without a place."""
+        if len(self.values) < MIN_POINTS:
+            what = f"curve {name} has only {len(self.values)} points"
+            fix = "sample the needle more densely, or leave it out"
+            return [Fault(self.where(), what, f"at least {MIN_POINTS}", fix)]
+        bad = self.unusable()
+        if len(bad) == 0:
+            return []
+        what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
+        return [Fault(self.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points")]
+
+
+def trace_fault(fault: Fault, curves: Mapping[str, Points], folder: Path) -> Fault:
+    """Return a fault of a dataset that was just written into `folder` as one of the files of its curves."""
+    place = _PLACE.search(Path(fault.where).as_posix())
+    if place is None:
+        return replace(fault, where=fault.where.replace(f"{folder}/", ""))
+    row = int(place["line"]) - 2  # below one header line, as the dataset was just written
+    name, point = (place["id"], row) if place["id"] else (list(curves)[row], 0)
+    return replace(fault, where=curves[name].where(point), what=f"curve {name}: {fault.what}")

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,7 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.dataset_warnings import PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import FORMATS, find_format, list_suffixes
-from needlefit.datasets.insertion_faults import MIN_POINTS
-from needlefit.datasets.points import Points
+from needlefit.datasets.points import Points, trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
@@ -28,26 +27,13 @@ from needlefit.schemas.names import EXPECTED_NAME, name_fault, require_file_name
 MAX_SHOWN_NAME_CHARS, MAX_SHOWN_NAMES = 80, 5
 """Characters of a name, and names, that a message shows."""
 
-_PLACE_PATTERN = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
-
 
 @dataclass(frozen=True)
 class CurveSource:
     """The curves of a file by id, with notes on how the file was read."""
 
-    path: Path
     curves: Mapping[str, Points]
     notes: tuple[str, ...]
-
-    def fault(self, fault: Fault) -> Fault:
-        """Return a fault of the dataset made from this file as a fault of the file itself."""
-        place = _PLACE_PATTERN.search(Path(fault.where).as_posix())
-        if place is None:
-            return replace(fault, where=str(self.path))
-        row = int(place["line"]) - 2  # below one header line, as the dataset was just written
-        name, point = (place["id"], row) if place["id"] else (list(self.curves)[row], 0)
-        what = f"curve {name} {fault.what}" if place["id"] else f"curve {name}: {fault.what}"
-        return replace(fault, where=self.curves[name].where(point), what=what)
 
 
 def read_source(path: Path) -> CurveSource:
@@ -59,42 +45,24 @@ def read_source(path: Path) -> CurveSource:
         If the file is missing, of another kind, or without usable curves; the message lists what is read.
     """
     format_ = find_format(path)
+    sources = f"--from reads {', or '.join(one.description for one in FORMATS.values())}"
     if format_ is None:
         raise DataError(
-            f"has the ending {path.suffix!r}",
-            where=str(path),
-            expected=list_suffixes(),
-            fix=_describe_sources(),
+            f"has the ending {path.suffix!r}", where=str(path), expected=list_suffixes(), fix=sources
         )
     try:
         curves, notes = format_.read_curves(path)
     except DataError as error:
-        fix = "check the path" if not is_file(path) else error.fix or _describe_sources()
+        fix = "check the path" if not is_file(path) else error.fix or sources
         raise DataError(error.what, where=error.where, expected=error.expected, fix=fix) from None
-    found = [fault for name, points in curves.items() for fault in _find_unusable(name, points)]
+    found = [fault for name, points in curves.items() for fault in points.find_faults(name)]
     if found:
         raise as_error(found, path)
     named = _make_names(curves, path)
     changed = [f"{theirs!r} is {name}" for theirs, name in zip(curves, named, strict=True) if theirs != name]
     if changed:
         notes = [*notes, f"ids name files, so that {join_names(changed, MAX_SHOWN_NAMES)}"]
-    return CurveSource(path, named, tuple(notes))
-
-
-def _describe_sources() -> str:
-    return f"--from reads {', or '.join(one.description for one in FORMATS.values())}"
-
-
-def _find_unusable(name: str, points: Points) -> list[Fault]:
-    if len(points.values) < MIN_POINTS:
-        fix = f"sample the needle more densely; {_describe_sources()}"
-        what = f"curve {name} has only {len(points.values)} points"
-        return [Fault(points.where(), what, f"at least {MIN_POINTS}", fix)]
-    bad = points.unusable()
-    if len(bad) == 0:
-        return []
-    what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
-    return [Fault(points.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points")]
+    return CurveSource(named, tuple(notes))
 
 
 def _make_names(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
@@ -178,7 +146,7 @@ def write_template(
         curves = {name: points.to_columns() for name, points in read.curves.items()}
         faults = _write_note(_write_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
         if faults:
-            raise as_error([read.fault(fault) for fault in faults], source)
+            raise as_error([trace_fault(fault, read.curves, fresh) for fault in faults], source)
     for note in read.notes:
         tell(f"{source}: {note}")
     return folder / "dataset.toml"

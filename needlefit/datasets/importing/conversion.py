@@ -1,27 +1,33 @@
-"""Write an import as a dataset, and trace its faults back to the files that it was made from."""
+"""Write an import as a dataset with a first study; its faults are those of the imported files."""
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
-from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.decisions import Decisions
 from needlefit.datasets.importing.files import ImportContent, read_content
-from needlefit.datasets.importing.tissue import ImportedLayers
 from needlefit.datasets.importing.understanding import ImportPlan, understand
+from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
 from needlefit.project.files import sha256
 from needlefit.project.load import check as check_record
+from needlefit.project.toml_text import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.study import StudyRecord
 
 SURFACE_FOLDER = "layers"
+TISSUE_FILE = "tissue.toml"
+MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
 
 _NOTE = """\
 # Made by `needlefit import`. [import] lists every decision and where it comes from; correct what is wrong.
 """
-_PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
+_START_NOTE = "# A start, made by `needlefit import`: {what} `needlefit explain {kind}` lists every key.\n"
 
 
 def plan_import(
@@ -40,78 +46,101 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions
     DataError
         Listing the faults that `check` finds, at their places in the imported files.
     """
-    names = {
-        surface.name: f"{SURFACE_FOLDER}/{_file_name(surface.name, n)}.stl"
-        for n, surface in enumerate(plan.layers.surfaces, 1)
-    }
-    record = _make_record(folder.name, content, plan, decisions, names)
+    layers, surfaces = plan.layers, {}
+    for n, surface in enumerate(layers.surfaces, 1):
+        plain = re.sub(r"[^A-Za-z0-9_-]+", "_", surface.name).strip("_")[:60]
+        surfaces[f"{SURFACE_FOLDER}/{f'{n}_{plain}' if plain else n}.stl"] = surface
+    medium: dict[str, object] = {"note": "no boundaries of layers were imported"}
+    if surfaces:
+        listed = [{"file": file, "kind": one.kind, "into": one.into} for file, one in surfaces.items()]
+        medium = {"surfaces": listed}
+    elif layers.depths_mm:
+        medium = {"boundaries_mm": list(layers.depths_mm)}
+    files = {path.name: sha256(path) for path in content.files}
     rows = [one.row for one in plan.insertions]
-    curves = {one.row.id: one.points.to_columns() for one in plan.insertions}
-    surfaces = {names[surface.name]: surface for surface in plan.layers.surfaces}
-    file = write_dataset(folder, record, rows, curves, surfaces, checksums=False)
-    file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
-    faults = check(file)
-    if faults:
-        raise as_error([_trace(fault, plan, folder) for fault in faults], content.files[0])
-    return file
-
-
-def _file_name(name: str, number: int) -> str:
-    plain = re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:60]
-    return f"{number}_{plain}" if plain else str(number)
-
-
-def _make_record(
-    name: str, content: ImportContent, plan: ImportPlan, decisions: Decisions, names: Mapping[str, str]
-) -> DatasetRecord:
-    media = dict.fromkeys((one.row.medium for one in plan.insertions), _make_medium(plan.layers, names))
-    made = ImportRecord(
-        files={path.name: sha256(path) for path in content.files}, decisions=tuple(decisions.made)
-    )
-    return check_record(
+    record = check_record(
         {
             "schema": 1,
-            "name": name,
+            "name": folder.name,
             "title": plan.title,
             "origin": "measured",
             "license": plan.license,
             "source": plan.source,
             "frame": {"pose": plan.pose},
-            "needle": {
-                "length_mm": plan.needle.length_mm,
-                "outer_diameter_mm": plan.needle.outer_diameter_mm,
-                "inner_diameter_mm": plan.needle.inner_diameter_mm,
-                "youngs_modulus_gpa": plan.needle.youngs_modulus_gpa,
-            },
+            "needle": asdict(plan.needle),
             "noise": {"point_sd_mm": plan.point_sd_mm, "note": "see [import]"},
             "insertions": {"file": "insertions.csv"},
             "centerlines": {"pattern": "centerlines/{id}.csv"},
-            "media": media,
-            "import": made.model_dump(),
+            "media": dict.fromkeys((row.medium for row in rows), medium),
+            "import": ImportRecord(files=files, decisions=tuple(decisions.made)).model_dump(),
         },
         DatasetRecord,
         str(content.files[0]),
     )
+    points = {one.row.id: one.points for one in plan.insertions}
+    curves = {name: one.to_columns() for name, one in points.items()}
+    file = write_dataset(folder, record, rows, curves, surfaces, checksums=False)
+    file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
+    faults = check(file)
+    if faults:
+        raise as_error([trace_fault(fault, points, folder) for fault in faults], content.files[0])
+    return file
 
 
-def _make_medium(layers: ImportedLayers, names: Mapping[str, str]) -> dict[str, object]:
-    if layers.surfaces:
-        listed = [{"file": names[one.name], "kind": one.kind, "into": one.into} for one in layers.surfaces]
-        return {"surfaces": listed}
-    if layers.depths_mm:
-        return {"boundaries_mm": list(layers.depths_mm)}
-    return {"note": "no boundaries of layers were imported"}
+# ---- a first study
 
 
-def _trace(fault: Fault, plan: ImportPlan, folder: Path) -> Fault:
-    """Return a fault of the dataset as one of the file that its curve comes from."""
-    place = _PLACE.search(Path(fault.where).as_posix())
-    if place is None:
-        inside = fault.where.replace(f"{folder}/", "")
-        return replace(fault, where=inside)
-    row = int(place["line"]) - 2  # below one header line, as the dataset was just written
-    by_id = {one.row.id: one for one in plan.insertions}
-    one = by_id[place["id"]] if place["id"] else plan.insertions[row]
-    return replace(
-        fault, where=one.points.where(row if place["id"] else 0), what=f"curve {one.row.id}: {fault.what}"
-    )
+def name_study_file(name: str) -> str:
+    """Return the file of a dataset's first study; the folder of its results has this name, too."""
+    return f"{name}_study.toml"
+
+
+def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
+    """Write a study and its `tissue.toml` into `folder`; return False if there are too few insertions.
+
+    The study leaves out one specimen at a time, or, of a single specimen, one insertion. The tissue model has
+    as many layers as the deepest insertion meets; the exponents alpha are fixed at 1, as shapes hardly depend
+    on them.
+
+    Parameters
+    ----------
+    home : str
+        The folder as it will be named by the study, relative to the working folder.
+    """
+    if len(dataset.insertions) < 2:
+        return False
+    layers = max(max(one.sequence) for one in dataset.insertions)
+    numbers = range(1, layers + 1)
+    tissue = {
+        "schema": 1,
+        "title": f"Tissue of {dataset.name}",
+        "layers": layers,
+        "parameters": {
+            **{f"mu{n}_pa": {"bounds": MODULUS_BOUNDS_PA} for n in numbers},
+            **{f"alpha{n}": {"fixed": 1.0} for n in numbers},
+            "bevel_mm": {"bounds": BEVEL_BOUNDS_MM},
+        },
+    }
+    several = len({one.specimen for one in dataset.insertions}) > 1
+    unit = "specimen" if several else "insertion"
+    where = "those into a new specimen" if several else "another one into the same specimen"
+    study = {
+        "schema": 2,
+        "title": f"{dataset.name}: leave one {unit} out",
+        "question": f"Does a model fitted to all other insertions predict {where}?",
+        "dataset": home,
+        "medium": f"{home}/{TISSUE_FILE}",
+        "recipe": "default",
+        "leave_out": unit,
+        **({} if several else {"same_specimen": True}),
+    }
+    study_file = name_study_file(dataset.name)
+    check_record(tissue, MediumRecord, TISSUE_FILE)
+    check_record(study, StudyRecord, study_file)
+    for name, tables, kind, what in (
+        (TISSUE_FILE, tissue, "medium.toml", "the layers, and which parameters are fitted."),
+        (study_file, study, "study.toml", "what is fitted, and what is predicted."),
+    ):
+        note = _START_NOTE.format(what=what, kind=kind)
+        (folder / name).write_bytes((note + dumps(tables)).encode("utf-8"))
+    return True

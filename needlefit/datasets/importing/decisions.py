@@ -1,8 +1,9 @@
 """What an import decides: by an option, an answer, a guess from the numbers, or an assumption."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Literal
 
 from needlefit.errors import ConfigError
@@ -11,21 +12,37 @@ from needlefit.schemas.dataset import ImportDecisionRecord
 Source = Literal["file", "option", "answer", "guess", "assumption"]
 
 MAX_ANSWER_CHARS = 500
+MAX_NUMBER = 1e6
+
+QUESTIONS = MappingProxyType(
+    {
+        "units": "Unit of the coordinates",
+        "frame": "Coordinate system of the curves",
+        "surfaces frame": "Coordinate system of the surfaces",
+        "entry": "Which end of the curves is the entry",
+        "tissue surface": "Surface at which needles enter the tissue",
+        "boundaries": "Depths of boundaries between layers along the needles, mm (such as 15,30), or none",
+        "boundary sd": "Standard deviation of the depths of the boundaries, mm",
+        "point sd": "Standard deviation of a point across the needle, mm",
+        "pose": "Entry direction: `shaft` outside the tissue, `tangent` of the shape, `free`, or X,Y,Z",
+        "entry point": "Where tips first touched the tissue: `first` point of each needle, or X,Y,Z of all",
+        "pose shift sd": "Standard deviation of the entry point per axis, mm",
+        "pose angle sd": "Standard deviation of the entry direction, degrees",
+        "bevel": "Direction toward which bevels of side 1 deflect: `bend` (as each needle bends), or X,Y,Z",
+        "medium": "Name of what was punctured",
+        "specimen": "Specimen of all insertions (`each`: every insertion has its own)",
+        "needle length": "Length of the needle, mm",
+        "diameter": "Outer diameter, mm or gauge (18G)",
+        "inner diameter": "Inner diameter, mm (0: solid)",
+        "modulus": "Young's modulus, GPa, or steel, nitinol, titanium, peek",
+    }
+)
+"""What is asked, by the name of the decision: that of its option, with blanks for `-`."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """One thing to decide.
-
-    Attributes
-    ----------
-    what : str
-        Its name: also that of its option, with `-` for blanks.
-    text : str
-        The question, for people.
-    choices : tuple of str
-        All values that are allowed; empty: any text that `parse` takes.
-    """
+    """One thing to decide: its name, the question for people, all values allowed (none: any text)."""
 
     what: str
     text: str
@@ -51,7 +68,13 @@ class Decisions:
     made: list[ImportDecisionRecord] = field(default_factory=list)
 
     def settle(
-        self, question: Question, guess: str, source: Source, reason: str, is_clear: bool = True
+        self,
+        what: str,
+        guess: str,
+        source: Source,
+        reason: str,
+        choices: tuple[str, ...] = (),
+        is_clear: bool = True,
     ) -> str:
         """Return the value of a question, and keep it with where it comes from.
 
@@ -69,7 +92,8 @@ class Decisions:
         ConfigError
             If an option or an answer is none of the choices, or the guess is not clear.
         """
-        value = self.options.get(question.what, "")
+        question = Question(what, QUESTIONS[what], choices)
+        value = self.options.get(what, "")
         if value:
             source, reason = "option", ""
         elif self.prompt is not None and source in ("guess", "assumption"):
@@ -78,14 +102,19 @@ class Decisions:
                 value, source, reason = answer, "answer", ""
         if not value and not is_clear:
             raise ConfigError(
-                f"{question.what} is not clear: {reason}",
-                expected=f"one of {', '.join(question.choices)}" if question.choices else question.text,
-                fix=f"state it with {option_name(question.what)}",
+                f"{what} is not clear: {reason}",
+                expected=f"one of {', '.join(choices)}" if choices else question.text,
+                fix=f"state it with {option_name(what)}",
             )
         value = value or guess
-        require_choice(question.what, value, question.choices)
-        self.keep(question.what, value, source, reason)
+        if choices:
+            _require(value in choices, what, value, f"one of {', '.join(choices)}")
+        self.keep(what, value, source, reason)
         return value
+
+    def settle_number(self, what: str, guess: float, source: Source, reason: str) -> float:
+        """Return the number of at least 0 that answers a question; ConfigError if it is none."""
+        return parse_not_negative(what, self.settle(what, f"{guess:g}", source, reason))
 
     def keep(self, what: str, value: str, source: Source, reason: str = "") -> None:
         """Keep a decision that was made elsewhere."""
@@ -97,14 +126,10 @@ def option_name(what: str) -> str:
     return f"--{what.replace(' ', '-')}"
 
 
-def require_choice(what: str, value: str, choices: Sequence[str]) -> None:
-    """Raise ConfigError unless a value is one of the choices; none: any value."""
-    if choices and value not in choices:
-        raise ConfigError(
-            f"{what} is {value[:60]!r}",
-            expected=f"one of {', '.join(choices)}",
-            fix=f"state one of them with {option_name(what)}",
-        )
+def _require(is_right: bool, what: str, text: str, expected: str) -> None:
+    if not is_right:
+        fix = f"state it with {option_name(what)}"
+        raise ConfigError(f"{what} is {text[:60]!r}", expected=expected, fix=fix)
 
 
 def parse_vector(what: str, text: str, may_be_zero: bool = False) -> tuple[float, float, float]:
@@ -114,28 +139,22 @@ def parse_vector(what: str, text: str, may_be_zero: bool = False) -> tuple[float
     except ValueError:
         x = y = z = float("nan")
     size = x * x + y * y + z * z
-    if not (size < 1e12 and (size > 0 or may_be_zero)):
-        raise ConfigError(
-            f"{what} is {text[:60]!r}",
-            expected="three numbers, such as 0,0,1",
-            fix=f"state them with {option_name(what)}",
-        )
+    is_right = size < MAX_NUMBER**2 and (size > 0 or may_be_zero)
+    _require(is_right, what, text, "three numbers, such as 0,0,1")
     return x, y, z
 
 
 def parse_positive(what: str, text: str) -> float:
     """Return the number above 0 in a text; ConfigError if it is none."""
     value = _parse_number(text)
-    if not 0 < value < 1e6:
-        raise _make_number_error(what, text, "a number above 0")
+    _require(0 < value < MAX_NUMBER, what, text, "a number above 0")
     return value
 
 
 def parse_not_negative(what: str, text: str) -> float:
     """Return the number of at least 0 in a text; ConfigError if it is none."""
     value = _parse_number(text)
-    if not 0 <= value < 1e6:
-        raise _make_number_error(what, text, "0 or a number above 0")
+    _require(0 <= value < MAX_NUMBER, what, text, "0 or a number above 0")
     return value
 
 
@@ -145,8 +164,8 @@ def parse_depths(what: str, text: str) -> tuple[float, ...]:
     Between numbers with decimal commas stand semicolons: `15,5;30`.
     """
     depths = tuple(_parse_number(part) for part in text.split(";" if ";" in text else ","))
-    if not all(low < high < 1e6 for low, high in pairwise((0.0, *depths))):
-        raise _make_number_error(what, text, "depths above 0 that increase, such as 15,30")
+    is_right = all(low < high < MAX_NUMBER for low, high in pairwise((0.0, *depths)))
+    _require(is_right, what, text, "depths above 0 that increase, such as 15,30")
     return depths
 
 
@@ -155,9 +174,3 @@ def _parse_number(text: str) -> float:
         return float(text.replace(",", "."))
     except ValueError:
         return float("nan")
-
-
-def _make_number_error(what: str, text: str, expected: str) -> ConfigError:
-    return ConfigError(
-        f"{what} is {text[:60]!r}", expected=expected, fix=f"state it with {option_name(what)}"
-    )

@@ -8,10 +8,15 @@ from pathlib import Path
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats import FORMATS, find_format
-from needlefit.datasets.importing.cells import SHEET_SUFFIXES, TEXT_SUFFIXES, read_sheets, read_text_cells
-from needlefit.datasets.importing.curve_tables import ImportedCurve, find_curves
 from needlefit.datasets.importing.slicer_scene import ImportedSurface, read_scene
-from needlefit.datasets.insertion_faults import MIN_POINTS
+from needlefit.datasets.importing.tables import (
+    SHEET_SUFFIXES,
+    TEXT_SUFFIXES,
+    ImportedCurve,
+    find_curves,
+    read_sheets,
+    read_text_cells,
+)
 from needlefit.errors import DataError
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, read_surface, transform_surface
@@ -80,8 +85,10 @@ def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportCo
         notes += [f"{path.name}: {remark}" for remark in remarks]
         files += [path] if some or more else []
     if not found and not curves:
-        found.append(_no_curve_fault(paths, surfaces))
-    found += [fault for one in curves for fault in _find_unusable(one)]
+        what = "holds surfaces, but no curve" if surfaces else "holds no file that can be read"
+        expected = f"curves of needles in files that end in {', '.join(list_import_suffixes())}"
+        found.append(Fault(str(paths[0]), what, expected, "name their files or folder"))
+    found += [fault for one in curves for fault in one.points.find_faults(one.name)]
     if found:
         raise as_error(found, paths[0])
     return ImportContent(tuple(files), _name_curves(curves), _name_surfaces(surfaces), tuple(notes))
@@ -96,23 +103,19 @@ def list_import_suffixes() -> tuple[str, ...]:
 def _list_files(paths: Sequence[Path], notes: list[str]) -> list[tuple[Path, bool]]:
     """Return the files, and whether each is named itself; of a folder with a scene that one alone."""
     listed: list[tuple[Path, bool]] = []
-    suffixes = list_import_suffixes()
     for path in paths:
         if not is_dir(path):
             listed.append((path, True))
             continue
-        there = sorted(
-            one for one in path.iterdir() if one.is_file() and not one.name.startswith((".", "~$"))
-        )
-        known = [one for one in there if one.name.lower().endswith(suffixes)]
-        scenes = [one for one in known if one.suffix.lower() in SCENE_SUFFIXES]
-        other = [one.name for one in there if one not in (scenes or known)]
+        files = (one for one in sorted(path.iterdir()) if one.is_file())
+        there = [one for one in files if not one.name.startswith((".", "~$"))]
+        known = [one for one in there if one.name.lower().endswith(list_import_suffixes())]
+        known = [one for one in known if one.suffix.lower() in SCENE_SUFFIXES] or known
+        other = [one.name for one in there if one not in known]
         if other:
-            notes.append(
-                f"{len(other)} files of {path.name or path} are left out: "
-                f"{join_names(other, MAX_SHOWN_FILES)}"
-            )
-        listed += [(one, False) for one in scenes or known]
+            names = join_names(other, MAX_SHOWN_FILES)
+            notes.append(f"{len(other)} files of {path.name or path} are left out: {names}")
+        listed += [(one, False) for one in known]
     if len(listed) > MAX_FILES:
         raise DataError(
             f"{len(listed)} files are named",
@@ -137,11 +140,13 @@ def _read_file(
     if suffix in SHEET_SUFFIXES:
         return _read_sheets(path, columns)
     if suffix in READ_SUFFIXES:
-        return (), [_read_model(path)], ()
-    format_ = find_format(path) if path_exists(path) else None
+        surface, stated = read_surface(path, "sheet", 2), read_coordinate_system(path)
+        surface = transform_surface(surface, RAS_TO_LPS) if stated == "RAS" else surface
+        return (), [ImportedSurface(path, surface, "LPS" if stated else None)], ()
+    if not path_exists(path):
+        raise DataError("there is no such file", where=str(path), fix="check the name and the path")
+    format_ = find_format(path)
     if format_ is None:
-        if not path_exists(path):
-            raise DataError("there is no such file", where=str(path), fix="check the name and the path")
         raise DataError(
             f"has the ending {suffix!r}",
             where=str(path),
@@ -149,9 +154,8 @@ def _read_file(
             fix="export the points of the needles to one of these",
         )
     named, remarks = format_.read_curves(path)
-    known = "LPS" if format_.in_scan else None
-    unit = "mm" if format_.in_scan else ""
-    found = [ImportedCurve(name, points, unit, known) for name, points in named.items()]  # type: ignore[arg-type]
+    unit, system = ("mm", "LPS") if format_.in_scan else ("", None)
+    found = [ImportedCurve(name, points, unit, system) for name, points in named.items()]  # type: ignore[arg-type]
     return _with_stem(found, path), (), remarks
 
 
@@ -173,59 +177,24 @@ def _read_sheets(path: Path, columns: Sequence[str]) -> tuple[list[ImportedCurve
     faults: list[DataError] = []
     for cells in read_sheets(path):
         try:
-            some = find_curves(cells, columns)
+            by_sheet[cells.sheet] = find_curves(cells, columns)
         except DataError as error:
             faults.append(error)
             continue
-        if some:
-            by_sheet[cells.sheet] = some
-        else:
+        if not by_sheet[cells.sheet]:
+            del by_sheet[cells.sheet]
             remarks.append(f"sheet {cells.sheet!r} is left out: it holds no coordinates")
     if faults and (not by_sheet or columns):
         raise faults[0]
     remarks += [f"left out: {error.where} {error.what}" for error in faults]
-    several = len(by_sheet) > 1
-    found = []
-    for sheet, ones in by_sheet.items():
-        for n, one in enumerate(ones, 1):
-            plain = sheet if len(ones) == 1 else f"{sheet}-{one.name or n}"
-            found.append(replace(one, name=plain) if several else one)
-    return _with_stem(found, path), (), remarks
-
-
-def _read_model(path: Path) -> ImportedSurface:
-    """Return a surface file; in LPS where it states a system."""
-    surface, system = read_surface(path, "sheet", 2), read_coordinate_system(path)
-    if system == "RAS":
-        surface = transform_surface(surface, RAS_TO_LPS)
-    return ImportedSurface(path, surface, "LPS" if system else None)
-
-
-def _no_curve_fault(paths: Sequence[Path], surfaces: Sequence[ImportedSurface]) -> Fault:
-    what = "holds surfaces, but no curve" if surfaces else "holds no file that can be read"
-    endings = ", ".join(list_import_suffixes())
-    return Fault(
-        str(paths[0]), what, f"curves of needles in files that end in {endings}", "name their files or folder"
-    )
-
-
-def _find_unusable(one: ImportedCurve) -> list[Fault]:
-    points = one.points
-    if len(points.values) < MIN_POINTS:
-        what = f"curve {one.name!r} has only {len(points.values)} points"
-        return [
-            Fault(
-                points.where(),
-                what,
-                f"at least {MIN_POINTS}",
-                "sample the needle more densely, or leave it out",
-            )
+    found = [one for ones in by_sheet.values() for one in ones]
+    if len(by_sheet) > 1:
+        found = [
+            replace(one, name=sheet if len(ones) == 1 else f"{sheet}-{one.name or n}")
+            for sheet, ones in by_sheet.items()
+            for n, one in enumerate(ones, 1)
         ]
-    bad = points.unusable()
-    if len(bad) == 0:
-        return []
-    what = f"curve {one.name!r} has {len(bad)} points that are NaN, infinite or too far away"
-    return [Fault(points.where(int(bad[0])), what, "finite numbers", "remove or fix these points")]
+    return _with_stem(found, path), (), remarks
 
 
 def _name_curves(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:

@@ -14,9 +14,9 @@ from needlefit.arrays import Floats
 from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.datasets.formats.mat import get_local_member
 from needlefit.datasets.formats.mrk_json import read_mrk_json
-from needlefit.datasets.importing.curve_tables import ImportedCurve
-from needlefit.datasets.insertion_faults import MIN_POINTS
+from needlefit.datasets.importing.tables import ImportedCurve
 from needlefit.datasets.markups import Markups
+from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, apply_affine
 from needlefit.geometry.surfaces import (
