@@ -11,10 +11,9 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.bevel_side import find_bend_side
-from needlefit.datasets.importing.conversion import write_plan
+from needlefit.datasets.importing.conversion import write_plan, write_starter_study
 from needlefit.datasets.importing.decisions import Decisions
 from needlefit.datasets.importing.files import ImportContent
-from needlefit.datasets.importing.conversion import write_starter_study
 from needlefit.datasets.importing.understanding import ImportPlan
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
