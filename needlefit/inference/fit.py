@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -115,14 +115,6 @@ class Fit:
         return f"no start of the search ended at a minimum ({reasons}); {fix}"
 
 
-def _ignore_start(start: Start) -> None:
-    return None
-
-
-def _ignore_step(done: int, total: int) -> None:
-    return None
-
-
 @dataclass(frozen=True)
 class Callbacks:
     """Callbacks to resume, report and stop a long computation."""
@@ -131,11 +123,11 @@ class Callbacks:
     finished: Mapping[int, Start] = field(default_factory=lambda: MappingProxyType({}))
     #: called with each start that ends, in the calling thread; an interrupted one is not reported, so a
     #: resumed search repeats it
-    report: Callable[[Start], None] = _ignore_start
+    report: Callable[[Start], None] = lambda start: None
     stop: Callable[[], bool] = never_stop  #: asked before every evaluation or step, from any thread
     #: called with the steps a sampler has done and all it will do, or the starts whose approach has ended,
     #: and all
-    step: Callable[[int, int], None] = _ignore_step
+    step: Callable[[int, int], None] = lambda done, total: None
     jobs: int = 1  #: threads; the result does not depend on their number
     #: where the starts of a search run, if they take long; nor does it depend on that
     pool: TaskPool = THIS_PROCESS
@@ -143,36 +135,24 @@ class Callbacks:
 
 def start_to_dict(start: Start) -> dict[str, Any]:
     """Return a start as plain JSON values; every float survives exactly, infinity as None."""
-    return {
-        "index": start.index,
-        "theta0": list(start.theta0),
-        "theta": list(start.theta),
-        # JSON has no infinity
-        "objective": start.objective if math.isfinite(start.objective) else None,
-        "evaluations": start.evaluations,
-        "gradients": start.gradients,
-        "failures": start.failures,
-        "stopped": start.stopped,
-        "failed": [list(theta) for theta in start.failed],
-        "joined": start.joined,
-    }
+    return asdict(start) | {"objective": start.objective if math.isfinite(start.objective) else None}
 
 
 def start_from_dict(table: Mapping[str, Any]) -> Start:
     """Return the start that `start_to_dict` wrote; FitError if a checkpoint was damaged."""
     try:
-        objective = table["objective"]
+        objective, joined = table["objective"], table["joined"]
         return Start(
             index=int(table["index"]),
-            theta0=tuple(float(x) for x in table["theta0"]),
-            theta=tuple(float(x) for x in table["theta"]),
+            theta0=tuple(map(float, table["theta0"])),
+            theta=tuple(map(float, table["theta"])),
             objective=math.inf if objective is None else float(objective),
             evaluations=int(table["evaluations"]),
             gradients=int(table["gradients"]),
             failures=int(table["failures"]),
             stopped=str(table["stopped"]),
-            failed=tuple(tuple(float(x) for x in theta) for theta in table["failed"]),
-            joined=None if table["joined"] is None else int(table["joined"]),
+            failed=tuple(tuple(map(float, theta)) for theta in table["failed"]),
+            joined=None if joined is None else int(joined),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FitError(

@@ -1,79 +1,23 @@
-"""Objective functions of a search: the negative log posterior, or the metric objective.
+"""Objective functions of a search, and the record of their evaluations.
 
-Both offer a value, a value with its exact gradient, and, where the value is half a sum of squares but for a
-constant, the residuals and their exact Jacobian.
-
-Evaluate an objective function; record evaluations, failures, best point, and the end of the search.
+The negative log posterior, or the metric objective. Both offer a value, a value with its exact gradient, and,
+where the value is half a sum of squares but for a constant, the residuals and their exact Jacobian.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError, NeedlefitError
+from needlefit.errors import NeedlefitError
 from needlefit.inference.fit import INTERRUPTED
 from needlefit.schemas.recipe import ObjectiveName
 
-
-class SupportsBounds(Protocol):
-    """Interface of anything with bounds on theta."""
-
-    @property
-    def lower(self) -> Floats:
-        """Lower bounds of theta: (P,)."""
-
-    @property
-    def upper(self) -> Floats:
-        """Upper bounds of theta: (P,)."""
-
-
-class SupportsValues(SupportsBounds, Protocol):
-    """Interface of anything that turns theta into parameter values."""
-
-    def values(self, theta: Floats) -> dict[str, float]:
-        """Return the value of every parameter (Pa, mm) at theta."""
-
-
-class SupportsApproach(SupportsValues, Protocol):
-    """Interface of a problem that may offer an easier problem with nearby minima."""
-
-    def approach(self, minimized: ObjectiveName) -> "SupportsPosterior | None":
-        """Return an easier problem whose minima lead to those of this one; None if there is none."""
-
-
-class SupportsPosterior(SupportsApproach, Protocol):
-    """Interface of a problem with a posterior; `Problem` is one."""
-
-    def log_posterior(self, theta: Floats) -> float:
-        """Return the log posterior; not finite where it cannot be computed."""
-
-    def gradient(self, theta: Floats) -> tuple[float, Floats]:
-        """Return the log posterior and its gradient (P,)."""
-
-    @property
-    def squares(self) -> bool:
-        """Whether the log posterior is a constant minus half the residuals' squares."""
-
-    def residuals(self, theta: Floats) -> Floats:
-        """Return the whitened residuals (R,)."""
-
-    def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the whitened residuals (R,) and their Jacobian (R, P)."""
-
-
-@runtime_checkable
-class SupportsMetric(SupportsApproach, Protocol):
-    """Interface of a problem with a metric objective; `Problem` is one, an empirical curve is not."""
-
-    def objective(self, theta: Floats) -> float:
-        """Return the metric objective, mm; not finite where it cannot be computed."""
-
-    def objective_gradient(self, theta: Floats) -> tuple[float, Floats]:
-        """Return the metric objective and its gradient (P,)."""
+if TYPE_CHECKING:
+    from needlefit.inference.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -107,32 +51,20 @@ that a closer approach is lost work.
 """
 
 
-def make_objective(problem: SupportsPosterior, minimized: ObjectiveName) -> ObjectiveFunction:
-    """Return the objective function that a recipe's `minimize` names, with an easier one to start from.
-
-    Raises
-    ------
-    ConfigError
-        If the problem has no metric objective.
-    """
+def make_objective(problem: "Problem", minimized: ObjectiveName) -> ObjectiveFunction:
+    """Return the objective function that a recipe's `minimize` names, with an easier one to start from."""
     if minimized == "posterior":
-        objective_function = make_posterior_objective(problem)
-    elif isinstance(problem, SupportsMetric):
-        objective_function = make_metric_objective(problem)
+        found = make_posterior_objective(problem)
     else:
-        raise ConfigError("there is no metric objective of this fit", expected='minimize = "posterior"')
+        found = ObjectiveFunction(problem.lower, problem.upper, problem.objective, problem.objective_gradient)
     easier = problem.approach(minimized)
-    return (
-        objective_function
-        if easier is None
-        else replace(
-            objective_function, approach=make_posterior_objective(easier, APPROACH_TOLERANCES[minimized])
-        )
-    )
+    if easier is None:
+        return found
+    return replace(found, approach=make_posterior_objective(easier, APPROACH_TOLERANCES[minimized]))
 
 
 def make_posterior_objective(
-    problem: SupportsPosterior, absolute_tolerance: float = POSTERIOR_TOLERANCE
+    problem: "Problem", absolute_tolerance: float = POSTERIOR_TOLERANCE
 ) -> ObjectiveFunction:
     """Return the negative log posterior density in theta as an objective function."""
 
@@ -143,19 +75,10 @@ def make_posterior_objective(
         density, slope = problem.gradient(theta)
         return -density, -slope
 
-    objective_function = ObjectiveFunction(
-        problem.lower, problem.upper, value, gradient, absolute_tolerance=absolute_tolerance
+    residuals, jacobian = (problem.residuals, problem.jacobian) if problem.squares else (None, None)
+    return ObjectiveFunction(
+        problem.lower, problem.upper, value, gradient, residuals, jacobian, absolute_tolerance
     )
-    return (
-        replace(objective_function, residuals=problem.residuals, jacobian=problem.jacobian)
-        if problem.squares
-        else objective_function
-    )
-
-
-def make_metric_objective(problem: SupportsMetric) -> ObjectiveFunction:
-    """Return the metric objective, a weighted mean of IPE, TE and EDP (mm), as an objective function."""
-    return ObjectiveFunction(problem.lower, problem.upper, problem.objective, problem.objective_gradient)
 
 
 Value = TypeVar("Value")

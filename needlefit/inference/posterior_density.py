@@ -51,12 +51,8 @@ class PosteriorDensity:
     #: whether b is the mean of the insertions' own, from which their deviations sum to zero
     centred_bevels: bool = False
 
-    def log_density(self, values: Values) -> float:
-        """Return the logarithm of likelihood and stated prior; NaN where a solve fails."""
-        return float(self.log_densities([values])[0])
-
     def log_densities(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
-        """Return `log_density` (B,) of many sets of values at once, on `jobs` threads."""
+        """Return the log of likelihood and stated prior (B,) of sets of values; NaN where a solve fails."""
         parts = [sets[start : start + SETS_AT_ONCE] for start in range(0, len(sets), SETS_AT_ONCE)]
         return np.concatenate(
             [self._add_up(list(self.whitened_residuals(part, jobs)), part) for part in parts]
@@ -66,14 +62,14 @@ class PosteriorDensity:
         """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""
         scale, spread = self._scales(sets)
         total = np.array([self._log_prior(values) for values in sets])
-        for members, group in self._groups:
+        for members, group in self._nodes.groups:
             total += sum(self.observations[k].log_norm for k in members)
             total += log_marginals([white[k] for k in members], group, scale, spread)
         return total
 
     def whitened_residuals(self, sets: Sequence[Values], jobs: int) -> Iterator[Floats]:
         """Yield of each insertion the whitened residuals (B, m, R) of many sets of values at its m nodes."""
-        return self._whiten(self._model, [one.nodes for one in self.observations], sets, jobs)
+        return self._whiten(self._nodes, sets, jobs)
 
     def estimate_bevel(
         self, sets: Sequence[Values], insertion: tuple[str, int], jobs: int
@@ -100,13 +96,9 @@ class PosteriorDensity:
         mean, covariance = solve_shared(white, group, scale, spread)
         return mean[:, 0], np.sqrt(covariance[:, 0, 0])
 
-    def gradient(self, values: Values) -> tuple[float, Floats]:
-        """Return `log_density` and its derivatives (P,) by theta; NaN where a solve fails."""
-        return self.gradients([values])[0]
-
     def gradients(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[float, Floats]]:
-        """Return `gradient` of many sets of values at once, on `jobs` threads."""
-        pairs = self._differentiate(self._model, [one.nodes for one in self.observations], sets, jobs)
+        """Return `log_densities`, and the derivatives (P,) of each by theta; NaN where a solve fails."""
+        pairs = self._differentiate(self._nodes, sets, jobs)
         totals = self._add_up([white for white, _ in pairs], sets)
         return [
             (float(totals[b]), self._slope(values, [(white[b], by[b]) for white, by in pairs]))
@@ -119,7 +111,7 @@ class PosteriorDensity:
         stated, names = self.parameters.prior.residuals(values), self.parameters.free
         slope = -(stated @ self.parameters.prior.slopes(names))
         slope = slope + self._by_half_normal * (1 - self._spread_in_sd(values) ** 2)
-        for members, group in self._groups:
+        for members, group in self._nodes.groups:
             found, by_spread = mixing_matrices([pairs[k][0] for k in members], group, scale, spread)
             slope = slope + self._by_spread * by_spread
             for k, mixed in zip(members, found, strict=True):
@@ -134,26 +126,22 @@ class PosteriorDensity:
     def residuals(self, values: Values) -> Floats:
         """Return residuals (R,): of the insertions, of the normalising factor, and of the prior."""
         scale, spread = self._scales([values])
-        white = list(self._whiten(self._linear_model, [nodes for _, nodes in self._linear], [values], 1))
+        white = list(self._whiten(self._linear_nodes, [values], 1))
         pairs = [
             linear_residuals([white[k] for k in members], group, scale, spread)
-            for members, group in self._linear_groups
+            for members, group in self._linear_nodes.groups
         ]
         parts = [part[0] for part in self._in_order(part for part, _ in pairs)]
         normal = self._normal(values, sum(float(log_det[0]) for _, log_det in pairs))
         return np.concatenate([*parts, normal, self._prior_residuals(values)])
 
-    def jacobian(self, values: Values) -> tuple[Floats, Floats]:
-        """Return `residuals` and their derivatives (R, P) by theta; NaN where a solve fails."""
-        return self.jacobians([values])[0]
-
     def jacobians(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[Floats, Floats]]:
-        """Return `jacobian` of many sets of values at once, on `jobs` threads."""
+        """Return of each set `residuals` and their derivatives (R, P) by theta; NaN where a solve fails."""
         at = self._scales(sets)
         log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
         parts, slopes = [], []
-        pairs = self._differentiate(self._linear_model, [nodes for _, nodes in self._linear], sets, jobs)
-        for members, group in self._linear_groups:
+        pairs = self._differentiate(self._linear_nodes, sets, jobs)
+        for members, group in self._linear_nodes.groups:
             white = [pairs[k][0] for k in members]
             # residuals are white / scale: d/d(ln scale) is minus the residual
             by = [pairs[k][1] - pairs[k][0][..., None] * self._by_scale for k in members]
@@ -188,7 +176,7 @@ class PosteriorDensity:
     def residual_counts(self) -> tuple[int, ...]:
         """Number of residuals of each insertion; the normalising one and the prior's come after them."""
         counts = [0] * len(self.observations)
-        for members, group in self._linear_groups:
+        for members, group in self._linear_nodes.groups:
             rows = [self.observations[k].rows for k in members]
             for k, count in zip(members, count_residuals(group, rows), strict=True):
                 counts[k] = count
@@ -197,23 +185,25 @@ class PosteriorDensity:
     def _in_order(self, parts: Iterable[Floats]) -> list[Floats]:
         """Return the residuals of groups, (B, R) or (B, R, P) each, insertion by insertion."""
         found: dict[int, Floats] = {}
-        for (members, _), part in zip(self._linear_groups, parts, strict=True):
+        for (members, _), part in zip(self._linear_nodes.groups, parts, strict=True):
             ends = np.cumsum([self.residual_counts[k] for k in members])[:-1]
             found |= dict(zip(members, np.split(part, ends, axis=1), strict=True))
         return [found[k] for k in sorted(found)]
 
     @cached_property
-    def _groups(self) -> tuple[tuple[tuple[int, ...], NodeGroup], ...]:
-        return group_nodes(tuple(one.nodes for one in self.observations), self.centred_bevels)
+    def _nodes(self) -> "_ModelledNodes":
+        """The nodes of all insertions."""
+        return self._prepare([one.nodes for one in self.observations])
 
     @cached_property
-    def _linear(self) -> tuple[tuple[Observation, Nodes], ...]:
-        """Every observation with the nodes that linear effects need."""
-        return tuple((one, one.nodes.linear_only) for one in self.observations)
+    def _linear_nodes(self) -> "_ModelledNodes":
+        """Those that linear effects need."""
+        return self._prepare([one.nodes.linear_only for one in self.observations])
 
-    @cached_property
-    def _linear_groups(self) -> tuple[tuple[tuple[int, ...], NodeGroup], ...]:
-        return group_nodes(tuple(nodes for _, nodes in self._linear), self.centred_bevels)
+    def _prepare(self, nodes: Sequence[Nodes]) -> "_ModelledNodes":
+        every = [insertion for some in nodes for insertion in some.insertions]
+        model = PreparedModel(self.medium, self.needle, every)
+        return _ModelledNodes(tuple(nodes), model, group_nodes(tuple(nodes), self.centred_bevels))
 
     @property
     def _rows(self) -> int:
@@ -264,7 +254,7 @@ class PosteriorDensity:
         """Return the residual (1,) whose square is the normalising factor; none if that is constant."""
         scale, spread = self._scale(values), self._spread_in_sd(values)
         moving = NOISE_SCALE in self.parameters.free
-        varies = any(self._varies_log_det(group, values) for _, group in self._groups)
+        varies = any(self._varies_log_det(group, values) for _, group in self._nodes.groups)
         if not moving and not spread and not varies:
             return np.empty(0)
         # 1 keeps it from 0, where its derivative would be infinite
@@ -277,36 +267,20 @@ class PosteriorDensity:
         spreads = self._spread(values) > 0
         return any(nodes.axes or (nodes.bevel and spreads) for nodes in group.nodes)
 
-    @cached_property
-    def _model(self) -> PreparedModel:
-        """The forward model of all nodes."""
-        return self._prepare([one.nodes for one in self.observations])
-
-    @cached_property
-    def _linear_model(self) -> PreparedModel:
-        """The forward model of the nodes that linear effects need."""
-        return self._prepare([nodes for _, nodes in self._linear])
-
-    def _prepare(self, nodes: Sequence[Nodes]) -> PreparedModel:
-        every = [insertion for some in nodes for insertion in some.insertions]
-        return PreparedModel(self.medium, self.needle, every)
-
-    def _whiten(
-        self, model: PreparedModel, nodes: Sequence[Nodes], sets: Sequence[Values], jobs: int
-    ) -> Iterator[Floats]:
+    def _whiten(self, nodes: "_ModelledNodes", sets: Sequence[Values], jobs: int) -> Iterator[Floats]:
         """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last."""
-        points = iter(model.read_points(sets, _list_places(nodes), jobs))
-        for one, some in zip(self.observations, nodes, strict=True):
+        points = iter(nodes.model.read_points(sets, nodes.places, jobs))
+        for one, some in zip(self.observations, nodes.nodes, strict=True):
             stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)
             yield _append_curves(one, whiten_residuals(one, stacked))
 
     def _differentiate(
-        self, model: PreparedModel, nodes: Sequence[Nodes], sets: Sequence[Values], jobs: int
+        self, nodes: "_ModelledNodes", sets: Sequence[Values], jobs: int
     ) -> list[tuple[Floats, Floats]]:
         """Return of each insertion the same, and the derivatives (B, m + c, R, P) by theta."""
         found = []
-        points, slopes = map(iter, model.differentiate(sets, self.parameters, _list_places(nodes), jobs))
-        for one, some in zip(self.observations, nodes, strict=True):
+        points, slopes = map(iter, nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
+        for one, some in zip(self.observations, nodes.nodes, strict=True):
             stacked, by = (np.stack([next(part) for _ in some.s], axis=1) for part in (points, slopes))
             white = _append_curves(one, whiten_residuals(one, stacked))
             by_white = np.zeros((*white.shape, by.shape[-1]))
@@ -315,9 +289,18 @@ class PosteriorDensity:
         return found
 
 
-def _list_places(nodes: Sequence[Nodes]) -> list[Floats]:
-    """Return where the points of all nodes lie on the beam, (K,) mm each."""
-    return [s for some in nodes for s in some.s]
+@dataclass(frozen=True)
+class _ModelledNodes:
+    """The nodes of all insertions, the forward model of them, and the insertions that share conditions."""
+
+    nodes: tuple[Nodes, ...]
+    model: PreparedModel
+    groups: tuple[tuple[tuple[int, ...], NodeGroup], ...]
+
+    @property
+    def places(self) -> list[Floats]:
+        """Where the points of all nodes lie on the beam, (K,) mm each."""
+        return [s for some in self.nodes for s in some.s]
 
 
 def _append_curves(observation: Observation, white: Floats) -> Floats:

@@ -27,7 +27,6 @@ from needlefit.mechanics.shape import (
     NeedleShape,
     Status,
     Validity,
-    compute_batch_scales,
     compute_scales,
     compute_validity,
 )
@@ -195,7 +194,7 @@ class NeedleShapes:
     status : (B,) array of int
         Into `simulate.STATUS_NAMES`; 0: converged.
     iterations : (B,) array of int
-    scales : (B, 3) array
+    scales : (B, 2) array
     """
 
     x: Floats
@@ -219,20 +218,6 @@ class NeedleShapes:
     def take(self, sets: slice) -> "NeedleShapes":
         """Return some of the sets; their arrays are views."""
         return NeedleShapes(*(getattr(self, one.name)[sets] for one in fields(self)))
-
-    @classmethod
-    def from_shapes(cls, shapes: Sequence[NeedleShape]) -> Self:
-        """Return several shapes of the same insertion as one batch."""
-        return cls(
-            np.array([shape.x for shape in shapes]),
-            np.array([shape.u for shape in shapes]),
-            np.array([shape.slope for shape in shapes]),
-            np.array([shape.constraints for shape in shapes]),
-            np.array([shape.tip_track for shape in shapes]),
-            np.array([STATUS_NAMES.index(shape.status) for shape in shapes]),
-            np.array([shape.iterations for shape in shapes]),
-            np.array([shape.scales for shape in shapes]),
-        )
 
     @property
     def converged(self) -> NDArray[np.bool_]:
@@ -379,7 +364,7 @@ def linearize_steps(
     insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
     one = Evaluation(insertion, 1, {}, np.ones(1, dtype=bool))
     run_evaluations([one], 1)
-    scales = compute_scales(tissue, needle.flexural_rigidity, insertion.depth, insertion.lattice.spacing)
+    scales = compute_scales(tissue, insertion.depth, insertion.lattice.spacing)
     shape = read_shape(one.shapes, scales)
     return shape, read_jacobians(one, np.array([shape.converged]))[0]
 
@@ -586,9 +571,16 @@ def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
         wrong = ~valid
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
         a["u"][wrong] = a["slope"][wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1] = np.nan
-    scales = _make_scales(batch, valid, evaluation.insertion.depth)
+    scales = compute_scales(batch.tissue, evaluation.insertion.depth, batch.rules.spacing)
     return NeedleShapes(
-        a["x"], a["u"], a["slope"], a["constraints"], a["track"], a["status"], a["passes"], scales
+        a["x"],
+        a["u"],
+        a["slope"],
+        a["constraints"],
+        a["track"],
+        a["status"],
+        a["passes"],
+        np.tile(scales, (len(batch), 1)),
     )
 
 
@@ -610,12 +602,3 @@ def _find_valid(batch: Batch) -> Bools:
                 accepted &= (values < 0) & (values > deepest - batch.needle.length)
             good &= accepted.reshape(len(batch), -1).all(axis=1)
     return good
-
-
-def _make_scales(batch: Batch, valid: Bools, depth: float) -> Floats:
-    """Return what the validity of every set is measured by, (B, 3) mm."""
-    count = len(batch)
-    mu = np.broadcast_to(batch.tissue.mu, (count, batch.tissue.layers)) if batch.mu is None else batch.mu
-    rigidity = batch.needle.flexural_rigidity if batch.rigidity is None else batch.rigidity
-    mu, rigidity = np.where(valid[:, None], mu, np.nan), np.where(valid, rigidity, np.nan)
-    return compute_batch_scales(mu, rigidity, batch.tissue, depth, batch.rules.spacing)

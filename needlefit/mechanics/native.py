@@ -47,19 +47,9 @@ STOP = np.dtype(
 )  #: a stop of the tip; `flags` is a sum of the three above
 
 _SIZES = [
-    "sets",
-    "layers",
-    "shapes",
-    "terms",
-    "numbers",
-    "stop_count",
-    "bevels",
-    "inputs",
-    "rays",
-    "guides",
-    "columns",
-    "max_iterations",
-]
+    "sets", "layers", "shapes", "terms", "numbers", "stop_count", "bevels", "inputs", "rays", "guides",
+    "columns", "max_iterations",
+]  # fmt: skip
 _NUMBERS = ["length", "first_cell", "spacing", "element", "part", "tangent", "tolerance", "deepest"]
 _ARRAYS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
     "boundaries": (float, ("layers - 1",)),
@@ -203,27 +193,11 @@ def check_array(name: str, array: np.ndarray, dtype: Any, shape: tuple[int, ...]
 class Shapes(ctypes.Structure):
     """Where the kernel writes shapes and derivatives: `struct Shapes` of `native/abi.cpp`."""
 
-    _fields_ = [
-        ("room", c_int64),
-        ("points", c_int64),
-        *(
-            (name, c_void_p)
-            for name in [
-                "x",
-                "u",
-                "slope",
-                "constraints",
-                "track",
-                "status",
-                "passes",
-                "nodes",
-                "u_by",
-                "slope_by",
-                "constraints_by",
-                "track_by",
-            ]
-        ),
-    ]
+    _WRITTEN = (
+        "x", "u", "slope", "constraints", "track", "status", "passes", "nodes",
+        "u_by", "slope_by", "constraints_by", "track_by",
+    )  # fmt: skip
+    _fields_ = [("room", c_int64), ("points", c_int64), *((name, c_void_p) for name in _WRITTEN)]
     arrays: dict[str, np.ndarray]
     nodes_of_sets: Floats  # (3, sets, room) x, u and slope
     cut_of_sets: Floats  # (2, sets, points, 2) constraints and track
@@ -449,11 +423,8 @@ class SessionMemory:
     def copy(self) -> "SessionMemory":
         """Return an independent copy."""
         other = object.__new__(SessionMemory)
-        other._library, other._laws, other._fixed = (
-            self._library,
-            self._laws,
-            self._fixed,
-        )  # these never change
+        # these never change
+        other._library, other._laws, other._fixed = self._library, self._laws, self._fixed
         other._take(self, self._fits)
         return other
 
@@ -462,6 +433,7 @@ class SessionMemory:
         self._take(self, problem)
 
     def _take(self, other: "SessionMemory", problem: Problem) -> None:
+        """Take the state of `other`, in memory with room for the rays that `problem` has."""
         sizes = other._measure(problem)
         now, scratch = make_memory(sizes[1]), make_memory(sizes[2])
         other._library.nf_session_copy(
@@ -524,12 +496,7 @@ def find_equilibrium(
 def list_quadrature(problem: Problem, nodes: Floats, depths: Floats) -> tuple[Floats, Floats, Ints, Ints]:
     """Return place, weight, layer and constraint point of the quadrature points, for nodes in the tissue."""
     library, room = load_library(), problem.max_quadrature
-    x, weight, layer, near = (
-        np.empty(room),
-        np.empty(room),
-        np.empty(room, np.int64),
-        np.empty(room, np.int64),
-    )
+    (x, weight), (layer, near) = np.empty((2, room)), np.empty((2, room), np.int64)
     memory = make_memory(measure_memory(problem, 1))
     check_array("nodes", nodes, float, (-1,))
     check_array("depths", depths, float, (-1,))
@@ -544,8 +511,7 @@ def list_quadrature(problem: Problem, nodes: Floats, depths: Floats) -> tuple[Fl
 
 class _BentNeedle(ctypes.Structure):
     _fields_ = [
-        ("nodes", c_int64),
-        ("cells", c_int64),
+        *((name, c_int64) for name in ("nodes", "cells")),
         *((name, c_void_p) for name in ("x", "u", "slope", "points")),
     ]
 

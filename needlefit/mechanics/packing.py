@@ -72,21 +72,12 @@ def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
     controls = tuple(dict.fromkeys(stop.controls_id for stop in stops))
     packed = np.empty(len(stops), native.STOP)
     for n, stop in enumerate(stops):
-        packed[n] = (
-            stop.tip, stop.cell, max(stop.ray, 0), bevels.index(stop.bevel_id),
-            controls.index(stop.controls_id), find_flags(stop),
-        )  # fmt: skip
+        flags = native.PERMANENT * stop.permanent + native.STARTS_RAY * stop.starts_ray
+        flags += native.EXTRAPOLATES * stop.extrapolates
+        places = bevels.index(stop.bevel_id), controls.index(stop.controls_id)
+        packed[n] = stop.tip, stop.cell, max(stop.ray, 0), *places, flags
     packed.flags.writeable = False  # kept for the next insertion of the same steps
     return PackedStops(packed, bevels, controls, stops[-1], 1 + max(0, *(stop.ray for stop in stops)))
-
-
-def find_flags(stop: TipStop) -> int:
-    """Return the flags of a stop."""
-    return (
-        native.PERMANENT * stop.permanent
-        + native.STARTS_RAY * stop.starts_ray
-        + native.EXTRAPOLATES * stop.extrapolates
-    )
 
 
 def compute_turn(bevel: Bevel, rules: ModelOptions) -> float:
@@ -121,9 +112,7 @@ def pack_layers(
 
     size = (sets, tissue.layers)
     coefficients, exponents = compile_law(tissue.law, values.get("shape", tissue.shape))
-    law = np.concatenate(
-        (coefficients, exponents), axis=-1
-    )  # (sets, n, numbers), or of all sets (n, numbers)
+    law = np.concatenate((coefficients, exponents), axis=-1)  # (sets, n, numbers), or of all (n, numbers)
     sizes = {
         "layers": tissue.layers, "shapes": len(tissue.shape), "terms": exponents.shape[-1],
         "numbers": law.shape[-1],
@@ -230,7 +219,9 @@ def pack_sets(
     if "guide_x" in values:
         arrays["guide_x"] = values["guide_x"]
     if columns is not None and columns.first[native.SHAPE_COLUMN] >= 0:
-        arrays["law_by"] = _differentiate_laws(tissue, sets, values, of_layers["numbers"])
+        by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
+        size = sets, tissue.layers, len(tissue.shape), of_layers["numbers"]
+        arrays["law_by"] = np.ascontiguousarray(np.broadcast_to(by, size))
     return of_layers, arrays
 
 
@@ -265,11 +256,6 @@ def _pack_shared(
         "guides": max(len(one.guides) for one in controls),
     }  # fmt: skip
     return sizes, arrays
-
-
-def _differentiate_laws(tissue: Tissue, sets: int, values: Mapping[str, Floats], numbers: int) -> Floats:
-    by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
-    return np.ascontiguousarray(np.broadcast_to(by, (sets, tissue.layers, len(tissue.shape), numbers)))
 
 
 MAX_TOLERANCE_MM = 1e-9
@@ -307,9 +293,8 @@ class PreparedInsertion:
         self.lattice, self._packed = plan_insertion(steps, needle.length, rules, lattice)
         self.points = self._packed.last.cell + 1
         self.depth = self._packed.last.tip
-        self.nodes_solved = float(
-            self._packed.stops["tip"].sum()
-        )  # about: it orders insertions by their cost
+        # about: it orders insertions by their cost
+        self.nodes_solved = float(self._packed.stops["tip"].sum())
         self._problem: native.Problem | None = None
 
     def pack(self, sets: int, values: Mapping[str, Floats]) -> native.Problem:
@@ -344,7 +329,8 @@ class Evaluation:
     ) -> None:
         self.insertion, self.valid, self.some = insertion, valid, int(np.argmax(valid))
         if not valid.all():  # what is no parameter is replaced by one; what it gives is discarded
-            values = {name: _replace_rows(array, valid, self.some) for name, array in values.items()}
+            rows = np.where(valid, np.arange(sets), self.some)
+            values = {name: array[rows] for name, array in values.items()}
         self.values = values
         self.problem = insertion.pack(sets, values)
         self.shapes = native.make_shapes(self.problem, insertion.points)
@@ -382,10 +368,3 @@ def run_evaluations(evaluations: Sequence[Evaluation], threads: int) -> None:
     with ThreadPoolExecutor(threads) as pool:  # the kernel runs without the interpreter
         for future in [pool.submit(run) for _ in range(threads)]:
             future.result()
-
-
-def _replace_rows(array: Floats, valid: Bools, some: int) -> Floats:
-    """Return the rows of valid sets, and in place of others that of one of them."""
-    replaced = array.copy()
-    replaced[~valid] = array[some]
-    return replaced

@@ -75,7 +75,7 @@ def simulate_steps(
         c_tip = c[stop.cell] if stop.cell > 0 else u_tip
         track[stop.cell] = u_tip, slope_tip
     tips = np.array([track[m] for m in range(stop.cell + 1)])
-    scales = compute_scales(tissue, needle.flexural_rigidity, stop.tip, C_int)
+    scales = compute_scales(tissue, stop.tip, C_int)
     return NeedleShape(nodes, u[0::2], u[1::2], points, tips, "converged", iterations, scales)
 
 

@@ -88,8 +88,7 @@ class Session:
         self.solved = 0
         self._boundaries = tissue.boundaries.tolist()
         self._scales = [  # of a tip in each layer
-            compute_scales(tissue, needle.flexural_rigidity, end, rules.spacing)
-            for end in (*self._boundaries, math.inf)
+            compute_scales(tissue, end, rules.spacing) for end in (*self._boundaries, math.inf)
         ]
         self._bevels, self._controls = _InputIds[Bevel](), _InputIds[Controls]()
         self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)

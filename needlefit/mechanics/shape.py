@@ -1,9 +1,8 @@
-"""Check whether a solution keeps within the model's assumptions: a solution may converge and still be wrong.
+"""The result of a simulation, the needle's shape in the constraint frame C, and whether to trust it.
 
-The record stands beside the status of every solution. Each quantity is the worst of the whole needle, and
-each has a limit; docs/solver.md, "Validity of a solution", says where the limits come from.
-
-The result of a simulation: the needle's shape in the constraint frame C.
+A solution may converge and still break the model's assumptions. The record of that stands beside the status
+of every solution. Each quantity is the worst of the whole needle, and each has a limit; docs/solver.md,
+"Validity of a solution", says where the limits come from.
 """
 
 import math
@@ -11,7 +10,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -19,6 +18,9 @@ from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.tissue import Tissue
+
+if TYPE_CHECKING:
+    from needlefit.mechanics.batch import NeedleShapes
 
 MAX_SLOPE = 0.3
 """Greatest slope |u'| for the assumption of small slopes: u' and its sine then differ by 1.5 %."""
@@ -37,39 +39,6 @@ and entry by so much, mm: few know the place of a guide better."""
 MAX_COMPRESSION = 0.5
 """|e| / t: compression tests of soft tissue, the basis of the laws, end at about half of the thickness."""
 
-MAX_ROUNDING_MM = 1e-3  #: rounding error of the solver, mm: the precision of files and tables
-
-ROUNDING_FACTOR, ROUNDING_ORDER = 300.0, 2.5
-"""Coefficients of `Validity.rounding_mm`, fitted to the errors that `benchmarks/validity.py` measures."""
-
-
-class SolvedShape(Protocol):
-    """The fields that validity needs: of a `NeedleShape`, or of `NeedleShapes` with leading axes (...)."""
-
-    @property
-    def x(self) -> Floats:
-        """Depth of the nodes, (..., N), mm."""
-
-    @property
-    def u(self) -> Floats:
-        """Their deflection, (..., N), mm."""
-
-    @property
-    def slope(self) -> Floats:
-        """Their slope, (..., N)."""
-
-    @property
-    def constraints(self) -> Floats:
-        """Depth and y of the constraint points, (..., M + 1, 2), mm."""
-
-    @property
-    def tip_track(self) -> Floats:
-        """Deflection and slope of the tip at each of them, (..., M + 1, 2)."""
-
-    @property
-    def scales(self) -> Floats:
-        """Reference lengths of validity, as `compute_scales` returns them, (..., 3), mm."""
-
 
 @dataclass(frozen=True)
 class Validity:
@@ -87,8 +56,6 @@ class Validity:
     #: the places of the guides before the tissue and of the first contact, mm
     miss_mm: Floats
     compression: Floats  #: (...) greatest |e| / t at a constraint point
-    #: (...) estimate, rather too large, of the error that the solver's arithmetic leaves, mm
-    rounding_mm: Floats
 
     @property
     def ok(self) -> Bools:
@@ -120,7 +87,6 @@ LIMITS: tuple[tuple[str, float, str], ...] = (
     ("shortening_per_layer", MAX_SHORTENING_PER_LAYER, "shortening over the thinnest layer"),
     ("miss_mm", MAX_MISS_MM, "miss of guides or entry"),
     ("compression", MAX_COMPRESSION, "compression of the tissue"),
-    ("rounding_mm", MAX_ROUNDING_MM, "rounding error"),
 )  #: attribute of `Validity`, its limit, and its printed name
 
 
@@ -132,42 +98,23 @@ def find_worst(solutions: Sequence[Validity]) -> Validity:
         return Validity(**{name: np.nanmax(values) for name, values in worst.items()})
 
 
-def compute_validity(solved: SolvedShape) -> Validity:
+def compute_validity(solved: "NeedleShape | NeedleShapes") -> Validity:
     """Return the validity of a solution, or of each solution of a batch."""
     x, u, slope, scales = solved.x, solved.u, solved.slope, solved.scales
-    length = x[..., -1] - x[..., 0]
-    step = np.diff(x, axis=-1)
-    thinnest, thickness, reach = scales[..., 0], scales[..., 1], scales[..., 2]
+    length, step = x[..., -1] - x[..., 0], np.diff(x, axis=-1)
+    before_entry = x[..., :-1] < ENTRY_TOLERANCE_MM
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         steepest, shortening, misses = _find_slopes(u, slope, step)
-        steepest = np.maximum(steepest, np.abs(solved.tip_track[..., 1]).max(axis=-1))
-        range_ = u.max(axis=-1) - u.min(axis=-1)
-        finest = _find_shortest_element(x, step)
-        largest = np.abs(u).max(axis=-1)
-        # what rounds off in a beam element's stiffness, 12 EI / h^3, moves the length over which the tissue
-        # leaves the needle free; each constraint point inherits the error of those before it
-        amplification = (np.minimum(reach, length) / finest) ** ROUNDING_ORDER * solved.tip_track.shape[-2]
         return Validity(
-            steepest,
-            range_ / length,
-            shortening / thinnest,
-            np.abs(np.where(x[..., :-1] < ENTRY_TOLERANCE_MM, misses.cumsum(axis=-1), 0.0)).max(axis=-1),
-            _find_compression(solved) / thickness,
-            ROUNDING_FACTOR * np.finfo(np.float64).eps * largest * amplification,
+            np.maximum(steepest, np.abs(solved.tip_track[..., 1]).max(axis=-1)),
+            (u.max(axis=-1) - u.min(axis=-1)) / length,
+            shortening / scales[..., 0],
+            np.abs(np.where(before_entry, misses.cumsum(axis=-1), 0.0)).max(axis=-1),
+            _find_compression(solved) / scales[..., 1],
         )
 
 
 ENTRY_TOLERANCE_MM = -1e-9  #: an element that begins before this depth, mm, lies before the entry
-
-
-def _find_shortest_element(x: Floats, step: Floats) -> Floats:
-    """Return the shortest element in the tissue, mm; of a needle before the entry the shortest of all.
-
-    Elements before the entry are left out: no constraint point inherits their rounding, and at nearly full
-    insertion, or between a guide and the entry, one may be as short as a micrometre.
-    """
-    within = np.where(x[..., :-1] < ENTRY_TOLERANCE_MM, np.inf, step).min(axis=-1)
-    return np.where(np.isinf(within), step.min(axis=-1), within)
 
 
 def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats, Floats]:
@@ -191,7 +138,7 @@ def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats
 _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
 
 
-def _find_compression(solved: SolvedShape) -> Floats:
+def _find_compression(solved: "NeedleShape | NeedleShapes") -> Floats:
     """Return the greatest distance of the needle from a constraint point, mm."""
     depths, y = solved.constraints[..., 0], solved.constraints[..., 1]
     nodes = solved.x.reshape(-1, solved.x.shape[-1])[0]  # all have theirs in the same order
@@ -207,45 +154,18 @@ def _find_compression(solved: SolvedShape) -> Floats:
     return np.abs(needle - y).max(axis=-1)
 
 
-def compute_scales(tissue: Tissue, rigidity: float, depth: float, spacing: float) -> Floats:
-    """Return the reference lengths (3,) of validity for a needle at `depth`, mm.
+def compute_scales(tissue: Tissue, depth: float, spacing: float) -> Floats:
+    """Return the reference lengths (2,) of validity for a needle at `depth`, mm.
 
     The thinnest of the layers that it has entered, at least one constraint spacing (infinite for the only
-    layer); their least thickness t; the length 1 / beta over which the softest of them holds the needle.
+    layer), and their least thickness t.
     """
-    thinnest, entered = _find_entered_layers(tissue, depth, spacing)
-    # Of plain numbers, for so few layers, a quarter of the time of arrays.
-    softest, least = min(tissue.mu.tolist()[:entered]), min(tissue.thickness.tolist()[:entered])
-    return np.array((thinnest, least, foundation_length(rigidity, softest)))
-
-
-def compute_batch_scales(
-    batch_mu: Floats, rigidity: Floats, tissue: Tissue, depth: float, spacing: float
-) -> Floats:
-    """Return the lengths (B, 3) of `compute_scales` for sets that differ in mu (B, n) and rigidity (B,)."""
-    thinnest, entered = _find_entered_layers(tissue, depth, spacing)
-    found = np.empty((len(batch_mu), 3))
-    found[:, 0], found[:, 1] = thinnest, tissue.thickness[:entered].min()
-    found[:, 2] = np.sqrt(np.sqrt(4 * rigidity / (3 * batch_mu[:, :entered].min(axis=1))))
-    return found
-
-
-def _find_entered_layers(tissue: Tissue, depth: float, spacing: float) -> tuple[float, int]:
-    """Return the thinnest layer that a tip at `depth` has entered, mm, and how many these are."""
     ends = tissue.boundaries.tolist()
     entered = 1 + sum(end < depth for end in ends)
     widths = [end - top for top, end in zip([0.0, *ends], ends[:entered], strict=False) if end > top]
-    return max(min(widths), spacing) if widths else math.inf, entered
-
-
-def foundation_length(rigidity: float, mu: float) -> float:
-    """Return the length 1 / beta = (4 EI / k)^(1/4) over which tissue holds a needle, with k = 3 mu, mm."""
-    return math.sqrt(math.sqrt(4 * rigidity / (3 * mu)))
-
-
-def make_unknown_scales() -> Floats:
-    """Return the scales of a shape without a tissue: infinite, so that no limit by them is exceeded."""
-    return np.full(3, np.inf)
+    # of plain numbers, for so few layers, a quarter of the time of arrays
+    thinnest = max(min(widths), spacing) if widths else math.inf
+    return np.array((thinnest, min(tissue.thickness.tolist()[:entered])))
 
 
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
@@ -270,8 +190,8 @@ class NeedleShape:
         "converged", or why it is not; then what was not reached is NaN, the whole shape with it.
     iterations : int
         Newton iterations over all steps.
-    scales : (3,) array
-        What validity is measured by: see `validity.compute_scales`; infinite where there is no tissue.
+    scales : (2,) array
+        What validity is measured by: see `compute_scales`; infinite where there is no tissue.
     """
 
     x: Floats
@@ -281,7 +201,7 @@ class NeedleShape:
     tip_track: Floats
     status: Status
     iterations: int
-    scales: Floats = field(default_factory=make_unknown_scales)
+    scales: Floats = field(default_factory=lambda: np.full(2, np.inf))
 
     @cached_property
     def validity(self) -> Validity:

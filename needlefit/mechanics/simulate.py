@@ -70,7 +70,7 @@ def simulate_steps(
     problem = pack_problem(needle, tissue, steps, lattice, rules, packed)
     shapes = native.make_shapes(problem, packed.last.cell + 1)
     native.simulate(problem, shapes, 0, 1)
-    scales = compute_scales(tissue, needle.flexural_rigidity, packed.last.tip, lattice.spacing)
+    scales = compute_scales(tissue, packed.last.tip, lattice.spacing)
     return read_shape(shapes, scales)
 
 
@@ -100,7 +100,7 @@ def equilibrium(
         state[:] = np.nan
     points = np.column_stack((depths, y))
     u, slope = state.T.copy()
-    scales = compute_scales(tissue, needle.flexural_rigidity, depth, rules.spacing)
+    scales = compute_scales(tissue, depth, rules.spacing)
     return NeedleShape(x, u, slope, points, state[-1:], STATUS_NAMES[status], passes, scales)
 
 

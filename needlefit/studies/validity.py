@@ -82,7 +82,7 @@ def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
     if parts:
         yield ResultWarning(
             "validity",
-            f"outside what the model assumes (slopes, shortening, compression, rounding): {', '.join(parts)}",
+            f"outside what the model assumes (slopes, shortening, compression): {', '.join(parts)}",
             fix="read these numbers with care; `validity` in run.json has the limits and the counts",
         )
 

@@ -7,35 +7,23 @@ parameters may come to rest at their bounds.
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from needlefit.arrays import Floats
-from needlefit.inference.objective import EVALUATION_ERRORS, SupportsBounds
-from needlefit.schemas.recipe import ObjectiveName
+from needlefit.inference.objective import EVALUATION_ERRORS
+
+if TYPE_CHECKING:
+    from needlefit.inference.problem import Problem
 
 MIN_GAIN = 1e-3
 """A minimum is reached where a further step would lessen the sum of squares by less than this."""
 
 FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
 MAX_EVALUATIONS = 40  #: evaluations after which a descent gives up
-
-
-class SumOfSquares(SupportsBounds, Protocol):
-    """Interface of a sum of squares; `Problem` is one: its log posterior is constant - |residuals|^2 / 2."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the P parameters."""
-
-    def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return residuals (R,) and their derivatives (R, P); not finite where they cannot be computed."""
-
-    def approach(self, minimized: ObjectiveName) -> "SumOfSquares | None":
-        """Return a cheaper sum of squares with its minima close by; None if there is none."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +39,7 @@ class LocalMinimum:
 
 
 def minimize_squares(
-    target: SumOfSquares,
+    target: "Problem",
     theta: Floats,
     held: int | None = None,
     max_evaluations: int = MAX_EVALUATIONS,
@@ -102,7 +90,7 @@ def _step(at: LocalMinimum, moving: NDArray[np.bool_], step_bounds: tuple[Floats
     return lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
 
 
-def _evaluate(target: SumOfSquares, theta: Floats) -> LocalMinimum:
+def _evaluate(target: "Problem", theta: Floats) -> LocalMinimum:
     try:
         residuals, slopes = target.jacobian(theta)
     except EVALUATION_ERRORS:

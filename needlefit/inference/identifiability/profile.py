@@ -22,9 +22,9 @@ from needlefit.arrays import Floats
 from needlefit.inference.identifiability.gauss_newton import (
     MIN_GAIN,
     LocalMinimum,
-    SumOfSquares,
     minimize_squares,
 )
+from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import map_side_by_side
 
 
@@ -84,11 +84,11 @@ class ProfilePath:
 class _PathSettings:
     """The settings of one profile, constant along it."""
 
-    target: SumOfSquares
+    target: Problem
     k: int
     elsewhere: Sequence[Floats]
     scale: float
-    cheaper: SumOfSquares | None
+    cheaper: Problem | None
     steps: ProfileSteps
 
     @property
@@ -97,7 +97,7 @@ class _PathSettings:
 
 
 def trace_profile(
-    target: SumOfSquares,
+    target: Problem,
     k: int,
     optimum: LocalMinimum,
     elsewhere: Sequence[Floats] = (),
@@ -356,7 +356,7 @@ class LikelihoodProfile:
 
 
 def compute_profile(
-    target: SumOfSquares, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats] = (), scale: float = 1.0
+    target: Problem, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats] = (), scale: float = 1.0
 ) -> LikelihoodProfile:
     """Compute the profile of parameter `k` about an optimum; the others are re-optimised within their bounds.
 

@@ -19,10 +19,10 @@ from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoi
 from needlefit.inference.objective import (
     EVALUATION_ERRORS,
     ObjectiveFunction,
-    SupportsPosterior,
     make_objective,
 )
 from needlefit.inference.optimize.local_search import search, select_algorithms
+from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Stop
@@ -79,7 +79,7 @@ def _coincide(end: Start, other: Start) -> bool:
 
 @one_thread
 def minimize(
-    problem: SupportsPosterior,
+    problem: Problem,
     recipe: RecipeRecord,
     rng: np.random.Generator,
     callbacks: Callbacks | None = None,
@@ -118,7 +118,7 @@ def minimize(
 class _SearchTask:
     """A search, of which every start is a task: by a recipe, of a problem or of the easier one before it."""
 
-    problem: SupportsPosterior
+    problem: Problem
     recipe: RecipeRecord
     of_approach: bool = False
 
@@ -230,9 +230,7 @@ def _search_each(what: _SearchTask, start_points: list[StartPoint], callbacks: C
         yield start
 
 
-def _select_fit(
-    problem: SupportsPosterior, minimized: ObjectiveName, starts: tuple[Start, ...], design: Floats
-) -> Fit:
+def _select_fit(problem: Problem, minimized: ObjectiveName, starts: tuple[Start, ...], design: Floats) -> Fit:
     interrupted = len(starts) < len(design) or any(s.stopped == INTERRUPTED for s in starts)
     evaluations = sum(s.evaluations for s in starts)
     best = min(starts, key=lambda s: (s.objective, s.index), default=None)

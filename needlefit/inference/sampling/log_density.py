@@ -12,35 +12,20 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.inference.objective import EVALUATION_ERRORS, MAX_FAILED_POINTS, SupportsValues
-
-
-class LogDensity(SupportsValues, Protocol):
-    """Interface of a log density that can be sampled; `Problem` is one."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the coordinates of theta."""
-
-    def log_posteriors(self, thetas: Floats, jobs: int) -> Floats:
-        """Return the log densities (W,) of `thetas` (W, P), not normalised.
-
-        -inf where the density is 0, NaN where it cannot be computed. `jobs` threads may be used; the
-        densities do not depend on it.
-        """
+from needlefit.inference.objective import EVALUATION_ERRORS, MAX_FAILED_POINTS
+from needlefit.inference.problem import Problem
 
 
 @dataclass
 class Evaluator:
     """Evaluate the density of many thetas at once; failures are counted and get density 0."""
 
-    problem: LogDensity
+    problem: Problem
     jobs: int  #: threads
     #: what is asked for belongs to as many ensembles, an equal part to each, one after the other
     ensembles: int = 1

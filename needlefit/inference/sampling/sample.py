@@ -31,6 +31,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, DataError, FitError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.objective import MAX_FAILED_POINTS
+from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.convergence import (
     MIN_LENGTH_TAU,
     Convergence,
@@ -49,7 +50,6 @@ from needlefit.inference.sampling.ensembles import (
 from needlefit.inference.sampling.log_density import (
     Evaluator,
     LaplaceApproximation,
-    LogDensity,
     approximate_by_laplace,
 )
 from needlefit.inference.sampling.posterior import Posterior
@@ -286,7 +286,7 @@ BURN_IN_TAU = 10.0  #: autocorrelation times that are thrown away
 
 
 def sample(
-    problem: LogDensity,
+    problem: Problem,
     ends: Floats | Sequence[float],
     settings: SampleRecord,
     rng: np.random.Generator,
@@ -332,7 +332,7 @@ def sample(
 
 @dataclass(frozen=True)
 class _SamplingTask:
-    problem: LogDensity
+    problem: Problem
     approximation: LaplaceApproximation
     settings: SampleRecord
     callbacks: Callbacks
@@ -354,7 +354,7 @@ class _Chain:
         return int(self.log_density.shape[1])
 
 
-def _check_settings(problem: LogDensity, settings: SampleRecord) -> None:
+def _check_settings(problem: Problem, settings: SampleRecord) -> None:
     if not problem.names:
         raise ConfigError("nothing is free: there is no posterior to sample")
     parse_moves(settings.moves)
