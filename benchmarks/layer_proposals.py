@@ -23,7 +23,7 @@ from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruct import sample_needle_profile
 from needlefit.imaging.volume_files import read_volume
-from needlefit.synthetic.metal import densify
+from needlefit.synthetic.render import densify
 
 MATCH_MM = 3.0
 

@@ -30,8 +30,7 @@ from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.synthetic.ct_scene import SceneMarkers, VoxelGrid
-from needlefit.synthetic.metal import densify
-from needlefit.synthetic.render import render_scan
+from needlefit.synthetic.render import densify, render_scan
 
 Floats = NDArray[np.float64]
 

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.compression import CompressionTest
-from needlefit.datasets.compression_loading import SpecimenLoading
+from needlefit.datasets.compression import CompressionTest, SpecimenLoading
 from needlefit.inference.material import NORMAL_95_HALF_WIDTH_SD, fit_material, fit_specimen
 from needlefit.mechanics.compression import compute_stress
 

@@ -16,10 +16,21 @@ from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.imaging.volume_files import write_volume
 from needlefit.project.random_streams import random_stream
-from needlefit.synthetic.projection import materials
-from needlefit.synthetic.projection.acquisition import Gantry, ProjectionScene
-from needlefit.synthetic.projection.render import CLIPPED_HU, EXTENDED_HU, KERNELS, render_volume
-from needlefit.synthetic.projection.solids import Box, Ellipsoid, Rod, Solid, make_ball, make_needle
+from needlefit.synthetic.projection import (
+    CLIPPED_HU,
+    EXTENDED_HU,
+    KERNELS,
+    Box,
+    Ellipsoid,
+    Gantry,
+    ProjectionScene,
+    Rod,
+    Solid,
+    make_ball,
+    make_needle,
+    materials,
+    render_volume,
+)
 
 Floats = NDArray[np.float64]
 

@@ -55,7 +55,7 @@ from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.tasks import LocalPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.metal import densify
+from needlefit.synthetic.render import densify
 
 Floats = NDArray[np.float64]
 

@@ -34,9 +34,8 @@ from needlefit.imaging.needle.segmentation import Component, principal_axes, seg
 from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.ct_scene import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers
-from needlefit.synthetic.metal import bevel_side, densify
-from needlefit.synthetic.phantoms import PHANTOMS
-from needlefit.synthetic.render import render_scan
+from needlefit.synthetic.design import PHANTOMS
+from needlefit.synthetic.render import bevel_side, densify, render_scan
 
 Floats = NDArray[np.float64]
 

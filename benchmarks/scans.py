@@ -24,11 +24,9 @@ from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.project.tasks import LocalPool
-from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
-from needlefit.synthetic.exposure import WHOLE_BOX_SETUP
-from needlefit.synthetic.phantoms import PHANTOMS, make_surfaces
-from needlefit.synthetic.scans import make_recipe, render_insertion, write_layers
-from needlefit.synthetic.truth_file import ReconstructedInsertion, centerline_errors, registration_errors
+from needlefit.synthetic.build import ReconstructedInsertion, centerline_errors, registration_errors
+from needlefit.synthetic.design import PHANTOMS, PlannedInsertion, list_planned_insertions, make_surfaces
+from needlefit.synthetic.scans import WHOLE_BOX_SETUP, make_recipe, render_insertion, write_layers
 
 GOALS = {"target": 0.19, "crossing": 0.2}
 

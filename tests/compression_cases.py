@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.compression_loading import SpecimenLoading
+from needlefit.datasets.compression import SpecimenLoading
 from needlefit.mechanics.compression import compute_stress
 
 MU = 0.012  # MPa

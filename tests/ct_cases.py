@@ -6,9 +6,8 @@ from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D
-from needlefit.synthetic.metal import densify
-from needlefit.synthetic.phantoms import Phantom
-from needlefit.synthetic.render import render_scan
+from needlefit.synthetic.design import Phantom
+from needlefit.synthetic.render import densify, render_scan
 
 RECIPE = ReconstructionRecord(schema=2)
 SPACING = 0.46

@@ -11,8 +11,13 @@ from inference_cases import medium
 from test_cli import run
 from test_datasets import CURVE, SURFACES, X, block, record, row, without_checksums
 
-from needlefit.datasets.bevel_side import BendResult, classify_insertion, find_pooled_side_warnings, pool_z
-from needlefit.datasets.dataset_warnings import PLACEHOLDER
+from needlefit.datasets.dataset_warnings import (
+    PLACEHOLDER,
+    BendResult,
+    classify_insertion,
+    find_pooled_side_warnings,
+    pool_z,
+)
 from needlefit.datasets.read import check, check_all, read
 from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset as write_curves

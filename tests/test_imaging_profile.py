@@ -12,7 +12,7 @@ from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.views import render_views
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers
-from needlefit.synthetic.phantoms import Phantom
+from needlefit.synthetic.design import Phantom
 from needlefit.synthetic.render import render_scan
 
 S = np.arange(-30.0, 30.0, 0.5)

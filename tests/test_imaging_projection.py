@@ -12,11 +12,18 @@ from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.metal import densify
-from needlefit.synthetic.projection import materials
-from needlefit.synthetic.projection.acquisition import Gantry, ProjectionScene
-from needlefit.synthetic.projection.render import CLIPPED_HU, KERNELS, render_volume
-from needlefit.synthetic.projection.solids import Box, make_ball, make_needle
+from needlefit.synthetic.projection import (
+    CLIPPED_HU,
+    KERNELS,
+    Box,
+    Gantry,
+    ProjectionScene,
+    make_ball,
+    make_needle,
+    materials,
+    render_volume,
+)
+from needlefit.synthetic.render import densify
 
 WORLD = Frame(
     np.array([12.0, -30.0, 50.0]),

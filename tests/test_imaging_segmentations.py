@@ -15,8 +15,8 @@ from test_imaging_exports import pack
 from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME
+from needlefit.geometry.meshes import fill_mesh
 from needlefit.geometry.surfaces import make_cylinder
-from needlefit.geometry.voxels import fill_mesh
 from needlefit.imaging.label_surfaces import extract_label_surfaces, read_labels
 from needlefit.imaging.layers import read_layers
 from needlefit.imaging.scans import LayerSource, Scan, parse_layer_source

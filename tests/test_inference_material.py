@@ -8,7 +8,7 @@ from compression_cases import MU, specimen
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from test_inference_identify import FINE, fit_at
 
-from needlefit.datasets.compression_loading import SpecimenRows, extract_loading
+from needlefit.datasets.compression import SpecimenRows, extract_loading
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.material import (

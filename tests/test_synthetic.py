@@ -17,9 +17,8 @@ from needlefit.project.load import load
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.schemas.medium import MediumRecord
 from needlefit.synthetic import insertion as insert_module
-from needlefit.synthetic.design import list_planned_insertions
+from needlefit.synthetic.design import PHANTOMS, displace, list_planned_insertions, make_surfaces
 from needlefit.synthetic.insertion import TRUTH_OPTIONS, insert_needle, stated_frame
-from needlefit.synthetic.phantoms import PHANTOMS, displace, make_surfaces
 from needlefit.synthetic.truth import (
     NOMINAL_NEEDLE,
     TRUE_MEDIA,

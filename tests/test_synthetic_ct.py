@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from needlefit.geometry.frames import Frame
 from needlefit.synthetic.ct_scene import Needle3D, ScannerTable, SceneMarkers
-from needlefit.synthetic.metal import bevel_side, voxelize_balls, voxelize_needle
-from needlefit.synthetic.streaks import render_streaks
+from needlefit.synthetic.render import bevel_side, render_streaks, voxelize_balls, voxelize_needle
 
 VOXEL = cases.SPACING**3
 

@@ -8,31 +8,30 @@ from skimage.transform import iradon
 
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
-from needlefit.synthetic.projection.acquisition import Detector, Gantry, ProjectionScene, measure_slices
-from needlefit.synthetic.projection.materials import (
+from needlefit.synthetic.projection import (
     ALUMINIUM,
-    STEEL,
-    WATER,
-    attenuation,
-    tungsten_spectrum,
-)
-from needlefit.synthetic.projection.render import (
     CLIPPED_HU,
     EXTENDED_HU,
     KERNELS,
-    Kernel,
-    back_project,
-    filter_projections,
-    render_volume,
-)
-from needlefit.synthetic.projection.solids import (
+    STEEL,
+    WATER,
     Box,
+    Detector,
     Ellipsoid,
+    Gantry,
+    Kernel,
+    ProjectionScene,
     Rays,
     Rod,
+    attenuation,
+    back_project,
+    filter_projections,
     interval_length,
     make_ball,
     make_needle,
+    measure_slices,
+    render_volume,
+    tungsten_spectrum,
 )
 
 UPRIGHT = Frame(np.zeros(3), np.eye(3))

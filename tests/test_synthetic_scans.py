@@ -24,16 +24,17 @@ from needlefit.project.tasks import THIS_PROCESS, LocalPool, run_in_order
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
 from needlefit.synthetic.design import list_planned_insertions, select_planned_insertions
-from needlefit.synthetic.exposure import (
+from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion
+from needlefit.synthetic.scans import (
     SAMPLE_SETUP,
     WHOLE_BOX_SETUP,
     acquire,
     expose,
     measure_markers,
+    render_insertion,
     sample_whole_needle,
+    write_scans,
 )
-from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion
-from needlefit.synthetic.scans import render_insertion, write_scans
 
 SHIPPED = shipped_folder() / "data" / "sample_scan"
 PLAN = {planned.id: planned for planned in list_planned_insertions()}

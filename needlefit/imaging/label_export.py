@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.geometry.meshes import make_tube
+from needlefit.geometry.meshes import fill_mesh, make_tube
 from needlefit.geometry.surfaces import Surface, map_surface
-from needlefit.geometry.voxels import fill_mesh
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import IMAGE_SUFFIXES, VoxelGrid, list_series_files

@@ -32,8 +32,7 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from needlefit.arrays import Floats
-from needlefit.datasets.compression import CompressionTest
-from needlefit.datasets.compression_loading import SpecimenLoading
+from needlefit.datasets.compression import CompressionTest, SpecimenLoading
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.parameters import state_usual_bounds
 from needlefit.mechanics.compression import StressMeasure, compute_log_stress_derivative, compute_stress

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.bevel_side import find_bend_side
+from needlefit.datasets.dataset_warnings import find_bend_side
 from needlefit.datasets.importing.conversion import write_plan, write_starter_study
 from needlefit.datasets.importing.decisions import Decisions
 from needlefit.datasets.importing.files import ImportContent

@@ -1,12 +1,13 @@
-"""The file of a tracker: its registration, its errors, and the devices whose transforms are taken."""
+"""A navigation system that sends tip poses, and recordings of what it sent."""
 
 import re
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from needlefit.schemas.base import FileRecord, Name, Record, Row4, missing_key
+from needlefit.schemas.base import FileRecord, Name, Record, RigidRows, Row4, missing_key
 from needlefit.schemas.recipe import BetweenSpecimensRecord
+from needlefit.schemas.scene import SceneRecord
 
 Point = tuple[float, float, float]
 
@@ -95,3 +96,30 @@ class TrackerRecord(FileRecord):
         if self.markers and len(self.markers) < MIN_MARKERS:
             raise ValueError(f"has {len(self.markers)} markers: give {MIN_MARKERS} or more")
         return self
+
+
+class PlacementRecord(Record):
+    """Where a measured needle lies: rigid motions to the world of its dataset.
+
+    `entry_to_world` is that of the constraint frame C, `lps_to_world` that of the patient coordinates (LPS)
+    of its scan.
+    """
+
+    entry_to_world: RigidRows
+    lps_to_world: RigidRows
+
+
+class RecordingRecord(FileRecord):
+    """A scene, whole, and where its first constraint point lies.
+
+    `needlefit` is the version that recorded it, `target` what was opened (see `needlefit view`). Without a
+    `placement` the scene says where the needle lies: in the plane z = 0 of its own world.
+    """
+
+    SCHEMA: ClassVar[int] = 2
+
+    needlefit: str
+    target: str
+    first_cell_mm: float = Field(gt=0)
+    placement: PlacementRecord | None = None
+    scene: SceneRecord

@@ -7,7 +7,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
-from needlefit.synthetic.phantoms import Phantom
+from needlefit.synthetic.design import Phantom
 
 WATER_PER_MM = 0.02
 """Attenuation of water at the energies of a cone-beam scanner, 1/mm."""

@@ -1,29 +1,214 @@
-"""Write the synthetic dataset as CT volumes, in a folder for `needlefit reconstruct`."""
+"""Acquire the synthetic scans, and write them as the input of `needlefit reconstruct`."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS
+from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scans import LayerSource, Scan, StagePose
+from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.imaging.volume_files import write_volume
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress
+from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskPool, run_in_order
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
-from needlefit.synthetic.design import PlannedInsertion
-from needlefit.synthetic.exposure import Exposure, ScanSetup, acquire, choose_setup, expose
-from needlefit.synthetic.insertion import SyntheticInsertion, simulate_insertion
-from needlefit.synthetic.phantoms import PHANTOMS, make_surfaces, surface_file_name
-from needlefit.synthetic.truth import POSE_ANGLE_SD_DEG, POSE_SHIFT_SD_MM
+from needlefit.synthetic import design
+from needlefit.synthetic.ct_scene import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers
+from needlefit.synthetic.design import BOX_MM, PHANTOMS, PlannedInsertion, make_surfaces, surface_file_name
+from needlefit.synthetic.insertion import SyntheticInsertion, needle_points, simulate_insertion
+from needlefit.synthetic.render import render_scan
+from needlefit.synthetic.truth import NOMINAL_NEEDLE, POSE_ANGLE_SD_DEG, POSE_SHIFT_SD_MM, TRUE_MEDIA
+
+
+@dataclass(frozen=True)
+class ScanSetup:
+    """The scanned region and the markers in it.
+
+    Attributes
+    ----------
+    markers : (M, 3) array
+        Centres of the balls, world, mm.
+    known_sd : float
+        Deviation of their stated places in any one direction, mm.
+    low, high : (3,) arrays
+        Opposite corners of the part of the world that is scanned, mm.
+    outside : float
+        Length of shaft before the tissue that is scanned, mm.
+    """
+
+    markers: Floats
+    known_sd: float
+    low: Floats
+    high: Floats
+    outside: float
+
+
+WHOLE_BOX_SETUP = ScanSetup(
+    markers=np.array(
+        [
+            [4.0, 36.0, 35.0],
+            [7.0, -36.0, 30.0],
+            [12.0, -35.0, -36.0],
+            [24.0, 37.0, -34.0],
+            [43.0, 34.0, 36.0],
+            [58.0, -37.0, 12.0],
+            [74.0, -12.0, -36.0],
+            [76.0, 29.0, 21.0],
+        ]
+    ),
+    known_sd=0.27,
+    low=np.array([0.0, -BOX_MM / 2, -BOX_MM / 2 - 5.0]),  # and some of the table
+    high=np.array([BOX_MM, BOX_MM / 2, BOX_MM / 2]),
+    outside=35.0,
+)
+"""The box, some of its table, and the shaft before it."""
+
+SAMPLE_SETUP = ScanSetup(
+    markers=np.array(
+        [[4.0, 11.5, -1.0], [9.0, -6.0, 8.0], [15.0, 3.0, -14.0], [22.0, -7.0, -7.0], [26.0, 12.0, 4.0]]
+    ),
+    known_sd=0.1,
+    low=np.array([0.0, -10.0, -17.0]),
+    high=np.array([30.0, 15.0, 11.0]),
+    outside=12.0,
+)
+"""Some gel around a short needle: a volume of a megabyte, its markers close by."""
+
+
+def choose_setup(planned: PlannedInsertion) -> ScanSetup:
+    """Return the scan setup of an insertion."""
+    return SAMPLE_SETUP if planned.id == design.SAMPLE_INSERTION.id else WHOLE_BOX_SETUP
+
+
+def measure_markers(setup: ScanSetup, seed: int, name: str) -> Floats:
+    """Return the marker positions (M, 3) as measured before the scan `name`, world, mm."""
+    rng = random_stream(seed, "twin", "markers", name)
+    measured: Floats = setup.markers + setup.known_sd * rng.normal(size=setup.markers.shape)
+    return measured
+
+
+VOXEL_MM = 0.46
+"""Edge of a voxel, mm: the paper's."""
+
+FIELD_MARGIN_MM = 2.0
+"""Margin of the scanned field around what it must contain, mm."""
+
+UPRIGHT_ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""Columns: the world's x (into the box) to the head, y to the right, z (up) to the front of the patient."""
+
+MAX_TILT_DEG, MAX_OFFSET_MM = 6.0, 150.0
+"""Greatest tilt of the box about each axis, degrees, and distance along it from the patient's origin, mm."""
+
+PSF_RANGE_MM, BLOOM_RANGE, STREAKS_RANGE = (0.3, 0.45), (0.05, 0.15), (0.4, 0.9)
+NOISE_RANGE_HU, CUPPING_RANGE_HU, NEEDLE_RANGE_HU = (25.0, 60.0), (20.0, 80.0), (7000.0, 11000.0)
+"""Ranges of what is drawn for each scan, uniformly; what it is says `Scanner`."""
+
+BEVEL_SD_DEG = 2.0
+"""Deviation of the one needle's bevel from its nominal angle, degrees."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One insertion in the scanner.
+
+    Attributes
+    ----------
+    scene : Scene3D
+        `scene.box` is the world in the patient.
+    stated : (M, 3) array
+        Where the markers are said to be, world, mm.
+    """
+
+    scene: Scene3D
+    scanner: Scanner
+    stated: Floats
+
+
+def expose(insertion: SyntheticInsertion, setup: ScanSetup, seed: int) -> Exposure:
+    """Place an insertion in the scanner; the result depends on its own plan and the seed only."""
+    rng = random_stream(seed, "twin", "ct", insertion.planned.id)
+    # the order of draws from `rng` is part of the dataset: a new draw goes to the end
+    turned = Rotation.from_euler("z", rng.uniform(0, 360), degrees=True).as_matrix()
+    tilted = Rotation.from_rotvec(rng.uniform(-MAX_TILT_DEG, MAX_TILT_DEG, 3), degrees=True).as_matrix()
+    world = Frame(rng.uniform(-MAX_OFFSET_MM, MAX_OFFSET_MM, 3), turned @ tilted @ UPRIGHT_ROTATION)
+    shaft = sample_whole_needle(insertion)
+    needle = Needle3D(
+        points=world.to_world(shaft),
+        bevel_deg=_draw_bevel_deg(seed),
+        bevel_toward=world.rotation @ insertion.true_insertion.frame.rotation[:, 1],
+        hu=rng.uniform(*NEEDLE_RANGE_HU),
+    )
+    scene = Scene3D(
+        needles=(needle,),
+        phantom=insertion.specimen.phantom,
+        layers_hu=TRUE_MEDIA[insertion.planned.medium].hu,
+        box=world,
+        markers=SceneMarkers(world.to_world(setup.markers)),
+        table=ScannerTable(Frame(world.to_world([[0.0, 0.0, -BOX_MM / 2]])[0], world.rotation)),
+    )
+    grid = _fit_grid(world.to_world(_list_required_points(setup, insertion)), turned)
+    return Exposure(scene, _draw_scanner(grid, rng), measure_markers(setup, seed, insertion.planned.id))
+
+
+def acquire(exposure: Exposure, seed: int, name: str) -> Volume:
+    """Render the volume of an exposure; the same seed and name give the same bytes."""
+    return render_scan(
+        exposure.scene, exposure.scanner, random_stream(seed, "twin", "ct", name, "rays and noise")
+    )
+
+
+def sample_whole_needle(insertion: SyntheticInsertion) -> Floats:
+    """Return the whole needle's axis (N, 3) from base to tip, world, mm."""
+    depth = insertion.true_insertion.shape.depth
+    s = np.linspace(depth - NOMINAL_NEEDLE.length, depth, 4 * round(NOMINAL_NEEDLE.length) + 1)
+    return needle_points(
+        insertion.true_insertion.shape, insertion.true_insertion.frame, insertion.deviations, s
+    )
+
+
+def _list_required_points(setup: ScanSetup, insertion: SyntheticInsertion) -> Floats:
+    """Return the world points (N, 3) that the field must hold: corners of the setup, and shaft."""
+    corners = np.array(list(product(*zip(setup.low, setup.high, strict=True))))
+    frame = insertion.true_insertion.frame
+    return np.vstack([corners, frame.to_world([[-setup.outside, 0.0, 0.0]])])
+
+
+def _fit_grid(points: Floats, direction: Floats) -> VoxelGrid:
+    """Return the least grid along `direction` (3, 3) with `points` (N, 3) in it, patient."""
+    local = points @ direction
+    low, high = local.min(axis=0) - FIELD_MARGIN_MM, local.max(axis=0) + FIELD_MARGIN_MM
+    columns, rows, slices = (int(n) for n in np.ceil((high - low) / VOXEL_MM))
+    return VoxelGrid((columns, rows, slices), direction @ low, np.full(3, VOXEL_MM), direction)
+
+
+def _draw_scanner(grid: VoxelGrid, rng: np.random.Generator) -> Scanner:
+    return Scanner(
+        grid,
+        psf_mm=rng.uniform(*PSF_RANGE_MM),
+        noise_hu=rng.uniform(*NOISE_RANGE_HU),
+        bloom=rng.uniform(*BLOOM_RANGE),
+        streaks=rng.uniform(*STREAKS_RANGE),
+        cupping_hu=rng.uniform(*CUPPING_RANGE_HU),
+    )
+
+
+def _draw_bevel_deg(seed: int) -> float:
+    """Return the angle of the one needle's bevel, degrees."""
+    return Needle3D.bevel_deg + BEVEL_SD_DEG * float(random_stream(seed, "twin", "ct", "bevel").normal())
+
 
 STATED_COLUMNS = (
     *("id", "scan", "medium", "specimen", "markers", "surfaces", "surfaces_in"),

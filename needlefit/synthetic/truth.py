@@ -10,8 +10,7 @@ from needlefit.arrays import Floats
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.random_streams import random_stream
-from needlefit.synthetic.design import PlannedInsertion
-from needlefit.synthetic.phantoms import PHANTOMS, Phantom, displace, make_surfaces
+from needlefit.synthetic.design import PHANTOMS, Phantom, PlannedInsertion, displace, make_surfaces
 
 
 @dataclass(frozen=True)

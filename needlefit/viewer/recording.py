@@ -22,7 +22,7 @@ from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.load import check
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.limits import MAX_NUMBER
-from needlefit.schemas.recording import PlacementRecord, RecordingRecord
+from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
 

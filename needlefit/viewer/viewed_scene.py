@@ -8,8 +8,8 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recording import PlacementRecord
 from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.tracker import PlacementRecord
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM
 from needlefit.viewer.overlay.measured import MeasuredOverlay
 from needlefit.viewer.overlay.slice import InsertionScan

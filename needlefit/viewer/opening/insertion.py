@@ -19,7 +19,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.view_targets import ViewTarget
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.schemas.recording import PlacementRecord
+from needlefit.schemas.tracker import PlacementRecord
 from needlefit.studies import paper
 from needlefit.studies.job import hand_tuned_set
 from needlefit.studies.needles_in_scan import NEEDLE_POINTS, align_with_measured
