@@ -13,14 +13,14 @@ import os
 
 import numpy as np
 
-from needlefit.viewer.opening import open_target
-from needlefit.viewer.opening.live_fit import (
+from needlefit.viewer.live_fit import (
     KNOTS,
     draw_about,
     find_mode,
     move_points,
     select_insertions,
 )
+from needlefit.viewer.opening import open_target
 
 
 def main() -> None:

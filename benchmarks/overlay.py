@@ -14,6 +14,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,9 +22,9 @@ from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
+from needlefit.planning.steering import StartedInsertion
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.overlay.band import compute_band
-from needlefit.viewer.overlay.measured import compute_live_errors
+from needlefit.viewer.overlays import compute_band, compute_live_errors
 
 SUBJECT, DEPTH, DRAWS, RATE = "twin/phantom2-07", 40.0, 100, 60.0
 
@@ -37,9 +38,9 @@ def measure(rounds: int) -> Figures:
     ways = {name: led(scene, subject.first_cell, lead) for name, lead in LEADS.items()}
 
     def drawn(session: Session) -> None:
-        compute_band(
-            spread, scene.needle, scene.tissue, session.input_path(), scene.rules, subject.first_cell
-        )
+        rules = replace(scene.rules, first_cell=subject.first_cell)
+        path = session.input_path()
+        compute_band(StartedInsertion(scene.needle, scene.tissue, rules, path, spread))
 
     once = ways["inserted at once"].now.shape
     figures = {"live errors": timed(lambda: compute_live_errors(subject.measured, once), 20 * rounds)}

@@ -19,7 +19,7 @@ from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.planning.goals import Goal, find_hits
 from needlefit.planning.steering import StartedInsertion, find_reachable_region, plan_steering
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.opening.plan import begin_insertion
+from needlefit.viewer.plans import begin_insertion
 
 
 def draw_parameters(insertion: StartedInsertion, count: int, rng: np.random.Generator) -> ParameterDraws:

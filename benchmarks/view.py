@@ -178,9 +178,8 @@ def real_time(subject: str, seconds: float) -> dict:
 def sustained(subject: str, seconds: float = 60.0) -> float:
     """Return equilibria a second of one core, step by step from Python."""
     from needlefit.mechanics.scene import Scene
-    from needlefit.viewer.interaction.inputs import Change
-    from needlefit.viewer.interaction.steering import SteeredNeedle
     from needlefit.viewer.opening import open_target
+    from needlefit.viewer.steering import Change, SteeredNeedle
 
     shown = open_target(subject)
     steering = SteeredNeedle(Scene.from_record(shown.record), shown.first_cell)

@@ -19,9 +19,8 @@ from needlefit.mechanics.scene import Scene
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.interaction.inputs import Change
-from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head
+from needlefit.viewer.steering import Change, SteeredNeedle
 
 FOLDER = Path(__file__).resolve().parent / "figures"
 NEEDLE, MEASURED, TISSUE, CUT = "#1f5fa8", "#c4601d", "#e9dcc3", "#a02c2c"

@@ -16,13 +16,11 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.tracker import TrackerRecord
+from needlefit.viewer.openigtlink import OpenIGTLinkServer
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.serving.connections import AccessControl
-from needlefit.viewer.serving.openigtlink import OpenIGTLinkServer
-from needlefit.viewer.serving.server import serve
-from needlefit.viewer.serving.steering_page import SteeringPage
-from needlefit.viewer.serving.tracking import TrackedTrial
-from needlefit.viewer.serving.trials import TrialRegistry
+from needlefit.viewer.server import AccessControl, SteeringPage, serve
+from needlefit.viewer.tracking import TrackedTrial
+from needlefit.viewer.trials import TrialRegistry
 
 IDENTITY = tuple(map(tuple, np.eye(4).tolist()))
 

@@ -24,7 +24,7 @@ from needlefit.project.locate import shipped_folder
 from needlefit.project.ownership import STAMP, find_foreign, write_stamp
 from needlefit.studies.checkpoint import open_checkpoint
 from needlefit.verification import run as verification
-from needlefit.viewer.interaction.inputs import Change
+from needlefit.viewer.steering import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
 FOREIGN = (

@@ -487,7 +487,7 @@ def opened(monkeypatch):
         scans.append((scan, recipe))
         return SimpleNamespace(keep_unsaved=lambda: None)
 
-    monkeypatch.setattr("needlefit.viewer.scans.session.ScanSession", begin)
+    monkeypatch.setattr("needlefit.viewer.scan_session.ScanSession", begin)
     monkeypatch.setattr("needlefit.cli.view._serve", lambda *_: None)
     return scans
 

@@ -54,13 +54,12 @@ def test_a_port_in_use_is_reported(capsys):
 
 
 def test_a_missing_extra_is_named_with_its_install_command(capsys, monkeypatch):
-    import needlefit.viewer.serving
+    import needlefit.viewer.server
 
     # the import that fails makes a new package of this name; later tests need the attribute as it was
-    monkeypatch.setattr(needlefit.viewer, "serving", needlefit.viewer.serving)
+    monkeypatch.setattr(needlefit.viewer, "server", needlefit.viewer.server)
     monkeypatch.setitem(sys.modules, "aiohttp", None)
-    for name in [name for name in sys.modules if name.startswith("needlefit.viewer.serving")]:
-        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "needlefit.viewer.server")
     assert run("view", "study2", "--no-browser") == 3
     assert "'needlefit[view]'" in capsys.readouterr().err
 

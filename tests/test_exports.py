@@ -27,10 +27,9 @@ from needlefit.reporting.figures.forces import describe_moment, round_up
 from needlefit.reporting.figures.moments import SceneOverlays, draw_moment, lay_out_moments, paint_moment
 from needlefit.reporting.shape_table import tabulate_shape, write_shape
 from needlefit.viewer.export import EXPORT_TYPES, export, replay_to_end, write_picture
-from needlefit.viewer.interaction.inputs import Change
-from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording
+from needlefit.viewer.steering import Change, SteeredNeedle
 
 NEEDLE = Needle(150.0, 1.0e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
@@ -274,7 +273,7 @@ def test_a_picture_of_a_measured_insertion_shows_it_and_is_marked_synthetic(tmp_
     steering = SteeredNeedle(Scene.from_record(subject.record), subject.first_cell)
     change = Change("depth_mm", None, 20.0)
     steering.apply([change])
-    head = make_head(subject.name, subject.first_cell, subject.record.model_dump(mode="json", by_alias=True))
+    head = make_head(subject.name, subject.first_cell, subject.record)
     RecordingWriter(tmp_path / "log.csv", head).write(
         RecordedStep(1, 0.5, (change,), steering.now.shape.tip_lateral)
     )

@@ -7,8 +7,7 @@ import pytest
 
 from needlefit.inference.sampling.importance import sample_about_minimum, sample_about_modes
 from needlefit.schemas.medium import ParameterRecord
-from needlefit.viewer.opening import open_target
-from needlefit.viewer.opening.live_fit import (
+from needlefit.viewer.live_fit import (
     EFFORT,
     KNOTS,
     SHOWN_DRAWS,
@@ -20,7 +19,7 @@ from needlefit.viewer.opening.live_fit import (
     select_insertions,
     show_moved,
 )
-from needlefit.viewer.viewed_scene import ShownInsertion
+from needlefit.viewer.opening import ShownInsertion, open_target
 
 
 def shown() -> ShownInsertion:

@@ -25,7 +25,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle
-from needlefit.viewer.interaction.inputs import Change, apply_changes, find_changes
+from needlefit.viewer.steering import Change, apply_changes, find_changes
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[7, 13, 18])

@@ -28,12 +28,12 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame, Placement, to_lps
 from needlefit.inference.parameter_draws import ParameterDraws
 from needlefit.mechanics.shape import compute_positions
+from needlefit.viewer import openigtlink
+from needlefit.viewer.openigtlink import MAX_PEERS, MAX_SKIPPED_BYTES, pack_needle, read_pose
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import read_recording, replay
-from needlefit.viewer.serving import openigtlink
-from needlefit.viewer.serving.openigtlink import MAX_PEERS, MAX_SKIPPED_BYTES, pack_needle, read_pose
-from needlefit.viewer.serving.tracking import TrackedTrial, is_rigid, register_tracker
-from needlefit.viewer.serving.trials import TrialRegistry
+from needlefit.viewer.tracking import TrackedTrial, is_rigid, register_tracker
+from needlefit.viewer.trials import TrialRegistry
 
 HEADER = struct.Struct(">H12s20sIIQQ")
 STREAMED = {
@@ -506,6 +506,6 @@ def test_the_command_requires_a_registration(tmp_path, capsys, monkeypatch) -> N
 
     monkeypatch.setitem(sys.modules, "pyigtl", None)
     monkeypatch.setitem(sys.modules, "pyigtl.messages", None)
-    monkeypatch.delitem(sys.modules, "needlefit.viewer.serving.openigtlink")
+    monkeypatch.delitem(sys.modules, "needlefit.viewer.openigtlink")
     assert run(*base, "--openigtlink", "0", "--tracker", str(file)) == 3
     assert "openigtlink]" in capsys.readouterr().err

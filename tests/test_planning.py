@@ -34,7 +34,7 @@ from needlefit.planning.steering import (
 )
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.opening.plan import begin_insertion
+from needlefit.viewer.plans import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
 
 STILL = PlanLimits(base_mm=0.0, base_angle_deg=0.0, turns=0)

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from test_cli import run
 
-from needlefit.viewer.export import export
+from needlefit.viewer.export import MAX_SHARED_STATES, compose_share, export
 from needlefit.viewer.recording import read_recording, replay
-from needlefit.viewer.share import MAX_SHARED_STATES, compose_share
 
 RECORDING = Path(__file__).parent.parent / "docs/figures/steering.csv"
 BROWSER = next((path for name in ("chromium", "google-chrome") if (path := shutil.which(name))), None)

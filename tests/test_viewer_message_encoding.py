@@ -5,12 +5,10 @@ import pytest
 
 from needlefit.mechanics.scene import Scene
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.encoding import encode_scene
-from needlefit.viewer.interaction.inputs import Change
-from needlefit.viewer.interaction.steering import SteeredNeedle
-from needlefit.viewer.serving.messages import state_message
-from needlefit.viewer.serving.trials import InteractiveTrial
-from needlefit.viewer.viewed_scene import ViewedScene
+from needlefit.viewer.messages import encode_scene
+from needlefit.viewer.opening import ViewedScene
+from needlefit.viewer.steering import Change, SteeredNeedle
+from needlefit.viewer.trials import InteractiveTrial
 
 LENGTH, K = 150.0, 0.3  # mm; N/mm per mm
 STIFF, NEEDLE = 1e10, 1e4  # N mm^2
@@ -36,7 +34,7 @@ def encode(tmp_path):
         for step in steps:
             changes = [(name.split("@"), value) for name, value in step.items()]
             trial.act([Change(name, int(*item) if item else None, value) for (name, *item), value in changes])
-        return state_message(trial)
+        return trial.describe_state()
 
     return state
 

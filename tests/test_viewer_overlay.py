@@ -30,9 +30,15 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import compute_metrics
-from needlefit.viewer.overlay.band import compute_band
-from needlefit.viewer.overlay.measured import compute_live_errors, make_measured_overlay
-from needlefit.viewer.overlay.slice import InsertionScan, find_scan, read_slice
+from needlefit.planning.steering import StartedInsertion
+from needlefit.viewer.overlays import (
+    InsertionScan,
+    compute_band,
+    compute_live_errors,
+    find_scan,
+    make_measured_overlay,
+    read_slice,
+)
 
 PLAN = insertion(40.0, [17.5], (1, 2))
 MEASURED = measure(TRUTH, medium(), PLAN)
@@ -67,7 +73,7 @@ def test_errors_up_to_the_depth_in_common(depth, whole):
     )
     assert found.values["ipe_mean_mm"] == pytest.approx(chord / 2)
     assert found.values["edp_percent"] == pytest.approx(100 * chord / (upto * math.sin(angle)))
-    assert (found.upto, found.whole, found.floor) == (upto, whole, 0.2)
+    assert (found.upto, found.whole) == (upto, whole)
 
 
 def test_errors_grow_into_those_of_the_whole_needle():
@@ -89,7 +95,7 @@ def test_without_a_measured_shape_there_are_no_errors():
     one = of(oblique(0.05), floor=math.nan)
     assert compute_live_errors(one, straight(0.5)) is None
     assert compute_live_errors(one, straight(40.0, "over-compressed")) is None
-    assert compute_live_errors(one, straight(40.0)).floor is None
+    assert one.floor is None
     shifted = dataclasses.replace(oblique(0.0), planar=np.add(oblique(0.0).planar, [0.0, 0.3]))
     found = compute_live_errors(of(shifted), straight(40.0))
     assert (
@@ -134,9 +140,14 @@ def led() -> Session:
     return session
 
 
+def band(draws: ParameterDraws, path, first_cell: float = 1.0):
+    rules = dataclasses.replace(SCENE.rules, first_cell=first_cell)
+    return compute_band(StartedInsertion(SCENE.needle, SCENE.tissue, rules, path, draws))
+
+
 def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
     session, drawn = led(), spread()
-    found = compute_band(drawn, SCENE.needle, SCENE.tissue, session.input_path(), SCENE.rules, 0.7)
+    found = band(drawn, session.input_path(), 0.7)
     s = np.linspace(0.0, session.depth, len(found.x))
     heights, x = [], []
     for mu, shape, offset in zip(drawn.mu, drawn.shape, drawn.bevel, strict=True):
@@ -155,8 +166,7 @@ def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
     same = spread(5)
     same = ParameterDraws(*(part[[0] * 5] for part in (same.mu, same.shape, same.bevel)))
     same.bevel[3] = np.nan
-    args = (SCENE.needle, SCENE.tissue, SCENE.steps, SCENE.rules, 1.0)
-    found = compute_band(same, *args)
+    found = band(same, SCENE.steps)
     assert found.failed == 1
     np.testing.assert_allclose(found.low, found.high, atol=1e-9)
     tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0], shape=same.shape[0])
@@ -165,12 +175,12 @@ def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
         SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules
     )
     assert found.low[-1] == pytest.approx(alone.tip_lateral, abs=1e-6)
-    assert compute_band(ParameterDraws(same.mu, same.shape, same.bevel * np.nan), *args) is None
+    assert band(ParameterDraws(same.mu, same.shape, same.bevel * np.nan), SCENE.steps) is None
 
 
 def test_before_first_contact_there_is_no_band():
     session = Session(SCENE.needle, SCENE.tissue, SCENE.steps[0].bevel)
-    assert compute_band(spread(5), SCENE.needle, SCENE.tissue, session.input_path(), SCENE.rules, 1.0) is None
+    assert band(spread(5), session.input_path()) is None
 
 
 def bent(s: np.ndarray) -> np.ndarray:
@@ -207,9 +217,8 @@ def scan(tmp_path_factory: pytest.TempPathFactory):
 
 
 def test_the_needle_lies_on_its_shadow_in_the_slice(scan):
-    found = read_slice(scan)
-    picture = matplotlib.image.imread(io.BytesIO(found.png))  # the top row first
-    left, right, bottom, top = found.extent
+    png, (left, right, bottom, top) = read_slice(scan)
+    picture = matplotlib.image.imread(io.BytesIO(png))  # the top row first
     height, width = picture.shape[:2]
     columns = left + (np.arange(width) + 0.5) * (right - left) / width
     rows = top - (np.arange(height) + 0.5) * (top - bottom) / height
@@ -228,7 +237,7 @@ def test_a_dataset_locates_its_scans_and_missing_ones_are_reported(scan, tmp_pat
     write_volumes(tmp_path, {"other": ScanVolume(Path("x")), scan.insertion.id: scan.volume})
     found, lacking = find_scan(whole, scan.insertion)
     assert lacking == "" and found.volume == ScanVolume(scan.volume.path.resolve())
-    monkeypatch.setattr("needlefit.viewer.overlay.slice.ct_packages_installed", lambda: False)
+    monkeypatch.setattr("needlefit.viewer.overlays.ct_packages_installed", lambda: False)
     assert "needlefit[ct]" in find_scan(whole, scan.insertion)[1]
     monkeypatch.undo()
     (tmp_path / "volumes.csv").write_text(f"id,volume,series\n{scan.insertion.id},scans/a,2\n")

@@ -23,10 +23,9 @@ from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.needles_in_scan import NEEDLE_POINTS, read_needles
 from needlefit.studies.run import store_run
 from needlefit.viewer.export import replay_to_end
-from needlefit.viewer.interaction.inputs import Change
-from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording
+from needlefit.viewer.steering import Change, SteeredNeedle
 
 QUICK = "schema = 1\nstarts = 1\nevaluations = 10\ntolerance = 1e-3\n"
 ID, DEPTH = "needle-3", needles.DEPTHS[2]
@@ -60,7 +59,7 @@ def fitted(folder: Path, pose: str):
 def steered(path: Path) -> None:
     """Record how the needle of the run is inserted to its measured depth."""
     viewed_scene = open_target("reports/small", ID)
-    scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
+    scene = viewed_scene.record
     steering = SteeredNeedle(Scene.from_record(viewed_scene.record), viewed_scene.first_cell)
     change = Change("depth_mm", None, DEPTH)
     steering.apply([change])
@@ -107,7 +106,7 @@ def test_the_files_of_a_recording_are_in_the_scan_and_in_the_world_of_the_data(
 
 def test_a_placement_is_written_with_all_its_bits(tmp_path) -> None:
     viewed_scene = open_target("twin/phantom2-05")
-    scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
+    scene = viewed_scene.record
     head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
     RecordingWriter(tmp_path / "log.csv", head).begin()
     assert read_recording(tmp_path / "log.csv").head == head
@@ -118,7 +117,7 @@ def test_a_placement_is_written_with_all_its_bits(tmp_path) -> None:
 
 def test_a_placement_that_is_no_rigid_motion_is_refused(tmp_path) -> None:
     viewed_scene = open_target("twin/phantom2-05")
-    scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
+    scene = viewed_scene.record
     RecordingWriter(tmp_path / "log.csv", make_head("a", 1.0, scene, viewed_scene.placement)).begin()
     text = (tmp_path / "log.csv").read_text().replace("lps_to_world = [[-0.", "lps_to_world = [[-1.")
     (tmp_path / "log.csv").write_text(text)

@@ -11,9 +11,8 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.interaction.inputs import Change, find_changes, find_tissue_changes
-from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
+from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, find_tissue_changes
 
 RECORD = load(find_file("scene", "figure1"), SceneRecord)
 PLAIN = load(find_file("scene", "study2"), SceneRecord)
@@ -53,7 +52,7 @@ def nodes_y(shape) -> np.ndarray:
 def recorded(path, changes=WANDERING) -> list[np.ndarray]:
     """Write a recording of changes; return the y of the nodes after each step."""
     steering = steer()
-    recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN.model_dump(mode="json", by_alias=True)))
+    recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN))
     found = [nodes_y(steering.now.shape)]
     for n, step in enumerate(changes, start=1):
         act(steering, *step)
@@ -83,7 +82,7 @@ def test_all_shape_parameters_of_a_law_are_steered_recorded_and_replayed(tmp_pat
     )
     record = PLAIN.model_copy(update={"law": "two_term_ogden", "layers": layers})
     steering, path = steer(record), tmp_path / "log.csv"
-    head = make_head("study2", 1.0, record.model_dump(mode="json", by_alias=True))
+    head = make_head("study2", 1.0, record)
     recorder, tips = RecordingWriter(path, head), []
     steps = (
         [("depth_mm", 20.0), ("base_y_mm", 0.5)],

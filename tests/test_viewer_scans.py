@@ -16,11 +16,16 @@ from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.scans import read_scans, write_scan_table
 from needlefit.imaging.volume import Volume, to_patient
-from needlefit.viewer.scans.corrections import read_corrections
-from needlefit.viewer.scans.session import ScanSession
-from needlefit.viewer.scans.slices import HALF_WIDTH_MM, PIXEL_MM, cut_slice, list_slice_axes, make_course
-from needlefit.viewer.serving.scan_page import ScanPage
-from needlefit.viewer.serving.server import serve
+from needlefit.viewer.scan_session import (
+    HALF_WIDTH_MM,
+    PIXEL_MM,
+    ScanSession,
+    cut_slice,
+    list_slice_axes,
+    make_course,
+    read_corrections,
+)
+from needlefit.viewer.server import ScanPage, serve
 
 SAMPLE = Path(__file__).parents[1] / "data/sample_scan/scans.csv"
 

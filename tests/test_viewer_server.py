@@ -17,23 +17,22 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import PlanLimits, plan_steering
 from needlefit.schemas.planning import ObstacleRecord
-from needlefit.viewer.interaction.inputs import Change
+from needlefit.viewer import server as server_module
+from needlefit.viewer.messages import read_message as read_message
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.opening.plan import begin_insertion
+from needlefit.viewer.plans import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
-from needlefit.viewer.serving import server as server_module
-from needlefit.viewer.serving.connections import (
+from needlefit.viewer.server import (
     MAX_BURST_MESSAGES,
     MAX_MESSAGE_BYTES,
     MAX_WINDOWS,
     AccessControl,
     RateLimit,
+    SteeringPage,
+    serve,
 )
-from needlefit.viewer.serving.messages import read_message as read_message
-from needlefit.viewer.serving.plans import begin_plan
-from needlefit.viewer.serving.server import serve
-from needlefit.viewer.serving.steering_page import SteeringPage
-from needlefit.viewer.serving.trials import MAX_TRIALS, TrialRegistry
+from needlefit.viewer.steering import Change
+from needlefit.viewer.trials import MAX_TRIALS, TrialRegistry
 
 
 class Page:
@@ -409,7 +408,7 @@ async def test_strangers_are_kept_out(tmp_path) -> None:
 @visit
 async def test_too_large_and_too_fast_is_cut_off_and_the_needle_is_not_lost(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
-        "needlefit.viewer.serving.connections.MAX_MESSAGES_PER_S", 0.0
+        "needlefit.viewer.server.MAX_MESSAGES_PER_S", 0.0
     )  # however slowly this machine sends
     async with house(tmp_path) as server:
         page = await server.page()
@@ -597,7 +596,7 @@ def test_a_needle_at_the_entry_of_its_plan_keeps_parameters_set_by_hand(tmp_path
         trials.entered(trial)  # there is no plan
     trial.aim.set((40.0, 2.0), 1.0, ())
     trial.aim.entry_mm = 3.0
-    trial.aim.plan = plan_steering(begin_plan(trial), trial.aim.goal, PlanLimits(3.0), threads=1)
+    trial.aim.plan = plan_steering(trial.planned_insertion, trial.aim.goal, PlanLimits(3.0), threads=1)
     other = trials.entered(trial)
     assert other.steering.now.step.depth == 0
     assert other.steering.now.tissue.mu == pytest.approx(trial.steering.now.tissue.mu, rel=1e-14)

@@ -17,7 +17,7 @@ from needlefit.project.outputs import require_output_files
 if TYPE_CHECKING:
     from needlefit.planning.goals import PlaneGoal
     from needlefit.planning.steering import SteeringPlan
-    from needlefit.viewer.viewed_scene import ViewedScene
+    from needlefit.viewer.opening import ViewedScene
 
 
 def plan(
@@ -88,7 +88,7 @@ def plan(
     """
     from needlefit.planning.steering import PlanLimits, plan_steering
     from needlefit.viewer.opening import open_target
-    from needlefit.viewer.opening.plan import begin_insertion, write_plan
+    from needlefit.viewer.plans import begin_insertion, write_plan
 
     if recording is not None:
         require_output_files({"--recording": recording}, [] if markups is None else [markups])
@@ -123,7 +123,7 @@ def _make_goal(
     obstacle_radius: float,
 ) -> "PlaneGoal":
     from needlefit.planning.goals import Ball, cut_plane, name_obstacles, read_goal_points
-    from needlefit.viewer.opening.plan import find_placement
+    from needlefit.viewer.plans import find_placement
 
     aim, balls = None, list[Ball]()
     if markups is not None:

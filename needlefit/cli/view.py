@@ -19,11 +19,10 @@ from needlefit.project.outputs import require_writable
 if TYPE_CHECKING:
     from needlefit.project.view_targets import SpecimenChoice
     from needlefit.schemas.tracker import TrackerRecord
-    from needlefit.viewer.serving.connections import AccessControl
-    from needlefit.viewer.serving.openigtlink import OpenIGTLinkServer
-    from needlefit.viewer.serving.server import ServedPage
-    from needlefit.viewer.serving.trials import TrialRegistry
-    from needlefit.viewer.viewed_scene import ViewedScene
+    from needlefit.viewer.openigtlink import OpenIGTLinkServer
+    from needlefit.viewer.opening import ViewedScene
+    from needlefit.viewer.server import AccessControl, ServedPage
+    from needlefit.viewer.trials import TrialRegistry
 
 
 def view(
@@ -114,7 +113,7 @@ def view(
     require_writable(out / "view")
     serve = _server()
     trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
-    from needlefit.viewer.serving.steering_page import SteeringPage
+    from needlefit.viewer.server import SteeringPage
 
     server = None if record is None else _openigtlink(record, trials, openigtlink_host, openigtlink or 0)
     _serve(serve, SteeringPage(trials, server), port, browser)
@@ -131,7 +130,7 @@ def _examine(
     serve = _server()
     screen.print_note(f"needlefit: examining {target}")
     session = open_session(target, named, recipe, folder)
-    from needlefit.viewer.serving.scan_page import ScanPage
+    from needlefit.viewer.server import ScanPage
 
     _serve(serve, ScanPage(session), port, browser)
     path = session.keep_unsaved()
@@ -161,7 +160,7 @@ def _serve(
 def _server() -> Callable[..., "Coroutine[None, None, None]"]:
     """Return what serves, if what that needs is installed."""
     try:
-        from needlefit.viewer.serving.server import serve
+        from needlefit.viewer.server import serve
     except ModuleNotFoundError as error:
         if error.name != "aiohttp":
             raise
@@ -197,10 +196,10 @@ def _read_tracker(port: int | None, path: Path | None) -> "TrackerRecord | None"
 def _openigtlink(
     record: "TrackerRecord", trials: "TrialRegistry", host: str, port: int
 ) -> "OpenIGTLinkServer":
-    from needlefit.viewer.serving.tracking import TrackedTrial
+    from needlefit.viewer.tracking import TrackedTrial
 
     try:
-        from needlefit.viewer.serving.openigtlink import OpenIGTLinkServer
+        from needlefit.viewer.openigtlink import OpenIGTLinkServer
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "pyigtl":
             raise
@@ -229,7 +228,7 @@ def _trials(
 ) -> "TrialRegistry":
     from needlefit.viewer.opening import open_recording, open_target
     from needlefit.viewer.recording import read_recording
-    from needlefit.viewer.serving.trials import TrialRegistry
+    from needlefit.viewer.trials import TrialRegistry
 
     source = None if recording is None else read_recording(recording)
     shown = open_target(target, specimen=specimen) if source is None else open_recording(source)

@@ -11,7 +11,7 @@ from needlefit.project.locate import find_file, list_names
 
 if TYPE_CHECKING:
     from needlefit.imaging.scans import Scan
-    from needlefit.viewer.scans.session import ScanSession
+    from needlefit.viewer.scan_session import ScanSession
 
 
 def names_scan(target: str | None) -> bool:
@@ -47,7 +47,7 @@ def open_session(target: str, named: Mapping[str, Any], recipe: str | None, fold
     """
     from needlefit.project.load import load
     from needlefit.schemas.reconstruction import ReconstructionRecord
-    from needlefit.viewer.scans.session import ScanSession
+    from needlefit.viewer.scan_session import ScanSession
 
     scan = _find_scan(target, named)
     file = find_file("reconstruction", recipe or _find_own_recipe(target) or "default")

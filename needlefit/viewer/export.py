@@ -1,5 +1,15 @@
-"""Export a recording: its last shape, figures, an animation, or its inputs."""
+"""Export a recording: its last shape, figures, an animation, its inputs, or one HTML file that plays it.
 
+The HTML file asks for nothing from anywhere: modules of the page are embedded as `data:` addresses in an
+import map, since a page opened from a file may not import other files. What talks to the program is replaced
+by `page/share/`.
+"""
+
+import base64
+import html
+import json
+import posixpath
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,14 +18,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needlefit import __version__
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
-from needlefit.viewer.interaction.steering import SteeredNeedle
+from needlefit.viewer.messages import encode_band, encode_scene, encode_state
+from needlefit.viewer.opening import open_recording
+from needlefit.viewer.overlays import compute_band
+from needlefit.viewer.plans import continue_insertion
 from needlefit.viewer.recording import Recording, begin_replay, read_recording, replay
+from needlefit.viewer.steering import SteeredNeedle
 
 if TYPE_CHECKING:
     from needlefit.reporting.figures.moments import SceneOverlays
+
+PAGE = Path(__file__).parent / "page"
+
+MAX_SHARED_STATES = 240
+"""States of an HTML file; of a longer recording so many, evenly chosen."""
+
+OFFLINE_MODULES = ("connection.js", "steering.js", "slice.js")
+"""Modules that talk to the program: `page/share/` has their namesakes without a program."""
+
+MAIN_MODULE = "share/main.js"
+
+_IMPORT = re.compile(r'(\bfrom|\bimport) "(\.{1,2}/[^"]+)"')
+_PREFIX = "needlefit/"
 
 
 @dataclass(frozen=True)
@@ -57,53 +85,10 @@ class RecordingOutcome:
 
 
 def replay_to_end(recording: Recording) -> RecordingOutcome:
-    """Replay a recording and return the outcome.
-
-    Raises
-    ------
-    ConfigError, DataError
-        As `begin_replay` and `replay`.
-    """
+    """Replay a recording and return the outcome; errors as of `begin_replay` and `replay`."""
     steering = begin_replay(recording)
     tip_offset_mm = max(replayed.tip_offset_mm for replayed in replay(recording, steering))
     return RecordingOutcome(recording, steering, tip_offset_mm)
-
-
-def list_timed_states(recording: Recording) -> Iterator[tuple[float, NeedleState]]:
-    """Yield the time (s) and state of the needle after every step of a recording."""
-    return ((replayed.time, replayed.state) for replayed in replay(recording))
-
-
-def recording_duration(recording: Recording) -> float:
-    """Return the duration of a recording, s."""
-    return recording.steps[-1].time if recording.steps else 0.0
-
-
-EXPORT_TYPES = {
-    "shape.csv": "text/csv",
-    "shape.mrk.json": "application/json",
-    "animation.gif": "image/gif",
-    "share.html": "text/html",
-    "inputs.csv": "text/csv",
-}
-"""Suffixes of the possible exports, with their media types."""
-
-
-def export(path: Path, kind: str) -> bytes:
-    """Return the content of one of `EXPORT_TYPES` for the recording at `path`, as it is now.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If the recording is damaged.
-    """
-    if kind == "inputs.csv":
-        return path.read_bytes()
-    outcome = replay_to_end(read_recording(path))
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / kind
-        _WRITERS[kind](outcome, file)
-        return file.read_bytes()
 
 
 def write_table(outcome: RecordingOutcome, path: Path) -> None:
@@ -133,44 +118,110 @@ def write_animation(outcome: RecordingOutcome, path: Path) -> None:
     """Draw the whole recording, .gif or .mp4; without the band, which belongs to one state."""
     from needlefit.reporting.figures.animation import animate
 
-    states, lasted = list_timed_states(outcome.recording), recording_duration(outcome.recording)
+    recording = outcome.recording
+    states = ((replayed.time, replayed.state) for replayed in replay(recording))
+    lasted = recording.steps[-1].time if recording.steps else 0.0
     animate(outcome.title, outcome.scene, states, lasted, path, _find_overlays(outcome, banded=False))
 
 
 def write_share(outcome: RecordingOutcome, path: Path) -> None:
     """Write the recording as one HTML file that plays it offline."""
-    from needlefit.viewer.share import compose_share
-
     path.write_text(compose_share(outcome.recording), "utf-8")
 
 
-_WRITERS: dict[str, Callable[[RecordingOutcome, Path], None]] = {
-    "shape.csv": write_table,
-    "shape.mrk.json": write_curve,
-    "animation.gif": write_animation,
-    "share.html": write_share,
+Write = Callable[[RecordingOutcome, Path], None]
+
+WRITERS: dict[str, Write] = {
+    "plot": write_picture,
+    "csv": write_table,
+    "slicer": write_curve,
+    "animation": write_animation,
+    "html": write_share,
 }
+"""What writes a file, by the option of `needlefit simulate`."""
+
+_EXPORTS: dict[str, tuple[str, Write | None]] = {
+    "shape.csv": ("text/csv", write_table),
+    "shape.mrk.json": ("application/json", write_curve),
+    "animation.gif": ("image/gif", write_animation),
+    "share.html": ("text/html", write_share),
+    "inputs.csv": ("text/csv", None),
+}
+
+EXPORT_TYPES = {suffix: media_type for suffix, (media_type, _) in _EXPORTS.items()}
+"""Suffixes of the exports of the page, with their media types."""
+
+
+def export(path: Path, kind: str) -> bytes:
+    """Return the content of one of `EXPORT_TYPES` for the recording at `path`, as it is now.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If the recording is damaged.
+    """
+    _, write = _EXPORTS[kind]
+    if write is None:
+        return path.read_bytes()
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / kind
+        write(replay_to_end(read_recording(path)), file)
+        return file.read_bytes()
 
 
 def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":
     """Return what was shown beside the needle, if it is still there."""
     from needlefit.reporting.figures.moments import SceneOverlays
-    from needlefit.viewer.opening import open_recording
-    from needlefit.viewer.overlay.band import compute_band
 
-    viewed_scene, steering, scene = open_recording(outcome.recording), outcome.steering, outcome.scene
+    viewed_scene = open_recording(outcome.recording)
     points = None if viewed_scene.measured is None else viewed_scene.measured.points
-    found = None
-    if banded and viewed_scene.spread is not None:
-        found = compute_band(
-            viewed_scene.spread,
-            scene.needle,
-            scene.tissue,
-            steering.input_path(),
-            scene.rules,
-            steering.first_cell,
-        )
+    spread = viewed_scene.spread if banded else None
+    found = compute_band(continue_insertion(outcome.steering, spread))
     if found is None:
         return SceneOverlays(points, synthetic=viewed_scene.synthetic)
     low, high = (np.column_stack((found.x, edge)) for edge in (found.low, found.high))
     return SceneOverlays(points, low, high, viewed_scene.synthetic)
+
+
+def compose_share(recording: Recording) -> str:
+    """Return the text of an HTML file that plays a recording offline; errors as of `replay`."""
+    viewed_scene = open_recording(recording)
+    steering = begin_replay(recording)
+    numbers = np.linspace(0, len(recording.steps), min(len(recording.steps) + 1, MAX_SHARED_STATES))
+    wanted = set(np.rint(numbers).astype(np.intp).tolist())
+    states = []
+    for number, replayed in enumerate(replay(recording, steering)):
+        if number in wanted:
+            band = None
+            if viewed_scene.spread is not None:
+                found = compute_band(continue_insertion(steering, viewed_scene.spread))
+                band = encode_band(steering.number, found)
+            states.append([encode_state(viewed_scene, steering) | {"time_s": replayed.time}, band])
+    scene = encode_scene(viewed_scene, steering) | {"slice": False}
+    data = {"scene": scene, "states": states, "needlefit": __version__}
+    parts = {
+        "title": html.escape(viewed_scene.title),
+        "style": "".join((PAGE / name).read_text("utf-8") for name in ("style.css", "controls.css")),
+        "imports": json.dumps({"imports": dict(_embed_modules())}),
+        # "<" would end the element where the data hold "</script>"
+        "data": json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+    }
+    text = (PAGE / "share/share.html").read_text("utf-8")
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], text)
+
+
+def _embed_modules() -> Iterator[tuple[str, str]]:
+    """Yield the name and the `data:` address of every module that the file needs."""
+    waiting, done = [MAIN_MODULE], set[str]()
+    while waiting:
+        module = waiting.pop()
+        if module in done:
+            continue
+        done.add(module)
+        text = (PAGE / module).read_text("utf-8")
+        for word, given in set(_IMPORT.findall(text)):
+            path = posixpath.normpath(posixpath.join(posixpath.dirname(module), given))
+            needed = f"share/{path}" if path in OFFLINE_MODULES else path
+            text = text.replace(f'{word} "{given}"', f'{word} "{_PREFIX}{needed}"')
+            waiting.append(needed)
+        yield f"{_PREFIX}{module}", f"data:text/javascript;base64,{base64.b64encode(text.encode()).decode()}"

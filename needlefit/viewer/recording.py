@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
 
 from needlefit import __version__
 from needlefit.errors import DataError, ModelError
@@ -22,9 +21,9 @@ from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.load import check
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.limits import MAX_NUMBER
+from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord
-from needlefit.viewer.interaction.inputs import Change
-from needlefit.viewer.interaction.steering import SteeredNeedle
+from needlefit.viewer.steering import Change, SteeredNeedle
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "tip_lateral_mm")
 
@@ -34,18 +33,9 @@ MAX_ITEM_DIGITS = 6
 
 @dataclass(frozen=True)
 class RecordedStep:
-    """One step of a recording.
+    """One step of a recording: its number from 1, time (s), and the tip's lateral displacement after it (mm).
 
-    Attributes
-    ----------
-    number : int
-        From 1.
-    time : float
-        Since the recording began, s.
-    tip_lateral : float
-        Of the tip after it, mm.
-    line : int
-        Of the file where it begins.
+    `line` is the line of the file where it begins.
     """
 
     number: int
@@ -74,27 +64,46 @@ class RecordingWriter:
         self.path, self._head, self._begun = path, head, False
 
     def write(self, step: RecordedStep) -> None:
-        """Append a step.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be written.
-        """
+        """Append a step; OSError if the file cannot be written."""
         self.begin()
+        rows = []
+        for change in step.changes:
+            item = "" if change.item is None else str(change.item)
+            rows.append(f"{step.number},{step.time:.4f},{change.name},{item},{change.value!r},")
         # one write, unbuffered: the step is in the system's hands, or it is not there at all
         with self.path.open("ab", buffering=0) as file:
-            file.write("".join(_rows(step)).encode())
+            file.write(("\n".join(rows) + f"{step.tip_lateral!r}\n").encode())
 
     def begin(self) -> None:
         """Create the file with its head, unless it exists; OSError if it cannot be written."""
         if self._begun:
             return
+        tables = self._head.model_dump(mode="json", by_alias=True, exclude_none=True)
+        text = "# a needle steered by hand; `needlefit simulate --recording FILE` replays it\n" + dumps(
+            tables
+        )
+        lines = [f"# {line}".rstrip() for line in text.splitlines()]
         self.path.parent.mkdir(parents=True, exist_ok=True)
         # x: an existing file is never overwritten.
         with self.path.open("xb", buffering=0) as file:
-            file.write(_head_lines(self._head).encode())
+            file.write(("\n".join([*lines, ",".join(COLUMNS)]) + "\n").encode())
         self._begun = True
+
+
+def make_head(
+    target: str, first_cell: float, scene: SceneRecord, placement: PlacementRecord | None = None
+) -> RecordingRecord:
+    """Return the head of a new recording of a scene at `placement`; `first_cell` in mm."""
+    tables = {
+        "schema": RecordingRecord.SCHEMA,
+        "needlefit": __version__,
+        "target": target,
+        "first_cell_mm": first_cell,
+        "scene": scene.model_dump(mode="json", by_alias=True),
+    }
+    if placement is not None:
+        tables["placement"] = placement.model_dump(mode="json")
+    return check(tables, RecordingRecord, "recording")
 
 
 def read_recording(path: Path) -> Recording:
@@ -107,32 +116,7 @@ def read_recording(path: Path) -> Recording:
     """
     lines = read_text(path).splitlines(keepends=True)
     count = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    head = _head(lines[:count], path)
-    if count < len(lines) and lines[count].strip() != ",".join(COLUMNS):
-        raise _line_error(path, count + 1, "other columns", ",".join(COLUMNS))
-    if count < len(lines) - 1 and not lines[-1].endswith("\n"):
-        lines.pop()  # cut off while it was written
-    rows = (_row(text, line, path) for line, text in enumerate(lines[count + 1 :], start=count + 2))
-    return Recording(head, tuple(_steps(rows, path)), str(path))
-
-
-def _head_lines(head: RecordingRecord) -> str:
-    tables = head.model_dump(mode="json", by_alias=True, exclude_none=True)
-    text = "a needle steered by hand; `needlefit simulate --recording FILE` replays it\n" + dumps(tables)
-    first, *rest = text.splitlines()
-    lines = [f"# # {first}", *(f"# {line}".rstrip() for line in rest)]
-    return "\n".join([*lines, ",".join(COLUMNS)]) + "\n"
-
-
-def _rows(step: RecordedStep) -> Iterator[str]:
-    for n, change in enumerate(step.changes, start=1):
-        item = "" if change.item is None else str(change.item)
-        last = repr(step.tip_lateral) if n == len(step.changes) else ""
-        yield f"{step.number},{step.time:.4f},{change.name},{item},{change.value!r},{last}\n"
-
-
-def _head(lines: Sequence[str], path: Path) -> RecordingRecord:
-    head = "".join(line[1:].removeprefix(" ") for line in lines)
+    head = "".join(line[1:].removeprefix(" ") for line in lines[:count])
     tables = parse_toml(head, f"{path}, its first lines", DataError)
     if not tables:
         raise DataError(
@@ -140,12 +124,25 @@ def _head(lines: Sequence[str], path: Path) -> RecordingRecord:
             where=str(path),
             expected="a file that `needlefit view` recorded",
         )
-    return check(tables, RecordingRecord, str(path))
+    record = check(tables, RecordingRecord, str(path))
+    if count < len(lines) and lines[count].strip() != ",".join(COLUMNS):
+        raise _line_error(path, count + 1, "other columns", ",".join(COLUMNS))
+    if count < len(lines) - 1 and not lines[-1].endswith("\n"):
+        lines.pop()  # cut off while it was written
+    rows = (_Row.parse(text, line, path) for line, text in enumerate(lines[count + 1 :], start=count + 2))
+    return Recording(record, tuple(_list_steps(rows)), str(path))
 
 
-class _LogRow(NamedTuple):
-    """A line of a log, its cells as they are written."""
+def _line_error(path: Path, line: int, what: str, expected: str) -> DataError:
+    fix = "replay the file as it was recorded"
+    return DataError(what, where=f"{path}, line {line}", expected=expected, fix=fix)
 
+
+@dataclass(frozen=True)
+class _Row:
+    """A line of a recording, its cells as they are written."""
+
+    path: Path
     line: int
     step: str
     time: str
@@ -154,104 +151,66 @@ class _LogRow(NamedTuple):
     value: str
     tip_lateral: str
 
+    @classmethod
+    def parse(cls, text: str, line: int, path: Path) -> "_Row":
+        (cells,) = csv.reader([text])
+        if len(cells) != len(COLUMNS):
+            expected = f"{len(COLUMNS)}: {','.join(COLUMNS)}"
+            raise _line_error(path, line, f"{len(cells)} cells", expected)
+        return cls(path, line, *cells)
 
-def _row(text: str, line: int, path: Path) -> _LogRow:
-    (cells,) = csv.reader([text])
-    if len(cells) != len(COLUMNS):
-        raise _line_error(path, line, f"{len(cells)} cells", f"{len(COLUMNS)}: {','.join(COLUMNS)}")
-    return _LogRow(line, *cells)
+    def refuse(self, what: str, expected: str) -> DataError:
+        return _line_error(self.path, self.line, what, expected)
+
+    def number(self, text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not abs(number) <= MAX_NUMBER:
+            raise self.refuse(f"`{text}`", "a finite number")
+        return number
+
+    def change(self) -> Change:
+        if self.item and not (self.item.isdecimal() and len(self.item) <= MAX_ITEM_DIGITS):
+            raise self.refuse(f"item `{self.item}`", "the number of a guide or layer, or nothing")
+        value = self.number(self.value)
+        try:
+            return Change(self.name, int(self.item) if self.item else None, value)
+        except ModelError as error:
+            raise self.refuse(error.what, error.expected) from None
 
 
-def _steps(rows: Iterable[_LogRow], path: Path) -> Iterator[RecordedStep]:
+def _list_steps(rows: Iterable[_Row]) -> Iterator[RecordedStep]:
     """Yield the steps; the last one is left out if its other rows were cut off."""
-    open_at = 0
+    cut: _Row | None = None
     for number, (_, group) in enumerate(groupby(rows, key=lambda row: row.step), start=1):
-        first, *_ = step = list(group)
+        *before, last = step = list(group)
+        first = step[0]
         if first.step != str(number):
-            raise _line_error(path, first.line, f"step {first.step}", f"step {number}: none left out")
-        *before, last = step
-        if open_at or any(row.tip_lateral for row in before):
-            at = open_at or first.line
-            raise _line_error(
-                path, at, "tip_lateral_mm", "a number in the last row of a step, and only there"
+            raise first.refuse(f"step {first.step}", f"step {number}: none left out")
+        if cut is not None or any(row.tip_lateral for row in before):
+            raise (cut or first).refuse(
+                "tip_lateral_mm", "a number in the last row of a step, and only there"
             )
-        if last.tip_lateral:
-            time, tip_lateral = _time(first, path), _number(last.tip_lateral, last.line, path)
-            yield RecordedStep(number, time, _changes(step, path), tip_lateral, first.line)
-        else:
-            open_at = first.line
-
-
-def _time(row: _LogRow, path: Path) -> float:
-    time = _number(row.time, row.line, path)
-    if time < 0:
-        raise _line_error(path, row.line, f"time_s is {row.time}", "seconds since the recording began")
-    return time
-
-
-def _changes(step: Sequence[_LogRow], path: Path) -> tuple[Change, ...]:
-    """Return the inputs of a step, each of which has one value."""
-    found: dict[tuple[str, int | None], Change] = {}
-    for row in step:
-        change = _change(row, path)
-        if (change.name, change.item) in found:
-            raise _line_error(
-                path, row.line, f"a second {row.name} in step {row.step}", "one value for each input"
-            )
-        found[change.name, change.item] = change
-    return tuple(found.values())
-
-
-def _change(row: _LogRow, path: Path) -> Change:
-    if row.item and not (row.item.isdecimal() and len(row.item) <= MAX_ITEM_DIGITS):
-        raise _line_error(path, row.line, f"item `{row.item}`", "the number of a guide or layer, or nothing")
-    try:
-        value = _number(row.value, row.line, path)
-        return Change(row.name, int(row.item) if row.item else None, value)
-    except ModelError as error:
-        raise _line_error(path, row.line, error.what, error.expected) from None
-
-
-def _number(text: str, line: int, path: Path) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not abs(number) <= MAX_NUMBER:
-        raise _line_error(path, line, f"`{text}`", "a finite number")
-    return number
-
-
-def _line_error(path: Path, line: int, what: str, expected: str) -> DataError:
-    fix = "replay the file as it was recorded"
-    return DataError(what, where=f"{path}, line {line}", expected=expected, fix=fix)
-
-
-def make_head(
-    target: str, first_cell: float, scene: dict[str, object], placement: PlacementRecord | None = None
-) -> RecordingRecord:
-    """Return the head of a new recording of a scene (a record) at `placement`."""
-    tables = {
-        "schema": RecordingRecord.SCHEMA,
-        "needlefit": __version__,
-        "target": target,
-        "first_cell_mm": first_cell,
-    }
-    lies = {} if placement is None else {"placement": placement.model_dump(mode="json")}
-    return check(tables | lies | {"scene": scene}, RecordingRecord, "recording")
+        if not last.tip_lateral:
+            cut = first
+            continue
+        time, tip_lateral = first.number(first.time), last.number(last.tip_lateral)
+        if time < 0:
+            raise first.refuse(f"time_s is {first.time}", "seconds since the recording began")
+        changes: dict[tuple[str, int | None], Change] = {}
+        for row in step:
+            change = row.change()
+            if (change.name, change.item) in changes:
+                raise row.refuse(f"a second {row.name} in step {row.step}", "one value for each input")
+            changes[change.name, change.item] = change
+        yield RecordedStep(number, time, tuple(changes.values()), tip_lateral, first.line)
 
 
 @dataclass(frozen=True)
 class ReplayedStep:
-    """One step of a recording after its replay.
-
-    Attributes
-    ----------
-    recorded : RecordedStep or None
-        The recorded step; None for the needle at first contact.
-    state : NeedleState
-        The needle after it.
-    """
+    """The needle after one step of a recording; `recorded` is None for the needle at first contact."""
 
     recorded: RecordedStep | None
     state: NeedleState
@@ -268,16 +227,9 @@ class ReplayedStep:
 
 
 def begin_replay(recording: Recording) -> SteeredNeedle:
-    """Return the needle of a recording at first contact.
-
-    Raises
-    ------
-    ConfigError
-        If the model does not take its scene.
-    """
-    return SteeredNeedle(
-        Scene.from_record(recording.head.scene, recording.where), recording.head.first_cell_mm
-    )
+    """Return the needle of a recording at first contact; ConfigError if the model does not take its scene."""
+    scene = Scene.from_record(recording.head.scene, recording.where)
+    return SteeredNeedle(scene, recording.head.first_cell_mm)
 
 
 def replay(recording: Recording, steering: SteeredNeedle | None = None) -> Iterator[ReplayedStep]:

@@ -203,7 +203,7 @@ def _assignments(path: Path) -> object:
 
 def _message(path: Path) -> object:
     """Read a message as the page's server does; a fault in it is an answer, not an exception."""
-    found = _late("viewer.serving.messages.read_message")(_text(path))
+    found = _late("viewer.messages.read_message")(_text(path))
     if found.fault is not None:
         raise found.fault
     return found.text("what"), found.gesture, found.number("to_mm", 0.0)
@@ -212,11 +212,11 @@ def _message(path: Path) -> object:
 def _conversation(path: Path) -> object:
     """Answer messages, a line each, in one window as the page's server does; replies must be JSON."""
     opened, shown = import_module("needlefit.viewer.opening"), None
-    trials = import_module("needlefit.viewer.serving.trials")
+    trials = import_module("needlefit.viewer.trials")
     shown = opened.open_target("figure1")
     registry = trials.TrialRegistry(shown, path.parent / "view", opened.open_target)
-    window = _late("viewer.serving.window.Window")(registry, registry.open(""))
-    read, refused = _late("viewer.serving.messages.read_message"), None
+    window = _late("viewer.window.Window")(registry, registry.open(""))
+    read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
         for reply in window.answer(read(text)):
             json.dumps(reply, allow_nan=False).encode()
@@ -228,7 +228,7 @@ def _conversation(path: Path) -> object:
 
 
 def _share(path: Path) -> object:
-    return _late("viewer.share.compose_share")(_late("viewer.recording.read_recording")(path))
+    return _late("viewer.export.compose_share")(_late("viewer.recording.read_recording")(path))
 
 
 def _tracker(path: Path) -> object:
@@ -239,7 +239,7 @@ def _tracker(path: Path) -> object:
             _late("project.locate.find_file")("scene", "figure1"), _late("schemas.scene.SceneRecord")
         )
     )
-    tracking = import_module("needlefit.viewer.serving.tracking")
+    tracking = import_module("needlefit.viewer.tracking")
     frame = tracking.register_tracker(record, scene.entry.placement)
     return tracking.measure_registration_error(record, frame, scene.entry.placement)
 

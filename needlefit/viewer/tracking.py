@@ -30,9 +30,9 @@ from needlefit.inference.tracking import (
 )
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.tracker import TrackerRecord
-from needlefit.viewer.interaction.inputs import Change
-from needlefit.viewer.opening.plan import find_placement
-from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
+from needlefit.viewer.plans import find_placement
+from needlefit.viewer.steering import Change
+from needlefit.viewer.trials import InteractiveTrial, TrialRegistry
 
 MAX_ROTATION_ERROR = 1e-3
 """Greatest deviation of a transform's columns from unit length and right angles; OpenIGTLink sends floats."""

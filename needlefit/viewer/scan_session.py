@@ -1,38 +1,260 @@
-"""A scan under examination: what was found, what a person corrected, and what came of it."""
+"""A scan that is looked at and corrected by hand before it is reconstructed."""
 
+import json
 import shlex
 import shutil
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats
+from needlefit.datasets.faults import as_error
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.findings import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.registration.rigid import MIN_MARKERS
-from needlefit.imaging.scans import Scan, write_scan_table
-from needlefit.imaging.volume import Volume, grid_to_json
+from needlefit.imaging.scans import Scan, placed_contact_fault, write_scan_table
+from needlefit.imaging.volume import Volume, grid_to_json, to_index
 from needlefit.imaging.volume_files import read_volume
 from needlefit.reporting.figures.scan_views import encode_grey
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.viewer.scans.corrections import Corrections, correct_scan, read_corrections
-from needlefit.viewer.scans.slices import (
-    HALF_WIDTH_MM,
-    PIXEL_MM,
-    NeedleCourse,
-    cut_slice,
-    list_slice_axes,
-    make_course,
-)
+
+PIXEL_MM = 0.3
+"""Edge of a pixel of the slice along the needle, mm."""
+
+HALF_WIDTH_MM = 10.0
+"""How far the slice along the needle reaches to both sides, mm."""
+
+BEYOND_TIP_MM = 15.0
+"""How far it reaches beyond the tip, mm."""
+
+_LETTERS = ("RL", "AP", "IS")
+"""Letters of the low and the high side of the patient's axes L, P, S."""
+
+_VIEWS = (("axial", 2, 0, 1, 1), ("coronal", 1, 0, 2, -1), ("sagittal", 0, 1, 2, -1))
+"""Name, and the patient's axes across the slice, to the right and downwards; -1: upwards is positive."""
+
+
+@dataclass(frozen=True)
+class SliceAxes:
+    """How a slice lies in a volume.
+
+    Attributes
+    ----------
+    normal, right, down : int
+        Axes of the volume: i, j or k.
+    right_sign, down_sign : int
+        -1 where the picture runs against the index.
+    letters : tuple of str
+        Of the patient's sides at the left, right, top and bottom edge.
+    """
+
+    name: str
+    normal: int
+    right: int
+    down: int
+    right_sign: int
+    down_sign: int
+    letters: tuple[str, str, str, str]
+
+
+def list_slice_axes(volume: Volume) -> tuple[SliceAxes, ...]:
+    """Return the three views, each of the volume's axes taken for the patient's axis that it is nearest."""
+    turned = volume.direction
+    own = max(permutations(range(3)), key=lambda axes: sum(abs(turned[p, axes[p]]) for p in range(3)))
+    signs = [1 if turned[p, own[p]] > 0 else -1 for p in range(3)]
+    found = []
+    for name, normal, right, down, way in _VIEWS:
+        across, along = _LETTERS[right], _LETTERS[down][::way]
+        found.append(
+            SliceAxes(
+                name, own[normal], own[right], own[down], signs[right], way * signs[down],
+                (across[0], across[1], along[0], along[1]),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def cut_slice(volume: Volume, axes: SliceAxes, index: int) -> NDArray[np.float32]:
+    """Return one slice (rows, columns), top row first, HU."""
+    order = {0: 2, 1: 1, 2: 0}  # values are stored [k, j, i]
+    plane = np.moveaxis(volume.values, [order[axes.normal], order[axes.down], order[axes.right]], [0, 1, 2])
+    index = min(max(index, 0), plane.shape[0] - 1)
+    return plane[index, :: axes.down_sign, :: axes.right_sign]
+
+
+@dataclass(frozen=True)
+class NeedleCourse:
+    """The needle drawn straight: where each column of its slice lies, and what is across it.
+
+    Attributes
+    ----------
+    points, u, v : (N, 3) arrays
+        LPS, mm; `u` and `v` are perpendicular unit vectors across the needle.
+    """
+
+    points: Floats
+    u: Floats
+    v: Floats
+
+    @property
+    def aside(self) -> Floats:
+        """Distance of each row from the needle, mm, the top row first."""
+        return np.arange(HALF_WIDTH_MM, -HALF_WIDTH_MM - 1e-9, -PIXEL_MM)
+
+    def cut(self, volume: Volume, angle: float) -> NDArray[np.float32]:
+        """Return the slice (rows, N) through the needle, turned about it by `angle` (rad); nan outside."""
+        across = np.cos(angle) * self.u + np.sin(angle) * self.v
+        places = self.points[None] + self.aside[:, None, None] * across[None]
+        index = to_index(volume, places.reshape(-1, 3))[:, ::-1].T
+        values: NDArray[Any] = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float32)
+        return values.reshape(len(self.aside), len(self.points))
+
+
+def make_course(needle: Floats) -> NeedleCourse:
+    """Return the course of a needle (N, 3), LPS, from base to tip and on beyond it."""
+    ahead = needle[-1] - needle[max(0, len(needle) - 10)]
+    ahead /= np.linalg.norm(ahead)
+    whole = np.vstack([needle, needle[-1] + BEYOND_TIP_MM * ahead])
+    points = interpolate_at_arc(whole, np.arange(0.0, arc_length(whole)[-1], PIXEL_MM))
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    # One normal for all: a needle bends by far less than the right angle at which this would fail.
+    v = np.cross(tangents, make_normal(tangents[len(points) // 2]))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return NeedleCourse(points, np.cross(v, tangents), v)
+
+
+MAX_BALLS = 64
+"""Balls that may be placed by hand."""
+
+BALLS_FILE = "balls.csv"
+
+DIGITS = 3
+"""Decimals of a place, mm: as many as the files keep, so that these give the same numbers again."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """Places that a person gave, LPS, mm; None: as found.
+
+    Attributes
+    ----------
+    needle : (3,) array or None
+        A point on the tube that is the needle.
+    balls : (M, 3) array or None
+        All balls.
+    contact, tip : (3,) array or None
+        Where the needle enters the tissue, and where it ends.
+    """
+
+    needle: Floats | None = None
+    balls: Floats | None = None
+    contact: Floats | None = None
+    tip: Floats | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether anything was corrected."""
+        return any(part is not None for part in (self.needle, self.balls, self.contact, self.tip))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the places as JSON values."""
+        parts = {"needle": self.needle, "balls": self.balls, "contact": self.contact, "tip": self.tip}
+        return {name: None if part is None else part.tolist() for name, part in parts.items()}
+
+
+def read_corrections(content: object) -> Corrections:
+    """Return the corrections that a page sent.
+
+    Raises
+    ------
+    DataError
+        If they are not places.
+    """
+    if not isinstance(content, Mapping):
+        raise DataError("the corrections are no table", expected="needle, balls, contact, tip")
+    return Corrections(
+        needle=_read_point(content.get("needle"), "needle"),
+        balls=_read_points(content.get("balls")),
+        contact=_read_point(content.get("contact"), "contact"),
+        tip=_read_point(content.get("tip"), "tip"),
+    )
+
+
+def _read_point(given: object, name: str) -> Floats | None:
+    if given is None:
+        return None
+    if not isinstance(given, Sequence) or len(given) != 3 or not all(_is_number(x) for x in given):
+        raise DataError(f"{name} is {json.dumps(given)[:60]}", expected="three numbers, LPS, mm")
+    return np.array([round(float(x), DIGITS) for x in given])
+
+
+def _read_points(given: object) -> Floats | None:
+    if given is None:
+        return None
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) > MAX_BALLS:
+        raise DataError("balls are no list of places", expected=f"at most {MAX_BALLS} places, LPS, mm")
+    points = [_read_point(one, "a ball") for one in given]
+    return np.array([one for one in points if one is not None]).reshape(-1, 3)
+
+
+def _is_number(given: object) -> bool:
+    return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e6
+
+
+def _require_balls(count: int, scan: Scan) -> None:
+    if scan.markers is None:
+        raise DataError(
+            "balls were placed, but the scan has no known places to lay them on",
+            expected="the markers' known places in the world",
+            fix="start the page with --markers FILE, or with a table of scans that names them",
+        )
+    if count < MIN_MARKERS:
+        raise DataError(
+            f"{count} of at least {MIN_MARKERS} balls are left",
+            expected=f"{MIN_MARKERS} or more that are not on a line: they register the scan to the world",
+            fix="add balls, or take the removal back",
+        )
+
+
+def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
+    """Return the scan with the corrections; the balls that it then names are written to `folder`.
+
+    Raises
+    ------
+    DataError
+        If balls are given to a scan without markers, or too few, or an entry beside that of the stage.
+    """
+    if corrections.balls is not None:
+        _require_balls(len(corrections.balls), scan)
+    if corrections.contact is not None and scan.stage is not None:
+        raise as_error([placed_contact_fault(scan.id)], scan.volume)
+    fiducials = scan.fiducials
+    if corrections.balls is not None:
+        fiducials = folder / BALLS_FILE
+        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.{DIGITS}f}" for x in ball) for ball in corrections.balls)]
+        fiducials.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return replace(
+        scan,
+        mask=scan.mask if corrections.needle is None else None,
+        fiducials=fiducials,
+        needle_at=scan.needle_at if corrections.needle is None else corrections.needle,
+        contact=scan.contact if corrections.contact is None else corrections.contact,
+        tip=scan.tip if corrections.tip is None else corrections.tip,
+    )
+
 
 TABLE_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
 

@@ -7,74 +7,25 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path, PurePath
 from time import monotonic
+from typing import Any
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.scene import Scene
-from needlefit.planning.goals import Goal
-from needlefit.planning.steering import SteeringPlan
-from needlefit.schemas.planning import ObstacleRecord
-from needlefit.viewer.interaction.inputs import Change, find_changes, find_tissue_changes
-from needlefit.viewer.interaction.steering import SteeredNeedle
-from needlefit.viewer.opening.live_fit import FitScope
-from needlefit.viewer.opening.plan import list_changes, shift_entry
+from needlefit.planning.steering import StartedInsertion
+from needlefit.viewer.live_fit import FitScope
+from needlefit.viewer.messages import encode_scene, encode_state
+from needlefit.viewer.opening import ShownInsertion, ViewedScene
+from needlefit.viewer.plans import TrialAim, continue_insertion, list_changes, restart_insertion, shift_entry
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, make_head
-from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
+from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, find_tissue_changes
 
-DEFAULT_RADIUS_MM = 2.0
-"""A tip that ends within it has reached the target."""
+MAX_UNDO = 200
+"""Number of gestures that can be undone."""
 
-
-@dataclass
-class TrialAim:
-    """Where a trial's needle is to go.
-
-    Attributes
-    ----------
-    goal : Goal or None
-        None: there is no target.
-    plan : SteeringPlan or None
-        The last plan for this goal.
-    plan_step : int
-        Step of the needle at which it was sought.
-    roll_deg : float
-        Angle about x by which the needle's plane contains a target in space.
-    entry_mm : float
-        By how much a plan may shift the entry to either side. Above 0 it begins anew at first contact.
-    wanted, challenged : bool
-        Whether a plan, or a random target, has been asked for and is not computed yet.
-    version : int
-        Counts changes of the goal.
-    """
-
-    goal: Goal | None = None
-    radius: float = DEFAULT_RADIUS_MM
-    obstacles: tuple[ObstacleRecord, ...] = ()
-    plan: SteeringPlan | None = None
-    plan_step: int = 0
-    roll_deg: float = 0.0
-    entry_mm: float = 0.0
-    wanted: bool = False
-    challenged: bool = False
-    version: int = 0
-
-    def set(
-        self,
-        target: tuple[float, float] | None,
-        radius: float,
-        obstacles: tuple[ObstacleRecord, ...],
-        roll_deg: float = 0.0,
-    ) -> None:
-        """Take another goal; a plan for the one before is dropped."""
-        self.goal = None if target is None else Goal(target, radius, obstacles)
-        self.radius, self.obstacles, self.roll_deg = radius, obstacles, roll_deg
-        self.plan, self.wanted, self.challenged = None, False, False
-        self.version += 1
-
-    def take(self, other: "TrialAim") -> None:
-        """Take the goal of another trial of the same tissue."""
-        target = None if other.goal is None else other.goal.target
-        self.set(target, other.radius, other.obstacles, other.roll_deg)
+MAX_TRIALS = 32
+"""Number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
+stay."""
 
 
 @dataclass
@@ -94,10 +45,6 @@ class TrialFit:
     original: ShownInsertion | None
     wanted: FitScope | None = None
     offsets: list[float] | None = None
-
-
-MAX_UNDO = 200
-"""Number of gestures that can be undone."""
 
 
 class InteractiveTrial:
@@ -134,8 +81,8 @@ class InteractiveTrial:
         self.name, self.viewed_scene, self.source = name, viewed_scene, source
         self.scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
         self.steering = SteeredNeedle(self.scene, viewed_scene.first_cell, valid_only=True)
-        scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
-        head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
+        record, placement = viewed_scene.record, viewed_scene.placement
+        head = make_head(viewed_scene.name, viewed_scene.first_cell, record, placement)
         self.recorder = RecordingWriter(path, head)
         self.speed = self.steering.step_rate()
         self.aim, self.fit = TrialAim(), TrialFit(viewed_scene.shown)
@@ -153,15 +100,34 @@ class InteractiveTrial:
         """The id of the measured insertion shown with the needle; empty if there is none."""
         return self.viewed_scene.measured.id if self.viewed_scene.measured else ""
 
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is a gesture to undo."""
-        return bool(self._past)
+    def describe_scene(self) -> dict[str, Any]:
+        """Return the message of all that stays constant."""
+        return encode_scene(self.viewed_scene, self.steering) | {
+            "needle": self.name,
+            "recording": self.recorder.path.name,
+            "recorded": len(self.source.steps) if self.source else 0,
+        }
+
+    def describe_state(self) -> dict[str, Any]:
+        """Return the message of all that changes from step to step."""
+        steering = self.steering
+        return encode_state(self.viewed_scene, steering) | {
+            "time_s": self.time() if steering.number else 0.0,
+            "undo": bool(self._past),
+            "redo": bool(self._future),
+            "solver": {"steps": steering.solved, "rate_per_s": self.speed, "failed": steering.failed},
+        }
 
     @property
-    def can_redo(self) -> bool:
-        """Whether there is an undone gesture to redo."""
-        return bool(self._future)
+    def insertion(self) -> StartedInsertion:
+        """The insertion of its needle up to where it stands, with the draws of its parameters."""
+        return continue_insertion(self.steering, self.viewed_scene.spread)
+
+    @property
+    def planned_insertion(self) -> StartedInsertion:
+        """The insertion that a plan continues: from first contact where it may shift the entry."""
+        begin = restart_insertion if self.aim.entry_mm else continue_insertion
+        return begin(self.steering, self.viewed_scene.spread)
 
     def time(self) -> float:
         """Return the time since the first step, s."""
@@ -255,11 +221,6 @@ class InteractiveTrial:
         self._write_failed = False
 
 
-MAX_TRIALS = 32
-"""Number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
-stay."""
-
-
 class TrialRegistry:
     """All trials of the server; a page that reconnects gets its own trial again.
 
@@ -324,10 +285,7 @@ class TrialRegistry:
     def another(self, trial: InteractiveTrial, insertion: str) -> InteractiveTrial:
         """Return the window's trial with another insertion, or a new trial.
 
-        Raises
-        ------
-        ModelError
-            If the dataset has no such insertion.
+        ModelError if the dataset has no such insertion.
         """
         if insertion not in trial.viewed_scene.choices:
             raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
@@ -338,12 +296,7 @@ class TrialRegistry:
     def aligned(self, trial: InteractiveTrial) -> InteractiveTrial:
         """Return a new trial whose constraint points end where the needle stands, taken there by its inputs.
 
-        So `simulate` places them: the last cell is a whole one.
-
-        Raises
-        ------
-        ModelError
-            If a step has no needle then.
+        So `simulate` places them: the last cell is a whole one. ModelError if a step has no needle then.
         """
         depth, spacing = trial.steering.now.step.depth, trial.scene.rules.spacing
         first_cell = Lattice.ending_at(depth, spacing).first_cell
@@ -356,10 +309,7 @@ class TrialRegistry:
     def entered(self, trial: InteractiveTrial) -> InteractiveTrial:
         """Return a new trial at first contact, at the entry of a trial's plan, with its parameters and plan.
 
-        Raises
-        ------
-        ModelError
-            If the trial has no plan.
+        ModelError if the trial has no plan.
         """
         plan = trial.aim.plan
         if plan is None:

@@ -24,14 +24,15 @@ from pyigtl.messages import (
     StringMessage,
     TransformMessage,
 )
+from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.mechanics.shape import compute_positions
 from needlefit.studies.needles_in_scan import NEEDLE_POINTS
-from needlefit.viewer.overlay.band import NeedleBand, compute_band
-from needlefit.viewer.serving.connections import RateLimit
-from needlefit.viewer.serving.tracking import TrackedTrial
+from needlefit.viewer.overlays import NeedleBand, compute_band
+from needlefit.viewer.server import RateLimit
+from needlefit.viewer.tracking import TrackedTrial
 
 DEFAULT_PORT = 18944
 """Port that 3D Slicer and PLUS take where none is named."""
@@ -84,7 +85,6 @@ class OpenIGTLinkServer:
         self._tasks: set[asyncio.Task[None]] = set()
         self._conversations: set[asyncio.Task[None]] = set()
         self._changed = asyncio.Event()
-        self._band: NeedleBand | None = None
 
     async def run(self, _: web.Application) -> AsyncIterator[None]:
         """Serve while the page is served; for `Application.cleanup_ctx`.
@@ -129,7 +129,7 @@ class OpenIGTLinkServer:
         self._peers[writer] = 0.0
         self.tracked.count_peers(1)
         try:
-            self._send(writer, self._pack_needle() + self._pack_status())
+            self._send(writer, pack_needle(self.tracked) + self._pack_status())
             await self._listen(reader)
         finally:
             self._conversations.discard(task)
@@ -193,12 +193,11 @@ class OpenIGTLinkServer:
             began, tracked = monotonic(), self.tracked
             wanted = tracked.advance(time.time())
             if (now := (tracked.trial.name, tracked.trial.steering.number)) != shown:
-                self._broadcast(self._pack_needle())
+                self._broadcast(pack_needle(self.tracked))
                 shown = now
             if tracked.number != number or began - repeated >= REPEAT_INTERVAL_S:
-                self._broadcast(
-                    (b"" if tracked.number != number else self._pack_needle()) + self._pack_status()
-                )
+                needle = b"" if tracked.number != number else pack_needle(tracked)
+                self._broadcast(needle + self._pack_status())
                 number, repeated = tracked.number, began
             if wanted:
                 trial = tracked.trial
@@ -212,20 +211,14 @@ class OpenIGTLinkServer:
         sent = None
         while True:
             trial = self.tracked.trial
-            spread, steering = trial.viewed_scene.spread, trial.steering
-            number = (trial.name, steering.number, id(spread), len(self._peers))
+            spread = trial.viewed_scene.spread
+            number = (trial.name, trial.steering.number, id(spread), len(self._peers))
             if spread is not None and self._peers and number != sent:
                 sent = number
-                self._band = await asyncio.to_thread(
-                    compute_band, spread, trial.scene.needle, steering.now.tissue, steering.input_path(),
-                    trial.scene.rules, steering.first_cell,
-                )  # fmt: skip
-                if self._band is not None:
-                    self._broadcast(pack_band(self.tracked, self._band))
+                band = await asyncio.to_thread(compute_band, trial.insertion)
+                if band is not None:
+                    self._broadcast(pack_band(self.tracked, band))
             await asyncio.sleep(BAND_INTERVAL_S)
-
-    def _pack_needle(self) -> bytes:
-        return pack_needle(self.tracked)
 
     def _pack_status(self) -> bytes:
         status = json.dumps(self.tracked.status(time.time()), allow_nan=False)
@@ -274,7 +267,7 @@ def read_pose(fields: dict[str, object], body: bytes) -> Floats | None:
             values = _POSITION[len(body)].unpack(body)
             matrix[:3, 3] = values[:3]
             if len(values) > 3:
-                matrix[:3, :3] = _rotate(np.array(values[3:]))
+                matrix[:3, :3] = Rotation.from_quat(values[3:]).as_matrix()  # ValueError of a zero one
             return matrix
         message = MessageBase.create_message(kind)
         message.unpack(fields, body)
@@ -287,21 +280,6 @@ def read_pose(fields: dict[str, object], body: bytes) -> Floats | None:
     except (struct.error, ValueError, LookupError, TypeError, AttributeError):
         return None
     return matrix
-
-
-def _rotate(quaternion: Floats) -> Floats:
-    """Return the rotation of a quaternion (x, y, z, w)."""
-    norm = float(np.linalg.norm(quaternion))
-    if not norm > 0:
-        raise ValueError("this quaternion has no direction")
-    x, y, z, w = quaternion / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def pack_needle(tracked: TrackedTrial) -> bytes:

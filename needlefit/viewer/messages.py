@@ -1,12 +1,15 @@
-"""Encode a needle for the page: computed values in mm and frame C, ready for JSON."""
+"""The messages between a needle and its page, as values for JSON; lengths in mm, frame C."""
 
+import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.laws import LAWS, ShapeParameter
 from needlefit.mechanics.load import Loads, compute_loads
@@ -14,11 +17,10 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
-from needlefit.viewer.interaction.inputs import guide_number
-from needlefit.viewer.interaction.steering import SteeredNeedle
-from needlefit.viewer.overlay.band import NeedleBand
-from needlefit.viewer.overlay.measured import compute_live_errors
-from needlefit.viewer.viewed_scene import ViewedScene
+from needlefit.schemas.limits import MAX_NUMBER
+from needlefit.viewer.opening import ViewedScene
+from needlefit.viewer.overlays import NeedleBand, compute_live_errors
+from needlefit.viewer.steering import Change, SteeredNeedle, guide_number
 
 LENGTH_DIGITS = 4
 """Decimals of drawn lengths in mm."""
@@ -59,8 +61,8 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "limits": _encode_limits(scene),
         "measured": measured and {
             "id": measured.id,
-            "x": _round_lengths(measured.points[:, 0]),
-            "y": _round_lengths(measured.points[:, 1]),
+            "x": round_lengths(measured.points[:, 0]),
+            "y": round_lengths(measured.points[:, 1]),
             "depth_mm": measured.depth,
             "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
         },
@@ -85,17 +87,18 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
     """Return all that changes from step to step."""
     now = steering.now
     shape, step, controls = now.shape, now.step, now.step.controls
-    s = _stations(shape)
-    needle = compute_positions(shape, s)  # (K, 2)
+    start = float(shape.x[0])
+    before = np.linspace(start, min(0.0, shape.depth), POINTS_BEFORE_TISSUE)
+    needle = compute_positions(shape, np.unique(np.concatenate([before, shape.x])))  # (K, 2)
     load = compute_loads(shape, now.tissue, steering.scene.needle, controls, steering.scene.rules)
     return {
         "kind": "state",
         "step": steering.number,
         "depth_mm": step.depth,
-        "x": _round_lengths(needle[:, 0]),
-        "y": _round_lengths(needle[:, 1]),
-        "constraints": [_round_lengths(column) for column in map_beam_points(shape, shape.constraints).T],
-        "tip_path": [_round_lengths(column) for column in map_beam_points(shape, shape.tip_path).T],
+        "x": round_lengths(needle[:, 0]),
+        "y": round_lengths(needle[:, 1]),
+        "constraints": [round_lengths(column) for column in map_beam_points(shape, shape.constraints).T],
+        "tip_path": [round_lengths(column) for column in map_beam_points(shape, shape.tip_path).T],
         "load": _encode_load(load, shape),
         "forces": _encode_forces(load, steering),
         "base": _encode_end(needle[0], shape.slope[0])
@@ -115,12 +118,13 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
 def encode_band(step: int, band: NeedleBand | None) -> dict[str, Any]:
     """Return the needle's band after a step; without points if there is no band."""
     edges = (band.x, band.low, band.high) if band else (np.empty(0),) * 3
-    x, low, high = (_round_lengths(values) for values in edges)
+    x, low, high = (round_lengths(values) for values in edges)
     failed = band.failed if band else 0
     return {"kind": "band", "step": step, "x": x, "low": low, "high": high, "failed": failed}
 
 
-def _round_lengths(values: Floats) -> list[float]:
+def round_lengths(values: Floats) -> list[float]:
+    """Return drawn lengths, mm, as numbers for JSON."""
     found: list[float] = np.round(values, LENGTH_DIGITS).tolist()
     return found
 
@@ -129,14 +133,6 @@ def _encode_end(place: Floats, slope: float) -> dict[str, float]:
     """Return where an end of the needle stands, and its rotation u', rad."""
     x, y = np.round(place, LENGTH_DIGITS).tolist()
     return {"x": x, "y": y, "rotation": float(slope)}
-
-
-def _stations(shape: NeedleShape) -> Floats:
-    """Return where the needle is drawn: evenly before the tissue, at its nodes within."""
-    start = float(shape.x[0])
-    return np.unique(
-        np.concatenate([np.linspace(start, min(0.0, shape.depth), POINTS_BEFORE_TISSUE), shape.x])
-    )
 
 
 def _encode_parameters(tissue: Tissue) -> dict[str, Any]:
@@ -182,8 +178,8 @@ def _encode_load(load: Loads, shape: NeedleShape) -> dict[str, list[float]]:
         return {"x": [], "y": [], "n_per_mm": []}
     at = compute_positions(shape, load.s)
     return {
-        "x": _round_lengths(at[:, 0]),
-        "y": _round_lengths(at[:, 1]),
+        "x": round_lengths(at[:, 0]),
+        "y": round_lengths(at[:, 1]),
         "n_per_mm": np.round(load.load, 6).tolist(),
     }
 
@@ -212,12 +208,133 @@ def _encode_guide(guide: Guide, steering: SteeredNeedle) -> dict[str, Any]:
 
 def _encode_errors(viewed_scene: ViewedScene, shape: NeedleShape) -> dict[str, Any] | None:
     measured = viewed_scene.measured
-    found = compute_live_errors(measured, shape) if measured else None
-    if found is None:
+    found = None if measured is None else compute_live_errors(measured, shape)
+    if measured is None or found is None:
         return None
-    return {
-        **found.values,
-        "upto_mm": found.upto,
-        "whole": found.whole,
-        "floor_mm": found.floor,
-    }
+    return {**found.values, "upto_mm": found.upto, "whole": found.whole, "floor_mm": measured.floor}
+
+
+ACTIONS = frozenset(
+    (
+        *("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show"),
+        *("aim", "markups", "plan", "run", "challenge", "fit", "points", "align"),
+        *("release_tracker", "forget_estimate"),
+    )
+)
+
+MAX_CHANGES = 64
+"""Number of inputs that one message may set."""
+
+MAX_SPEED_MM_S = 1000.0
+"""mm/s."""
+
+MAX_REPLAY_SPEED = 1000.0
+"""Greatest speed of a replay, as a multiple of the recorded speed."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message from the page.
+
+    Attributes
+    ----------
+    do : str
+        One of `ACTIONS`.
+    id : int
+        The page's own number of it; answers name it.
+    content : dict
+        All other keys of the message.
+    fault : ModelError or None
+        Why it cannot be carried out.
+    """
+
+    do: str
+    id: int = 0
+    changes: tuple[Change, ...] = ()
+    content: dict[str, Any] = field(default_factory=dict)
+    fault: ModelError | None = None
+
+    def number(self, key: str, default: float | None = None, most: float = math.inf, unit: str = "") -> float:
+        """Return a finite number of the message; without a default it is required."""
+        value = self.content.get(key, default)
+        found = _read_finite(value)
+        if found is None or abs(found) > most:
+            upto = f", at most {most:g} {unit}".rstrip() if math.isfinite(most) else ""
+            raise ModelError(f"{key} is {value!r:.40} {unit}".rstrip(), expected=f"a finite number{upto}")
+        return found
+
+    def text(self, key: str) -> str:
+        """Return a text of the message; empty if there is none."""
+        value = self.content.get(key)
+        return value if isinstance(value, str) else ""
+
+    @property
+    def gesture(self) -> int | None:
+        """The gesture to which the message belongs, if any."""
+        value = self.content.get("gesture")
+        return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+
+def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - JSON
+    """Return the value in a JSON text.
+
+    Raises
+    ------
+    ValueError
+        If it is none, nests too deeply, or has half of a pair of surrogates, which no text can be made of.
+    """
+    try:
+        content = json.loads(text)
+        json.dumps(content, ensure_ascii=False).encode()
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    return content
+
+
+def read_message(text: str) -> Message:
+    """Return the message that a text contains.
+
+    It has a fault if it is no JSON, or asks for an unknown action, an input that does not exist, or one that
+    is not finite; the reply names its number where it can be read.
+    """
+    try:
+        content = parse_json(text)
+    except ValueError:
+        content = None
+    if not isinstance(content, dict):
+        fault = ModelError("the message is no JSON", expected="an object with `do` and `id`")
+        return Message("", fault=fault)
+    number, action, rows = content.get("id"), content.get("do"), content.get("set", [])
+    known = number if type(number) is int else 0
+    try:
+        if not isinstance(action, str) or action not in ACTIONS or type(number) is not int:
+            expected = f"`id`, and `do`: {', '.join(sorted(ACTIONS))}"
+            raise ModelError("the message names no action", expected=expected)
+        if not isinstance(rows, list) or len(rows) > MAX_CHANGES:
+            expected = f"up to {MAX_CHANGES} of [input, item, value]"
+            raise ModelError("`set` holds no inputs", expected=expected)
+        return Message(action, known, tuple(map(_read_change, rows)), content)
+    except ModelError as error:
+        return Message("", known, fault=error)
+
+
+def _read_change(row: object) -> Change:
+    if not (isinstance(row, list) and len(row) == 3):
+        raise ModelError(f"{row!r:.60} is no input", expected="[input, item, value]")
+    name, item, value = row
+    number = _read_finite(value)
+    if number is None:
+        raise ModelError(f"{name!r:.40} is {value!r:.40}", expected="a finite number")
+    if not isinstance(name, str) or not (item is None or type(item) is int):
+        raise ModelError(f"{row!r:.60} is no input", expected="[input, item, value]")
+    return Change(name[:40], item, number)
+
+
+def _read_finite(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if abs(number) <= MAX_NUMBER else None

@@ -7,7 +7,7 @@ are importance-weighted about it. All insertions have one b, and errors of depth
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -27,12 +27,13 @@ from needlefit.inference.sampling.importance import (
     sample_about_minimum,
     sample_about_modes,
 )
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import WeightsRecord
-from needlefit.viewer.overlay.measured import make_measured_overlay
-from needlefit.viewer.viewed_scene import ShownInsertion, ViewedScene
+from needlefit.viewer.opening import ShownInsertion, ViewedScene
+from needlefit.viewer.overlays import make_measured_overlay
 
 FitScope = Literal["insertion", "specimen", "dataset"]
 
@@ -71,6 +72,22 @@ class LiveMode:
     at_bounds: tuple[str, ...]
     seconds: float
 
+    def to_message(self, insertion: Insertion) -> dict[str, Any]:
+        """Return the message of fitted values, by the layers that an insertion meets."""
+        names = LAWS[self.problem.medium.law].shape_names
+        return {
+            "kind": "fit",
+            "layers": [
+                [self.values[f"mu{layer}_pa"], *(self.values[f"{name}{layer}"] for name in names)]
+                for _, layer in find_layers(insertion)
+            ],
+            "offset_mm": self.values["bevel_mm"],
+            "insertions": len(self.problem.insertions),
+            "misfit": round(self.misfit, 3),
+            "at_bounds": list(self.at_bounds),
+            "seconds": round(self.seconds, 3),
+        }
+
 
 @dataclass(frozen=True)
 class LiveDraws:
@@ -92,6 +109,19 @@ class LiveDraws:
     certified: bool
     ess: float
     seconds: float
+
+    def to_message(self) -> dict[str, Any]:
+        """Return the message of the ridge: mu of the first layer and b of every draw."""
+        both = np.log(np.column_stack([self.mu, self.bevel]))
+        return {
+            "kind": "ridge",
+            "mu_pa": self.mu.tolist(),
+            "offset_mm": self.bevel.tolist(),
+            "correlation": float(np.corrcoef(both.T)[0, 1]) if both.std(axis=0).all() else 0.0,
+            "certified": self.certified,
+            "ess": self.ess,
+            "seconds": round(self.seconds, 3),
+        }
 
 
 def select_insertions(shown: ShownInsertion, scope: FitScope) -> tuple[Insertion, ...]:
@@ -123,16 +153,11 @@ def find_mode(shown: ShownInsertion, insertions: Sequence[Insertion]) -> LiveMod
             expected="parameters with which every needle has a solution",
             fix="change them by hand, then fit again",
         )
-    values, theta = problem.values(found.theta), found.theta
+    values = problem.values(found.theta)
     count = sum(problem.density.residual_counts)
     misfit = float(np.sqrt(np.mean(problem.density.residuals(values)[:count] ** 2)))
-    at_bounds = tuple(
-        name
-        for name, one, low, high in zip(
-            problem.parameters.free, theta, problem.lower, problem.upper, strict=True
-        )
-        if min(one - low, high - one) < BOUND_TOLERANCE
-    )
+    gaps = np.minimum(found.theta - problem.lower, problem.upper - found.theta)
+    at_bounds = tuple(np.array(problem.parameters.free)[gaps < BOUND_TOLERANCE].tolist())
     return LiveMode(problem, found, values, misfit, at_bounds, perf_counter() - began)
 
 
@@ -166,25 +191,19 @@ def move_points(original: ShownInsertion, offsets: Sequence[float]) -> ShownInse
     if not any(offsets):
         return original
     one, knots = original.insertion, np.linspace(0, 1, KNOTS)
-    s = arc_length(one.planar)
-    planar, centerline = (
-        _shift(points, np.interp(s / s[-1], knots, offsets))
-        for points in (one.planar, one.frame.to_local(one.centerline))
-    )
-    sections = one.sections
+
+    def shift(points: Floats, s: Floats) -> Floats:
+        moved = points.copy()
+        moved[:, 1] += np.interp(s / s[-1], knots, offsets)
+        return moved
+
+    s, sections = arc_length(one.planar), one.sections
+    centerline = one.frame.to_world(shift(one.frame.to_local(one.centerline), s))
     if sections is not None:
-        local = _shift(
-            one.frame.to_local(sections.points), np.interp(sections.s / sections.s[-1], knots, offsets)
-        )
+        local = shift(one.frame.to_local(sections.points), sections.s)
         sections = replace(sections, points=one.frame.to_world(local))
-    moved = replace(one, planar=planar, centerline=one.frame.to_world(centerline), sections=sections)
+    moved = replace(one, planar=shift(one.planar, s), centerline=centerline, sections=sections)
     return replace(original, insertion=moved)
-
-
-def _shift(points: Floats, across: Floats) -> Floats:
-    moved = points.copy()
-    moved[:, 1] += across
-    return moved
 
 
 def show_moved(viewed_scene: ViewedScene, moved: ShownInsertion) -> ViewedScene:
@@ -192,9 +211,8 @@ def show_moved(viewed_scene: ViewedScene, moved: ShownInsertion) -> ViewedScene:
     scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
     shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = viewed_scene.measured.floor if viewed_scene.measured else None
-    overlay = make_measured_overlay(
-        moved.dataset, moved.insertion, float("nan") if floor is None else floor, shape
-    )
+    known = float("nan") if floor is None else floor
+    overlay = make_measured_overlay(moved.dataset, moved.insertion, known, shape)
     return replace(viewed_scene, measured=overlay, shown=moved)
 
 

@@ -1,1 +1,0 @@
-"""The inputs of a user, and the needle that they control."""

@@ -1,0 +1,443 @@
+"""Find the scene to show for a name on the command line, or for a recording."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.noise import estimate_noise_floor
+from needlefit.datasets.read import read_shapes
+from needlefit.errors import DataError, NeedlefitError
+from needlefit.geometry.frames import Placement, move_frame
+from needlefit.inference.compared_points import select_points
+from needlefit.inference.forward_model import find_layers, make_scene_record
+from needlefit.inference.parameter_draws import ParameterDraws, select_layer_draws
+from needlefit.inference.parameters import BEVEL_SPREAD, Parameters
+from needlefit.inference.problem import find_new_bevel_sd
+from needlefit.inference.specimens import SpecimenSpread, move_to_new_specimen
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.load import load
+from needlefit.project.locate import file_label, find_file, list_names, unknown_name_error
+from needlefit.project.random_streams import random_stream
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.view_targets import SpecimenChoice, ViewTarget, find_view_target
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.tracker import PlacementRecord
+from needlefit.studies import paper
+from needlefit.studies.job import Inputs, Settings, hand_tuned_set, prepare
+from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
+from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NEEDLE_POINTS, align_with_measured
+from needlefit.studies.new_specimens import NewSpecimens
+from needlefit.studies.packing import unpack
+from needlefit.studies.planned_draws import vary_bevels
+from needlefit.studies.report import list_run_warnings
+from needlefit.studies.run import Run, restore_run
+from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay, find_scan, make_measured_overlay
+from needlefit.viewer.recording import Recording
+
+DEFAULT_SCENE = "phantom2"
+"""The scene that is shown where nothing is named."""
+
+SHOWN_METHOD = "fitted"
+"""The method of a run whose parameters are shown."""
+
+DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
+"""Parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
+offset."""
+
+
+@dataclass(frozen=True)
+class ShownInsertion:
+    """A measured insertion, and the parameters (Pa, mm) of the needle shown with it.
+
+    `seed` is that of the draws of its noise floor, so that it is the one of studies.
+    """
+
+    dataset: Dataset
+    insertion: Insertion
+    medium: MediumRecord
+    values: Mapping[str, float]
+    seed: int
+
+
+@dataclass(frozen=True)
+class ViewedScene:
+    """Everything the viewer needs to show one name of the command line.
+
+    Attributes
+    ----------
+    name : str
+        Opens it again.
+    note : str
+        Where the parameters come from, and what cannot be shown and why; sentences.
+    record : SceneRecord
+        The scene: needle, tissue and inputs.
+    first_cell : float
+        Depth of the first constraint point, mm, with which a `Session` ends as `simulate` and `predict` do.
+    placement : PlacementRecord or None
+        The position of a measured needle; None for a scene, which contains its own.
+    synthetic : bool
+        Whether it is about synthetic data.
+    spread : ParameterDraws or None
+        Draws of the parameters, for the band of a fit and for plans.
+    specimen : "new", "same" or ""
+        What they are for: a specimen that was not fitted, with the spread between specimens, or one that was.
+    scanned : InsertionScan or None
+        The scan in which the needle was measured.
+    choices : tuple of str
+        Insertions that can be shown instead.
+    warnings : tuple of ResultWarning
+        What is suspicious in the dataset or the run that it is from.
+    shown : ShownInsertion or None
+        The measured insertion with its dataset, to be fitted to.
+    faults : tuple of str
+        Why the run that it shows is not to be trusted.
+    """
+
+    name: str
+    title: str
+    note: str
+    record: SceneRecord
+    first_cell: float
+    placement: PlacementRecord | None = None
+    synthetic: bool = False
+    measured: MeasuredOverlay | None = None
+    spread: ParameterDraws | None = None
+    specimen: Literal["new", "same", ""] = ""
+    scanned: InsertionScan | None = None
+    choices: tuple[str, ...] = ()
+    warnings: tuple[ResultWarning, ...] = ()
+    shown: ShownInsertion | None = None
+    faults: tuple[str, ...] = ()
+
+    @property
+    def diameter(self) -> float:
+        """Diameter at which the needle is drawn, mm."""
+        return self.record.needle.outer_diameter_mm or DEFAULT_DIAMETER_MM
+
+
+def open_target(
+    name: str | None, insertion: str | None = None, specimen: SpecimenChoice = "shown"
+) -> ViewedScene:
+    """Return the scene to show for SCENE, RUN or DATASET/ID.
+
+    Parameters
+    ----------
+    name : str or None
+        None: the scene `DEFAULT_SCENE`.
+    insertion : str, optional
+        Of the run or dataset; by default the one in `name`, else the first: of a run the first held-out one.
+    specimen : SpecimenChoice
+        Of the draws of a run: of its band, and of plans.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such thing, or the file of a scene has a fault.
+    DataError
+        If the dataset has a fault, or the run is of another kind or damaged, found no parameters, or its data
+        have changed since.
+    """
+    view_target = replace(find_view_target(DEFAULT_SCENE if name is None else name), specimen=specimen)
+    if view_target.kind == "scene":
+        record = load(view_target.path, SceneRecord)
+        scene = Scene.from_record(record, file_label(view_target.path))
+        title = record.title or view_target.path.stem
+        note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
+        return ViewedScene(view_target.name, title, note, record, scene.lattice.first_cell)
+    view_target = replace(view_target, insertion=view_target.insertion if insertion is None else insertion)
+    if view_target.kind == "dataset":
+        return _open_insertion(view_target)
+    with convert_stored_errors(view_target.path):
+        return _open_run(view_target)
+
+
+def open_recording(recording: Recording) -> ViewedScene:
+    """Return the scene of a recording, with its overlays if their files still exist unchanged."""
+    head = recording.head
+    title, note = head.scene.title or head.target, "Opened from a recording."
+    alone = ViewedScene(head.target, title, note, head.scene, head.first_cell_mm, head.placement)
+    try:
+        found = open_target(head.target)
+    except NeedlefitError as error:
+        return replace(alone, note=f"{note} What was shown beside it is not found: {error.what}.")
+    if found.record.title != head.scene.title:  # a title of its own changes no needle
+        record = found.record.model_copy(update={"title": head.scene.title})
+        found = replace(found, record=record, title=title)
+    if found.record != head.scene:
+        return replace(alone, note=f"{note} {head.target} has changed since and is not shown beside it.")
+    return replace(found, first_cell=head.first_cell_mm)
+
+
+@dataclass(frozen=True)
+class StartParameters:
+    """A medium, the values of its parameters (Pa, mm), and a description of their source."""
+
+    medium: MediumRecord
+    values: Mapping[str, float]
+    description: str
+
+
+def choose_start_parameters(insertion: Insertion) -> StartParameters:
+    """Return the paper's parameters for the insertion's medium, or the middle of the prior if there are none.
+
+    Media are described in configs/media by the name that the dataset gives them.
+    """
+    name, met = insertion.medium, max(insertion.sequence)
+    medium = load(find_file("medium", name), MediumRecord) if name in list_names("medium") else None
+    if medium is None or medium.layers < met:
+        return _make_default_medium(name, met)
+    parameters = Parameters.from_record(medium)
+    if name in paper.read_hand_tuned_names():
+        values = hand_tuned_set(name, parameters, name)
+        return StartParameters(medium, values, f"Parameters: the paper's parameters, set {name}.")
+    description = f"Parameters: no fit, the middle of the priors and bounds of medium {name}."
+    return StartParameters(medium, parameters.values(parameters.expected), description)
+
+
+def _make_default_medium(name: str, layers: int) -> StartParameters:
+    values = dict[str, float]()
+    for n in range(1, layers + 1):
+        values |= {f"mu{n}_pa": DEFAULT_MU_PA, f"alpha{n}": DEFAULT_ALPHA}
+    values["bevel_mm"] = DEFAULT_BEVEL_MM
+    fixed = {key: ParameterRecord(fixed=value) for key, value in values.items()}
+    medium = MediumRecord(schema_=1, title=name, layers=layers, parameters=fixed)
+    description = (
+        f"Parameters: invented, because no medium {name} of {layers} layer{'s' if layers > 1 else ''} is "
+        "described in configs/media."
+    )
+    return StartParameters(medium, values, description)
+
+
+def _open_insertion(view_target: ViewTarget) -> ViewedScene:
+    """Return a measured insertion, by default the first of its dataset, with parameters for manual tuning."""
+    dataset = read_shapes(view_target.path)
+    insertion = _choose_insertion(dataset.insertions, view_target, f"insertion of {dataset.name}")
+    begun = choose_start_parameters(insertion)
+    seed = load(find_file("recipe", "default"), RecipeRecord).seed
+    shown = ShownInsertion(dataset, insertion, begun.medium, begun.values, seed)
+    choices = tuple(other.id for other in dataset.insertions)
+    return _show_insertion(shown, view_target.name, begun.description, choices)
+
+
+def _choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget, kind: str) -> Insertion:
+    """Return the insertion with the given name, or the first; ConfigError if there is none."""
+    by_id = {insertion.id: insertion for insertion in insertions}
+    if view_target.insertion is None:
+        return insertions[0]
+    if view_target.insertion not in by_id:
+        raise unknown_name_error(kind, view_target.insertion, list(by_id), "")
+    return by_id[view_target.insertion]
+
+
+def _show_insertion(
+    shown: ShownInsertion, name: str, description: str, choices: tuple[str, ...]
+) -> ViewedScene:
+    """Return the scene that shows an insertion; `name` is that of its dataset or run."""
+    dataset, insertion = shown.dataset, shown.insertion
+    title = f"{insertion.id} · {dataset.title}"
+    record = make_scene_record(shown.values, shown.medium, dataset, insertion, title)
+    scene = Scene.from_record(record, f"{name}/{insertion.id}")
+    shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
+    floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
+    scan, lacking = find_scan(dataset, insertion)
+    return ViewedScene(
+        name=f"{name}/{insertion.id}",
+        title=title,
+        note=f"{description} {lacking}".rstrip(),
+        record=record,
+        first_cell=scene.lattice.first_cell,
+        placement=_find_placement(dataset, insertion, shape),
+        synthetic=dataset.origin == "synthetic",
+        measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
+        scanned=scan,
+        choices=choices,
+        warnings=dataset.warnings,
+        shown=shown,
+    )
+
+
+def _find_placement(dataset: Dataset, insertion: Insertion, shape: NeedleShape) -> PlacementRecord | None:
+    """Return the pose of a simulated needle's constraint frame, as in a run's files for 3D Slicer.
+
+    `shape` is the needle at the measured depth. Where shapes are known only up to a rigid motion, it is laid
+    on the measured one, and what is steered from then on lies in the frame in which it came to lie; None
+    where such a needle was not found.
+    """
+    frame = insertion.frame
+    if dataset.pose == "free":
+        if not shape.converged:
+            return None
+        s = select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
+        points = compute_positions(shape, s)
+        frame = move_frame(frame, points, align_with_measured(insertion, s, points))
+    return Placement(frame, insertion.patient).to_record()
+
+
+def _open_run(view_target: ViewTarget) -> ViewedScene:
+    """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
+    kind = unpack(view_target.path).get("kind")
+    if kind not in FIT_KINDS:
+        raise DataError(
+            f"is a run of another kind ({kind}): it has no fitted needle to show",
+            where=str(view_target.path),
+            expected="a run of tune or validate that fits the shapes of needles",
+            fix="name such a run, or a scene or an insertion of a dataset",
+        )
+    results = restore_run(view_target.path)
+    dataset = _read_unchanged_dataset(results, view_target.path)
+    roles = _find_roles(results)
+    by_id = {insertion.id: insertion for insertion in dataset.insertions}
+    members = tuple(by_id[id_] for id_ in roles)
+    insertion = _choose_insertion(members, view_target, f"insertion of run {view_target.name}")
+    fold, role = roles[insertion.id]
+    draws = results.frames["draws"][results.frames["draws"]["fold"] == fold]
+    shown = ShownInsertion(
+        dataset=dataset,
+        insertion=insertion,
+        medium=MediumRecord.model_validate(results.run["medium"]),
+        values=_fitted_values(results, fold, view_target.path),
+        seed=results.run["recipe"]["seed"],
+    )
+    spread = _choose_spread(results, fold, shown, view_target.specimen)
+    crossed = "Its layers lie where it was measured to cross them. " if len(insertion.boundaries) else ""
+    description = f"Parameters: fitted by {results.name}, {role}. {crossed}{_describe_band(draws, spread)}"
+    viewed_scene = _show_insertion(shown, view_target.name, description, tuple(roles))
+    known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
+    warnings = [one for one in list_run_warnings(results) if (one.kind, one.what) not in known]
+    viewed_scene = replace(viewed_scene, faults=results.faults, warnings=(*warnings, *viewed_scene.warnings))
+    if draws.empty or not draws["certified"].all():
+        return viewed_scene
+    independent = results.run["recipe"]["likelihood"]["depths"] == "quadrature"  # of each insertion's bevel
+    fitted = _list_fitted(results, fold, dataset)
+    new_bevel_sd = 1.0 if independent else find_new_bevel_sd(dataset, fitted)
+    return replace(
+        viewed_scene,
+        spread=_vary_draws(shown, draws, spread, new_bevel_sd),
+        specimen="same" if spread is None else "new",
+    )
+
+
+def _read_unchanged_dataset(results: Run, where: Path) -> Dataset:
+    """Return the data of a run; DataError if they are not what it was fitted to."""
+    dataset = read_shapes(find_file("dataset", results.record.dataset))
+    if dataset.digest != results.run["dataset"]["sha256"]:
+        raise DataError(
+            f"its dataset, {dataset.name}, has changed since",
+            where=str(where),
+            expected=f"{dataset.path} as it was then",
+            fix=f"run {results.name} again, or restore the data",
+        )
+    return dataset
+
+
+def _find_roles(results: Run) -> dict[str, tuple[str, str]]:
+    """Return the fold and role of every insertion of a run by its id, those first that a fit never saw."""
+    folds: list[Mapping[str, Any]] = results.run["folds"]
+    held = {id_: (fold["name"], "which never saw it") for fold in folds for id_ in fold["validate"]}
+    tuned = {id_: (fold["name"], "on this needle too") for fold in folds for id_ in fold["tune"]}
+    return held | {id_: role for id_, role in tuned.items() if id_ not in held}
+
+
+def _fitted_values(results: Run, fold: str, where: Path) -> dict[str, float]:
+    """Return the fitted value of every parameter (Pa, mm)."""
+    rows = results.frames["parameters"]
+    rows = rows[(rows["fold"] == fold) & (rows["method"] == SHOWN_METHOD)]
+    if rows.empty:
+        raise DataError(
+            "its fit found no parameters with which every needle can be solved",
+            where=str(where),
+            expected="a run whose fit ended",
+            fix="look at its report, or run it again",
+        )
+    return dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
+
+
+def _list_fitted(results: Run, fold: str, dataset: Dataset) -> list[Insertion]:
+    (tuned,) = (set(one["tune"]) for one in results.run["folds"] if one["name"] == fold)
+    return [one for one in dataset.insertions if one.id in tuned]
+
+
+@dataclass(frozen=True)
+class _StoredSpread:
+    """By how much an insertion's specimen was predicted to differ from the `fitted` ones tuned on."""
+
+    between: SpecimenSpread
+    fitted: int
+
+
+def _choose_spread(
+    results: Run, fold: str, shown: ShownInsertion, specimen: SpecimenChoice
+) -> _StoredSpread | None:
+    """Return by how much the specimen of the draws differs from those tuned on; None if it is one of them."""
+    if specimen == "planned":
+        specimen = "new" if results.record.specimens == "others" else "same"
+    if specimen == "same":
+        return None
+    rows = results.frames.get("predictive", pd.DataFrame(columns=["fold", "insertion"]))
+    rows = rows[(rows["fold"] == fold) & (rows["insertion"] == shown.insertion.id)]
+    if rows.empty or rows.iloc[0].get("specimen_treatment") != "others":
+        return _learn_spread(results, fold, shown) if specimen == "new" else None
+    row = rows.iloc[0]
+    taus = np.array([[row["between_sd_ln_mu"], row["between_sd_ln_b"]]], dtype=np.float64)
+    fitted = {one.specimen for one in _list_fitted(results, fold, shown.dataset)}
+    return _StoredSpread(SpecimenSpread(taus, np.ones(1), int(row["other_specimens"])), len(fitted))
+
+
+def _learn_spread(results: Run, fold: str, shown: ShownInsertion) -> _StoredSpread:
+    """Return by how much a specimen differs that the run did not predict, as it would have done."""
+    recipe = RecipeRecord.model_validate(results.run["recipe"])
+    inputs = Inputs(dataset=shown.dataset, medium=shown.medium, recipe=recipe)
+    job = prepare(results.name, results.record, Settings(inputs=inputs))
+    (tuned,) = (one for one in job.folds if one.name == fold)
+    new = NewSpecimens(job, tuned, job.parameters.theta(shown.values))
+    fitted = {one.specimen for one in tuned.tune}
+    target = None if shown.insertion.specimen in fitted else shown.insertion
+    return _StoredSpread(new.find_spread(target), len(fitted))
+
+
+def _vary_draws(
+    shown: ShownInsertion, draws: pd.DataFrame, spread: _StoredSpread | None, new_bevel_sd: float
+) -> ParameterDraws:
+    """Return the draws for the layers that an insertion meets.
+
+    Each has a bevel of its own. In a new specimen they differ as much as others do (root mean square).
+    """
+    rng = random_stream(shown.seed, "band", shown.insertion.id)
+    medium = Parameters.from_record(shown.medium)
+    names = [name for name in (*medium.names, BEVEL_SPREAD) if name in draws]
+    sets = [dict(zip(names, row, strict=True)) for row in draws[names].to_numpy(dtype=np.float64).tolist()]
+    if spread is not None:
+        thetas = np.array([medium.theta(values) for values in sets])
+        moved = move_to_new_specimen(medium, thetas, spread.between, spread.fitted, rng)
+        sets = [values | medium.values(theta) for values, theta in zip(sets, moved, strict=True)]
+    varied = vary_bevels(sets, new_bevel_sd, rng)
+    layers = [layer for _, layer in find_layers(shown.insertion)]
+    return select_layer_draws(pd.DataFrame(varied), layers, shown.medium.law)
+
+
+def _describe_band(draws: pd.DataFrame, spread: _StoredSpread | None) -> str:
+    """Return what there is to say of the band."""
+    if draws.empty:
+        return "No band: the run stored no draws of its parameters, as it was interrupted."
+    sources = {"posterior": "of its sampled posterior", "importance": "importance-weighted about its fit"}
+    how = sources[draws.iloc[0]["draw_source"]]
+    if not draws["certified"].all():
+        return f"No band: the draws {how} are not certified."
+    specimen = ""
+    if spread is not None:
+        mu, b = np.exp(spread.between.rms)
+        specimen = (
+            ", in a specimen that was not tuned on, whose moduli differ by a factor of "
+            f"{mu:.2g} and whose bevel parameter by {b:.2g}"
+        )
+    return f"Band: 95 % of the needles of draws {how}{specimen}."

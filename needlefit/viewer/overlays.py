@@ -1,0 +1,236 @@
+"""Overlays of the simulated needle: a measured needle, the band of a fit, a slice of a scan."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.sources import ScanVolume, find_volume
+from needlefit.geometry.compare import COMPARISON_POINTS, compare_curves
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import align_rigid
+from needlefit.imaging.views import ENTRY_MARGIN_MM, render_bending_plane
+from needlefit.imaging.volume_files import ct_packages_installed, read_volume
+from needlefit.inference.compared_points import ComparedPoints, align_points, make_curve, select_points
+from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.metrics import compute_metrics
+from needlefit.planning.steering import StartedInsertion
+from needlefit.project.input_files import path_exists
+from needlefit.studies.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
+
+MAX_BAND_DRAWS = 100
+"""Needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves."""
+
+DEPTH_TOLERANCE_MM = 1e-6
+"""A needle this near to the measured depth, mm, has reached it."""
+
+MIN_COMPARED_MM = 1.0
+"""Shorter overlaps than this, mm, are not compared."""
+
+SLICE_HALF_WIDTH_MM = 25.0
+"""How far the slice reaches to both sides of the needle, mm."""
+
+
+@dataclass(frozen=True)
+class NeedleBand:
+    """The band that contains the central 95 % of the drawn needles, from entry to tip, in C.
+
+    Attributes
+    ----------
+    x : (K,) array
+        Depth along the entry axis, median over the needles, mm.
+    low, high : (K,) arrays
+        Of y, mm.
+    failed : int
+        Draws whose needle was not found; they are left out.
+    """
+
+    x: Floats
+    low: Floats
+    high: Floats
+    failed: int
+
+
+def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
+    """Return the band of a needle where it stands: the central 95 % of the needles of posterior draws.
+
+    Every draw replaces moduli and shape parameters of all layers and the strength of the bevel of all steps;
+    the layers stay where they are, guides and base where the user holds them. It includes neither the noise
+    of measured points, nor errors of the layers' depths, nor model error. Runs on one core, and lets the
+    interpreter go.
+
+    Returns
+    -------
+    NeedleBand or None
+        None without draws, before the tip is in, and where no draw can be solved.
+    """
+    spread, path = insertion.draws, insertion.path
+    if spread is None or not path[-1].depth > 0:
+        return None
+    chosen = np.linspace(0, len(spread) - 1, min(MAX_BAND_DRAWS, len(spread))).astype(np.intp)
+    batch = spread.only(chosen).make_batch(insertion.needle, insertion.tissue, path, insertion.rules)
+    # One thread: the other cores are left to the needles that users control at the same time.
+    (shapes,) = simulate_batches([batch], threads=1)
+    points = compute_batch_positions(shapes, np.linspace(0.0, path[-1].depth, NEEDLE_POINTS))
+    found = points[shapes.converged]  # (B, K, 2)
+    if not len(found):
+        return None
+    low, _, high = np.percentile(found[:, :, 1], BAND_PERCENTILES, axis=0)
+    return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))
+
+
+@dataclass(frozen=True)
+class MeasuredOverlay:
+    """A measured needle, prepared for comparison with many simulated ones.
+
+    Attributes
+    ----------
+    points : (N, 2) array
+        In C, entry first, mm. A shape known only up to a rigid motion lies on the needle of the parameters
+        with which it was opened.
+    s : (N,) array
+        Where on a needle of the same depth each of the points belongs, at equal fractions of length, mm.
+    target : ComparedPoints
+        The points that a study compares with a needle of the measured depth.
+    depth : float
+        Inserted arc length, mm.
+    side : int
+        The side of C's x axis that the bevel faces, +1 or -1.
+    floor : float or None
+        TE that the true parameters would still show, mm; None where no noise is stated.
+    """
+
+    id: str
+    points: Floats
+    s: Floats
+    target: ComparedPoints
+    depth: float
+    side: int
+    floor: float | None
+
+
+@dataclass(frozen=True)
+class LiveErrors:
+    """The errors of the simulated needle against the measured one; mm unless stated.
+
+    Attributes
+    ----------
+    values : mapping
+        By metric, as in a study where `whole`; else of the length that both have in common, counted from the
+        entry, with its end as the tip. None where a metric is not defined: EDP of a straight needle.
+    upto : float
+        Inserted length that is compared.
+    whole : bool
+        Whether the needle has the measured depth, so that these are the errors of a study.
+    """
+
+    values: Mapping[str, float | None]
+    upto: float
+    whole: bool
+
+
+def make_measured_overlay(
+    dataset: Dataset, insertion: Insertion, floor: float, shape: NeedleShape
+) -> MeasuredOverlay:
+    """Return the overlay of a measured insertion.
+
+    Parameters
+    ----------
+    floor : float
+        TE of its noise floor, mm; NaN where there is none.
+    shape : NeedleShape
+        The needle on which a shape of unknown pose is laid.
+    """
+    aim = select_points(dataset.pose, dataset.drop_proximal, insertion)
+    points, s = insertion.planar, arc_length(insertion.planar)
+    s = s * (insertion.depth / s[-1])
+    if dataset.pose == "free":
+        points, s = aim.measured, aim.s
+        if shape.converged:
+            points = align_rigid(points, compute_positions(shape, s))
+    stated = None if math.isnan(floor) else floor
+    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
+
+
+def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveErrors | None:
+    """Return the errors of a simulated needle against the measured one.
+
+    None where that is undefined: the needle has no solution, has hardly begun, or is not as deep as a
+    measured one of which only the shape is known.
+    """
+    upto = min(shape.depth, measured.depth)
+    if not shape.converged or upto < MIN_COMPARED_MM:
+        return None
+    beyond = shape.depth - measured.depth
+    whole = abs(beyond) <= DEPTH_TOLERANCE_MM
+    if whole:
+        # The depths agree only to a tolerance: positions are read from the tip, so that both tips are
+        # compared.
+        curve = make_curve(shape)
+        errors = compare_curves(*align_points(measured.target, lambda s: curve(s + beyond)))
+    elif measured.target.pose == "known":
+        s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
+        seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
+        errors = compare_curves(compute_positions(shape, s), seen)
+    else:
+        return None
+    values = {name: v if math.isfinite(v) else None for name, v in compute_metrics(errors).items()}
+    return LiveErrors(values, upto, whole)
+
+
+@dataclass(frozen=True)
+class InsertionScan:
+    """A measured needle, and the scan in which it was measured."""
+
+    volume: ScanVolume
+    insertion: Insertion
+
+
+def find_scan(dataset: Dataset, insertion: Insertion) -> tuple[InsertionScan | None, str]:
+    """Return the scan of an insertion, or None with the reason if one was expected.
+
+    Raises
+    ------
+    DataError
+        If the table of the dataset's scans has a fault.
+    """
+    volume = find_volume(dataset, insertion.id)
+    if volume is None:
+        return None, ""
+    if not ct_packages_installed():
+        return None, "No slice of the scan: it takes pip install 'needlefit[ct]'."
+    if not path_exists(volume.path):
+        return None, f"No slice of the scan: it is not at {volume.path} any more, where volumes.csv has it."
+    return InsertionScan(volume, insertion), ""
+
+
+def read_slice(scan: InsertionScan) -> tuple[bytes, tuple[float, float, float, float]]:
+    """Read a scan and return the slice along its needle; this takes seconds for a large scan.
+
+    It follows the needle through the thickness, so that a needle bent out of its plane stays in it; before
+    the entry it follows the entry axis.
+
+    Returns
+    -------
+    bytes, tuple of float
+        A PNG, and its edges in C: left, right, bottom, top, mm.
+
+    Raises
+    ------
+    DataError
+        If the scan cannot be read.
+    """
+    from needlefit.reporting.figures.scan_views import (
+        encode_png,  # the page is there before a slice is asked for
+    )
+
+    insertion = scan.insertion
+    shaft = insertion.frame.to_world(np.array([[-ENTRY_MARGIN_MM, 0.0, 0.0]]))
+    needle = insertion.patient.to_local(np.concatenate([shaft, insertion.centerline]))
+    volume = read_volume(scan.volume.path, scan.volume.series)
+    view = render_bending_plane(volume, insertion.patient, insertion.frame, needle, SLICE_HALF_WIDTH_MM)
+    return encode_png(view), view.extent

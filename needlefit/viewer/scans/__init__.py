@@ -1,1 +1,0 @@
-"""A scan that is looked at and corrected by hand before it is reconstructed."""

@@ -1,1 +1,0 @@
-"""The server of the interactive simulation: access control, connections, and one trial for each window."""

@@ -1,0 +1,492 @@
+"""The inputs of a user, and the needle that they control; the page and recordings use the same names.
+
+V-inputs act on the needle's shape (base, guides, a tracked tip), H-inputs on how far it is in and where it
+cuts (depth, bevel). The moduli and a bevel strength throughout are no inputs of an insertion but parameters
+of the model: with them the insertion so far is simulated again.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+
+from needlefit.errors import ModelError
+from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
+from needlefit.mechanics.laws import LAWS, list_shape_parameters
+from needlefit.mechanics.scene import Scene, begin_session
+from needlefit.mechanics.session import NeedleState, Session
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.tissue import Tissue
+from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
+
+MAX_GUIDE_NUMBER = 32
+"""Greatest number of a guide."""
+
+MAX_CUT_ANGLE_DEG = 45.0
+
+MAX_MU_PA = 1e15
+"""Greatest mu, Pa: beyond it, rounding exceeds the needle's own stiffness."""
+
+STEP_RATE_TRIAL_S, STEP_RATE_TRIALS = 0.008, 3
+"""Duration of a trial, s, and number of trials; the fastest counts, since other programs can only slow a
+trial down."""
+
+BASE_CLEARANCE_MM = 5.0
+"""The base stops so far before the first guide, mm: a span of less than about four diameters is no beam."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """The object that the item number of an input counts, and what its value must be.
+
+    `parameter`: it is one of the model, which applies to the whole insertion.
+    """
+
+    item: Literal["guide", "layer"] | None = None
+    expected: str = ""
+    allows: Callable[[float], bool] = lambda value: True
+    parameter: bool = False
+
+
+_SLOPE = ("between -45° and 45° (dy/dx between -1 and 1)", lambda value: abs(value) < 1)
+_FLAG = ("0 or 1", lambda value: value in (0, 1))
+_LENGTH = ("0 mm or above", lambda value: value >= 0)
+_ANGLE = (f"from 0 to {MAX_CUT_ANGLE_DEG:g}°", lambda value: 0 <= value < MAX_CUT_ANGLE_DEG)
+_MODULUS = (f"above 0 MPa, up to {MAX_MU_PA / 1e6:g} MPa", lambda value: 0 < value <= MAX_MU_PA)
+
+INPUTS = {
+    "depth_mm": Input(None, *_LENGTH),
+    "bevel_side": Input(None, "+1 (y > 0) or -1", lambda value: value in (1, -1)),
+    "bevel_offset_mm": Input(None, *_LENGTH),
+    "cut_angle_deg": Input(None, *_ANGLE),
+    "base_y_mm": Input(),
+    "base_slope": Input(None, *_SLOPE),
+    "guide_x_mm": Input("guide"),
+    "guide_y_mm": Input("guide"),
+    "guide_slope": Input("guide", *_SLOPE),
+    "guide_turns_freely": Input("guide", *_FLAG),
+    "guide_engaged": Input("guide", *_FLAG),
+    "tip_y_mm": Input(),
+    "tip_slope": Input(None, *_SLOPE),
+    "tip_held": Input(None, *_FLAG),
+    "mu_pa": Input("layer", *_MODULUS, parameter=True),
+    "offset_throughout_mm": Input(None, *_LENGTH, parameter=True),
+    "cut_angle_throughout_deg": Input(None, *_ANGLE, parameter=True),
+    "return_to": Input(None, "the number of a step", lambda value: value >= 0 and value == int(value)),
+}
+"""All inputs but shape parameters of tissue laws, which are further ones of layers."""
+
+_SHAPE_PARAMETER = Input("layer", parameter=True)
+
+
+def find_input(name: str) -> Input:
+    """Return what an input may be; ModelError if there is no such input."""
+    if name not in INPUTS and all(parameter.name != name for parameter in list_shape_parameters()):
+        raise ModelError(f"there is no input `{name}`", expected=f"one of {', '.join(INPUTS)}")
+    return INPUTS.get(name, _SHAPE_PARAMETER)
+
+
+@dataclass(frozen=True)
+class Change:
+    """One input and its new value; ModelError if it is no such input or value.
+
+    Attributes
+    ----------
+    name : str
+        A key of `INPUTS`, with its unit, or a shape parameter of a law; slopes are dy/dx.
+    item : int or None
+        Number of the guide or layer, from 1.
+    """
+
+    name: str
+    item: int | None
+    value: float
+
+    def __post_init__(self) -> None:
+        known = find_input(self.name)
+        if (self.item is None) != (known.item is None) or (self.item is not None and self.item < 1):
+            wanted = f"the number of a {known.item}, from 1" if known.item else "no item"
+            raise ModelError(f"{self.name} has item {self.item!s:.20}", expected=wanted)
+        if known.item == "guide" and self.item is not None and self.item > MAX_GUIDE_NUMBER:
+            raise ModelError(
+                f"guides have no number {self.item!s:.20}", expected=f"a number from 1 to {MAX_GUIDE_NUMBER}"
+            )
+        most = MAX_NEEDLE_LENGTH_MM if self.name.endswith("_mm") else MAX_NUMBER
+        finite = abs(self.value) <= most
+        if not finite or not known.allows(self.value):
+            expected = known.expected if finite else f"a finite number, at most {most:g}"
+            raise ModelError(f"{self._describe(known)} is {self._write_value()}", expected=expected)
+
+    @property
+    def is_parameter(self) -> bool:
+        """Whether it is a parameter of the model, which applies to the whole insertion."""
+        return find_input(self.name).parameter
+
+    def _describe(self, known: Input) -> str:
+        """Return the name without its unit, and whose input it is."""
+        words = self.name.removesuffix("_mm").removesuffix("_deg").removesuffix("_pa").replace("_", " ")
+        return words if self.item is None else f"{words} of {known.item} {self.item}"
+
+    def _write_value(self) -> str:
+        """Return the value in the unit of the page's fields."""
+        if self.name == "mu_pa":
+            return f"{self.value / 1e6:g} MPa"
+        if self.name.endswith("slope"):
+            return f"{math.degrees(math.atan(self.value)):.1f}°"
+        unit = " mm" if self.name.endswith("_mm") else "°" if self.name.endswith("_deg") else ""
+        return f"{self.value:g}{unit}"
+
+
+Values = dict[tuple[str, int | None], float]
+
+
+def find_tissue_changes(tissue: Tissue, before: Tissue) -> tuple[Change, ...]:
+    """Return the changes that lead from the moduli and shape parameters of one tissue to those of another.
+
+    Both have the same law.
+    """
+    names = ["mu_pa", *LAWS[tissue.law].shape_names]
+    rows, earlier = (np.vstack((one.mu * 1e6, one.shape)).T.tolist() for one in (tissue, before))
+    return tuple(
+        Change(name, layer, value)
+        for layer, (row, same) in enumerate(zip(rows, earlier, strict=True), start=1)
+        if row != same
+        for name, value in zip(names, row, strict=True)
+    )
+
+
+def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:
+    """Return the depth and inputs of `step` after some inputs were changed.
+
+    Parameters
+    ----------
+    changes : iterable of Change
+    names : sequence of str
+        What the scene calls its guides, in the order of their numbers.
+    tip_y : float
+        Where the tip stands, mm: it is held there where nothing says another place.
+
+    Raises
+    ------
+    ModelError
+        If the model has no such inputs.
+    """
+    values: Values = {(change.name, change.item): change.value for change in changes}
+
+    def of(name: str, now: float) -> float:
+        return values.get((name, None), now)
+
+    held, angle = step.controls, values.get(("cut_angle_deg", None))
+    controls = Controls(
+        of("base_y_mm", held.base_y),
+        of("base_slope", held.base_slope),
+        held.stage_slope,
+        _apply_to_guides(held.guides, values, names),
+        _apply_to_tip(held.tip, values, tip_y),
+    )
+    bevel = Bevel(
+        of("bevel_offset_mm", step.bevel.offset),
+        int(of("bevel_side", step.bevel.side)),
+        step.bevel.cut_angle if angle is None else math.radians(angle),  # stays to the bit
+    )
+    return Step(of("depth_mm", step.depth), bevel, controls)
+
+
+def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, ...]:
+    """Return the changes that turn the inputs of `now` into those of `step`; the depth is not included."""
+    wanted, held = step.controls, now.controls
+    pairs = [
+        ("bevel_side", float(step.bevel.side), float(now.bevel.side)),
+        ("bevel_offset_mm", step.bevel.offset, now.bevel.offset),
+        ("cut_angle_deg", math.degrees(step.bevel.cut_angle), math.degrees(now.bevel.cut_angle)),
+        ("base_y_mm", wanted.base_y, held.base_y),
+        ("base_slope", wanted.base_slope, held.base_slope),
+    ]
+    changes = [Change(name, None, value) for name, value, before in pairs if value != before]
+    there = {guide.name for guide in wanted.guides}
+    for guide in held.guides:
+        if guide.name not in there:
+            changes.append(Change("guide_engaged", guide_number(guide, names), 0.0))
+    for guide in wanted.guides:
+        if guide not in held.guides:
+            item = guide_number(guide, names)
+            changes += [Change("guide_x_mm", item, guide.x), Change("guide_y_mm", item, guide.y)]
+            changes.append(Change("guide_turns_freely", item, float(guide.slope is None)))
+            if guide.slope is not None:
+                changes.append(Change("guide_slope", item, guide.slope))
+    if wanted.tip is None and held.tip is not None:
+        changes.append(Change("tip_held", None, 0.0))
+    elif wanted.tip is not None and wanted.tip != held.tip:
+        changes.append(Change("tip_y_mm", None, wanted.tip.y))
+        if wanted.tip.slope is not None:
+            changes.append(Change("tip_slope", None, wanted.tip.slope))
+    return tuple(changes)
+
+
+def guide_name(item: int, names: Sequence[str]) -> str:
+    """Return the name of the guide with this number."""
+    return names[item - 1] if item <= len(names) else f"guide {item}"
+
+
+def guide_number(guide: Guide, names: Sequence[str]) -> int:
+    """Return the number of a guide, counted from 1."""
+    return names.index(guide.name) + 1 if guide.name in names else int(guide.name.removeprefix("guide "))
+
+
+def _apply_to_guides(guides: Sequence[Guide], values: Values, names: Sequence[str]) -> tuple[Guide, ...]:
+    now, moves = {guide.name: guide for guide in guides}, dict[int, dict[str, float]]()
+    for (name, item), value in values.items():
+        if item is not None and name.startswith("guide_"):
+            moves.setdefault(item, {})[name.removeprefix("guide_")] = value
+    for item, moved in sorted(moves.items()):
+        name = guide_name(item, names)
+        if moved.get("engaged") == 0:
+            now.pop(name, None)
+        else:
+            now[name] = _move_guide(now.get(name), moved, name)
+    return tuple(now.values())
+
+
+def _move_guide(guide: Guide | None, moved: dict[str, float], name: str) -> Guide:
+    if guide is None:
+        if not {"x_mm", "y_mm"} <= moved.keys():
+            raise ModelError(
+                f"there is no {name}",
+                expected="guide_x_mm and guide_y_mm together, which make a guide",
+                fix="add it before it is moved",
+            )
+        guide = Guide(moved["x_mm"], moved["y_mm"], 0.0, moved["x_mm"] >= 0, name)
+    x, slope = moved.get("x_mm", guide.x), moved.get("slope", guide.slope)
+    if "turns_freely" in moved:
+        slope = None if moved["turns_freely"] else moved.get("slope", guide.slope or 0.0)
+    return replace(guide, x=x, y=moved.get("y_mm", guide.y), slope=slope, in_tissue=x >= 0)
+
+
+def _apply_to_tip(tip: TrackedTip | None, values: Values, tip_y: float) -> TrackedTip | None:
+    if values.get(("tip_held", None)) == 0:
+        return None
+    if tip is None and not {("tip_held", None), ("tip_y_mm", None)} & values.keys():
+        return None
+    y, slope = (tip.y, tip.slope) if tip else (tip_y, None)
+    return TrackedTip(values.get(("tip_y_mm", None), y), values.get(("tip_slope", None), slope))
+
+
+class SteeredNeedle:
+    """The needle of a scene, simulated step by step from first contact on.
+
+    The same changes in the same order find the same bits.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its needle, tissue and entry, and what holds the needle as its first step begins.
+    first_cell : float
+        Depth of the first constraint point, mm.
+    valid_only : bool
+        Whether a step that leads outside the model's validity is refused.
+
+    Attributes
+    ----------
+    number : int
+        Steps so far; 0 at first contact.
+    solved : int
+        Equilibria solved in them.
+    failed : int
+        Steps that were refused, as no needle was found.
+    """
+
+    def __init__(self, scene: Scene, first_cell: float, *, valid_only: bool = False) -> None:
+        self._valid_only = valid_only
+        self.names = list_guide_names(scene)
+        self.scene = replace(scene, steps=tuple(_with_guide_names(step) for step in scene.steps))
+        self.number, self.solved, self.failed = 0, 0, 0
+        self._session = begin_session(self.scene, first_cell)
+        self._saved: dict[int, Session] = {}
+        self.keep()
+
+    @property
+    def now(self) -> NeedleState:
+        """The present state of the needle."""
+        return self._session.now
+
+    @property
+    def first_cell(self) -> float:
+        """Depth of the first constraint point, mm."""
+        return self._session.lattice.first_cell
+
+    def input_path(self) -> tuple[Step, ...]:
+        """Return the shortest steps that lead to the present state."""
+        return self._session.input_path()
+
+    def step_rate(self) -> float:
+        """Return the steps per second that this needle can compute at the final depth of its scene."""
+        return _measure_step_rate(self._session, min(self.scene.depth, self.reach()))
+
+    def reach(self) -> float:
+        """Return the greatest depth possible now, mm: the base is then just before guides or tissue."""
+        return self._reach_under(self.now.step.controls)
+
+    def _reach_under(self, controls: Controls) -> float:
+        """Return the greatest depth possible under these controls, mm."""
+        before = controls.before
+        # 1e-6 mm less: the base must stay before guides and tissue.
+        return self.scene.needle.length + (before[0].x - BASE_CLEARANCE_MM if before else 0.0) - 1e-6
+
+    def apply(self, changes: Sequence[Change]) -> NeedleState:
+        """Carry out one step: all changes at once.
+
+        Raises
+        ------
+        ModelError
+            If the model does not take them, or finds no needle that does; then nothing has happened.
+        """
+        _check_together(changes)
+        if changes and changes[0].name == "return_to":
+            # A copy: the stored state must survive further steps, for another return.
+            self._session = self._saved_at(int(changes[0].value)).copy()
+        else:
+            self._session = self._advance(changes)
+        self.number += 1
+        return self.now
+
+    def keep(self) -> None:
+        """Store the present state, for a later return to it."""
+        self._saved[self.number] = self._session.copy()
+
+    def forget(self, number: int) -> None:
+        """Delete the state stored at a step; the initial state stays."""
+        if number:
+            self._saved.pop(number, None)
+
+    def _saved_at(self, number: int) -> Session:
+        if number not in self._saved:
+            raise ModelError(f"nothing was kept of step {number}", expected="a step to return to")
+        return self._saved[number]
+
+    def _advance(self, changes: Sequence[Change]) -> Session:
+        """Return the session after a step; the one there is stays as it was if that fails."""
+        session, before = self._session, self._session.solved
+        parameters = [change for change in changes if change.is_parameter]
+        if parameters:
+            session = self._recompute(parameters)
+            before = 0
+        moved = [change for change in changes if not change.is_parameter]
+        step = apply_changes(session.last, moved, self.names, float(session.now.shape.u[-1]))
+        if step != session.last:
+            if self._valid_only:
+                self._require_clearance(step)
+            shape = session.go(step, valid_only=self._valid_only)
+            if not shape.converged:
+                self.failed += 1
+                raise ModelError(
+                    f"the model finds no needle there ({shape.status})",
+                    expected="a load that tissue and needle can bear",
+                    fix="move less at a time",
+                )
+            self._require_valid(shape)
+        self.solved += session.solved - before
+        return session
+
+    def _recompute(self, parameters: Sequence[Change]) -> Session:
+        given = {change.name: change.value for change in parameters}
+        angle = given.get("cut_angle_throughout_deg")
+        session = self._session.simulate_again(
+            _with_parameters(self._session.tissue, parameters),
+            given.get("offset_throughout_mm"),
+            None if angle is None else math.radians(angle),
+        )
+        if session.failures:
+            self.failed += 1
+            raise ModelError(
+                f"with these parameters the insertion so far fails {session.depth:.1f} mm deep",
+                expected="a load that tissue and needle can bear",
+                fix="change them less, or retract the needle first",
+            )
+        self._require_valid(session.now.shape)
+        return session
+
+    def _require_clearance(self, step: Step) -> None:
+        """Raise ModelError where the base would come closer to the first guide than `BASE_CLEARANCE_MM`."""
+        if step.controls.before and step.depth > self._reach_under(step.controls) + 1e-6:
+            gap = step.controls.before[0].x + self.scene.needle.length - step.depth
+            raise ModelError(
+                f"the base would stand {gap:.2f} mm before the first guide",
+                expected=f"at least {BASE_CLEARANCE_MM:g} mm: the base stops at the guide",
+                fix="retract the needle, or move the guide toward the tissue",
+            )
+
+    def _require_valid(self, shape: NeedleShape) -> None:
+        """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""
+        if self._valid_only and not shape.valid and self.now.shape.valid:
+            self.failed += 1
+            raise ModelError(
+                f"the needle would be outside the model's validity: {'; '.join(shape.validity.faults)}",
+                expected="a needle within the limits of small deflections",
+                fix="move less, or bring base, guides and tip nearer to the needle's own shape",
+            )
+
+
+def _check_together(changes: Sequence[Change]) -> None:
+    """Raise ModelError unless changes can act together: one value for each input, a return by itself."""
+    inputs = [(change.name, change.item) for change in changes]
+    for name, item in inputs:
+        if inputs.count((name, item)) > 1:
+            raise ModelError(f"{name} has two values in one step", expected="one value for each input")
+        if name == "return_to" and len(inputs) > 1:
+            raise ModelError("return_to stands beside other inputs", expected="a step of its own")
+
+
+def list_guide_names(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the guides of a scene, in the order of their numbers."""
+    guides = [guide for step in scene.steps for guide in step.controls.guides]
+    return tuple(dict.fromkeys(guide.name or "guide" for guide in guides))
+
+
+def _with_guide_names(step: Step) -> Step:
+    """Return a step whose guides all have a name."""
+    guides = tuple(replace(guide, name=guide.name or "guide") for guide in step.controls.guides)
+    return replace(step, controls=replace(step.controls, guides=guides))
+
+
+def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
+    """Return the tissue with other moduli (Pa in the changes, MPa in the tissue) and shape parameters."""
+    mu, shape = tissue.mu.copy(), tissue.shape.copy()
+    names = LAWS[tissue.law].shape_names
+    for change in parameters:
+        if change.item is None:
+            continue
+        if change.item > tissue.layers:
+            raise ModelError(
+                f"there is no layer {change.item!s:.20}", expected=f"one of {tissue.layers} layers"
+            )
+        if change.name == "mu_pa":
+            mu[change.item - 1] = change.value * 1e-6
+        elif change.name in names:
+            shape[names.index(change.name), change.item - 1] = change.value
+        else:
+            raise ModelError(
+                f"the tissue law `{tissue.law}` has no {change.name}", expected=", ".join(["mu_pa", *names])
+            )
+    return replace(tissue, mu=mu, shape=shape)
+
+
+def _measure_step_rate(session: Session, depth: float) -> float:
+    """Return the number of steps per second that a needle can compute near `depth` (mm), with no other work.
+
+    A step moves the tip by a constraint spacing, in and out alternately. Between the frames of a page the
+    processor sleeps and forgets, and single steps take a few times as long.
+    """
+    other, inputs, rates = session.copy(), session.last, list[float]()
+    places = (max(depth - session.rules.spacing, 0.0), depth)
+    steps = [Step(place, inputs.bevel, inputs.controls) for place in places]
+    other.go(steps[1])
+    for _ in range(STEP_RATE_TRIALS):
+        before, began = other.solved, perf_counter()
+        while (spent := perf_counter() - began) < STEP_RATE_TRIAL_S:
+            for step in steps:
+                other.go(step)
+        rates.append((other.solved - before) / spent)
+    return max(rates)
