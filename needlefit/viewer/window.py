@@ -98,7 +98,8 @@ def _replay(trial: InteractiveTrial, steps: Sequence[RecordedStep], motion: Moti
     clock, last, left = steps[0].time, find_last_returns(steps), deque(steps)
     gesture = -1  # a page's own gestures are above 0
     while left:
-        clock += motion.speed * (yield)
+        dt = yield
+        clock += motion.speed * dt  # the speed may have been changed meanwhile
         while left and left[0].time <= clock:
             step = left.popleft()
             trial.act(step.changes, gesture)
