@@ -1,7 +1,7 @@
 """The fixed design of `real_scanners.py`, and the scene, truth and volume of each of its rows.
 
 The world's x axis points into the tissue, whose face is x = 0: three layers, a bent steel needle of 1.27 mm,
-balls glued on the face or embedded. Everything is rendered in projection space (`synthetic/projection`).
+balls glued on the face or embedded. Everything is rendered in projection space (`scanner/projection.py`).
 """
 
 import hashlib
@@ -10,16 +10,20 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-
-from needlefit.geometry.frames import Frame
-from needlefit.imaging.volume import VoxelGrid
-from needlefit.imaging.volume_files import write_volume
-from needlefit.project.random_streams import random_stream
-from needlefit.synthetic.projection import (
+from scanner.projection import (
+    ALUMINIUM,
+    BONE,
+    BRASS,
+    CERAMIC,
     CLIPPED_HU,
     EXTENDED_HU,
+    GEL,
+    GLASS,
     KERNELS,
+    MUSCLE,
+    PMMA,
+    STEEL,
+    WATER,
     Box,
     Ellipsoid,
     Gantry,
@@ -28,9 +32,14 @@ from needlefit.synthetic.projection import (
     Solid,
     make_ball,
     make_needle,
-    materials,
     render_volume,
 )
+from scipy.spatial.transform import Rotation
+
+from needlefit.geometry.frames import Frame
+from needlefit.imaging.volume import VoxelGrid
+from needlefit.imaging.volume_files import write_volume
+from needlefit.project.random_streams import random_stream
 
 Floats = NDArray[np.float64]
 
@@ -93,10 +102,10 @@ as wide as 1.5 slices. Fixed before anything was tuned: do not edit."""
 SEED = 2020
 
 MATERIALS = {
-    "steel": materials.STEEL,
-    "brass": materials.BRASS,
-    "glass": materials.GLASS,
-    "ceramic": materials.CERAMIC,
+    "steel": STEEL,
+    "brass": BRASS,
+    "glass": GLASS,
+    "ceramic": CERAMIC,
 }
 PHOTONS = {"low": 5e4, "high": 4e5}
 
@@ -234,13 +243,13 @@ def _build_scene(
     level: dict[str, str], world: Frame, axis: Floats, bevel: Floats, balls: Floats, interfaces: Floats
 ) -> ProjectionScene:
     edges = [0.0, *interfaces, 55.0]
-    tissue = (materials.GEL, materials.WATER, materials.MUSCLE)
+    tissue = (GEL, WATER, MUSCLE)
     layers = tuple(
         Box(world, np.array([low, -24, -24]), np.array([high, 24, 24]), material)
         for low, high, material in zip(edges[:-1], edges[1:], tissue, strict=True)
     )
     side = world.rotation @ bevel
-    needle = make_needle(world.to_world(axis), NEEDLE_MM, BEVEL_DEG, side, materials.STEEL)
+    needle = make_needle(world.to_world(axis), NEEDLE_MM, BEVEL_DEG, side, STEEL)
     spheres = [
         make_ball(place, float(level["ball_mm"]), MATERIALS[level["material"]])
         for place in world.to_world(balls)
@@ -262,29 +271,29 @@ def _list_accessories(name: str, world: Frame, axis: Floats) -> tuple[list[Solid
 
     match name:
         case "hub":  # brass, clamped on the shaft
-            return [], [Rod(on_shaft(-45), on_shaft(-18), 3.0, materials.BRASS, NEEDLE_MM / 2)]
+            return [], [Rod(on_shaft(-45), on_shaft(-18), 3.0, BRASS, NEEDLE_MM / 2)]
         case "holder":  # an aluminium block with a hole that the needle fills
-            return [Box(world, *block((-24, -8, -6), (-16, 8, 6)), materials.ALUMINIUM)], []
+            return [Box(world, *block((-24, -8, -6), (-16, 8, 6)), ALUMINIUM)], []
         case "plate":  # a guide of PMMA, and 11 mm of air behind it
-            return [Box(world, *block((-19, -24, -24), (-11, 24, 24)), materials.PMMA)], []
+            return [Box(world, *block((-19, -24, -24), (-11, 24, 24)), PMMA)], []
         case "flush":  # these four are of `guides.py`: a plate that lies on the tissue
-            return [Box(world, *block((-8, -24, -24), (0, 24, 24)), materials.PMMA)], []
+            return [Box(world, *block((-8, -24, -24), (0, 24, 24)), PMMA)], []
         case "gap":  # 2 mm of air behind it
-            return [Box(world, *block((-10, -24, -24), (-2, 24, 24)), materials.PMMA)], []
+            return [Box(world, *block((-10, -24, -24), (-2, 24, 24)), PMMA)], []
         case "aluminium":  # a guide whose hole the needle fills
-            return [Box(world, *block((-16, -20, -20), (-10, 20, 20)), materials.ALUMINIUM)], []
+            return [Box(world, *block((-16, -20, -20), (-10, 20, 20)), ALUMINIUM)], []
         case "plastic":  # a hub of PMMA
-            return [Box(world, *block((-26, -7, -7), (-17, 7, 7)), materials.PMMA)], []
+            return [Box(world, *block((-26, -7, -7), (-17, 7, 7)), PMMA)], []
         case "second":  # half as long as what shows of the first
             points = world.to_world(np.array([[-14.0, -2, 11], [3, -2, 11], [20, -2, 11]]))
-            return [], list(make_needle(points, NEEDLE_MM, BEVEL_DEG, world.rotation[:, 1], materials.STEEL))
+            return [], list(make_needle(points, NEEDLE_MM, BEVEL_DEG, world.rotation[:, 1], STEEL))
         case "wire":
             ends = world.to_world(np.array([[-0.5, -14.0, 13], [-0.5, 14, 13]]))
-            return [], [Rod(ends[0], ends[1], 0.4, materials.STEEL)]
+            return [], [Rod(ends[0], ends[1], 0.4, STEEL)]
         case "bone":
             middle = world.to_world(np.array([[22.0, 0, -13]]))[0]
             radii = np.array([9.0, 6, 4])
-            return [Ellipsoid(Frame(middle, world.rotation), radii, materials.BONE)], []
+            return [Ellipsoid(Frame(middle, world.rotation), radii, BONE)], []
     return [], []
 
 

@@ -3,6 +3,20 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from projection import (
+    CLIPPED_HU,
+    KERNELS,
+    MUSCLE,
+    STEEL,
+    TITANIUM,
+    WATER,
+    Box,
+    Gantry,
+    ProjectionScene,
+    make_ball,
+    make_needle,
+    render_volume,
+)
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.curves import arc_length
@@ -12,17 +26,6 @@ from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.projection import (
-    CLIPPED_HU,
-    KERNELS,
-    Box,
-    Gantry,
-    ProjectionScene,
-    make_ball,
-    make_needle,
-    materials,
-    render_volume,
-)
 from needlefit.synthetic.render import densify
 
 WORLD = Frame(
@@ -47,10 +50,10 @@ def render():
     """Return the volume of a steel needle in two layers, with balls of titanium and steel."""
     layers = tuple(
         Box(WORLD, np.array([low, -16.0, -16]), np.array([high, 16.0, 16]), material)
-        for low, high, material in ((0, INTERFACE_MM, materials.WATER), (INTERFACE_MM, 34, materials.MUSCLE))
+        for low, high, material in ((0, INTERFACE_MM, WATER), (INTERFACE_MM, 34, MUSCLE))
     )
-    needle = make_needle(WORLD.to_world(needle_axis()), 1.27, 30.0, WORLD.rotation[:, 1], materials.STEEL)
-    metals = [materials.TITANIUM, materials.STEEL, materials.TITANIUM, materials.TITANIUM, materials.STEEL]
+    needle = make_needle(WORLD.to_world(needle_axis()), 1.27, 30.0, WORLD.rotation[:, 1], STEEL)
+    metals = [TITANIUM, STEEL, TITANIUM, TITANIUM, STEEL]
     balls = [make_ball(at, 3.0, metal) for at, metal in zip(WORLD.to_world(BALLS), metals, strict=True)]
     return render_volume(
         ProjectionScene(layers, (), (*needle, *balls)),

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.ndimage import gaussian_filter1d
-from skimage.transform import iradon
-
-from needlefit.geometry.frames import Frame
-from needlefit.imaging.volume import VoxelGrid
-from needlefit.synthetic.projection import (
+from projection import (
     ALUMINIUM,
     CLIPPED_HU,
     EXTENDED_HU,
@@ -33,6 +28,11 @@ from needlefit.synthetic.projection import (
     render_volume,
     tungsten_spectrum,
 )
+from scipy.ndimage import gaussian_filter1d
+from skimage.transform import iradon
+
+from needlefit.geometry.frames import Frame
+from needlefit.imaging.volume import VoxelGrid
 
 UPRIGHT = Frame(np.zeros(3), np.eye(3))
 PHANTOM = Rod(np.array([0, 0, -20.0]), np.array([0, 0, 20.0]), 20.0, WATER)
