@@ -134,13 +134,13 @@ def test_verbose_shows_where_a_row_crashed(table, tmp_path, capsys):
 def test_a_fault_of_the_solver_ends_in_exit_code_6(monkeypatch, tmp_path, capsys):
     """Not one of the checks' making: the law's coefficients are wrong by a thousandth."""
     from needlefit.mechanics import packing
-    from needlefit.verification.checks import elastic_foundation
+    from needlefit.verification.checks import beams
 
     true = packing.compile_law
     monkeypatch.setattr(
         packing, "compile_law", lambda law, alpha: (1.001 * true(law, alpha)[0], true(law, alpha)[1])
     )
-    monkeypatch.setattr(running, "find_checks", lambda: elastic_foundation.CHECKS)
+    monkeypatch.setattr(running, "find_checks", lambda: beams.CHECKS)
     assert run("verify", "--out", str(tmp_path)) == 6
     assert "FAIL" in capsys.readouterr().out
 

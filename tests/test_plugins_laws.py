@@ -16,7 +16,7 @@ from needlefit.datasets.read import check
 from needlefit.datasets.template import write_template
 from needlefit.mechanics.laws import LAWS
 from needlefit.registry import use_plugins
-from needlefit.verification.checks.laws import measure_law
+from needlefit.verification.checks.compiled import measure_law
 
 MEDIUM = """schema = 1
 layers = 2

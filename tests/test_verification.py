@@ -11,7 +11,13 @@ from needlefit.mechanics import load, packing, reference
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS, list_shape_parameters
 from needlefit.mechanics.simulate import equilibrium, simulate_steps
-from needlefit.verification.cases import PAPER_NEEDLE, RandomCase, make_tissue
+from needlefit.verification.cases import (
+    PAPER_NEEDLE,
+    RandomCase,
+    ReferenceLaw,
+    differentiate_stress,
+    make_tissue,
+)
 from needlefit.verification.check import (
     AcceptanceBound,
     Check,
@@ -24,21 +30,17 @@ from needlefit.verification.check import (
     worst,
 )
 from needlefit.verification.checks import (
-    balance,
-    cantilever,
+    beams,
     collocation,
     compiled,
-    elastic_foundation,
     manufactured,
     refinement,
     sensitivities,
     symmetries,
     tangent,
-    world_frame,
 )
-from needlefit.verification.checks.elastic_foundation import hetenyi
+from needlefit.verification.checks.beams import hetenyi
 from needlefit.verification.checks.manufactured import DEPTH_MM, FREE_LENGTH_MM, make_deflection
-from needlefit.verification.law import ReferenceLaw, differentiate_stress
 from needlefit.verification.run import find_checks, verify
 
 
@@ -160,10 +162,8 @@ def test_equal_layers_are_one():
 def test_the_propped_cantilever_carries_three_eighths():
     """A uniform load all along: the prop at the tip carries 3 q L / 8."""
     tip = np.array([PAPER_NEEDLE.length])
-    reaction = cantilever.cantilever_deflection(tip, 0.0) / cantilever.prop_deflection(
-        tip, PAPER_NEEDLE.length
-    )
-    assert reaction == pytest.approx(3 / 8 * cantilever.LOAD * PAPER_NEEDLE.length)
+    reaction = beams.cantilever_deflection(tip, 0.0) / beams.prop_deflection(tip, PAPER_NEEDLE.length)
+    assert reaction == pytest.approx(3 / 8 * beams.LOAD * PAPER_NEEDLE.length)
 
 
 def test_the_chosen_deflection_is_smooth_clamped_and_free_at_the_tip():
@@ -212,8 +212,7 @@ def stiffer(tissue):
 @pytest.mark.sweep
 def test_a_percent_of_stiffness_is_noticed_by_every_solution(monkeypatch):
     fault(monkeypatch, stiffer)
-    assert failing(cantilever) == titles(cantilever)
-    assert failing(elastic_foundation) == titles(elastic_foundation)
+    assert failing(beams) == titles(beams)
     assert failing(manufactured) == titles(manufactured)
     assert failing(collocation) == titles(collocation)
     assert len(failing(compiled)) >= 2
@@ -230,7 +229,7 @@ def test_a_law_taken_for_another_is_noticed(monkeypatch):
 @pytest.mark.parametrize("change", [lambda t: replace(t, shape=-t.shape), lambda t: replace(t, law="linear")])
 def test_a_wrong_nonlinearity_is_noticed_where_tissue_is_thin(change, monkeypatch):
     fault(monkeypatch, change)
-    assert failing(cantilever, elastic_foundation) == set()  # linear
+    assert failing(beams) == set()  # linear
     assert {title for title in titles(collocation) if "Thin" in title} <= failing(collocation)
     nonlinear = {title for title in titles(manufactured) if "Ogden" in title or "The same" in title}
     assert nonlinear < failing(manufactured) and "One layer, linear law" not in failing(manufactured)
@@ -255,8 +254,8 @@ def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
         return equilibrium(needle, tissue, constraints, controls, ModelOptions(4.0, 4 * rules.element))
 
     monkeypatch.setattr(refinement, "simulate_steps", coarse)
-    monkeypatch.setattr(elastic_foundation, "equilibrium", long_elements)
-    assert any("99" in title for title in failing(elastic_foundation))
+    monkeypatch.setattr(beams, "equilibrium", long_elements)
+    assert any("99" in title for title in failing(beams))
     worst = [row for row in verify(1, refinement.CHECKS).rows if "random" in row.title]
     clean = 1e-4  # mm, see the table
     assert max(row.measured for row in worst) > clean
@@ -267,7 +266,7 @@ def test_a_load_that_the_shape_does_not_bear_is_noticed(monkeypatch):
     monkeypatch.setattr(
         load, "pack_equilibrium", lambda needle, tissue, *rest: true(needle, stiffer(tissue), *rest)
     )
-    assert failing(balance) == titles(balance)
+    assert verify(1, [check for check in symmetries.CHECKS if "balance" in check.title]).failed
 
 
 def test_an_unsymmetric_bevel_is_noticed(monkeypatch):
@@ -299,7 +298,7 @@ def test_sub_steps_that_matter_are_noticed(monkeypatch):
 
 
 def test_a_template_that_stays_behind_is_noticed(monkeypatch):
-    true = world_frame.make_scene
+    true = symmetries.make_scene
 
     def forgotten(origin, turn):
         moved = true(origin, turn)
@@ -309,8 +308,8 @@ def test_a_template_that_stays_behind_is_noticed(monkeypatch):
         )
         return replace(moved, steps=steps) if turn else moved
 
-    monkeypatch.setattr(world_frame, "make_scene", forgotten)
-    assert failing(world_frame) == titles(world_frame)
+    monkeypatch.setattr(symmetries, "make_scene", forgotten)
+    assert verify(1, [check for check in symmetries.CHECKS if "Entry" in check.title]).failed
 
 
 @pytest.mark.sweep
@@ -336,7 +335,7 @@ def test_a_reference_that_differs_is_noticed(monkeypatch):
         return 1.001 * k, 1.001 * dk
 
     monkeypatch.setattr(reference, "modulus", wrong)
-    assert failing(compiled) == titles(compiled)
+    assert failing(compiled) == titles(compiled) - {check.title for check in compiled.LAW_CHECKS}
     assert failing(tangent) == titles(tangent)
 
 
@@ -405,7 +404,7 @@ def test_a_solution_that_fails_under_derivatives_is_not_drawn_again(monkeypatch)
     assert len(found.failed) == 3 and "not converged" in found.failed[0].remark
 
 
-@pytest.mark.parametrize("check", symmetries.CHECKS, ids=lambda check: check.title)
+@pytest.mark.parametrize("check", symmetries.CHECKS[1:-1], ids=lambda check: check.title)
 def test_a_single_distance_without_a_number_fails(check, monkeypatch):
     """The last of ten shapes is no shape: Python's own max of the ten would be a number."""
     shapes = []

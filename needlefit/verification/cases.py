@@ -1,24 +1,97 @@
-"""Draw random insertions, far wider than any prior of a fit, and compare shapes between their nodes.
+"""Draw random insertions, far wider than any prior of a fit; the tissue's reaction computed a second time.
 
-Shapes are compared between their nodes too: a small error at the nodes proves little.
+The reaction is that of docs/model.md 3, independent of the code under test: k is the derivative of the true
+stress that a law's strain energy gives, by differences, and not the k that its file states to the kernel.
+Complex numbers are accepted: derivatives are complex steps. Shapes are compared between their nodes too: a
+small error at the nodes proves little.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
+from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.simulate import STATUS_NAMES, equilibrium, pack_equilibrium, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.check import worst
+
+Numbers = NDArray[Any]  # real or complex
+
+STEP = 1e-30
+
+STENCIL = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))
+STENCIL_STEP = 0.003
+"""Central differences of eighth order: multiples of the step, their weights, and the step over lambda. For
+powers of lambda up to 12 their relative error is below 1e-12.
+"""
+
+
+def differentiate_stress(law: str, stretch: Numbers, shape: Sequence[Numbers]) -> Numbers:
+    """Return k over mu, the derivative of the true stress; or the k of a law without one."""
+    stress = LAWS[law].stress
+    if stress(stretch, *shape) is None:
+        return LAWS[law].k(stretch, *shape)
+    step = STENCIL_STEP * stretch.real
+    ends = (
+        weight * (stress(stretch + m * step, *shape) - stress(stretch - m * step, *shape))  # type: ignore[operator]
+        for m, weight in STENCIL
+    )
+    found: Numbers = sum(ends) / step
+    return found
+
+
+@dataclass(frozen=True)
+class ReferenceLaw:
+    """The parameters of all layers, each (n,) or of `shape` (p, n), real or complex."""
+
+    mu: Numbers
+    shape: Numbers
+    thickness: Numbers
+    friction: Numbers
+    name: str
+
+    @classmethod
+    def of(cls, tissue: Tissue) -> Self:
+        """Return the parameters of a tissue."""
+        return cls(tissue.mu, tissue.shape, tissue.thickness, tissue.friction, tissue.law)
+
+    def reaction(self, layer: Ints, e: Numbers, slope: Numbers) -> Numbers:
+        """Return k(lambda) e g, the force per length (N / mm) at deflections `e` (mm) in the given layers."""
+        mu, shape = self.mu[layer], self.shape[:, layer]
+        # not abs(e): of a complex number it is real, and the complex step would be lost
+        stretch = 1 - np.where(e.real < 0, -e, e) / self.thickness[layer]
+        k = mu * differentiate_stress(self.name, stretch, tuple(shape))
+        # sin^2(atan u') = u'^2 / (1 + u'^2)
+        force: Numbers = k * e * (1 - self.friction[layer] * slope**2 / (1 + slope**2))
+        return force
+
+    def slopes(self, layer: Ints, e: Floats, slope: Floats) -> tuple[Floats, Floats]:
+        """Return the derivatives of `reaction` by deflection and by slope."""
+        by_e = self.reaction(layer, e + 1j * STEP, slope).imag / STEP
+        by_slope = self.reaction(layer, e, slope + 1j * STEP).imag / STEP
+        return by_e, by_slope
+
+    def deflection_of(self, layer: Ints, force: Floats, slope: Floats) -> Floats:
+        """Return the deflection e (mm) at which the reaction is `force` (N / mm), by bisection."""
+        low = np.zeros_like(force)
+        # at the full thickness the stretch is 0, and the Ogden law infinite
+        high = self.thickness[layer] * (1 - 1e-12)
+        for _ in range(100):
+            middle = 0.5 * (low + high)
+            weak = self.reaction(layer, middle, slope) < np.abs(force)
+            low, high = np.where(weak, middle, low), np.where(weak, high, middle)
+        return np.copysign(0.5 * (low + high), force)
+
 
 PAPER_NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 """The needle of the paper: 150 mm, 18 gauge, 80 GPa."""
@@ -158,3 +231,60 @@ def largest_difference(shape: NeedleShape, other: NeedleShape) -> float:
     x = np.union1d(sample_densely(shape, start), sample_densely(other, start))
     x = x[x <= np.min([shape.x[-1], other.x[-1]])]
     return worst(np.abs(interpolate(shape, x) - interpolate(other, x)))
+
+
+@dataclass(frozen=True)
+class ClampedNeedle:
+    """A needle clamped at its base, y = u' = 0, and otherwise free.
+
+    Attributes
+    ----------
+    x : (N,) array
+        Nodes from base to tip, mm: those that the model itself would take.
+    points : (Q,) array
+        Quadrature points, mm.
+    depths, y : (M + 1,) arrays
+        Constraint points, mm.
+    target : (Q,) array or None
+        y of the cut at each quadrature point, in place of the constraint points'.
+    """
+
+    needle: Needle
+    tissue: Tissue
+    rules: ModelOptions
+    x: Floats
+    points: Floats
+    depths: Floats
+    y: Floats
+    target: Floats | None = None
+
+
+def make_clamped_needle(
+    needle: Needle, tissue: Tissue, constraints: Floats, rules: ModelOptions
+) -> ClampedNeedle:
+    """Return the clamped needle with these constraint points (M + 1, 2)."""
+    x = equilibrium(needle, tissue, constraints, rules=rules).x
+    depths, y = np.ascontiguousarray(constraints.T)
+    problem = pack_equilibrium(needle, tissue, depths, Controls(), rules)
+    points, *_ = native.list_quadrature(problem, x[1:].copy(), depths)
+    return ClampedNeedle(needle, tissue, rules, x, points, depths, y)
+
+
+def solve_newton(
+    clamped: ClampedNeedle, guess: Floats, tolerance: float = 1e-12, max_iterations: int = 60
+) -> Floats:
+    """Return the state (N, 2) that Newton's method reaches from a guess; a step with an infinite tolerance.
+
+    Raises
+    ------
+    ArithmeticError
+        If it does not converge.
+    """
+    problem = pack_equilibrium(clamped.needle, clamped.tissue, clamped.depths, Controls(), clamped.rules)
+    problem.tolerance, problem.max_iterations = tolerance, max_iterations
+    _, state, status, _ = native.find_equilibrium(
+        problem, clamped.depths, clamped.y, np.ascontiguousarray(guess), clamped.target
+    )
+    if status != native.CONVERGED:
+        raise ArithmeticError(f"the solver failed: {STATUS_NAMES[status]}")
+    return state

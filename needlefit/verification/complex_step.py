@@ -16,8 +16,7 @@ from needlefit.mechanics import reference
 from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import TipStop, make_lattice, plan_stops
-from needlefit.verification.cases import RandomCase
-from needlefit.verification.law import STEP, Numbers, ReferenceLaw
+from needlefit.verification.cases import STEP, Numbers, RandomCase, ReferenceLaw
 
 _LAYERED = ("mu", "friction")
 _SINGLE = ("rigidity", "offset", "base_y", "base_slope", "stage_slope")

@@ -20,9 +20,14 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, St
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import equilibrium, simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.verification.cases import PAPER_NEEDLE, interpolate, make_tissue, require_converged
+from needlefit.verification.cases import (
+    PAPER_NEEDLE,
+    ReferenceLaw,
+    interpolate,
+    make_tissue,
+    require_converged,
+)
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
-from needlefit.verification.law import ReferenceLaw
 
 _UNIT = 10.0  # mm: derivatives of order n are kept in mm per (10 mm)^n, to be alike in size
 _TOLERANCE = 1e-6  # of scipy's residual; the deflection is then off by some 1e-8 mm

@@ -21,10 +21,14 @@ from needlefit.arrays import Floats
 from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
-from needlefit.verification.cases import make_tissue, sample_between
+from needlefit.verification.cases import (
+    ReferenceLaw,
+    make_clamped_needle,
+    make_tissue,
+    sample_between,
+    solve_newton,
+)
 from needlefit.verification.check import Check, CheckOutcome, ConvergenceCurve, Group, Quantity, within, worst
-from needlefit.verification.clamped_needle import make_clamped_needle, solve_newton
-from needlefit.verification.law import ReferenceLaw
 
 EI = 1.0e4  # N mm^2
 FREE_LENGTH_MM, DEPTH_MM = 20.0, 40.0  # mm before and in the tissue

@@ -1,15 +1,24 @@
-"""Check symmetries of the model: handedness, units of force, division of layers, sub-steps, overshooting."""
+"""Check symmetries of the model, balance of forces, and that the pose of the entry does not matter."""
 
+import cmath
+import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Bevel, Controls, Step
+from needlefit.mechanics.load import compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import make_lattice
+from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.session import Session
+from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.tissue import Tissue
+from needlefit.project.load import check
+from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import (
     EXACT_OPTIONS,
     Draw,
@@ -21,7 +30,97 @@ from needlefit.verification.cases import (
 )
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
-RANDOM_CASES = 10
+RANDOM_CASES, RANDOM_POSES = 10, 5
+
+
+def compute_imbalance(case: RandomCase) -> tuple[float, float]:
+    """Return the sum of all forces, and of all moments about the entry, over the sum of their sizes."""
+    found = compute_loads(case.shape(), case.tissue, case.needle, case.steps[-1].controls, EXACT_OPTIONS)
+    forces = [held.force for held in found.all_loads]
+    moments = [held.moment + held.x * held.force for held in found.all_loads]
+    return _sum_over_sizes(forces), _sum_over_sizes(moments)
+
+
+def _sum_over_sizes(values: list[float]) -> float:
+    return abs(sum(values)) / float(np.sum(np.abs(values)))
+
+
+def _measure_balance(rng: np.random.Generator) -> CheckOutcome:
+    forces, moments = zip(*(compute_imbalance(draw_schedule(rng)) for _ in range(RANDOM_CASES)), strict=True)
+    return CheckOutcome((worst(forces), worst(moments)))
+
+
+BALANCE = (
+    Check(
+        Group.SYMMETRIES,
+        "Tissue, base, guides and tracked tip balance, schedules of all inputs",
+        (
+            Quantity(f"sum of forces over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
+            Quantity(f"sum of moments over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
+        ),
+        _measure_balance,
+    ),
+)
+
+
+_STAGE, _AXIS = 1.0, -2.0  # degrees to the insertion axis, of the stage and of the template
+
+
+def make_scene(origin: complex, turn: float) -> Scene:
+    """Return a scene whose entry is at `origin` (mm, complex: x + i y), turned by `turn` (rad) as a whole."""
+    template = origin + (-15 + 0.4j) * cmath.exp(1j * turn)
+    angle = math.degrees(turn)
+    tables: dict[str, Any] = {
+        "schema": SceneRecord.SCHEMA,
+        "title": "a template, two layers, the bevel turned over",
+        "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
+        "bevel": {"offset_mm": 0.15},
+        "layers": [
+            {"top_mm": 0.0, "mu_pa": 2e5, "alpha": 1.0},
+            {"top_mm": 17.3, "mu_pa": 5e6, "alpha": -3.0},
+        ],
+        "entry": {"x_mm": origin.real, "y_mm": origin.imag, "angle_deg": angle},
+        "controls": {"base_y_mm": 1.0, "stage_angle_deg": angle + _STAGE},
+        "guides": [
+            {"name": "template", "x_mm": template.real, "y_mm": template.imag, "angle_deg": angle + _AXIS}
+        ],
+        "steps": [{"depth_mm": 20.0}, {"depth_mm": 40.0, "side": -1}],
+    }
+    return Scene.from_record(check(tables, SceneRecord, "verification"))
+
+
+def compare_poses(origin: complex, turn: float) -> tuple[float, float]:
+    """Return the differences, mm, of a moved scene's shape in C and of its needle in the world."""
+    here, there = make_scene(0j, 0.0), make_scene(origin, turn)
+    one, other = (require_converged(simulate_scene(each)[-1]) for each in (here, there))
+    points = _complex(here.entry.to_world(sample_inserted_points(one)))
+    moved = _complex(there.entry.to_world(sample_inserted_points(other)))
+    in_world = worst(np.abs(moved - (origin + points * cmath.exp(1j * turn))))
+    return worst(np.abs(one.u - other.u)), in_world
+
+
+def _complex(points: NDArray[np.float64]) -> NDArray[np.complex128]:
+    z: NDArray[np.complex128] = points[:, 0] + 1j * points[:, 1]
+    return z
+
+
+def _measure_poses(rng: np.random.Generator) -> CheckOutcome:
+    poses = [(complex(*rng.uniform(-200, 200, 2)), float(rng.uniform(-3, 3))) for _ in range(RANDOM_POSES)]
+    in_c, in_world = zip(*(compare_poses(*pose) for pose in poses), strict=True)
+    return CheckOutcome((worst(in_c), worst(in_world)))
+
+
+POSES = (
+    Check(
+        Group.SYMMETRIES,
+        f"Entry, template and stage moved together, {RANDOM_POSES} random poses",
+        (
+            Quantity("change of the deflection in its own frame", at_most(1e-7), "mm"),
+            Quantity("distance from the needle moved by hand", at_most(1e-7), "mm"),
+        ),
+        _measure_poses,
+    ),
+)
 
 
 def mirrored(case: RandomCase) -> float:
@@ -87,7 +186,9 @@ def _against(case: RandomCase, steps: tuple[Step, ...]) -> float:
     return largest_difference(case.shape(), replace(case, steps=steps).shape(lattice=lattice))
 
 
-def _check(title: str, measure: Callable[[RandomCase], float], bound: float, draw: Draw = draw_case) -> Check:
+def _make_symmetry(
+    title: str, measure: Callable[[RandomCase], float], bound: float, draw: Draw = draw_case
+) -> Check:
     words = f"difference of the deflection, {RANDOM_CASES} random cases"
 
     def largest(rng: np.random.Generator) -> CheckOutcome:
@@ -97,10 +198,14 @@ def _check(title: str, measure: Callable[[RandomCase], float], bound: float, dra
 
 
 CHECKS = (
-    _check("Mirror: bevel, base and its tilt to the other side", mirrored, 1e-9),
-    _check("EI and every mu doubled", doubled, 1e-7),
-    _check("A layer cut into two equal ones", cut_in_two, 1e-4),
-    _check("Sub-steps on the way", in_pieces, 1e-7),
-    _check("0.3 mm further and back; 3.7 mm back and again", there_and_back, 1e-7),
-    _check("A Session gives the bits of follow, schedules of all inputs", one_by_one, 0.0, draw_schedule),
+    *BALANCE,
+    _make_symmetry("Mirror: bevel, base and its tilt to the other side", mirrored, 1e-9),
+    _make_symmetry("EI and every mu doubled", doubled, 1e-7),
+    _make_symmetry("A layer cut into two equal ones", cut_in_two, 1e-4),
+    _make_symmetry("Sub-steps on the way", in_pieces, 1e-7),
+    _make_symmetry("0.3 mm further and back; 3.7 mm back and again", there_and_back, 1e-7),
+    _make_symmetry(
+        "A Session gives the bits of follow, schedules of all inputs", one_by_one, 0.0, draw_schedule
+    ),
+    *POSES,
 )

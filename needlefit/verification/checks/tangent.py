@@ -16,9 +16,15 @@ from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.verification.cases import PAPER_NEEDLE, make_tissue, require_converged
+from needlefit.verification.cases import (
+    PAPER_NEEDLE,
+    ClampedNeedle,
+    make_clamped_needle,
+    make_tissue,
+    require_converged,
+    solve_newton,
+)
 from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, within, worst
-from needlefit.verification.clamped_needle import ClampedNeedle, make_clamped_needle, solve_newton
 
 Numbers = NDArray[Any]  # real or complex
 
