@@ -13,7 +13,7 @@ from needlefit.project.cluster import connect
 from needlefit.project.locate import find_file
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.seeds.run import (
+from needlefit.studies.kinds.seeds import (
     UNEXPLAINED,
     bootstrap_interval,
     compare_methods,

@@ -10,14 +10,18 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import count_layers, get_other_rule
 from needlefit.geometry.compare import compare_curves
+from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points, make_curve
+from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.planned_layers import planned_layers
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.metrics import METRICS, Metric, compute_metrics, headline_metrics, list_metrics
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
+from needlefit.studies.folds import Fold
+from needlefit.studies.job import Job
 from needlefit.studies.validity import ValidityCounts
 
 Row = dict[str, Any]
@@ -55,6 +59,22 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: 
 def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
     """Return the method of an empirical curve, which has no layers."""
     return lambda insertion: {"measured": curve(insertion)}
+
+
+def make_predictors(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Predictor]:
+    """Return the fitted model, the paper's set, that set with b re-fitted, and the baseline curves."""
+    values: dict[str, Mapping[str, float]] = {}
+    if "fitted" in fits:
+        values["fitted"] = fits["fitted"].values
+    if "fitted_metric" in fits:
+        values["fitted_metric"] = fits["fitted_metric"].values
+    if job.hand_tuned is not None:
+        values["hand_tuned"] = job.hand_tuned
+    if "hand_tuned_b" in fits:
+        values["hand_tuned_b"] = fits["hand_tuned_b"].values
+    models = {name: model_predictor(v, job.medium, job.dataset) for name, v in values.items()}
+    baselines = fit_baselines(job.dataset.pose, job.dataset.drop_proximal, fold.tune)
+    return {**models, **{name: curve_predictor(baseline.curve) for name, baseline in baselines.items()}}
 
 
 def list_methods() -> tuple[str, ...]:

@@ -147,9 +147,11 @@ def dots_with_intervals(
     panel: str = "",
     panels: Mapping[Any, str] | None = None,
     x_label: str = "",
-    scale: str | float = "linear",
+    scale: str | float | Mapping[Any, str | float] = "linear",
     limits: tuple[float | None, float | None] | None = None,
     zero: bool = False,
+    line: float | None = None,
+    columns: int = 0,
     ringed: str = "",
     row_height: float = 0.22,
 ) -> Figure:
@@ -173,11 +175,16 @@ def dots_with_intervals(
     panels : mapping, optional
         Value of `panel` -> title.
     x_label : str
-    scale : "linear", "log", or a number
-        A number: logarithmic beyond it on both sides of 0.
+    scale : "linear", "from 0", "log", a number, or a mapping of these
+        A number: logarithmic beyond it on both sides of 0. A mapping: by value of `panel`, with axes of their
+        own.
     limits : (float or None, float or None), optional
     zero : bool
         Whether a line marks 0.
+    line : float, optional
+        Where a dashed line stands.
+    columns : int
+        Panels side by side; 0: all.
     ringed : str
         A column of flags: which dots have a ring.
     row_height : float
@@ -186,16 +193,23 @@ def dots_with_intervals(
     chosen = choose_looks(frame, by, looks)
     order = list(frame[list(rows)].drop_duplicates().itertuples(index=False, name=None))
     titles = panels or ({name: str(name) for name in dict.fromkeys(frame[panel])} if panel else {"": ""})
-    figure = Figure(figsize=(choose_width(), 0.9 + row_height * len(order)))
-    grid = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, (which, title) in zip(grid, titles.items(), strict=True):
+    across = columns or len(titles)
+    down = math.ceil(len(titles) / across)
+    figure = Figure(figsize=(choose_width(), 0.9 + down * row_height * len(order)))
+    own_axes = isinstance(scale, Mapping)
+    grid = figure.subplots(down, across, sharex=not own_axes, sharey=True, squeeze=False).ravel()
+    for axes, (which, title) in zip(grid, titles.items(), strict=False):
         for row in to_records(frame[frame[panel] == which] if panel else frame):
             look = chosen.get(str(row[by]))
             if look is not None and row[value] is not None:
                 place = order.index(tuple(row[name] for name in rows)) + look.shift
                 _draw_dot(axes, row, place, value, intervals, look, bool(ringed and row[ringed]))
         axes.set_title(title, loc="left", fontsize=7)
-        _format_rows(axes, order, scale, limits, zero)
+        if line is not None:
+            axes.axvline(line, color=INK, lw=0.8, ls=(0, (3, 2)))
+        _format_rows(axes, order, scale[which] if isinstance(scale, Mapping) else scale, limits, zero)
+    for axes in grid[len(titles) :]:
+        axes.set_visible(False)
     grid[0].set_yticks(range(len(order)), [name_row(row) for row in order])
     grid[0].set_ylim(len(order) - 0.4, -0.6)
     if len(chosen) > 1:
@@ -229,6 +243,8 @@ def _format_rows(
         axes.axvline(0, color=INK, lw=0.6)
     if scale == "log":
         set_plain_log_scale(axes.xaxis)
+    elif scale == "from 0":
+        axes.set_xlim(0, None)
     elif not isinstance(scale, str):
         axes.set_xscale("symlog", linthresh=scale, linscale=0.8)
         ticks = [sign * scale * 10.0**power for sign in (-1, 1) for power in (0, 1, 2)] + [0.0]

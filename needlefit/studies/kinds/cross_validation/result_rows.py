@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
@@ -32,7 +31,7 @@ from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.results import COLUMNS
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.parameter_intervals import NO_SOURCE, add_intervals, intervals_of_draws
-from needlefit.studies.score import Predictor, Row, Scorer, curve_predictor, model_predictor
+from needlefit.studies.score import Row, Scorer, make_predictors
 from needlefit.studies.validity import ValidityCounts
 
 
@@ -163,22 +162,6 @@ def tabulate_predictions(
     others = tuple(one for one in fold.validate if new.differs(one))
     plain = predict_held_out(job, replace(fold, validate=others), draws, None, jobs, pool)
     tables.predictive_training += [one.row for one in plain]
-
-
-def make_predictors(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Predictor]:
-    """Return the fitted model, the paper's set, that set with b re-fitted, and the baseline curves."""
-    values: dict[str, Mapping[str, float]] = {}
-    if "fitted" in fits:
-        values["fitted"] = fits["fitted"].values
-    if "fitted_metric" in fits:
-        values["fitted_metric"] = fits["fitted_metric"].values
-    if job.hand_tuned is not None:
-        values["hand_tuned"] = job.hand_tuned
-    if "hand_tuned_b" in fits:
-        values["hand_tuned_b"] = fits["hand_tuned_b"].values
-    models = {name: model_predictor(v, job.medium, job.dataset) for name, v in values.items()}
-    baselines = fit_baselines(job.dataset.pose, job.dataset.drop_proximal, fold.tune)
-    return {**models, **{name: curve_predictor(baseline.curve) for name, baseline in baselines.items()}}
 
 
 def _search_faults(fit: Fit | None, examination: FitProfiles | None) -> list[str]:
