@@ -110,7 +110,7 @@ def set_plain_log_scale(axis: Axis) -> None:
     end = "x" if axis is axes.xaxis else "y"
     getattr(axes, f"set_{end}scale")("log")
     low, high = getattr(axes, f"get_{end}lim")()
-    steps = (1, 2, 5) if high > 20 * low else (1, 2, 3, 5, 7)
+    steps = (1,) if high > 200 * low else (1, 2, 5) if high > 20 * low else (1, 2, 3, 5, 7)
     ticks = [t for power in range(-6, 6) for t in (k * 10.0**power for k in steps) if low <= t <= high]
     axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_ticks([], minor=True)
@@ -195,7 +195,7 @@ def dots_with_intervals(
     titles = panels or ({name: str(name) for name in dict.fromkeys(frame[panel])} if panel else {"": ""})
     across = columns or len(titles)
     down = math.ceil(len(titles) / across)
-    figure = Figure(figsize=(choose_width(), 0.9 + down * row_height * len(order)))
+    figure = Figure(figsize=(choose_width(), 0.6 + down * (0.3 + row_height * len(order))))
     own_axes = isinstance(scale, Mapping)
     grid = figure.subplots(down, across, sharex=not own_axes, sharey=True, squeeze=False).ravel()
     for axes, (which, title) in zip(grid, titles.items(), strict=False):

@@ -272,7 +272,7 @@ def compare_methods(errors: pd.DataFrame, name: str, resamples: int) -> pd.DataF
 
 
 def _errors_by_twin(group: pd.DataFrame, metric: str) -> dict[str, Floats]:
-    """Return the errors (S, n) of every method on n insertions of S datasets, mm; NaN where a solve failed."""
+    """Return the errors (S, n) of every method on n insertions of S datasets, mm; NaN: not solved."""
     wide = group.pivot_table(index="seed", columns=["method", "insertion"], values=metric, sort=False)
     wide = wide.replace([np.inf], np.nan)
     return {method: wide[method].to_numpy(dtype=np.float64) for method in group["method"].unique()}
@@ -337,8 +337,8 @@ def _find_reasons(row: Row, errors: pd.DataFrame, parameters: pd.DataFrame) -> I
         ours, theirs = (float(np.exp(np.abs(np.log(mu[c] / mu["truth"])).mean())) for c in ("value", "paper"))
         if theirs < ours:
             yield (
-                "its moduli are not fitted, and nearer to the true ones than the fitted ones (off by a factor "
-                f"of {theirs:.2f} against {ours:.2f}): only b is fitted"
+                "its moduli are not fitted, and nearer to the true ones than the fitted ones (off by a "
+                f"factor of {theirs:.2f} against {ours:.2f}): only b is fitted"
             )
     if row["difference"] < NEGLIGIBLE_FLOOR_FRACTION * row["floor"]:
         yield f"under a tenth of the noise floor of {row['floor']:.2f} mm"
@@ -461,7 +461,7 @@ def _tabulate_comparisons(result: Run) -> Table:
 
 
 def _tabulate_losses(result: Run) -> Table:
-    """Return the losses: those without a reason first, those against the truth last, for they are expected."""
+    """Return the losses: without a reason first; against the truth, where they are expected, last."""
     losses = result.frames["comparisons"].query("verdict == 'loses'")
     order = losses.assign(last=losses["method"] == TRUTH, known=losses["note"] != UNEXPLAINED)
     rows = _name_rows(order.sort_values(["last", "known"], kind="stable"))
@@ -501,7 +501,7 @@ def draw(result: Run) -> dict[str, Drawing]:
     methods = [name for name in (*list_methods(), TRUTH) if name in set(compared["method"])]
     of_comparisons = {
         **{"rows": GROUP_KEYS, "value": "difference", "by": "look", "looks": looks, "panel": "method"},
-        **{"panels": {name: f"against {method_name(name)}" for name in methods}, "columns": 3},
+        **{"panels": {name: method_name(name) for name in methods}, "columns": 3},
         **{"intervals": [("low", "high")], "name_row": _name_group, "scale": 0.1, "zero": True},
         "x_label": "error of the fit less that of the method (mm)",
     }

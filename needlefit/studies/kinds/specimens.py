@@ -477,11 +477,11 @@ def draw(result: Run) -> dict[str, Drawing]:
     densities = result.frames["densities"].merge(reach, how="left", on=["groups", "parameter"])
     densities = densities.assign(origin=result.origin)
     options = {"by": "groups", "x": "spread", "name": "{}s"}
+    labels = {_axis_label(name): "linear" for name in frames["specimens"]["parameter"]}
     dots = {"rows": ["specimen"], "value": "mean", "by": "groups", "intervals": [("low", "high")]}
+    dots |= {"panel": "label", "scale": labels}  # with axes of their own
     return {
-        "specimens": Drawing(
-            "dots_with_intervals", frames["specimens"], {**dots, "panel": "label"}, _prepare_specimens
-        ),
+        "specimens": Drawing("dots_with_intervals", frames["specimens"], dots, _prepare_specimens),
         "densities": Drawing("densities", densities, options, _name_densities),
     }
 
@@ -492,17 +492,19 @@ def _prepare_specimens(every: pd.DataFrame) -> pd.DataFrame:
 
 
 def _name_densities(every: pd.DataFrame) -> pd.DataFrame:
-    return every.assign(panel="spread of " + every["parameter"].map(_axis_label))
+    return every.assign(panel=every["parameter"].map(lambda name: f"spread: {_axis_label(name)}"))
 
 
 def _prepare_recovered(every: pd.DataFrame) -> pd.DataFrame:
     names = every["quantity"].map(POPULATION_NAMES) + " of " + every["parameter"].map(_axis_label)
-    return every.assign(panel=names).sort_values(["parameter", "quantity"], kind="stable")
+    return every.assign(panel=names, place=pd.factorize(every["parameter"])[0]).sort_values(
+        ["place", "quantity"], kind="stable"
+    )
 
 
 def _axis_label(name: str) -> str:
     if name == BEST_DETERMINED:
-        return "the best-determined combination"
+        return "best-determined combination"
     return f"ln {format_bare_symbol(name)}" if is_logarithmic(name) else format_bare_symbol(name)
 
 
