@@ -81,8 +81,8 @@ AREAS = {
         ("imaging_registration_faults", "geometry", "imaging_registration"),
     ),
     "resume": Area(
-        ("studies/checkpoint.py", "project/checkpoint_file.py", "project/checkpoint_folder.py"),
-        ("project_checkpoint_file", "validation_checkpoint", "project_ownership"),
+        ("project/checkpoint.py", "project/manifest.py", "project/atomic_write.py"),
+        ("project_checkpoint", "project_manifest"),
     ),
     "mechanics": Area(("mechanics",), MECHANICS),
     "native": Area((NATIVE,), MECHANICS, cpp=True),

@@ -19,7 +19,7 @@ import numpy as np
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
-from needlefit.project.checkpoint_folder import remove_checkpoint
+from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
 from needlefit.project.load import check, load

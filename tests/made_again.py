@@ -3,7 +3,7 @@
 import tempfile
 from pathlib import Path
 
-from needlefit.project.ownership import STAMP
+from needlefit.project.manifest import MANIFEST
 from needlefit.studies.rebuild import rebuild
 
 
@@ -22,8 +22,8 @@ def assert_made_again(folder: Path, has_data: bool = False) -> Path:
     rebuild(folder, again)
     first, second = read_files(folder), read_files(again)
     if has_data:
-        first = {name: first[name] for name in second if name != STAMP}  # which lists the data too
-        second.pop(STAMP)
+        first = {name: first[name] for name in second if name != MANIFEST}  # which lists the data too
+        second.pop(MANIFEST)
     assert {*first} == {*second}
     assert [name for name in first if first[name] != second[name]] == []
     pictures = {name.removesuffix(".pdf") for name in first if name.endswith(".pdf")} - {"report"}

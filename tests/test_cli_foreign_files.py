@@ -15,14 +15,14 @@ from light_runs import draw_blank
 from reporting_results import skip_figures, study
 from test_cli import run
 from test_cli_verify import GOOD
-from test_validation_checkpoint import HOLDS
+from test_project_checkpoint import HOLDS
 from test_viewer_recording import recorded
 from world import build_project
 
 from needlefit.cli.application import build
+from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import shipped_folder
-from needlefit.project.ownership import STAMP, find_foreign, write_stamp
-from needlefit.studies.checkpoint import open_checkpoint
+from needlefit.project.manifest import MANIFEST, find_foreign, write_manifest
 from needlefit.verification import run as verification
 from needlefit.viewer.steering import Change
 
@@ -193,7 +193,7 @@ def test_folders_with_foreign_files_are_refused_before_the_run(command, place, w
         shutil.rmtree(folder)
         (folder / "slicer").mkdir(parents=True)
         (folder / "slicer" / "a.ply").touch()
-        write_stamp(folder)
+        write_manifest(folder)
         plant(folder)
     before = everything(project)
     assert run(*CASES[command].words) == 3
@@ -214,7 +214,7 @@ def beside(project: Path) -> dict[str, bytes]:
         "out/reference",
     ):
         found |= plant(project / place)
-    for name in ("out/n.obj", "out/n.png", "out/run.json", f"out/{STAMP}", "out/lock", "out/project.csv"):
+    for name in ("out/n.obj", "out/n.png", "out/run.json", f"out/{MANIFEST}", "out/lock", "out/project.csv"):
         (project / name).write_bytes(b"held_out")
         found[str(project / name)] = b"held_out"
     return found

@@ -15,9 +15,9 @@ from test_cli import run
 
 from needlefit.cli import screen
 from needlefit.project import locate
+from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.checkpoint import open_checkpoint
 from needlefit.studies.kind import kind_of
 from needlefit.studies.kinds.cross_validation.run import find_faults
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.files import sha256
+from needlefit.project.manifest import sha256
 from needlefit.reporting.table_files import write_csv, write_csv_pieces
 from needlefit.studies import columnar, parquet_reader
 from needlefit.studies.columnar import (

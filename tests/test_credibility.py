@@ -19,7 +19,7 @@ from reporting_results import stereo
 from test_cli import run
 
 from needlefit.errors import DataError
-from needlefit.project.ownership import STAMP, write_stamp
+from needlefit.project.manifest import MANIFEST, write_manifest
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.studies.csv_tables import find_damaged_files
@@ -306,9 +306,9 @@ def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
 
 
 def test_damaged_files_of_the_run_and_beside_it_are_named_and_a_damaged_run_file_is_an_error(alone, tmp_path):
-    write_stamp(alone)
+    write_manifest(alone)
     verification = leave_verification(tmp_path)
-    write_stamp(verification)
+    write_manifest(verification)
     write_csv(pd.read_csv(verification / "verification.csv").head(2), verification / "verification.csv")
     (alone / "errors.csv").write_bytes(bytes(range(256)))
     (leave_calibration(tmp_path) / "run.json").write_text("[]")
@@ -330,7 +330,7 @@ def test_damaged_files_of_the_run_and_beside_it_are_named_and_a_damaged_run_file
 
 def test_a_result_that_was_changed_since_its_stamp_is_named(alone):
     (alone / "posterior.nc").write_bytes(b"\x89HDF")
-    write_stamp(alone)
+    write_manifest(alone)
     assert find_damaged_files(alone) == {}
     (alone / "posterior.nc").write_bytes(b"garbage")
     assert [*find_damaged_files(alone)] == ["posterior.nc"]
@@ -338,7 +338,7 @@ def test_a_result_that_was_changed_since_its_stamp_is_named(alone):
 
 @pytest.mark.parametrize("name", ["posterior.nc", "posterior_2.nc", "posterior-tracks.nc"])
 def test_a_damaged_posterior_without_a_digest_is_named(name, alone):
-    (alone / STAMP).unlink(missing_ok=True)
+    (alone / MANIFEST).unlink(missing_ok=True)
     (alone / name).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(2000))
     assert [*find_damaged_files(alone)] == [name]
     assert load_case(alone).damaged[0].startswith(f"{alone.name}/{name}")

@@ -16,6 +16,7 @@ from needlefit.imaging.image_headers import ImageHeader, check_nrrd
 from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.scans import read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.encode import encode
 from needlefit.project.locate import shipped_folder
 from needlefit.project.progress import never_stop
@@ -112,6 +113,7 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
         return ImageHeader((4, 3, 2), 2, 48) if path == crashing else check_nrrd(path)
 
     monkeypatch.setattr("needlefit.imaging.image_headers.check_nrrd", passes)
+    monkeypatch.setattr("needlefit.project.tasks.can_fork", lambda: False)
     scans = [replace(sample, id="crashing", volume=crashing), sample]
     found = reconstruct_all(scans, RECIPE, ReconstructionBatch(LocalPool(jobs)))
     assert isinstance(found[0], ReconstructionFailure) and str(crashing) in str(found[0].error)
@@ -136,6 +138,10 @@ def test_an_unexpected_error_in_one_scan_is_its_failure(sample, monkeypatch):
     assert "ZeroDivisionError: by nought" in str(one.error)
 
 
+def kept(folder):
+    return open_checkpoint(folder, True, {"reconstruct": 1})
+
+
 def test_finished_scans_are_kept_and_reused(sample, tmp_path, worked):
     other = replace(sample, id="again")
     stopped = []
@@ -143,25 +149,23 @@ def test_finished_scans_are_kept_and_reused(sample, tmp_path, worked):
         [sample, other],
         RECIPE,
         ReconstructionBatch(
-            checkpoint_folder=tmp_path,
+            checkpoint=kept(tmp_path),
             stop=lambda: len(stopped) > 0,
             progress=lambda _, done, __: stopped.extend([0] * done),
         ),
     )
     assert [one.scan.id for one in first] == worked.done == ["sample"]
-    resumed = reconstruct_all(
-        [sample, other], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path, resume=True)
-    )
+    resumed = reconstruct_all([sample, other], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     assert worked.done == ["sample", "again"]
     assert np.array_equal(resumed[0].points, first[0].points)
 
 
-@pytest.mark.parametrize("change", ["nothing", "file", "scan", "recipe", "truncated", "not resumed"])
+@pytest.mark.parametrize("change", ["nothing", "file", "scan", "recipe", "truncated"])
 def test_checkpoints_of_other_input_are_recomputed(change, sample, tmp_path, worked):
     volume = tmp_path / "sample.nrrd"
     shutil.copy(sample.volume, volume)
-    scan, recipe, checkpoint_folder = replace(sample, volume=volume), RECIPE, tmp_path / "kept"
-    reconstruct_all([scan], recipe, ReconstructionBatch(checkpoint_folder=checkpoint_folder))
+    scan, recipe, folder = replace(sample, volume=volume), RECIPE, tmp_path / "kept"
+    reconstruct_all([scan], recipe, ReconstructionBatch(checkpoint=kept(folder)))
     if change == "file":
         with volume.open("ab") as file:
             file.write(b" ")
@@ -170,13 +174,9 @@ def test_checkpoints_of_other_input_are_recomputed(change, sample, tmp_path, wor
     if change == "recipe":
         recipe = ReconstructionRecord.model_validate({"schema": 1, "layers": {"surface_sd_mm": 0.3}})
     if change == "truncated":
-        kept = next(checkpoint_folder.iterdir())
-        kept.write_bytes(kept.read_bytes()[:1000])
-    reconstruct_all(
-        [scan],
-        recipe,
-        ReconstructionBatch(checkpoint_folder=checkpoint_folder, resume=change != "not resumed"),
-    )
+        (file,) = folder.glob("*.jsonl")
+        file.write_bytes(file.read_bytes()[:1000])
+    reconstruct_all([scan], recipe, ReconstructionBatch(checkpoint=kept(folder)))
     assert worked.done == ["sample"] * (1 if change == "nothing" else 2)
 
 
@@ -185,20 +185,20 @@ def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
     """A series is named by any of its files; a change of another one is a change of the scan."""
     write_volume(read_volume(sample.volume), tmp_path / "series")
     first, *_, last = sorted((tmp_path / "series").iterdir())
-    scan, checkpoint_folder = replace(sample, volume=first), tmp_path / "kept"
-    reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint_folder=checkpoint_folder))
+    scan, folder = replace(sample, volume=first), tmp_path / "kept"
+    reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint=kept(folder)))
     with last.open("ab") as file:
         file.write(b" ")
-    reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint_folder=checkpoint_folder, resume=True))
+    reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint=kept(folder)))
     assert worked.done == ["sample"] * 2
 
 
 @pytest.mark.sweep
 def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
-    reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
-    file, chance = tmp_path / "sample.checkpoint", random.Random(1)
+    reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
+    (file,), chance = tmp_path.glob("*.jsonl"), random.Random(1)
     whole = file.read_bytes()
-    (again,) = reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path, resume=True))
+    (again,) = reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     assert worked.done == ["sample"] and type(again.registration.fre) is float
     assert [surface.name for surface in again.layers.surfaces] == [
         surface.name for surface in worked.one.layers.surfaces
@@ -207,13 +207,13 @@ def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
         data = bytearray(whole)
         data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
         file.write_bytes(data)
-        reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path, resume=True))
+        reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
         assert len(worked.done) == number + 2
 
 
 @pytest.mark.sweep
 def test_numbers_of_a_scan_count_to_the_last_digit(sample, tmp_path, worked):
-    reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
+    reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))
-    reconstruct_all([moved], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path, resume=True))
+    reconstruct_all([moved], RECIPE, ReconstructionBatch(checkpoint=kept(tmp_path)))
     assert worked.done == ["sample"] * 2

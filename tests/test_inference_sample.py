@@ -16,6 +16,7 @@ from needlefit.inference.sampling.ensembles import INDEPENDENT, SNOOKER_LENGTH, 
 from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import Snapshots, sample
+from needlefit.project.checkpoint import open_checkpoint
 from needlefit.schemas.recipe import SampleRecord
 
 MEAN, COV = np.array([0.4, -0.2]), np.array([[0.04, 0.03], [0.03, 0.09]])
@@ -31,9 +32,13 @@ def settings(**changed):
     return SampleRecord(**{"ensembles": 4, "walkers": 8, "steps": 60, "check_interval": 20, **changed})
 
 
+def stored(folder, note=print):
+    return Snapshots(open_checkpoint(folder, True, {"n": 1}, note), "fold")
+
+
 def draw(function=gaussian, callbacks=None, seed=1, kept=None, **changed):
     rng = np.random.default_rng(seed)
-    return sample(box(function), (0.4, -0.2), settings(**changed), rng, callbacks, Snapshots(kept))
+    return sample(box(function), (0.4, -0.2), settings(**changed), rng, callbacks, stored(kept))
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +217,9 @@ def test_a_run_resumes_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
         assert stopped == 1
     save(draw(kept=tmp_path / "kept"), tmp_path / "again.nc")
     assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
-    assert sorted(p.name for p in (tmp_path / "kept").iterdir()) == [f"{n:05d}.checkpoint" for n in range(3)]
+    assert [
+        row["block"] for row in open_checkpoint(tmp_path / "kept", True, {"n": 1}).rows("posterior of fold")
+    ] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("stopped", [5, 11, 40])
@@ -230,28 +237,21 @@ def test_steps_used_for_adaptation_are_burn_in(monkeypatch):
     assert draw(moves=INDEPENDENT, steps=59).burn_in < 30  # the second would leave less than it takes
 
 
-def test_lost_snapshots_are_sampled_again(tmp_path):
-    whole = draw(kept=tmp_path)
-    (tmp_path / "00001.checkpoint").unlink()  # the third is of no use then
-    assert np.array_equal(draw(kept=tmp_path).draws, whole.draws)
-
-
-@pytest.mark.parametrize("damage", ["cut", "flipped", "empty"])
+@pytest.mark.parametrize("damage", ["cut", "flipped", "lost"])
 def test_a_damaged_snapshot_is_set_aside_and_sampled_again(tmp_path, damage):
     whole, lines = draw(kept=tmp_path), []
-    damaged = tmp_path / "00001.checkpoint"
-    data = bytearray(damaged.read_bytes())
-    data[-100] ^= 1
-    damaged.write_bytes({"cut": data[:200], "flipped": data, "empty": b""}[damage])
-    before = damaged.read_bytes()
-    kept = Snapshots(tmp_path, lines.append)
+    (file,) = tmp_path.glob("*.jsonl")
+    before = file.read_bytes()
+    first, second, third = (line for line in before.split(b"\n") if line)
+    spoiled = {"cut": second[:200], "flipped": second.replace(b"A", b"B", 1), "lost": b""}[damage]
+    file.write_bytes(b"\n".join((first, spoiled, third, b"")))  # the third is of no use then
+    kept = stored(tmp_path, lines.append)
     again = sample(box(gaussian), (0.4, -0.2), settings(), np.random.default_rng(1), None, kept)
     assert np.array_equal(again.draws, whole.draws)
-    assert (tmp_path / "00001.checkpoint.damaged-1").read_bytes() == before
-    assert len(lines) == 1 and "00001.checkpoint.damaged-1" in lines[0]
-    assert sorted(path.name for path in tmp_path.glob("*.checkpoint")) == [
-        f"{n:05d}.checkpoint" for n in range(3)
-    ]
+    asides = list(tmp_path.glob("*.damaged-1"))
+    assert len(lines) == len(asides) == (damage != "lost")
+    assert [line for line in file.read_bytes().split(b"\n") if line] == [first, third, second, third]
+    assert np.array_equal(draw(kept=tmp_path).draws, whole.draws)
 
 
 def test_too_few_walkers_and_nothing_free_are_errors():

@@ -15,7 +15,7 @@ from light_runs import blank_figures  # noqa: F401 - a fixture
 from reporting_results import skip_figures, stereo, study
 
 from needlefit.errors import ConfigError
-from needlefit.project.ownership import write_stamp
+from needlefit.project.manifest import write_manifest
 from needlefit.reporting.figures.style import choose_vertical_scale
 from needlefit.studies.combined_report import write_combined
 from needlefit.studies.kinds.cross_validation.results import COLUMNS
@@ -131,7 +131,7 @@ def test_a_failure_keeps_the_earlier_result_and_leaves_no_partial_one(tmp_path, 
     target = tmp_path / "study1"
     target.mkdir()
     (target / "run.json").write_text("{}")
-    write_stamp(target)
+    write_manifest(target)
 
     def fail(_: object) -> bytes:
         raise OSError("disk full")
@@ -151,7 +151,7 @@ def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
     target = tmp_path / "study1"
     target.mkdir()
     (target / "corner.csv").write_text("")
-    write_stamp(target)
+    write_manifest(target)
     files = write_run(study(1), target)
     assert not (target / "corner.csv").exists()
     assert (files / "methods.tex").exists() or (files / "numbers.tex").exists()

@@ -9,7 +9,7 @@ import pytest
 from test_cli import run as run_cli
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.studies.checkpoint import open_checkpoint
+from needlefit.project.checkpoint import open_checkpoint
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.reference import round_frame

@@ -40,7 +40,7 @@ def credibility(
     """
     from needlefit.project.load import load
     from needlefit.project.locate import find_run
-    from needlefit.project.ownership import require_replaceable
+    from needlefit.project.manifest import require_replaceable
     from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
     from needlefit.studies.kind import find_kind
     from needlefit.studies.kinds.credibility.report import list_open_statements

@@ -50,7 +50,8 @@ class Execution:
         ConfigError
             If they cannot, or would replace something that needlefit did not write.
         """
-        from needlefit.project.ownership import require_own_checkpoint, require_replaceable
+        from needlefit.project.checkpoint import require_own_checkpoint
+        from needlefit.project.manifest import require_replaceable
 
         for name in names:
             require_replaceable(self.folder(name))
@@ -121,7 +122,7 @@ class Execution:
 
     def remove_checkpoint(self, name: str) -> None:
         """Remove the checkpoint of a run that is complete."""
-        from needlefit.project.checkpoint_folder import remove_checkpoint
+        from needlefit.project.checkpoint import remove_checkpoint
 
         remove_checkpoint(self.checkpoint(name), print_remark)
 

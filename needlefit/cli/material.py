@@ -39,7 +39,7 @@ def material(
     Needle shapes do not identify alpha; a compression test can. Prints the estimates and the 95 % regions of
     alpha, and writes the prior for fits, with tables and figures, to OUT/material-<file>/.
     """
-    from needlefit.project.ownership import require_replaceable
+    from needlefit.project.manifest import require_replaceable
     from needlefit.schemas.names import require_file_name
     from needlefit.studies.kind import find_kind
 

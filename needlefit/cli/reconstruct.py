@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 MAX_DEFAULT_JOBS = 2
 """Scans at once unless somebody wants more: each takes several times the memory of its volume."""
 
-CHECKPOINT_WORK = "each file"
+CHECKPOINT_WORK = {"reconstruct": "each file states what it is of"}
 """In the stamp of the checkpoint: each reconstruction in it has a stamp of what decided it."""
 
 
@@ -102,19 +102,16 @@ def reconstruct(
             add_findings,
             reconstruct_all,
         )
-        from needlefit.project.checkpoint_folder import (
-            claim_checkpoint,
+        from needlefit.project.checkpoint import (
+            open_checkpoint,
             release_checkpoint,
             remove_checkpoint,
+            require_own_checkpoint,
         )
         from needlefit.project.load import load
         from needlefit.project.locate import find_file
+        from needlefit.project.manifest import remove_result, require_replaceable
         from needlefit.project.outputs import require_no_inputs_within
-        from needlefit.project.ownership import (
-            remove_result,
-            require_own_checkpoint,
-            require_replaceable,
-        )
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction
@@ -129,10 +126,10 @@ def reconstruct(
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         exports: tuple[Literal["scene", "seg"], ...] = tuple(one.value for one in export or ())
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
-        claim_checkpoint(keep, CHECKPOINT_WORK, resume, print_remark)
+        checkpoint = open_checkpoint(keep, resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
             with open_pool(jobs or min(MAX_DEFAULT_JOBS, count_cores()), scheduler, insecure) as pool:
-                batch = ReconstructionBatch(pool, keep, resume, report, stop, print_remark)
+                batch = ReconstructionBatch(pool, checkpoint, report, stop)
                 found = reconstruct_all(wanted, record, batch)
             if len(found) < len(wanted):
                 screen.print_note(invocation.interrupt_message())

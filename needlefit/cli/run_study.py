@@ -14,7 +14,7 @@ from needlefit.cli import screen
 from needlefit.cli.execution import Execution
 from needlefit.cli.progress import show_progress
 from needlefit.cli.show_results import show_run, show_warnings
-from needlefit.project.checkpoint_folder import hold_checkpoint, release_checkpoint
+from needlefit.project.checkpoint import hold_checkpoint, release_checkpoint
 from needlefit.project.load import load
 from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
 from needlefit.project.tasks import LocalPool, stop_requested, threads_of_task

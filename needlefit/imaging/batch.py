@@ -6,13 +6,14 @@ Reconstruct many scans, in one process or several; a scan that fails does not st
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
@@ -22,15 +23,10 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import list_series_files
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.checkpoint_file import (
-    CheckpointContent,
-    read_checkpoint_file,
-    set_aside,
-    write_checkpoint_file,
-)
+from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
 from needlefit.project.processes import one_thread
-from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
+from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -105,7 +101,6 @@ def _move(scan: Scan, moved: Callable[[Path], Path]) -> Scan:
     )
 
 
-CHECKPOINT_KIND = "reconstruction"  # kind of the checkpoint files
 _HOOKS: Hooks = {Surface: Hook(to_triangles, from_triangles, Triangles)}
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
@@ -125,11 +120,9 @@ class ReconstructionBatch:
 
     # Where scans are reconstructed; each takes as much memory as its volume, several times.
     pool: TaskPool = THIS_PROCESS
-    checkpoint_folder: Path | None = None  # a folder for what is finished
-    resume: bool = False  # whether what is kept there of the same scans, files and versions is taken as it is
+    checkpoint: Checkpoint = NO_CHECKPOINT  # what it has of the same scans and versions is taken as it is
     progress: Progress = no_progress  # called with the scan that was finished, how many are, and of how many
     stop: Stop = never_stop  # whether to begin no further scan
-    note: Note = no_note  # given a line about what is kept and damaged
 
 
 def reconstruct_all(
@@ -138,7 +131,7 @@ def reconstruct_all(
     """Return the reconstruction or the failure of every scan, in their order; of fewer after a stop."""
     found: dict[int, Reconstruction | ReconstructionFailure] = {}
     for n, scan in enumerate(scans):
-        finished = _read_checkpoint(scan, recipe, batch)
+        finished = _read_checkpoint(scan, recipe, batch.checkpoint)
         if finished is not None:
             found[n] = finished
     left = [n for n in range(len(scans)) if n not in found]
@@ -150,7 +143,7 @@ def reconstruct_all(
         one = replace(one, scan=remaining[at])  # a packed one has other paths
         found[left[at]] = one
         if isinstance(one, Reconstruction):
-            _write_checkpoint(one, recipe, batch)
+            _write_checkpoint(one, recipe, batch.checkpoint)
         batch.progress(scans[left[at]].id, len(found), len(scans))
     return tuple(found[n] for n in sorted(found))
 
@@ -201,50 +194,39 @@ def _try_reconstruct(
 
 
 def _read_checkpoint(
-    scan: Scan, recipe: ReconstructionRecord, batch: ReconstructionBatch
+    scan: Scan, recipe: ReconstructionRecord, checkpoint: Checkpoint
 ) -> Reconstruction | None:
     """Return what is kept of a scan; None if nothing, of another scan or recipe, or damaged."""
-    if (
-        batch.checkpoint_folder is None
-        or not batch.resume
-        or not _checkpoint_path(scan, batch.checkpoint_folder).is_file()
-    ):
-        return None
-    file = _checkpoint_path(scan, batch.checkpoint_folder)
-    try:
-        finished = read_checkpoint_file(file, CHECKPOINT_KIND, _digest_inputs(scan, recipe))
-        return None if finished is None else replace(_decode_checkpoint(finished, file), scan=scan)
-    except DataError:
-        batch.note(f"{file} was damaged: it is now {set_aside(file).name}; {scan.id} is reconstructed again")
-        return None
+    digest = _digest_inputs(scan, recipe)
+    for row in checkpoint.rows(_work_of(scan), ("inputs", "reconstruction", ARRAYS_KEY))[::-1]:
+        if row["inputs"] == digest:
+            try:
+                return replace(_decode_checkpoint(row), scan=scan)
+            except DataError:
+                checkpoint.set_aside(_work_of(scan))
+                break
+    return None
 
 
-def _write_checkpoint(one: Reconstruction, recipe: ReconstructionRecord, batch: ReconstructionBatch) -> None:
-    if batch.checkpoint_folder is None:
-        return
+def _write_checkpoint(one: Reconstruction, recipe: ReconstructionRecord, checkpoint: Checkpoint) -> None:
     arrays: Arrays = {}
-    values = {CHECKPOINT_KIND: encode(one, _HOOKS, arrays)}
-    write_checkpoint_file(
-        _checkpoint_path(one.scan, batch.checkpoint_folder),
-        CHECKPOINT_KIND,
-        _digest_inputs(one.scan, recipe),
-        CheckpointContent(values, arrays),
-    )
+    values = {"inputs": _digest_inputs(one.scan, recipe), "reconstruction": encode(one, _HOOKS, arrays)}
+    checkpoint.keep_row(_work_of(one.scan), values, arrays)
 
 
-def _decode_checkpoint(finished: CheckpointContent, file: Path) -> Reconstruction:
-    """Return the reconstruction that a file keeps; DataError if it keeps none."""
+def _decode_checkpoint(row: Mapping[str, Any]) -> Reconstruction:
+    """Return the reconstruction that a row keeps; DataError if it keeps none."""
     try:
-        one = decode(Reconstruction, finished.values.get(CHECKPOINT_KIND), _HOOKS, finished.arrays)
+        one = decode(Reconstruction, row["reconstruction"], _HOOKS, row[ARRAYS_KEY])
     except (ValueError, TypeError, IndexError, OverflowError) as error:
-        raise DataError(f"holds no reconstruction: {error}", where=str(file)) from None
+        raise DataError(f"holds no reconstruction: {error}") from None
     if not isinstance(one, Reconstruction):
-        raise DataError("holds no reconstruction", where=str(file))
+        raise DataError("holds no reconstruction")
     return one
 
 
-def _checkpoint_path(scan: Scan, checkpoint_folder: Path) -> Path:
-    return checkpoint_folder / f"{scan.id}.checkpoint"
+def _work_of(scan: Scan) -> str:
+    return f"scan {scan.id}"
 
 
 def _digest_inputs(scan: Scan, recipe: ReconstructionRecord) -> str:

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from needlefit.errors import FitError
+from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import never_stop
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.schemas.recipe import ObjectiveName
@@ -131,6 +132,21 @@ class Callbacks:
     jobs: int = 1  #: threads; the result does not depend on their number
     #: where the starts of a search run, if they take long; nor does it depend on that
     pool: TaskPool = THIS_PROCESS
+
+
+def read_starts(checkpoint: Checkpoint, search: str) -> dict[int, Start]:
+    """Return the finished starts of one search that a checkpoint keeps, by their index."""
+    try:
+        starts = [start_from_dict(row) for row in checkpoint.rows(search)]
+    except FitError:  # rows of something else, however whole
+        checkpoint.set_aside(search)
+        return {}
+    return {start.index: start for start in starts}
+
+
+def keep_start(checkpoint: Checkpoint, search: str, start: Start) -> None:
+    """Store a finished start of one search."""
+    checkpoint.keep_row(search, start_to_dict(start))
 
 
 def start_to_dict(start: Start) -> dict[str, Any]:

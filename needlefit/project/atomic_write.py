@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import IO
 
 from needlefit.errors import ConfigError
-from needlefit.project.files import remove_folder
-from needlefit.project.outputs import not_writable_error
-from needlefit.project.ownership import (
-    STAMP,
+from needlefit.project.manifest import (
+    MANIFEST,
     find_foreign,
     not_replaced_error,
+    remove_folder,
     require_replaceable,
-    write_stamp,
+    write_manifest,
 )
+from needlefit.project.outputs import not_writable_error
 
 try:
     import fcntl
@@ -37,7 +37,7 @@ _SCRATCH = ".needlefit-"
 """In the name of a scratch folder, behind that of its place."""
 
 _MARK = "a scratch folder of needlefit\n"
-REMOVED_LAST = (STAMP, "run.json", "dataset.toml")
+REMOVED_LAST = (MANIFEST, "run.json", "dataset.toml")
 """What is removed last of a result: by them it is known, also half removed."""
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
@@ -48,7 +48,7 @@ def replace_folder(folder: Path) -> Iterator[Path]:
     """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
 
     It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was;
-    what a killed process left the next one removes. It gets the stamp of `ownership`. A block that writes
+    what a killed process left the next one removes. It gets a manifest. A block that writes
     nothing replaces nothing.
 
     Raises
@@ -63,25 +63,16 @@ def replace_folder(folder: Path) -> Iterator[Path]:
         fresh.mkdir()
         yield fresh
         if any(fresh.iterdir()):
-            _remove_scratch(fresh)
-            _remove_empty(fresh)
-            write_stamp(fresh)
+            _tidy(fresh)
+            write_manifest(fresh)
             _swap_in(fresh, folder, beside / OLD_NAME)
 
 
-def _remove_scratch(folder: Path) -> None:
-    """Remove scratch folders that stayed in a new result when the disk failed; OSError if it fails again."""
+def _tidy(folder: Path) -> None:
+    """Remove empty folders of a result, which would be the user's, and scratch that a failing disk left."""
     for left in sorted(folder.rglob(f".*{_SCRATCH}*")):
-        if (
-            (left / NEW_NAME).is_dir()
-            or (left / LOCK_NAME).is_file()
-            or (left / f"{LOCK_NAME}.new").is_file()
-        ):
+        if any((left / name).exists() for name in (NEW_NAME, LOCK_NAME, f"{LOCK_NAME}.new")):
             shutil.rmtree(left)
-
-
-def _remove_empty(folder: Path) -> None:
-    """Remove the folders of a new result that hold nothing: in a result, an empty folder is the user's."""
     for place, _, _ in os.walk(folder, topdown=False):
         if Path(place) != folder and not any(Path(place).iterdir()):
             Path(place).rmdir()
@@ -89,8 +80,8 @@ def _remove_empty(folder: Path) -> None:
 
 @contextmanager
 def create_folder(folder: Path) -> Iterator[Path]:
-    """Yield what `replace_folder` does, for a folder that is missing or empty; it gets no stamp: it is the
-    user's.
+    """Yield what `replace_folder` does, for a folder that is missing or empty; it gets no manifest:
+    it is the user's.
 
     Raises
     ------

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from pandas.api.types import union_categoricals
 
 from needlefit.errors import ConfigError
-from needlefit.project.files import sha256
 from needlefit.project.input_files import is_file
+from needlefit.project.manifest import sha256
 from needlefit.project.sandbox import READER_BYTES, limits_for, read_in_sandbox
 from needlefit.studies.packing import damage_error
 

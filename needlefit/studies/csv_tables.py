@@ -14,7 +14,7 @@ import pandas as pd
 
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
-from needlefit.project.ownership import changed_files, listed_files
+from needlefit.project.manifest import MANIFEST, find_changes, listed_files
 from needlefit.project.run_file import RUN_FILE, read_run
 
 
@@ -157,7 +157,7 @@ def find_damaged_files(folder: Path) -> dict[str, str]:
     folder, and a sampled posterior without one is read. Files that are missing are not looked for.
     """
     found = dict(_find_unreadable(folder))
-    changed = dict.fromkeys(changed_files(folder), "was changed since it was written")
+    changed = {name: how for name, how in find_changes(folder).items() if name != MANIFEST}
     return {name: {**changed, **found}[name] for name in sorted({*changed, *found})}
 
 

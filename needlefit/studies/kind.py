@@ -11,7 +11,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from needlefit.project.checkpoint_folder import release_checkpoint
+from needlefit.project.checkpoint import release_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.source_revision import find_source_revision
 from needlefit.project.toml_lines import add_study_context

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.atomic_write import replace_folder
-from needlefit.project.ownership import listed_files
+from needlefit.project.manifest import listed_files
 from needlefit.project.processes import one_thread
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
 from needlefit.project.troubleshooting import HelpSection, read_sections

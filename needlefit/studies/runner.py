@@ -12,11 +12,11 @@ from typing import Any, Generic, TypeVar
 import pandas as pd
 
 from needlefit.inference.parameters import Parameters
+from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies import provenance
-from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.folds import Fold, warn_shared_specimens
 from needlefit.studies.job import Job, Settings

@@ -7,7 +7,7 @@ import json
 import os
 import signal
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -140,28 +140,27 @@ def _content(path: Path) -> object:
 
 
 def _checkpoint(folder: Path) -> object:
-    kept = _late("studies.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
-    return kept.finished("fit"), kept.rows("rows"), list(kept.snapshots("fold").blocks())
+    kept = _late("project.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
+    blocks = _late("inference.sampling.sample.Snapshots")(kept, "fold").blocks()
+    return _late("inference.fit.read_starts")(kept, "fit"), kept.rows("rows"), list(blocks)
 
 
 def _rows(path: Path) -> object:
     """Keep rows with right digests, and take them as starts."""
-    kept = _late("studies.checkpoint.open_checkpoint")(path.with_name("run.partial"), False, seeds.WORK)
+    kept = _late("project.checkpoint.open_checkpoint")(path.with_name("run.partial"), False, seeds.WORK)
     values = _late("project.input_files.read_json")(path)
     for row in values if isinstance(values, list) else [values]:
         kept.keep_row("fit", row)
-    return kept.finished("fit")
+    return _late("inference.fit.read_starts")(kept, "fit")
 
 
 def _kept(folder: Path) -> object:
     batch = import_module("needlefit.imaging.batch")
-    kept = _late("project.checkpoint_file.read_checkpoint_file")(
-        folder / "one.checkpoint", batch.CHECKPOINT_KIND, "stamp"
-    )
+    kept = _late("project.checkpoint.open_checkpoint")(folder / "run.partial", True, seeds.WORK)
     values = _late("project.input_files.read_json")(folder / "values.json")
-    if kept is None or not isinstance(values, dict):
+    if not isinstance(values, dict):
         return None
-    return batch._decode_checkpoint(replace(kept, values=values), folder / "one.checkpoint")
+    return [batch._decode_checkpoint({**row, **values}) for row in kept.rows("scan")]
 
 
 def _run(folder: Path) -> object:
@@ -179,13 +178,13 @@ def _difference(folder: Path) -> object:
 def _parquet(path: Path) -> object:
     """Read a table with a right digest, as somebody can make it."""
     columnar = import_module("needlefit.studies.columnar")
-    digests = {path.stem: _late("project.files.sha256")(path)}
+    digests = {path.stem: _late("project.manifest.sha256")(path)}
     frames = columnar.ColumnarFrames(columnar.open_files(path.parent, digests))
     return [len(piece) for piece in columnar.iterate_pieces(frames, path.stem)]
 
 
 def _manifest(folder: Path) -> object:
-    return _late("project.ownership.require_replaceable")(folder)
+    return _late("project.manifest.require_replaceable")(folder)
 
 
 # ---- texts

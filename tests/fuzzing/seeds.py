@@ -463,18 +463,18 @@ def checkpoints() -> list[Seed]:
     """The checkpoint of a run: starts that have ended, rows, and the sampler's snapshots."""
     import numpy as np
 
-    from needlefit.inference.fit import Start
-    from needlefit.inference.sampling.sample import Block
-    from needlefit.studies.checkpoint import open_checkpoint
+    from needlefit.inference.fit import Start, keep_start
+    from needlefit.inference.sampling.sample import Block, Snapshots
+    from needlefit.project.checkpoint import open_checkpoint
 
     def write(folder: Path) -> None:
         kept = open_checkpoint(folder / "run.partial", False, WORK)
         for n in range(3):
-            kept.keep("fit", Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance"))
+            keep_start(kept, "fit", Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance"))
             kept.keep_row("rows", {"insertion": f"a-{n}", "te_mm": 0.1 + n})
         state = np.random.RandomState(1).get_state()
         for n in range(2):
-            kept.snapshots("fold").keep(
+            Snapshots(kept, "fold").keep(
                 n,
                 Block(
                     np.ones((2, 3, 4, 2)), np.ones((2, 3, 4)), np.ones((2, 4), np.int64), state, 0, ((), ())
@@ -499,16 +499,14 @@ def kept() -> list[Seed]:
     """A reconstruction that was kept, and what it says, before the digest."""
     from reconstruction_cases import small
 
-    from needlefit.imaging.batch import _HOOKS, CHECKPOINT_KIND
-    from needlefit.project.checkpoint_file import CheckpointContent, write_checkpoint_file
+    from needlefit.imaging.batch import _HOOKS
+    from needlefit.project.checkpoint import open_checkpoint
     from needlefit.project.encode import encode
 
     def write(folder: Path) -> None:
         arrays: dict = {}
-        values = {CHECKPOINT_KIND: encode(small(), _HOOKS, arrays)}
-        write_checkpoint_file(
-            folder / "one.checkpoint", CHECKPOINT_KIND, "stamp", CheckpointContent(values, arrays)
-        )
+        values = {"reconstruction": encode(small(), _HOOKS, arrays)}
+        open_checkpoint(folder / "run.partial", False, WORK).keep_row("scan", values, arrays)
         (folder / "values.json").write_text(json.dumps(values))
 
     return [written(write, ".")]
@@ -532,12 +530,12 @@ def run_files() -> list[Seed]:
 
 def manifests() -> list[Seed]:
     """A folder that lists its own files."""
-    from needlefit.project.ownership import write_stamp
+    from needlefit.project.manifest import write_manifest
 
     def write(folder: Path) -> None:
         (folder / "out").mkdir()
         (folder / "out" / "a.csv").write_text("a,b\n1,2\n")
-        write_stamp(folder / "out")
+        write_manifest(folder / "out")
 
     return [written(write, "out")]
 

@@ -13,8 +13,8 @@ from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
-from needlefit.project.files import sha256
 from needlefit.project.load import check as check_record
+from needlefit.project.manifest import sha256
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord
 from needlefit.schemas.medium import MediumRecord

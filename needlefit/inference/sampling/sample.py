@@ -18,17 +18,15 @@ from.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError, DataError, FitError
+from needlefit.errors import ConfigError, FitError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.objective import MAX_FAILED_POINTS
 from needlefit.inference.problem import Problem
@@ -53,13 +51,7 @@ from needlefit.inference.sampling.log_density import (
     approximate_by_laplace,
 )
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.project.checkpoint_file import (
-    CheckpointContent,
-    read_checkpoint_file,
-    set_aside,
-    write_checkpoint_file,
-)
-from needlefit.project.progress import Note, no_note
+from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.limits import MAX_STORED_NUMBERS
 from needlefit.schemas.recipe import SampleRecord
 
@@ -90,78 +82,57 @@ class Block:
 
 @dataclass(frozen=True)
 class Snapshots:
-    """A folder with one file per block of a run; with folder None nothing is stored."""
+    """The rows of a checkpoint with one block each of a run named `name`."""
 
-    folder: Path | None = None
-    note: Note = no_note
+    checkpoint: Checkpoint = NO_CHECKPOINT
+    name: str = ""
 
     def blocks(self) -> Iterator[Block]:
         """Yield the stored blocks from the first on, up to one that is damaged.
 
-        That one is set aside and those after it are removed: they would go on from a state that is lost.
+        Those after it are of no use: they would go on from a state that is lost.
         """
-        for number in count():
-            if self.folder is None or not self._file(number).is_file():
-                return
-            try:
-                block = _read_block(self._file(number))
-            except DataError:
-                self._end_at(number)
-                return
-            yield block
+        number = 0
+        for row in self.checkpoint.rows(self._work, ("block", ARRAYS_KEY)):
+            if row["block"] == number and (block := _read_block(row)) is not None:
+                yield block
+                number += 1
 
     def keep(self, number: int, block: Block) -> None:
-        """Store a block; it is written aside and renamed, so that a kill leaves a whole file or none."""
-        if self.folder is not None:
-            # NumPy's legacy state: name, 624 words, position, has_gauss, cached_gaussian; only the words are
-            # an array
-            kind, key, *rest = block.random
-            values = {"random": [kind, *rest], "failures": block.failures, "failed": block.failed}
-            arrays = {name: getattr(block, name) for name in _ARRAYS}
-            content = CheckpointContent(values, {**arrays, "random": np.asarray(key, dtype=np.int64)})
-            write_checkpoint_file(self._file(number), _KIND, "", content)
+        """Store a block."""
+        # NumPy's legacy state: name, 624 words, position, has_gauss, cached_gaussian; only the words are an
+        # array
+        kind, key, *rest = block.random
+        row = {"random": [kind, *rest], "failures": block.failures, "failed": block.failed}
+        arrays = {name: getattr(block, name) for name in _ARRAYS}
+        arrays["random"] = np.asarray(key, dtype=np.int64)
+        self.checkpoint.keep_row(self._work, {"block": number, **row}, arrays)
 
-    def _file(self, number: int) -> Path:
-        assert self.folder is not None
-        return self.folder / f"{number:05d}.checkpoint"
-
-    def _end_at(self, number: int) -> None:
-        aside = set_aside(self._file(number))
-        for after in count(number + 1):
-            if not self._file(after).is_file():
-                break
-            self._file(after).unlink()
-        self.note(
-            f"{self._file(number)} was damaged: it is now {aside.name}; the sampler continues from there"
-        )
+    @property
+    def _work(self) -> str:
+        return f"posterior of {self.name}"
 
 
-_KIND = "snapshot"
 _ARRAYS = ("coordinates", "log_density", "accepted")
 
 
-def _read_block(path: Path) -> Block:
-    """Return the block in a file; DataError if it is damaged."""
-    content = read_checkpoint_file(path, _KIND, "")
+def _read_block(row: Mapping[str, Any]) -> Block | None:
+    """Return the block in a row; None if it is no block, however whole."""
+    arrays = row[ARRAYS_KEY]
     try:
-        if content is None or not _is_consistent(content):
-            raise ValueError
-        kind, *rest = content.values["random"]
+        ensembles, steps, walkers, _ = arrays["coordinates"].shape
+        shapes = (arrays["log_density"].shape, arrays["accepted"].shape)
+        if not steps or shapes != ((ensembles, steps, walkers), (ensembles, walkers)):
+            return None
+        kind, *rest = row["random"]
         return Block(
-            **{name: content.arrays[name] for name in _ARRAYS},
-            random=(str(kind), content.arrays["random"].astype(np.uint32), *rest),
-            failures=int(content.values["failures"]),
-            failed=_to_tuples(content.values["failed"]),
+            **{name: arrays[name] for name in _ARRAYS},
+            random=(str(kind), arrays["random"].astype(np.uint32), *rest),
+            failures=int(row["failures"]),
+            failed=_to_tuples(row["failed"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(f"is no block of a sampler: {error!r}", where=str(path)) from None
-
-
-def _is_consistent(content: CheckpointContent) -> bool:
-    """Whether the arrays of a block have the shapes that belong together."""
-    ensembles, steps, walkers, _ = content.arrays["coordinates"].shape
-    shapes = (content.arrays["log_density"].shape, content.arrays["accepted"].shape)
-    return shapes == ((ensembles, steps, walkers), (ensembles, walkers)) and steps > 0
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def _to_tuples(lists: list[list[list[float]]]) -> Failed:

@@ -41,6 +41,7 @@ from needlefit.inference.sampling.importance import (
     sample_about_modes,
 )
 from needlefit.inference.sampling.sample import sample
+from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml_lines import locate_key
@@ -52,7 +53,6 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.limits import MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.studies.checkpoint import open_checkpoint
 from needlefit.studies.csv_tables import ANY_COLUMNS
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import predict_held_out

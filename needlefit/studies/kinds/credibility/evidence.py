@@ -13,8 +13,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from needlefit.errors import DataError
-from needlefit.project.files import sha256
-from needlefit.project.ownership import changed_files
+from needlefit.project.manifest import find_changes, sha256
 from needlefit.project.run_file import RUN_FILE, read_run
 from needlefit.studies.csv_tables import read_table
 from needlefit.studies.run_differences import iterate_leaves
@@ -253,9 +252,7 @@ def _examine_folder(
     tables, lacking = _read_tables(folder, kind)
     drawn = [name for name in (EVIDENCE_FIGURES.get(kind, ""),) if name and (folder / name).is_file()]
     digests = {name: sha256(folder / name) for name in (RUN_FILE, *tables, *drawn)}
-    altered = [
-        f"{name} was changed since it was written" for name in changed_files(folder) if name in digests
-    ]
+    altered = [f"{name} {how}" for name, how in find_changes(folder).items() if name in digests]
     for target, objections in _find_objections(kind, table, runs, named):
         yield CredibilityEvidence(
             kind, folder, target, table, tables, (*lacking, *altered, *objections), digests

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import FitError
-from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
+from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
     FitProfiles,
@@ -18,12 +18,12 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.sample import sample
+from needlefit.inference.sampling.sample import Snapshots, sample
+from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies import provenance
-from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import draw_fold_parameters
@@ -185,7 +185,7 @@ def _run_searches(job: Job, fold: Fold, steps: _FoldSteps, checkpoint: Checkpoin
         if settings.stop():
             break
         key = f"{fold.name}/{search}"
-        kept = checkpoint.finished(key)
+        kept = read_starts(checkpoint, key)
         counter = _StartCounter(
             steps, search.replace("_", " "), order * job.recipe.starts + len(kept), key, checkpoint
         )
@@ -211,7 +211,7 @@ class _StartCounter:
         self.steps.report(f"{self.search}, approach {done} of {total}", self.done)
 
     def report(self, start: Start) -> None:
-        self.checkpoint.keep(self.key, start)
+        keep_start(self.checkpoint, self.key, start)
         self.done += 1
         self.steps.report(self.search, self.done)
 
@@ -250,7 +250,7 @@ def _sample(
     callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
     others = [start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta]
     ends = np.array([fit.theta, *others])
-    snapshots = checkpoint.snapshots(fold.name)
+    snapshots = Snapshots(checkpoint, fold.name)
     try:
         posterior = sample(job.problem(fold), ends, job.recipe.sample, rng, callbacks, snapshots)
     except FitError:

@@ -13,17 +13,17 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import ConfigError
-from needlefit.inference.fit import Callbacks
+from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws, thin_posterior
 from needlefit.inference.sampling.posterior import load
+from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.run_file import read_run
 from needlefit.project.unit_warnings import scene_warnings
-from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
 from needlefit.studies.held_out_predictions import draw_fold_parameters
 from needlefit.studies.interval_width import find_adaptation, warn_if_too_wide
 from needlefit.studies.job import Job, Settings
@@ -139,7 +139,7 @@ _SEARCH = "fitted"
 
 
 def draw_parameters(
-    job: Job, run: Path | None, settings: Settings, checkpoint: Checkpoint | None = None
+    job: Job, run: Path | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> Draws | None:
     """Return draws of the posterior stored in the folder `run`, or, if there is none, about a new fit.
 
@@ -159,10 +159,9 @@ def draw_parameters(
         return _draw_from_run(job, run)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
-    kept = checkpoint or Checkpoint(None)
     callbacks = Callbacks(
-        kept.finished(_SEARCH),
-        partial(kept.keep, _SEARCH),
+        read_starts(checkpoint, _SEARCH),
+        partial(keep_start, checkpoint, _SEARCH),
         settings.stop,
         jobs=settings.jobs,
         pool=settings.part_pool,

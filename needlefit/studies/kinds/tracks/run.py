@@ -25,8 +25,9 @@ from needlefit.inference.predict import Draws, thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import escalate_effort, resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
-from needlefit.inference.sampling.sample import sample
+from needlefit.inference.sampling.sample import Snapshots, sample
 from needlefit.inference.tracking import TrackDraws, draw_baseline
+from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
@@ -35,7 +36,6 @@ from needlefit.reporting.labels import medium_name
 from needlefit.reporting.table_files import to_records
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
-from needlefit.studies.checkpoint import Checkpoint, open_checkpoint
 from needlefit.studies.fit_warnings import analysis_bound_warnings, cut_off_warnings
 from needlefit.studies.folds import Fold, specimen_warning
 from needlefit.studies.interval_width import warn_if_too_wide
@@ -351,7 +351,7 @@ def _draw_posterior(
             return fit, resample_draws(found, PREDICTION_DRAWS, rng)
         pareto_k = found.k
     ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
-    rng, kept = random_stream(seed, name, task.name, "posterior"), checkpoint.snapshots(task.name)
+    rng, kept = random_stream(seed, name, task.name, "posterior"), Snapshots(checkpoint, task.name)
     try:
         posterior = sample(task.problem, np.array(ends), task.recipe.sample, rng, callbacks, kept)
     except FitError:

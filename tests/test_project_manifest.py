@@ -1,8 +1,11 @@
-"""What needlefit wrote may be replaced; whatever else lies in a folder stays, and is named."""
+"""What needlefit wrote may be replaced, whole or not at all; whatever else lies in a folder stays."""
 
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 import tempfile
 import threading
 from contextlib import suppress
@@ -10,11 +13,18 @@ from pathlib import Path
 
 import pytest
 
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, DataError
 from needlefit.project import atomic_write
-from needlefit.project.atomic_write import create_folder, replace_folder
+from needlefit.project.atomic_write import create_folder, replace_file, replace_folder
+from needlefit.project.checkpoint import find_foreign_in_checkpoint, require_own_checkpoint
 from needlefit.project.locate import shipped_folder
-from needlefit.project.ownership import STAMP, find_foreign, require_own_checkpoint, require_replaceable
+from needlefit.project.manifest import (
+    MANIFEST,
+    find_changes,
+    find_foreign,
+    require_replaceable,
+    require_unchanged,
+)
 
 
 def write(folder, text="one"):
@@ -24,19 +34,38 @@ def write(folder, text="one"):
         (fresh / "timing.json").write_text(text)
 
 
+def test_what_does_not_agree_with_the_manifest_is_named(tmp_path):
+    folder = tmp_path / "out"
+    write(folder)
+    (folder / "timing.json").write_text("later")
+    (folder / "notes.txt").write_text("mine")
+    assert require_unchanged(folder) == ()
+    (folder / "part" / "a.csv").write_text("two")
+    assert [*find_changes(folder)] == ["part/a.csv"]
+    with pytest.raises(DataError, match=r"part/a\.csv"):
+        require_unchanged(folder)
+    assert len(require_unchanged(folder, unverified=True)) == 1
+    (folder / "part" / "a.csv").unlink()
+    assert require_unchanged(folder) == ()  # a report makes it again
+    for text in (b"{", None):
+        (folder / MANIFEST).unlink() if text is None else (folder / MANIFEST).write_bytes(text)
+        with pytest.raises(DataError, match=MANIFEST):
+            require_unchanged(folder)
+
+
 def everything(folder):
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_an_unchanged_result_is_replaced_and_has_the_same_stamp(tmp_path):
+def test_an_unchanged_result_is_replaced_and_has_the_same_manifest(tmp_path):
     folder = tmp_path / "out"
     write(folder)
-    first = (folder / STAMP).read_bytes()
+    first = (folder / MANIFEST).read_bytes()
     assert json.loads(first)["files"].keys() == {"part/a.csv", "timing.json"}
     (folder / "timing.json").write_text("later")  # the one file that differs from run to run
     (folder / "part" / ".DS_Store").write_text("left by a file manager")
     write(folder)
-    assert (folder / STAMP).read_bytes() == first
+    assert (folder / MANIFEST).read_bytes() == first
     write(folder, "two")
     assert (folder / "part" / "a.csv").read_text() == "two"
     (folder / "part" / "a.csv").unlink()
@@ -45,7 +74,7 @@ def test_an_unchanged_result_is_replaced_and_has_the_same_stamp(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "file", ["part/a.csv", "notes.txt", ".hidden", "new/b.csv", "part/thesis.docx", STAMP]
+    "file", ["part/a.csv", "notes.txt", ".hidden", "new/b.csv", "part/thesis.docx", MANIFEST]
 )
 def test_added_or_changed_files_are_kept_and_named(file, tmp_path):
     folder = tmp_path / "out"
@@ -78,13 +107,13 @@ def test_empty_folders_alone_are_kept_and_a_result_has_none(tmp_path):
     (tmp_path / "mine" / "raw" / "day1").mkdir(parents=True)
     assert (
         find_foreign(tmp_path / "mine")
-        == find_foreign(tmp_path / "mine", "checkpoint")
+        == find_foreign_in_checkpoint(tmp_path / "mine")
         == ["raw/ (an empty folder)"]
     )
     with replace_folder(tmp_path / "out") as fresh:
         (fresh / "slicer" / "deep").mkdir(parents=True)
         (fresh / "a.csv").write_text("one")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
 
 
 def test_links_are_kept_and_not_followed(tmp_path):
@@ -104,22 +133,22 @@ def test_links_are_kept_and_not_followed(tmp_path):
     assert (mine / "a.csv").read_text() == "mine"
 
 
-def test_a_stamp_that_lists_files_elsewhere_removes_none(tmp_path):
+def test_a_manifest_that_lists_files_elsewhere_removes_none(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     folder = tmp_path / "out"
     write(folder)
-    stamp = json.loads((folder / STAMP).read_text())
-    stamp["files"] |= {"../mine.txt": None, str(tmp_path / "mine.txt"): None}
-    (folder / STAMP).write_text(json.dumps(stamp))
+    manifest = json.loads((folder / MANIFEST).read_text())
+    manifest["files"] |= {"../mine.txt": None, str(tmp_path / "mine.txt"): None}
+    (folder / MANIFEST).write_text(json.dumps(manifest))
     write(folder, "two")
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize("files", [["thesis.docx"], {"thesis.docx": None}, {"thesis.docx": 0}, None])
-def test_a_stamp_without_a_digest_owns_nothing(files, tmp_path):
+def test_a_manifest_without_a_digest_owns_nothing(files, tmp_path):
     (tmp_path / "thesis.docx").write_text("mine")
-    stamp = {"program": "needlefit", "format": 1, "holds": "result", "files": files}
-    (tmp_path / STAMP).write_text(json.dumps(stamp))
+    manifest = {"program": "needlefit", "format": 1, "holds": "result", "files": files}
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest))
     assert any(one.startswith("thesis.docx") for one in find_foreign(tmp_path))
 
 
@@ -132,7 +161,7 @@ def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch):
         with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(folder) as fresh:
             (fresh / "new.csv").write_text("new")
             (folder / "notes.txt").write_text("mine")
-        assert {path.name for path in folder.iterdir()} == {"part", "timing.json", STAMP, "notes.txt"}
+        assert {path.name for path in folder.iterdir()} == {"part", "timing.json", MANIFEST, "notes.txt"}
         (folder / "notes.txt").unlink()
         write(folder, "two")
         assert (folder / "part" / "a.csv").read_text() == "two"
@@ -172,7 +201,7 @@ def test_there_is_a_result_at_every_moment(tmp_path):
 
     def look() -> None:
         while not ended.is_set():
-            missed.extend([] if (folder / STAMP).exists() else [1])
+            missed.extend([] if (folder / MANIFEST).exists() else [1])
 
     looking = threading.Thread(target=look)
     looking.start()
@@ -187,7 +216,7 @@ def test_two_concurrent_first_writers_both_succeed(tmp_path):
     with replace_folder(tmp_path / "out") as first:
         (first / "a.csv").write_text("first")
         write(tmp_path / "out", "second")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
     assert not find_foreign(tmp_path / "out")
 
 
@@ -222,7 +251,7 @@ def test_a_foreign_folder_is_no_checkpoint(tmp_path):
     (tmp_path / "0123456789abcdef.jsonl").write_text("mine")
     with pytest.raises(ConfigError, match="0123456789abcdef"):
         require_own_checkpoint(tmp_path)
-    (tmp_path / STAMP).write_text(json.dumps({"program": "needlefit", "format": 1, "work": "a"}))
+    (tmp_path / MANIFEST).write_text(json.dumps({"program": "needlefit", "format": 1, "work": "a"}))
     require_own_checkpoint(tmp_path)
     (tmp_path / "data.csv").write_text("mine")
     with pytest.raises(ConfigError, match=r"data\.csv"):
@@ -238,7 +267,7 @@ def test_a_read_only_place_is_refused_before_the_work(tmp_path, monkeypatch):
         pytest.fail("began")
 
 
-def test_a_new_folder_gets_no_stamp_and_replaces_nothing(tmp_path):
+def test_a_new_folder_gets_no_manifest_and_replaces_nothing(tmp_path):
     (tmp_path / "empty").mkdir()
     with create_folder(tmp_path / "empty") as fresh:
         (fresh / "dataset.toml").write_text("")
@@ -272,32 +301,11 @@ def test_a_folder_of_another_user_is_refused_before_the_work():
     folder.rmdir()
 
 
-@pytest.mark.parametrize("lock", ["", "123 0123456789abcdef\n", "12"])
-def test_a_checkpoint_that_ended_before_its_stamp_is_begun_again(lock, tmp_path):
-    folder = tmp_path / "run.partial"
-    half = folder / f".{STAMP}.needlefit-abc"
-    (half / "new").mkdir(parents=True)
-    (folder / "lock").write_text(lock)
-    (half / "lock").write_text("a scratch folder of needlefit\n")
-    (half / "new" / STAMP).write_text('{"prog')
-    require_own_checkpoint(folder)
-
-
-@pytest.mark.parametrize("file", ["lock", "notes.txt"])
-def test_somebody_else_s_folder_with_a_lock_is_no_checkpoint(file, tmp_path):
-    folder = tmp_path / "run.partial"
-    folder.mkdir()
-    (folder / "lock").write_text("")
-    (folder / file).write_text("mine\n")
-    with pytest.raises(ConfigError):
-        require_own_checkpoint(folder)
-
-
 def test_scratch_that_stayed_in_a_new_result_is_no_part_of_it(tmp_path):
     with replace_folder(tmp_path / "out") as fresh:
         (fresh / "a.csv").write_text("one")
         (fresh / ".b.csv.needlefit-xyz" / "new").mkdir(parents=True)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", MANIFEST}
 
 
 @pytest.mark.parametrize("count", range(1, 5))
@@ -318,3 +326,88 @@ def test_a_removal_that_was_cut_short_is_finished_by_the_next_run(count, tmp_pat
     assert (folder / "part" / "a.csv").read_text() in ("one", "two")
     write(folder, "three")
     assert {path.name for path in tmp_path.iterdir()} == {"out"}
+
+
+# --- a process that is killed while it writes --------------------------------------------------------
+
+locks = pytest.mark.skipif(sys.platform == "win32", reason="nothing there says that a process has ended")
+WRITES = """
+import sys
+from pathlib import Path
+from needlefit.project.atomic_write import {verb}
+with {verb}(Path(sys.argv[1])) as fresh:
+    print("writing", flush=True)
+    sys.stdin.read()
+"""
+
+
+def writing(place: Path, verb: str) -> subprocess.Popen:
+    """A process in the middle of writing `place`."""
+    words = [sys.executable, "-c", WRITES.format(verb=verb), str(place)]
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout.readline() == b"writing\n"
+    return process
+
+
+def end(process: subprocess.Popen, how: int) -> None:
+    os.kill(process.pid, how)
+    process.wait(10)
+    process.stdin.close()
+    process.stdout.close()
+
+
+def write_empty(place: Path, verb: str) -> None:
+    if verb == "replace_folder":
+        with replace_folder(place) as fresh:
+            (fresh / "whole").touch()
+    else:
+        with replace_file(place) as fresh:
+            fresh.write_text("whole")
+
+
+@locks
+@pytest.mark.parametrize("verb", ["replace_folder", "replace_file"])
+def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_running_one_kept(verb, tmp_path):
+    killed, living = writing(tmp_path / "out", verb), writing(tmp_path / "out", verb)
+    end(killed, signal.SIGKILL)
+    mine = [tmp_path / ".out.needlefit-mine", tmp_path / ".out.abcdefgh", tmp_path / ".other.needlefit-a"]
+    for folder in mine:  # none of which a process of needlefit has locked
+        (folder / "notes").mkdir(parents=True)
+    assert len(list(tmp_path.glob(".out.needlefit-*"))) == 3
+    write_empty(tmp_path / "out", verb)
+    left = set(tmp_path.iterdir()) - {tmp_path / "out", *mine}
+    assert len(left) == 1 and (left.pop() / "new").is_dir()
+    assert all((folder / "notes").is_dir() for folder in mine)
+    end(living, signal.SIGKILL)
+    write_empty(tmp_path / "out", verb)
+    assert set(tmp_path.iterdir()) == {tmp_path / "out", *mine}
+
+
+@locks
+def test_the_only_copy_is_restored(tmp_path):
+    """Killed between two renamings: the earlier folder stands in the scratch folder alone."""
+    process = writing(tmp_path / "out", "replace_folder")
+    (scratch,) = tmp_path.iterdir()
+    (scratch / "old").mkdir()
+    (scratch / "old" / "notes.txt").write_text("mine")
+    end(process, signal.SIGKILL)
+    with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(tmp_path / "out") as fresh:
+        (fresh / "whole").touch()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+
+
+@locks
+def test_an_exchanged_result_with_foreign_files_is_never_removed(tmp_path):
+    """Killed after the exchange, before anybody looked at what was replaced."""
+    write_empty(tmp_path / "out", "replace_folder")
+    process = writing(tmp_path / "out", "replace_folder")
+    (scratch,) = tmp_path.glob(".out.*")
+    (scratch / "old").mkdir()
+    (scratch / "old" / "notes.txt").write_text("mine")
+    end(process, signal.SIGKILL)
+    write_empty(tmp_path / "out", "replace_folder")
+    assert (scratch / "old" / "notes.txt").read_text() == "mine"
+    (scratch / "old" / "notes.txt").unlink()
+    write_empty(tmp_path / "out", "replace_folder")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]

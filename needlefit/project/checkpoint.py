@@ -1,0 +1,393 @@
+"""The checkpoint of a running command, `NAME.partial`: what is finished, from which `--resume` goes on.
+
+Each kind of work has a file of rows there: lines of JSON, each behind a digest of it, with arrays as base64.
+A row is appended at once, so that a kill leaves whole rows, and perhaps the beginning of one, which is then
+set aside. No file holds code. One process at a time may use the folder.
+"""
+
+import base64
+import errno
+import hashlib
+import json
+import math
+import os
+import re
+import secrets
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import ConfigError, DataError, UnfinishedWorkError
+from needlefit.project.input_files import parse_json, read_bytes
+from needlefit.project.manifest import (
+    FILE_MANAGER_FILES,
+    MANIFEST,
+    find_empty_folders,
+    format_manifest,
+    is_regular,
+    list_all_files,
+    not_replaced_error,
+    read_manifest,
+    remove_contents,
+    remove_folder,
+)
+from needlefit.project.outputs import not_writable_error, require_writable
+from needlefit.project.progress import Note, no_note
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs may meet in one folder there
+    fcntl = None  # type: ignore[assignment]
+
+MAX_CHECKPOINT_BYTES = 2**31
+"""Size of a file of rows."""
+
+LOCK_NAME = "lock"
+
+ARRAYS_KEY = "arrays"
+"""Of a row: its arrays by name."""
+
+_DIGEST_CHARACTERS = 16
+_ARRAY_TYPES = ("<f8", "<f4", "<i8", "|b1")
+_OWN_FILE = re.compile(
+    rf"({LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.jsonl(\.whole)?)(\.damaged-\d+)?"
+)
+_THIS_PROCESS = f"{os.getpid()} {secrets.token_hex(8)}"
+"""In the lock file: processes of two containers may have one number."""
+
+_LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 100
+"""What the lock holds: nothing at first, then the process that has it, perhaps cut short."""
+
+_MAX_MANIFEST_BYTES = 2**20
+"""Size of the manifest of a checkpoint, which has a hundred bytes."""
+
+_held: dict[Path, int] = {}
+"""Open lock files of this process: a complete run has its lock until its results stand."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A folder of finished work, in rows by the name of their work; with folder None nothing is kept.
+
+    What is damaged is set aside, `note` is given a line about it, and the rest is used.
+    """
+
+    folder: Path | None
+    note: Note = no_note
+
+    def rows(self, work: str, keys: Sequence[str] = ()) -> list[dict[str, Any]]:
+        """Return the stored rows of one work, those with all of these `keys`, in the order they were kept.
+
+        A line torn by a kill, or changed since, is none.
+        """
+        if self.folder is None or not self._file(work).is_file():
+            return []
+        lines = [line for line in read_bytes(self._file(work), MAX_CHECKPOINT_BYTES).split(b"\n") if line]
+        found = [(line, _parse_row(line, keys)) for line in lines]
+        if any(row is None for _, row in found):
+            self.set_aside(work, [line for line, row in found if row is not None])
+        return [row for _, row in found if row is not None]
+
+    def keep_row(
+        self, work: str, row: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None
+    ) -> None:
+        """Store a row of JSON values, and arrays, under its key `arrays`; every float survives exactly."""
+        if self.folder is None:
+            return
+        if arrays is not None:
+            row = {**row, ARRAYS_KEY: {name: _encode_array(one) for name, one in arrays.items()}}
+        text = json.dumps(row).encode("ascii")
+        with self._file(work).open("ab") as file:
+            file.write(b"\n" + _digest(text) + b" " + text + b"\n")  # the line before may be torn
+
+    def set_aside(self, work: str, whole: Sequence[bytes] = ()) -> None:
+        """Give a damaged file another name, and keep its whole lines under the old one."""
+        file = self._file(work)
+        kept = file.with_name(f"{file.name}.whole")
+        kept.write_bytes(b"".join(line + b"\n" for line in whole))
+        aside = set_aside(file)
+        kept.replace(file)
+        self.note(f"{file} was damaged: it is now {aside.name}; {len(whole)} whole rows of it are used")
+
+    def _file(self, work: str) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{hashlib.sha256(work.encode()).hexdigest()[:16]}.jsonl"
+
+
+NO_CHECKPOINT = Checkpoint(None)
+"""Keeps nothing."""
+
+
+def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
+    """Return the row in a line; None if it is not as it was written."""
+    digest, _, text = line.partition(b" ")
+    if digest != _digest(text):
+        return None
+    try:
+        row = parse_json(text.decode("ascii"), "")
+        if isinstance(row, dict) and row.keys() >= set(keys):
+            if ARRAYS_KEY in row:
+                row[ARRAYS_KEY] = {name: _decode_array(*one) for name, one in row[ARRAYS_KEY].items()}
+            return row
+    except (AttributeError, DataError, TypeError, ValueError):  # UnicodeDecodeError and binascii's among them
+        pass
+    return None
+
+
+def _digest(text: bytes) -> bytes:
+    return hashlib.sha256(text).hexdigest()[:_DIGEST_CHARACTERS].encode("ascii")
+
+
+def _encode_array(array: NDArray[Any]) -> tuple[str, list[int], str]:
+    """Return type, shape and bytes of an array, in C order."""
+    plain = np.ascontiguousarray(array).reshape(array.shape)
+    kind = plain.dtype.newbyteorder("<").str
+    if kind not in _ARRAY_TYPES:
+        raise TypeError(f"no array of {array.dtype} is kept")
+    data = base64.b64encode(plain.astype(kind, copy=False).tobytes()).decode("ascii")
+    return kind, list(plain.shape), data
+
+
+def _decode_array(kind: str, shape: list[int], data: str) -> NDArray[Any]:
+    """Return the array; ValueError if its size, type or shape is not one that is written."""
+    if (
+        kind not in _ARRAY_TYPES
+        or len(shape) > 8
+        or not all(type(n) is int and 0 <= n < 2**40 for n in shape)
+    ):
+        raise ValueError("no array")
+    decoded = base64.b64decode(data, validate=True)
+    if len(decoded) != math.prod(shape) * np.dtype(kind).itemsize:
+        raise ValueError("an array of another size")
+    return np.frombuffer(bytearray(decoded), kind).reshape(shape)
+
+
+def set_aside(path: Path) -> Path:
+    """Give a damaged file or folder a new name, `NAME.damaged-1` or the first that is free; return it."""
+    for number in range(1, 10_000):
+        aside = path.with_name(f"{path.name}.damaged-{number}")
+        if aside.exists() or aside.is_symlink():
+            continue
+        if path.is_dir():
+            path.rename(aside)  # fails on a folder that holds anything
+            return aside
+        try:
+            os.link(path, aside)  # unlike a renaming it overwrites nothing
+        except FileExistsError:
+            continue
+        except OSError:  # a disk without links
+            path.rename(aside)
+            return aside
+        path.unlink()
+        return aside
+    raise DataError("is damaged, and thousands of damaged ones lie beside it", where=str(path))
+
+
+# --- the folder -----------------------------------------------------------------------------------------
+
+
+def open_checkpoint(
+    folder: Path | None, resume: bool, work: Mapping[str, Any], note: Note = no_note
+) -> Checkpoint:
+    """Open the checkpoint in `folder` for the given work; without `resume` an old one is emptied.
+
+    This process has its lock, where the system has locks, until `remove_checkpoint` or `release_checkpoint`.
+    A checkpoint whose manifest is damaged is set aside.
+
+    Parameters
+    ----------
+    folder : Path or None
+        None keeps nothing.
+    resume : bool
+    work : mapping
+        All that decides the result, as JSON values: a checkpoint of other work is refused.
+    note : callable
+        Given a line about each part that was damaged.
+
+    Raises
+    ------
+    ConfigError
+        If the checkpoint is of other work, another process uses it, it cannot be written, or the folder holds
+        anything that needlefit did not write.
+    UnfinishedWorkError
+        If an interrupted run left part of this work there, and `resume` does not say to go on with it.
+    """
+    if folder is None:
+        return NO_CHECKPOINT
+    require_own_checkpoint(folder)
+    locked = _lock(folder)
+    try:
+        if not _is_begun(folder) and _work_of(folder) is None:
+            damaged = _held.pop(folder.resolve(), None)
+            note(f"{folder} is damaged: it is now {set_aside(folder).name}, and its run starts afresh")
+            locked = _lock(folder)
+            if damaged is not None:
+                os.close(damaged)
+        _prepare(folder, hashlib.sha256(json.dumps(work, sort_keys=True).encode()).hexdigest(), resume)
+    except BaseException:
+        if locked:
+            release_checkpoint(folder)
+        raise
+    return Checkpoint(folder, note)
+
+
+def _prepare(folder: Path, work: str, resume: bool) -> None:
+    """Leave a checkpoint of the work with this digest alone in a folder."""
+    found = _work_of(folder)
+    if resume and found is not None:
+        if found != work:
+            raise ConfigError(
+                "the interrupted run was of other work",
+                where=str(folder),
+                expected="the same data, configuration, seed and versions",
+                fix="run again without --resume, which starts afresh",
+            )
+        return
+    if found == work and any(one.name not in (LOCK_NAME, MANIFEST) for one in folder.iterdir()):
+        raise UnfinishedWorkError(
+            "holds the unfinished work of an earlier run, which was interrupted or killed",
+            where=str(folder),
+            expected="--resume (in Python: resume=True), which goes on with it",
+            fix="to start afresh instead, remove this folder",
+        )
+    remove_contents(folder, (MANIFEST,), keep=(LOCK_NAME,))
+    (folder / MANIFEST).write_text(format_manifest({"holds": "checkpoint", "work": work}), encoding="ascii")
+
+
+def remove_checkpoint(folder: Path, note: Note) -> None:
+    """Remove the checkpoint of a run that is complete; where it holds anything foreign it stays."""
+    if not folder.is_dir():
+        release_checkpoint(folder)
+        return
+    try:
+        faults = find_foreign_in_checkpoint(folder)
+        if not faults:
+            _lock(folder)
+    except ConfigError as error:
+        faults = [str(error)]
+    if faults:
+        note(f"{folder} is not removed: it holds {', '.join(faults)}")
+    else:
+        with suppress(OSError):  # what stays has its manifest still: the next run removes it
+            remove_folder(folder, (LOCK_NAME, MANIFEST))
+    release_checkpoint(folder)
+
+
+def hold_checkpoint(folder: Path) -> None:
+    """Take the lock of a checkpoint that another process of this program released, until it is removed."""
+    with suppress(ConfigError):  # somebody else was faster, and has it
+        if folder.is_dir():
+            _lock(folder)
+
+
+def release_checkpoint(folder: Path) -> None:
+    """Let other processes have the checkpoint in a folder, if this one has it."""
+    if (lock := _held.pop(folder.resolve(), None)) is not None:
+        os.close(lock)
+
+
+def require_own_checkpoint(folder: Path) -> None:
+    """Raise ConfigError unless a checkpoint may be kept in `folder`: missing, empty, or needlefit's own."""
+    require_writable(folder)
+    if (place := folder.resolve()).exists() or place.is_symlink():
+        faults = find_foreign_in_checkpoint(place) if place.is_dir() else ["it is a file"]
+        if faults:
+            raise not_replaced_error(place, faults)
+
+
+def find_foreign_in_checkpoint(folder: Path) -> list[str]:
+    """Return what a run does not keep in a checkpoint: all of it where there is no manifest, however damaged.
+
+    A run that ended before its manifest was written leaves its lock.
+    """
+    names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
+    if _is_begun(folder):
+        return find_empty_folders(folder, names, ())
+    own = _is_manifest_of_checkpoint(folder)
+    foreign = [n for n in names if not (own and _OWN_FILE.fullmatch(n) and is_regular(folder / n))]
+    return [*foreign, *find_empty_folders(folder, names, ())]
+
+
+def _is_begun(folder: Path) -> bool:
+    """Whether a process ended when it had no more than the lock, and perhaps half the manifest."""
+    names = set(list_all_files(folder))
+    if not names <= {LOCK_NAME, MANIFEST} or not _is_lock(folder / LOCK_NAME):
+        return False
+    return MANIFEST not in names or (_work_of(folder) is None and _is_manifest_of_checkpoint(folder))
+
+
+def _is_lock(path: Path) -> bool:
+    try:
+        return is_regular(path) and _LOCK_TEXT.fullmatch(read_bytes(path, _MAX_LOCK_BYTES)) is not None
+    except DataError:
+        return False
+
+
+def _is_manifest_of_checkpoint(folder: Path) -> bool:
+    """Return whether a folder has the manifest of a checkpoint, or what a failing disk left of one.
+
+    That is its beginning, perhaps with zeros behind: any other text is somebody's.
+    """
+    if not is_regular(folder / MANIFEST):
+        return False
+    try:
+        return bool(read_manifest(folder).get("holds", "checkpoint") == "checkpoint")
+    except DataError:
+        begin = format_manifest({"holds": "checkpoint"}).partition("\n}")[0].encode("ascii")
+        try:
+            text = read_bytes(folder / MANIFEST, _MAX_MANIFEST_BYTES).rstrip(b"\0\n")
+        except DataError:
+            return False
+        return begin.startswith(text[: len(begin)])
+
+
+def _work_of(folder: Path) -> str | None:
+    """Return of which work a checkpoint is; None if it has no manifest, or a damaged one."""
+    try:
+        work = read_manifest(folder).get("work")
+    except DataError:
+        return None
+    return work if isinstance(work, str) else None
+
+
+def _lock(folder: Path) -> bool:
+    """Make the folder, and take its lock; False where this process has it, or the disk has no locks.
+
+    Raises
+    ------
+    ConfigError
+        If another process has it, or nothing can be written there.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    except OSError as error:
+        raise not_writable_error(folder, error.strerror or type(error).__name__) from None
+    if fcntl is None:
+        os.close(file)
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        holder = os.pread(file, _MAX_LOCK_BYTES, 0).decode("ascii", "replace").strip()
+        os.close(file)
+        if error.errno in (errno.EWOULDBLOCK, errno.EACCES) and holder != _THIS_PROCESS:
+            process = holder.partition(" ")[0] or "unknown"
+            raise ConfigError(
+                f"another run of needlefit (process {process}) is writing there",
+                where=str(folder),
+                expected="one run at a time for each folder of results",
+                fix="wait until it has ended, or choose another folder with --out",
+            ) from None
+        return False
+    os.ftruncate(file, 0)
+    os.pwrite(file, f"{_THIS_PROCESS}\n".encode("ascii"), 0)
+    if (before := _held.pop(folder.resolve(), None)) is not None:  # of a folder that was removed meanwhile
+        os.close(before)
+    _held[folder.resolve()] = file
+    return True
