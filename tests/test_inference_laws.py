@@ -19,7 +19,7 @@ from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.schemas.medium import MediumRecord
-from needlefit.studies.kinds.comparison.candidates import _with_law
+from needlefit.studies.kinds.comparison import _with_law
 
 SHAPE = {
     "linear": {},

@@ -24,16 +24,18 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.comparison.candidates import MAX_NOISE_FACTOR, candidate_job, fit_candidate
-from needlefit.studies.kinds.comparison.report import summarize
-from needlefit.studies.kinds.comparison.run import (
+from needlefit.studies.kinds.comparison import (
+    MAX_NOISE_FACTOR,
+    REPORT,
+    ComparisonRecord,
+    candidate_job,
     deal_folds,
+    fit_candidate,
     monte_carlo_error,
     plan,
     sum_differences,
     verdict,
 )
-from needlefit.studies.kinds.comparison.schema import ComparisonRecord
 from needlefit.studies.runner import run_analysis
 from needlefit.studies.simulated_data import simulate_measurement
 from tests.inference_cases import NEEDLE, NOISE, dataset, insertion, measure, medium, squares_recipe
@@ -197,9 +199,9 @@ def test_the_error_of_draws_is_small_and_part_of_the_verdict(compared):
 
 @pytest.mark.sweep
 def test_needles_that_are_no_repeats_are_not_called_so(compared):
-    assert "over 4 needles" in summarize(compared)[0]
+    assert "over 4 needles" in REPORT.summarize(compared)[1]
     frames = {**compared.frames, "differences": compared.frames["differences"].assign(group="one hole")}
-    assert "repeats" in summarize(replace(compared, frames=frames))[0]
+    assert "repeats" in REPORT.summarize(replace(compared, frames=frames))[1]
 
 
 @pytest.mark.sweep

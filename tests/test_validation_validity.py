@@ -14,7 +14,7 @@ from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.kinds.sensitivity.schema import VariationRecord
+from needlefit.studies.kinds.sensitivity import VariationRecord
 from needlefit.studies.score import Scorer, model_predictor
 from needlefit.studies.validity import ValidityCounts, describe_outside, validity_warnings
 

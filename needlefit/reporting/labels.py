@@ -30,6 +30,9 @@ APPROACH_NAMES = {
     "none": "no update",
 }
 """Printed names of the ways to fit a new medium in an adaptation."""
+SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
+"""Of series without a colour of their own (Okabe and Ito)."""
+
 APPROACH_COLOURS = {"inflated": "#0072B2", "new": "#009E73", "none": "#8a8a8a"}
 PLAN_NAMES = {
     "expected": "least expected squared miss",

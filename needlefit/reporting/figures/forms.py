@@ -14,11 +14,8 @@ from matplotlib.lines import Line2D
 
 from needlefit.reporting.figures import Look, Panel
 from needlefit.reporting.figures.style import TEXT_WIDTH_IN, choose_width, count_legend_columns, draw_grid
-from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
+from needlefit.reporting.labels import GREY, INK, SERIES_COLOURS, SYNTHETIC_COLOUR
 from needlefit.reporting.table_files import Row, to_records
-
-SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
-"""Of series without a colour of their own (Okabe and Ito)."""
 
 MAX_NAMED_SERIES = 8
 """More series than these are not named one by one."""
