@@ -23,10 +23,16 @@ from needlefit.inference.transferred_prior import (
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.adaptation.report import REPORT
-from needlefit.studies.kinds.adaptation.run import estimate, estimate_needed_count, plan, resample
-from needlefit.studies.kinds.adaptation.schema import AdaptationRecord
-from needlefit.studies.kinds.adaptation.task import AdaptationTask, draw_orders
+from needlefit.studies.kinds.adaptation import (
+    REPORT,
+    AdaptationRecord,
+    AdaptationTask,
+    draw_orders,
+    estimate,
+    estimate_needed_count,
+    plan,
+    resample,
+)
 from needlefit.studies.runner import run_analysis
 from tests.inference_cases import dataset, insertion, measure, medium, squares_recipe
 

@@ -42,11 +42,12 @@ def curves(
     looks: Mapping[str, Look] | None = None,
     falling: bool = False,
     columns: int = 1,
-    size: tuple[float, float] = (0.6 * TEXT_WIDTH_IN, 3.3),
+    size: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw columns over the column `x`, a series for each value of `by`; `falling`: large x at the left."""
-    figure, chosen = Figure(figsize=size), choose_looks(frame, by, looks)
-    lines = math.ceil(len(panels) / columns)
+    lines, chosen = math.ceil(len(panels) / columns), choose_looks(frame, by, looks)
+    full = (TEXT_WIDTH_IN, 2.2 * lines) if columns > 1 else (0.6 * TEXT_WIDTH_IN, 3.3)
+    figure = Figure(figsize=size or full)
     shares = [one.share for one in panels[::columns]]
     grid = figure.subplots(lines, columns, height_ratios=shares, sharex=True, squeeze=False)
     for axes, panel in zip(grid.flat, panels, strict=False):
