@@ -512,7 +512,7 @@ def _select_rows(result: Run, frame: str, **keys: object) -> list[Row]:
 def describe(result: Run) -> dict[str, Any]:
     """Return what the text prints: errors are tip errors, counts those that keep it within the margin."""
     record = result.record
-    named = record.new.insertions.specimens or ()
+    named: tuple[str, ...] = record.new.insertions.specimens or ()
     new = medium_name(named[0].replace("-", " ") if len(named) == 1 else record.new.medium)
     targets = {}
     for target in _TARGETS:

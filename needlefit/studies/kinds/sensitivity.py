@@ -172,8 +172,8 @@ def refit(job: Job, before: Fit, starts: int, settings: Settings) -> Fit:
     near = search(goal, job.recipe, StartPoint(starts, begin), settings.stop)
     if not near.objective < found.objective:
         return found
-    best = {"theta": near.theta, "values": problem.values(np.array(near.theta)), "objective": near.objective}
-    return replace(found, **best, starts=(*found.starts, near))
+    values, tried = problem.values(np.array(near.theta)), (*found.starts, near)
+    return replace(found, theta=near.theta, values=values, objective=near.objective, starts=tried)
 
 
 @dataclass(frozen=True)
@@ -330,7 +330,8 @@ def describe(result: Run) -> dict[str, Any]:
     kept = _select_varied(result, "studies", tuned="kept", metric="te_mm")
     changed = again[again["conclusion_changes"]].drop_duplicates(["aspect", "variation", "study"])
     moduli = result.frames["parameter_changes"].query("aspect == 'rigidity'")
-    moduli = moduli[moduli["parameter"].str.startswith("mu")].groupby("variation", sort=False)["ratio"]
+    moduli = moduli[moduli["parameter"].str.startswith("mu")]
+    ratios = moduli.groupby("variation", sort=False)["ratio"].agg(["min", "max"]).reset_index()
     return {
         "changed": to_records(changed),
         "changed_variations": len(changed.drop_duplicates(["aspect", "variation"])),
@@ -339,7 +340,7 @@ def describe(result: Run) -> dict[str, Any]:
         "aspects": list(_describe_aspects(result)),
         "kept": [_find_largest(kept, "change")] if len(kept) else [],
         "crossing": to_records(kept[kept["conclusion_changes"]]),
-        "moduli": to_records(moduli.agg(["min", "max"]).reset_index()),
+        "moduli": to_records(ratios),
         "parameter": _find_parameter_change(result),
         "synthetic": result.synthetic,
         "options": [": ".join(one) for one in _list_variations(result)],

@@ -478,7 +478,12 @@ def draw(result: Run) -> dict[str, Drawing]:
     densities = densities.assign(origin=result.origin)
     options = {"by": "groups", "x": "spread", "name": "{}s"}
     labels = {_axis_label(name): "linear" for name in frames["specimens"]["parameter"]}
-    dots = {"rows": ["specimen"], "value": "mean", "by": "groups", "intervals": [("low", "high")]}
+    dots: dict[str, Any] = {
+        "rows": ["specimen"],
+        "value": "mean",
+        "by": "groups",
+        "intervals": [("low", "high")],
+    }
     dots |= {"panel": "label", "scale": labels}  # with axes of their own
     return {
         "specimens": Drawing("dots_with_intervals", frames["specimens"], dots, _prepare_specimens),
