@@ -8,8 +8,8 @@ import pandas as pd
 
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies import paper
+from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.kinds.cross_validation import report
-from needlefit.studies.kinds.cross_validation.results import COLUMNS
 from needlefit.studies.kinds.cross_validation.run import find_faults
 from needlefit.studies.run import Run
 

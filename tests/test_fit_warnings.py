@@ -18,17 +18,24 @@ from needlefit.project.load import load
 from needlefit.project.result_warnings import read_warnings, warnings_entry
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_warnings import (
+    RULES,
     analysis_bound_warnings,
-    baseline_warnings,
-    bound_warnings,
+    apply_rule,
     cut_off_warnings,
-    noise_floor_warnings,
 )
 from needlefit.studies.folds import make_folds, warn_shared_specimens
 from needlefit.studies.job import DATA_WARNINGS, Settings, prepare
 from needlefit.studies.kinds.cross_validation.run import run as run_fit
 from needlefit.studies.report import warning_blocks
 from needlefit.studies.run import Run
+
+
+def warn(key: str, results: Run):
+    """Return the warnings about a run whose texts' keys begin with these letters."""
+    return [
+        one for rule in RULES if (rule.text or rule.kind).startswith(key) for one in apply_rule(rule, results)
+    ]
+
 
 BOUNDS = {"mu1_pa": (1e3, 1e9), "bevel_mm": (1e-3, 0.5)}
 
@@ -56,23 +63,23 @@ def fitted(values: dict[str, float], folds_: int = 1) -> Run:
     ],
 )
 def test_a_parameter_at_its_bound_is_named(values, names):
-    found = list(bound_warnings(fitted(values)))
+    found = list(warn("parameter_at_bound", fitted(values)))
     assert [one.kind for one in found] == ["parameter_at_bound"] * len(names)
     assert all(f"fitted {name} lies" in one.what for name, one in zip(names, found, strict=True))
 
 
 def test_of_several_folds_one_warning_counts_them():
-    (one,) = bound_warnings(fitted({"mu1_pa": 1e9}, 3))
+    (one,) = warn("parameter_at_bound", fitted({"mu1_pa": 1e9}, 3))
     assert "1 of 3 folds" in one.what
 
 
 def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Run:
-    """Return results whose methods have these mean in-plane errors, mm, insertion by insertion."""
+    """Return results whose methods have these mean in-plane and tip errors, mm, insertion by insertion."""
     results = study(1)
     first = results.frames["errors"].iloc[0].to_dict() | {"role": role, "boundaries": "measured"}
     rows = [
         {**first, "method": method, "insertion": f"i{n}", "specimen": f"s{n}", "ipe_mean_mm": error}
-        | {"te_mm": error, "floor_ipe_mean_mm": floor}
+        | {"te_mm": error, "floor_ipe_mean_mm": floor, "floor_te_mm": floor, "layers": 3, "medium": "gel"}
         for method, each in errors.items()
         for n, error in enumerate(each)
     ]
@@ -124,10 +131,10 @@ LIKE = [0.26, 0.20, 0.28, 0.22, 0.25]
 )
 def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):
     errors = {"fitted": FAR[: len(curve)], "straight": LIKE[: len(curve)], "constant_curvature": curve}
-    found = list(baseline_warnings(scored(role, errors, floor)))
+    found = list(warn("worse_than_baseline", scored(role, errors, floor)))
     assert [one.kind for one in found] == ["worse_than_baseline"] * count
     assert all("constant curvature" in one.what for one in found)
-    below = role == "tune" and floor > FAR[0]
+    below = floor > FAR[0]
     assert all(("noise floor" in one.fix) is below for one in found)
 
 
@@ -144,17 +151,17 @@ def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):
 )
 def test_in_sample_errors_far_from_the_noise_floor_are_named(errors, floor, kinds):
     results = scored("tune", {"fitted": errors}, floor)
-    found = list(noise_floor_warnings(results))
+    found = list(warn("noise", results))
     assert [one.kind for one in found] == kinds
     assert all(f"n = {len(errors)}" in one.what for one in found)
     held_out = results.frames["errors"].assign(role="validate")
-    assert list(noise_floor_warnings(results.with_frames(errors=held_out))) == []
+    assert list(warn("noise", results.with_frames(errors=held_out))) == []
 
 
 def test_the_closest_curve_is_named_and_the_report_shows_it():
     errors = {"fitted": FAR, "straight": [0.1] * 5, "constant_curvature": NEAR}
     results = scored("validate", errors)
-    (one,) = baseline_warnings(results)
+    (one,) = warn("worse_than_baseline", results)
     assert "constant curvature" in one.what and "0.040 mm against 0.256 mm" in one.what
     blocks = warning_blocks(replace(results, run={**results.run, **warnings_entry([one])}))
     assert sum(one.what in str(block) for block in blocks) == 1

@@ -8,8 +8,8 @@ import pytest
 from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.studies.kinds.cross_validation import figures
+from needlefit.studies.kinds.cross_validation.facts import describe_counts
 from needlefit.studies.kinds.cross_validation.figures.insertions import collect_curves, subtract_fit
-from needlefit.studies.kinds.cross_validation.figures.waterfall import describe_counts
 
 
 def test_residuals_are_heights_above_the_fit_at_the_same_depth():

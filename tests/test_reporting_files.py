@@ -18,7 +18,7 @@ from needlefit.errors import ConfigError
 from needlefit.project.manifest import write_manifest
 from needlefit.reporting.figures.style import choose_vertical_scale
 from needlefit.studies.combined_report import write_combined
-from needlefit.studies.kinds.cross_validation.results import COLUMNS
+from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.report import compose_run_report, write_run
 
 FIGURES = ("boxplot", "schematic", "overlays", "residuals", "waterfall")

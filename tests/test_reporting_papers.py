@@ -13,13 +13,8 @@ from needlefit.reporting.latex import format_table_macros
 from needlefit.reporting.paper_example import compile_example, format_example
 from needlefit.reporting.table_layout import TableColumn, TableLayout
 from needlefit.studies.kinds.cross_validation.detail_tables import lay_out_parameters
-from needlefit.studies.kinds.cross_validation.macros import format_macros
-from needlefit.studies.kinds.cross_validation.methods_paragraph import (
-    compose_methods,
-    format_methods_latex,
-    format_methods_text,
-    format_references,
-)
+from needlefit.studies.kinds.cross_validation.facts import Facts, say
+from needlefit.studies.kinds.cross_validation.report import format_macros, format_methods, format_references
 from needlefit.studies.paper_folder import write_paper_folder
 from needlefit.studies.report import write_run
 
@@ -46,7 +41,7 @@ def run_of(**changed):
 
 
 def test_the_methods_paragraph_describes_this_run():
-    text = format_methods_text(run_of())
+    text = say(run_of(), "methods")
     assert re.search(r"μ₁ and b \w+ estimated\b[^.]*\b2 insertions\b", text)
     assert re.search(r"α₁ was\b[^.]*\bfixed\b", text) and "α₁ were" not in text
     assert "16 starts" in text and "elements of 0.5 mm" in text and "needlefit 9.8.7" in text
@@ -54,11 +49,11 @@ def test_the_methods_paragraph_describes_this_run():
     assert re.search(r"posterior-mode\b[^.]*\b3 insertions", text) and "predicted with" not in text
     tied = {"mu2_pa": {"bounds": None, "fixed": None, "tie": "mu1_pa", "spread": None}}
     medium = {"parameters": RUN["medium"]["parameters"] | tied}
-    assert re.search(r"μ₂ to μ₁\b[^.]*\bln 1\.2\b", format_methods_text(run_of(medium=medium)))
-    free = format_methods_text(dataclasses.replace(stereo(), run=RUN))
+    assert re.search(r"μ₂ to μ₁\b[^.]*\bln 1\.2\b", say(run_of(medium=medium), "methods"))
+    free = say(dataclasses.replace(stereo(), run=RUN), "methods")
     assert "rotated and shifted" in free and "rotated and shifted" not in text
     other = RECIPE | {"minimize": "metric", "algorithm": "bobyqa+neldermead", "starts": 5}
-    changed = format_methods_text(run_of(recipe=other))
+    changed = say(run_of(recipe=other), "methods")
     assert re.search(r"BOBYQA\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
 
 
@@ -75,35 +70,35 @@ def test_the_methods_paragraph_describes_this_run():
 def test_the_methods_paragraph_names_the_operator_and_what_insertions_share(operator, likelihood, words):
     data = {"measurement": {"operator": operator, "description": "MEASURED"}, "boundary_shared_sd_mm": [0.07]}
     recipe = RECIPE | {"likelihood": RECIPE["likelihood"] | likelihood}
-    plain, text = (format_methods_text(run_of(recipe=recipe, **more)) for more in ({}, {"dataset": data}))
+    plain, text = (say(run_of(recipe=recipe, **more), "methods") for more in ({}, {"dataset": data}))
     assert "MEASURED" in text and words in text and words not in plain
     assert "0.07 mm" in text
     fixed = recipe | {"likelihood": recipe["likelihood"] | {"depths": "fixed"}}
-    assert "0.07 mm" not in format_methods_text(run_of(recipe=fixed, dataset=data))
+    assert "0.07 mm" not in say(run_of(recipe=fixed, dataset=data), "methods")
 
 
 def test_the_methods_paragraph_of_an_advance_by_the_path_angle_has_no_offset():
     parameters = {"mu1_pa": FREE, "alpha1": FIXED, "cut_angle_deg": FREE}
-    text = format_methods_text(run_of(medium={"parameters": parameters}))
+    text = say(run_of(medium={"parameters": parameters}), "methods")
     assert "θ" in text and "offset" not in text
 
 
 def test_methods_tex_names_synthetic_data_and_the_page_leaves_that_to_its_head():
-    assert "synthetic" in format_methods_latex(run_of()) and "synthetic" not in format_methods_text(run_of())
+    assert "synthetic" in format_methods(run_of())[0] and "synthetic" not in say(run_of(), "methods")
 
 
 def test_citations_and_entries_correspond():
     one = run_of()
     cited = {
-        key for keys in re.findall(r"\\cite\{([^}]*)\}", format_methods_latex(one)) for key in keys.split(",")
+        key for keys in re.findall(r"\\cite\{([^}]*)\}", format_methods(one)[0]) for key in keys.split(",")
     }
-    assert "url" in format_references(one).partition("\n")[0]
-    entries = set(re.findall(r"^@\w+\{([^,]+),", format_references(one), re.M))
+    assert "url" in format_references(format_methods(one)[1]).partition("\n")[0]
+    entries = set(re.findall(r"^@\w+\{([^,]+),", format_references(format_methods(one)[1]), re.M))
     assert cited == entries and {"wang-bevel-tip", "nlopt"} <= cited and "emcee" not in cited
 
 
 def test_results_without_a_run_have_no_methods():
-    assert compose_methods(dataclasses.replace(study(1), run={})) == ()
+    assert not Facts(dataclasses.replace(study(1), run={})).has_methods
 
 
 @pytest.mark.parametrize("results", [study(5), stereo()], ids=["study5", "stereo"])
@@ -153,13 +148,13 @@ def test_keys_of_parameters_differ_by_their_symbols():
 
 def test_methods_name_synthetic_data():
     one = run_of(dataset={**RUN["dataset"], "name": "twin"})
-    assert "synthetic" in format_methods_latex(one)
+    assert "synthetic" in format_methods(one)[0]
     measured = dataclasses.replace(one, origin="measured")
-    assert "synthetic" not in format_methods_latex(measured)
+    assert "synthetic" not in format_methods(measured)[0]
 
 
 def test_edp_is_defined_by_the_deflection():
-    assert "100 TE / |deflection|" in format_methods_text(run_of())
+    assert "100 TE / |deflection|" in say(run_of(), "methods")
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting.figures import style
-from needlefit.studies.kinds.cross_validation import files, posterior
+from needlefit.studies.kinds.cross_validation import posterior, report
 from needlefit.studies.kinds.cross_validation.figures.predictive_check import tabulate_predictive_check
 from needlefit.studies.run import Run
 
@@ -70,8 +70,8 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
     "results", [with_predictions(with_draws(study(5))), stereo()], ids=["study5", "stereo"]
 )
 def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
-    files.draw_figures(results, tmp_path)
-    files.draw_error_figures([results, results], tmp_path)
+    report.draw_figures(results, tmp_path)
+    report.draw_error_figures([results, results], tmp_path)
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
     assert (
         pictures == set(painted)
@@ -99,12 +99,12 @@ def test_the_ridge_is_the_longest_axis_of_the_draws():
     first, last = posterior.find_ridge_ends(made.frames["draws"][names])
     slope = np.log(last["bevel_mm"] / first["bevel_mm"]) / np.log(last["mu1_pa"] / first["mu1_pa"])
     assert slope == pytest.approx(-0.5, abs=0.01)
-    text = posterior.describe_draws(made)
+    text = report.say(made, "figure_corner")
     assert "4000 importance draws" in text and "Pareto k 0.31" in text and "NOT CERTIFIED" not in text
     assert re.search(r"μ₁\^0\.5 · b [\w ]*1 %", text)
     for source in ("importance", "posterior"):
         draws = made.frames["draws"].assign(certified=False, draw_source=source)
-        text = posterior.describe_draws(made.with_frames(draws=draws))
+        text = report.say(made.with_frames(draws=draws), "figure_corner")
         assert ("--sample" in text) == (source == "importance") != ("sample.steps" in text)
         assert re.search("NOT C(ERTIFI|ONVERG)ED", text) and "1 %" not in text
 

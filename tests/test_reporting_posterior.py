@@ -11,9 +11,8 @@ from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting import labels
 from needlefit.reporting.table_files import to_records
+from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.kinds.cross_validation.posterior import (
-    describe_outside_fits,
-    describe_unconverged,
     lay_out_posterior,
     tabulate_percentiles,
 )
@@ -54,26 +53,26 @@ def test_a_fit_within_its_posterior_stands_beside_it():
     assert row["p50"] == pytest.approx(0.1)
     assert row["fit_value_used"] == fitted(inside)
     assert row["fit_in_central_95"] is True
-    assert describe_outside_fits(inside) == ""
+    assert say(inside, "outside_fits") == ""
     assert not lay_out_posterior(inside).notes
 
 
 def test_a_fit_outside_the_central_95_percent_is_reported():
     outside = sampled(fitted(study(5)) - 0.001, 0.15)  # a draw is lower, but not 2.5 % of them
     assert to_records(tabulate_percentiles(outside))[0]["fit_in_central_95"] is False
-    by_metric = describe_outside_fits(outside)
+    by_metric = say(outside, "outside_fits")
     assert "95 %" in by_metric and re.search(r"\bb\b", by_metric) and "error bars" in by_metric
     peak = outside.with_frames(starts=outside.frames["starts"].assign(minimized="posterior"))
-    assert "95 %" in describe_outside_fits(peak) and "error bars" not in describe_outside_fits(peak)
+    assert "95 %" in say(peak, "outside_fits") and "error bars" not in say(peak, "outside_fits")
     assert "‡" in "".join(lay_out_posterior(outside).rows[0])
     blocks = compose_run_report(outside, {}).blocks
-    assert describe_outside_fits(outside) in [block.get("text") for block in blocks]
+    assert say(outside, "outside_fits") in [block.get("text") for block in blocks]
     assert "posterior" in [block.get("name") for block in blocks]
 
 
 def test_an_unconverged_posterior_is_flagged_in_every_output():
     loose = sampled(0.05, 0.15, r_hat=1.2)
-    warning = describe_unconverged(loose)
+    warning = say(loose, "unconverged")
     assert warning.startswith("NOT CONVERGED") and "R-hat of bevel_mm" in warning
     assert re.findall(r"\d\.\d+", warning)[:2] == ["1.2", "1.01"]  # the value and its limit
     layout = lay_out_posterior(loose)
@@ -81,7 +80,7 @@ def test_an_unconverged_posterior_is_flagged_in_every_output():
     assert to_records(tabulate_percentiles(loose))[0]["converged"] is False
     assert warning in [block.get("text") for block in compose_run_report(loose, {}).blocks]
     fine = sampled(0.05, 0.15)
-    assert describe_unconverged(fine) == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
+    assert say(fine, "unconverged") == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
 
 
 @pytest.mark.sweep
@@ -101,5 +100,5 @@ def test_captions_announce_bands_where_there_are_some(tmp_path):
 
 def test_without_a_posterior_the_report_mentions_none():
     assert tabulate_percentiles(study(5)).empty
-    assert describe_outside_fits(study(5)) == ""
+    assert say(study(5), "outside_fits") == ""
     assert "posterior" not in [block.get("name") for block in compose_run_report(study(5), {}).blocks]

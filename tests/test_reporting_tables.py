@@ -16,6 +16,7 @@ from needlefit.reporting.number_format import (
     format_mm,
     format_number,
     format_percent,
+    format_signed_mm,
     format_symbol,
     insert_symbols,
     typeset,
@@ -29,7 +30,7 @@ from needlefit.studies.kinds.cross_validation.detail_tables import (
     lay_out_parameters,
     lay_out_values,
 )
-from needlefit.studies.kinds.cross_validation.explanation import explain
+from needlefit.studies.kinds.cross_validation.facts import list_sentences, say
 from needlefit.studies.kinds.cross_validation.parameter_table import (
     CONDITIONAL,
     NOT_DETERMINED,
@@ -37,21 +38,15 @@ from needlefit.studies.kinds.cross_validation.parameter_table import (
     find_undetermined,
     tabulate_parameters,
 )
+from needlefit.studies.kinds.cross_validation.report import explain, summarize
 from needlefit.studies.kinds.cross_validation.score_tables import (
     lay_out_design,
     lay_out_tuning,
     lay_out_validation,
 )
-from needlefit.studies.kinds.cross_validation.sentences import (
-    describe_undetermined,
-    explain_errors,
-    list_better_methods,
-    summarize_baselines,
-    summarize_errors,
-)
-from needlefit.studies.kinds.cross_validation.tables import list_groups, tabulate_tuning, tabulate_validation
 from needlefit.studies.report import describe_run
 from needlefit.studies.run import Run, restore_run, store_run
+from needlefit.studies.scored_groups import TE, list_groups, tabulate_tuning, tabulate_validation
 from needlefit.studies.summary import aggregate, compare_methods
 
 BY = ("role", "method", "boundaries")
@@ -77,6 +72,10 @@ def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True
         key = {name: row[name] for name in ("fold", "role", "insertion", "method", "boundaries")}
         shapes.append(pd.DataFrame(points).assign(j=np.arange(101), **key))
     return study(1).with_frames(errors=pd.DataFrame(rows), shapes=pd.concat(shapes))
+
+
+def compared(results: Run) -> str:
+    return " ".join(list_sentences(results, "conclusion", "ties", "paper_sets"))
 
 
 def only(frame: pd.DataFrame) -> dict:
@@ -129,30 +128,34 @@ def test_results_without_a_column_are_refused(tmp_path):
 
 def test_baselines_are_compared_on_the_same_insertions():
     one = two_needles((1.0, 3.0))
-    method = one.frames["errors"].assign(method="constant_curvature", ipe_mean_mm=[0.5, 2.0])
-    alone = one.frames["errors"].iloc[:1].assign(method="straight", ipe_mean_mm=9.0)
+    method = one.frames["errors"].assign(method="constant_curvature", te_mm=[0.5, 2.0])
+    alone = one.frames["errors"].iloc[:1].assign(method="straight", te_mm=9.0)
     both = one.with_frames(errors=pd.concat([one.frames["errors"], method, alone]))
-    table = {row["method"]: row for row in to_records(compare_methods(both))}
+    table = {row["method"]: row for row in to_records(compare_methods(both, metric=TE))}
     assert table["constant_curvature"]["difference_mm"] == pytest.approx((-0.5 - 1.0) / 2)
     assert table["constant_curvature"]["difference_se_mm"] == pytest.approx(0.25)
     assert table["constant_curvature"]["better"] == 0
     assert (table["straight"]["insertions"], table["straight"]["difference_mm"]) == (1, 8.0)
     assert table["straight"]["difference_se_mm"] is None
-    assert "constant curvature (−0.750 ± 0.250 mm" in summarize_baselines(both)
+    assert "constant curvature (−0.750 ± 0.250 mm" in " ".join(
+        list_sentences(both, "conclusion", "ties", "paper_sets")
+    )
 
 
 def test_the_report_states_that_no_baseline_wins():
     one = two_needles()
-    worse = one.frames["errors"].assign(method="straight", ipe_mean_mm=[4.0, 4.0])
+    worse = one.frames["errors"].assign(method="straight", te_mm=[4.0, 4.0])
     both = one.with_frames(errors=pd.concat([one.frames["errors"], worse]))
-    assert "straight line (+2.000 ± 1.000 mm" in summarize_baselines(both)
-    assert list_better_methods(both) == ""
+    assert "straight line (+2.000 ± 1.000 mm" in " ".join(
+        list_sentences(both, "conclusion", "ties", "paper_sets")
+    )
+    assert say(both, "better") == ""
 
 
 def test_explained_errors_give_every_difference_once():
     results = study(5)
-    table = compare_methods(results)
-    text = " ".join(explain_errors(results))
+    table = compare_methods(results, metric=TE)
+    text = " ".join(explain(results)[1])
     pairs = ((abs(row["difference_mm"]), row["difference_se_mm"]) for row in to_records(table[1:]))
     assert max(text.count(f"{gap:.3f} ± {se:.3f}") for gap, se in pairs) == 1
     assert "IPE" in text and "TE" in text
@@ -176,19 +179,19 @@ def test_explained_sentences_that_differ_between_folds_name_their_fold():
     for n, fold in enumerate(folds):
         (named,) = (one for one in sentences if one.endswith(f"not determined {n}."))
         assert fold in named
-        assert fold in sentences[sentences.index(f"  {fold}.") - 1]
+        assert fold in sentences[sentences.index(f"{fold}.") - 1]
 
 
 def test_a_better_parameter_set_of_the_paper_is_reported_with_its_difference():
     one = two_needles((1.0, 3.0))
-    retuned = one.frames["errors"].assign(method="hand_tuned_b", ipe_mean_mm=[0.5, 2.0])
-    worse = one.frames["errors"].assign(method="hand_tuned", ipe_mean_mm=[1.5, 4.0])
+    retuned = one.frames["errors"].assign(method="hand_tuned_b", te_mm=[0.5, 2.0])
+    worse = one.frames["errors"].assign(method="hand_tuned", te_mm=[1.5, 4.0])
     both = one.with_frames(errors=pd.concat([one.frames["errors"], retuned, worse]))
     gap = "(−0.750 ± 0.250 mm"
-    assert f"b re-fitted {gap}" in summarize_baselines(both)
-    assert f"b re-fitted {gap}" in list_better_methods(both)
-    assert list_better_methods(both).count("±") == 1  # the other set of the paper does worse
-    assert list_better_methods(one) == ""
+    assert f"b re-fitted {gap}" in compared(both)
+    assert f"b re-fitted {gap}" in say(both, "better")
+    assert say(both, "better").count("±") == 1  # the other set of the paper does worse
+    assert say(one, "better") == ""
 
 
 def test_the_validation_table_has_every_cell_of_the_paper():
@@ -292,7 +295,7 @@ def test_an_undetermined_parameter_is_no_number():
     assert find_undetermined(study(1)) == ["alpha1", "alpha2", "alpha3", "alpha4"]
     printed = {(row[0], row[1]): row for row in lay_out_parameters([study(1)]).rows}
     assert NOT_DETERMINED in printed[("", "α₁")]
-    assert " α₁, α₂, α₃, α₄" in describe_undetermined(study(1))
+    assert " α₁, α₂, α₃, α₄" in say(study(1), "undetermined")
     known = arrange_parameters(table[table["determined"]])
     assert all(re.fullmatch(r"[\d.e-]+", row["fitted"]) for row in known)
 
@@ -315,7 +318,7 @@ def test_a_fixed_parameter_is_given_and_marked_as_fixed():
     row = arrange_parameters(tabulate_parameters(study(5)))[1]
     assert (row["parameter"], row["status"], row["fitted"]) == ("alpha1", "fixed", "1")
     assert find_undetermined(study(5)) == ["mu1_pa"]
-    assert "fixed, not fitted: α₁" in describe_undetermined(study(5))
+    assert "fixed, not fitted: α₁" in say(study(5), "undetermined")
 
 
 def test_the_run_is_described_in_lines():
@@ -360,17 +363,17 @@ def test_the_papers_value_is_below_the_models_in_the_same_column():
 
 
 def test_the_short_answer_names_floor_and_paper():
-    short = summarize_errors(study(1))[0]
+    short = summarize(study(1))[0]
     assert "0.21 and 0.22 mm" in short.partition("noise floor")[2].partition("paper")[0]
     assert "0.19 and 0.14 mm" in short.partition("paper")[2]
-    assert "paper" not in summarize_errors(stereo())[0]
+    assert "paper" not in summarize(stereo())[0]
 
 
 def test_without_a_row_of_the_paper_the_short_answer_compares_every_curve():
-    text = summarize_errors(stereo())[-1]
-    for row in to_records(compare_methods(stereo())):
+    text = summarize(stereo())[-1]
+    for row in to_records(compare_methods(stereo(), metric=TE)):
         if row["method"] != "fitted":
-            gap = f"{row['difference_mm']:+.3f} ± {row['difference_se_mm']:.3f} mm".replace("-", "−")
+            gap = f"{format_signed_mm(row['difference_mm'], 3)} ± {row['difference_se_mm']:.3f} mm"
             assert gap in text
     assert all(name in text for name in ("straight line", "constant curvature", "curvature linear"))
 

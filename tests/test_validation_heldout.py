@@ -20,6 +20,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.tasks import THIS_PROCESS, LocalPool
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.fit_warnings import describe_gain
 from needlefit.studies.held_out_predictions import (
     BAND_COLUMNS,
     BAND_POINTS,
@@ -31,7 +32,6 @@ from needlefit.studies.held_out_predictions import (
 from needlefit.studies.interval_width import estimate_width_after_one
 from needlefit.studies.job import Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.cross_validation.score_tables import lay_out_coverage
-from needlefit.studies.kinds.cross_validation.verdict import describe_after_one
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.planned_draws import draw_conditions, simulate_planned
 
@@ -230,7 +230,7 @@ def test_one_insertion_narrows_the_interval_in_a_new_specimen(job, known):
     (after,) = table["tip_95_width_after_one_mm"].dropna()
     middle = sorted(held_out, key=lambda one: one.depth)[1]
     row = table.set_index("insertion").loc[middle.id]
-    assert row["tip_95_width_after_one_mm"] == after and f"{after:.2g} mm" in describe_after_one(table)
+    assert row["tip_95_width_after_one_mm"] == after and f"{after:.2g} mm" in describe_gain(table)
     (exactly,) = tabulate_held_out(job, of(job, middle), sure(known))
     assert exactly["tip_95_high_mm"] - exactly["tip_95_low_mm"] < after
     assert after < 0.7 * (row["tip_95_high_mm"] - row["tip_95_low_mm"])

@@ -24,11 +24,11 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.load import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.folds import make_folds
+from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.kinds.cross_validation.parameter_table import arrange_parameters, tabulate_parameters
-from needlefit.studies.kinds.cross_validation.results import COLUMNS
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.kinds.cross_validation.sentences import describe_failures
 from needlefit.studies.report import write_run
 from needlefit.studies.run import Run
 
@@ -160,7 +160,7 @@ def test_where_nothing_fails_the_table_of_failures_is_a_header(clean: Run) -> No
     ]
     assert results.frames["failures"].empty
     assert results.run["recorded_failures"] == {}
-    assert describe_failures(results) == ""
+    assert say(results, "failures") == ""
 
 
 @pytest.mark.sweep
@@ -181,7 +181,7 @@ def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch
     counted = results.run["failed_solves"]
     assert sum(results.run["recorded_failures"].values()) == len(rows) == counted
     starts = results.frames["starts"]
-    assert describe_failures(results).startswith(
+    assert say(results, "failures").startswith(
         f"{counted} of {starts['evaluations'].sum()} evaluations failed: {counted} over-compressed;"
     )
     kept, done = project / "violent.partial", []

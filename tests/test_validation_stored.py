@@ -12,7 +12,7 @@ from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior import save
 from needlefit.reporting.table_files import write_json
 from needlefit.studies.combined_report import write_combined
-from needlefit.studies.kinds.cross_validation.results import COLUMNS
+from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.packing import RESULTS_FILE
 from needlefit.studies.rebuild import rebuild
 from needlefit.studies.run import restore_run, store_run

@@ -10,7 +10,7 @@ from reporting_results import study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.studies.kinds.calibration import find_calibration_faults, headline_calibration
-from needlefit.studies.kinds.cross_validation.verdict import describe_evidence
+from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.report import run_to_json
 from needlefit.studies.run import Run
 from needlefit.studies.verdict import (
@@ -125,12 +125,12 @@ def test_noise_that_is_too_large_is_no_pass():
 def test_the_evidence_has_counts_and_coverage():
     results = with_predictions(with_tip_errors(study(4), **CURVES))
     folds = [{"tune": ["a", "b"], "validate": ["c"]}, {"tune": ["a", "b", "c"], "validate": ["d"]}]
-    words = describe_evidence(replace(results, run={**results.run, "folds": folds}))
+    words = say(replace(results, run={**results.run, "folds": folds}), "evidence")
     predicted = results.frames["predictive"]
     tips, count = int(predicted["tip_in_95"].sum()), len(predicted)
     numbers = [int(one) for one in re.findall(r"\d+", words)]
     assert numbers[:4] == [2, 3, 2, 2] and f"{tips} of {count}" in words
-    assert re.findall(r"\d+", describe_evidence(replace(results, run={})))[0] == "95"
+    assert re.findall(r"\d+", say(replace(results, run={}), "evidence"))[0] == "95"
 
 
 def test_one_verdict_for_each_group_and_in_json():

@@ -1,28 +1,43 @@
 """Report several studies in one folder; the folder is complete, or it is not created."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting import document
-from needlefit.reporting.document import Block
-from needlefit.reporting.table_files import all_files, write_json
+from needlefit.reporting.document import Block, Document
+from needlefit.reporting.latex import format_latex
+from needlefit.reporting.table_files import all_files, write_csv, write_json
+from needlefit.reporting.text import KindText
+from needlefit.studies import paper
+from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.cross_validation.files import (
+from needlefit.studies.kinds.cross_validation import detail_tables, score_tables
+from needlefit.studies.kinds.cross_validation.facts import TEXT as FIT_TEXT
+from needlefit.studies.kinds.cross_validation.report import (
     draw_error_figures,
-    write_for_papers,
-    write_tables,
+    format_macros,
+    lay_out_files,
+    tuning_tables,
 )
-from needlefit.studies.kinds.cross_validation.report import compose_overview
-from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
-from needlefit.studies.report import label_figures, verdict_blocks, warning_blocks, write_report
+from needlefit.studies.report import (
+    compose_warnings,
+    label_figures,
+    list_run_warnings,
+    state_blocks,
+    verdict_blocks,
+    warning_blocks,
+    write_report,
+)
 from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import TE, list_held_out_groups
+from needlefit.studies.verdict import MAX_FLOOR_RATIO, headline_fault
+
+TEXT = KindText("combined")
 
 
-def write_combined(
-    runs: Sequence[Run],
-    folder: Path,
-) -> list[Path]:
+def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
     """Write the tables, figures and report of several studies together; return the files.
 
     The fits fill the tuning tables; without any, each study's own fit does. Of runs of other kinds the report
@@ -34,16 +49,21 @@ def write_combined(
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
     studies = [one for one in runs if one.kind == "cross_validation"]
-    tunings = [one for one in runs if one.kind == "fit"]
+    tunings = [one for one in runs if one.kind == "fit"] or studies
     others = [one for one in runs if one.kind not in FIT_KINDS]
+    synthetic = any(one.synthetic for one in studies)
     with replace_folder(folder) as new:
-        write_tables(studies, tunings or studies, new)
+        for name, frame, layouts in lay_out_files(studies, tunings):
+            if len(frame):
+                write_csv(frame, new / f"{name}.csv")
+                pages = [format_latex(table, synthetic) for table in layouts if table.rows]
+                (new / f"{name}.tex").write_text("\n".join(pages), encoding="utf-8")
         drawn = draw_error_figures(studies, new)
         appendix = [block for result in others for block in _summarize_analysis(result, new)]
-        write_report(compose_overview(studies, tunings or studies, drawn, appendix), new)
-        every = [*studies, *tunings]
-        label_figures(drawn, any(one.synthetic for one in studies))
-        write_for_papers(every, new)
+        write_report(compose_overview(studies, tunings, drawn, appendix), new)
+        label_figures(drawn, synthetic)
+        every = [*studies, *(one for one in tunings if one not in studies)]
+        (new / "numbers.tex").write_text(format_macros(every), encoding="utf-8")
         write_json(new / "run.json", {one.name: one.run_json for one in runs})
         write_json(new / "timing.json", {one.name: one.timing for one in runs})
     return all_files(folder)
@@ -63,3 +83,69 @@ def _summarize_analysis(result: Run, folder: Path) -> list[Block]:
         document.bullets(page.summarize(result)[1:]),
         *every_run,
     ]
+
+
+def compose_overview(
+    results: Sequence[Run], tunings: Sequence[Run], figures: dict[str, Path], appendix: Sequence[Block] = ()
+) -> Document:
+    """Return one report over all studies: one line, one table, one figure; then the details.
+
+    `appendix` has the results of studies of other kinds.
+    """
+    fits = list({one.name: one for one in (*results, *tunings)}.values())
+    predicted = [one for one in results if len(one.frames["predictive"])]
+    tables = [
+        *(score_tables.lay_out_matrix(results), score_tables.lay_out_summary(results)),
+        *(detail_tables.lay_out_free_parameters(fits), score_tables.lay_out_design(results)),
+        detail_tables.lay_out_contradictions(paper.find_contradictions()),
+        *tuning_tables(tunings),
+        *([score_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
+    ]
+    values = {
+        "groups": [group for one in results for group in _list_groups(one)],
+        "predicted": bool(predicted),
+        "questions": [f"{one.title}: {one.question}".rstrip(": ") for one in results],
+    }
+    printed = any(group.printed for group in list_held_out_groups(*results))
+    known = {"facts": {"printed": printed}}
+    captions = {name: FIT_TEXT.sentence(f"figure_{name}", known) for name in figures}
+    blocks = {
+        "answer": [document.verdict(TEXT.sentence("answer", values), "none")],
+        "verdicts": [block for one in results for block in verdict_blocks(one, named=True)],
+        "warnings": _list_warnings(results),
+    }
+    body = TEXT.compose("report", values, tables, figures, blocks, captions)
+    states = _join_equal(block for one in results for block in state_blocks(one))
+    data = "; ".join(dict.fromkeys(one.name if one.synthetic else one.dataset_title for one in results))
+    synthetic = any(one.origin == "synthetic" for one in results)
+    return Document("Validation studies", data, synthetic, (*states, *body, *appendix))
+
+
+def _list_groups(results: Run) -> list[dict[str, Any]]:
+    """Return of each held-out group whether its medium is fitted too, and whether it is predicted closely."""
+    errors = results.frames["errors"]
+    fitted = set(errors.loc[errors["role"] == "tune", "medium"])
+    found = []
+    for group in list_held_out_groups(results):
+        ratio = group.over_floor(TE)
+        close = ratio is not None and ratio <= MAX_FLOOR_RATIO
+        found.append({"own": group.head["medium"] in fitted, "predicted": close})
+    return found
+
+
+def _join_equal(blocks: Iterable[Block]) -> list[Block]:
+    """Return blocks without those that are there already."""
+    found: list[Block] = []
+    for block in blocks:
+        found += [] if block in found else [block]
+    return found
+
+
+def _list_warnings(results: Sequence[Run]) -> list[Block]:
+    """Return what did not converge, and the warnings of all runs, each with the name of its run."""
+    blocks = []
+    for one in results:
+        name = one.title.partition(":")[0]
+        blocks += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
+        blocks += compose_warnings(list_run_warnings(one), head=f"{name}: ")
+    return [document.subheading("Warnings"), *blocks] if blocks else []

@@ -1,80 +1,116 @@
-"""Warn about a finished fit: parameters at bounds, a closer baseline, errors far from the noise floor."""
+"""Warn about finished fits: one table of rules, each with its condition and the key of its text."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from scipy.special import chdtr, chdtrc
 
-from needlefit.arrays import Floats
-from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.precision import BOUND_FRACTION, CUT_OFF_FRACTION, short_name
 from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
-from needlefit.reporting.labels import medium_name
+from needlefit.reporting.labels import group_name, medium_name
 from needlefit.reporting.number_format import format_quantity
-from needlefit.studies.job import Job
+from needlefit.reporting.table_files import Row
+from needlefit.reporting.text import KindText
+from needlefit.studies.coverage import list_missed_levels, median_width
+from needlefit.studies.interval_width import find_adaptation, is_too_wide
 from needlefit.studies.run import Run
-from needlefit.studies.summary import beats_fit, compare_methods
-from needlefit.studies.validity import validity_warnings
+from needlefit.studies.scored_groups import (
+    HELD_OUT,
+    TE,
+    ScoredGroup,
+    compare_best_baseline,
+    list_held_out_groups,
+    list_judged_groups,
+    select_group,
+)
+from needlefit.studies.validity import list_outside
 
-VERDICT_KINDS = ("parameter_at_bound", "worse_than_baseline")
-"""Of warnings that say that a fit's values, or its predictions, are not to be relied on."""
+if TYPE_CHECKING:
+    from needlefit.studies.job import Job
+
+TEXT = KindText("warnings")
 
 
-def add_warnings(results: Run, job: Job, predicted: Iterable[ResultWarning] = ()) -> Run:
+@dataclass(frozen=True)
+class WarningRule:
+    """A kind of warning about a finished fit.
+
+    Attributes
+    ----------
+    kind : str
+        Of the warning, which programs may rely on.
+    find : callable
+        The condition: run -> the values of the text, for each case found.
+    text : str
+        Key of the blocks of `warnings.md.j2`; the kind if empty.
+    qualifies : bool
+        Whether it changes what one should do with the verdict, and stands beside it.
+    complete : bool
+        Whether only a run that was not interrupted is examined.
+    """
+
+    kind: str
+    find: Callable[[Run], Iterable[Row]]
+    text: str = ""
+    qualifies: bool = True
+    complete: bool = True
+
+
+def add_warnings(results: Run, job: "Job") -> Run:
     """Return results whose `run` also has the warnings about data, study, fit and predictions."""
     found = [*read_warnings(results.run), *job.warnings]
-    found += validity_warnings(results.run)
-    if not results.interrupted:
-        found += [
-            *bound_warnings(results),
-            *cut_off_warnings(_list_intervals(results), {"": job.parameters}),
-            *baseline_warnings(results),
-            *noise_floor_warnings(results),
-        ]
-    return replace(results, run={**results.run, **warnings_entry([*found, *predicted])})
+    found += [one for rule in RULES for one in apply_rule(rule, results)]
+    return replace(results, run={**results.run, **warnings_entry(found)})
 
 
-def verdict_warnings(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
-    """Return the warnings that belong under the verdict: a bound is reached, a baseline curve is closer."""
-    return tuple(one for one in read_warnings(run) if one.kind in VERDICT_KINDS)
+def apply_rule(rule: WarningRule, results: Run) -> Iterator[ResultWarning]:
+    """Yield the warnings of one rule about a run."""
+    if not (rule.complete and results.interrupted):
+        for values in rule.find(results):
+            yield write_warning(rule.kind, values, rule.text)
 
 
-def bound_warnings(results: Run) -> Iterator[ResultWarning]:
+def write_warning(kind: str, values: Mapping[str, Any], text: str = "") -> ResultWarning:
+    """Return a warning in the words of `warnings.md.j2`."""
+    key = text or kind
+    return ResultWarning(kind, TEXT.sentence(key, values), fix=TEXT.sentence(f"{key}_fix", values))
+
+
+# ---- parameters at their bounds
+
+
+def _find_bounds(results: Run) -> Iterator[Row]:
     """Yield the parameters that a fit left at a bound, and in how many folds."""
-    table = results.frames["parameters"]
-    free = table[(table["method"] == "fitted") & (table["status"] == "free")]
-    folds = table["fold"].nunique()
+    free = _free_parameters(results)
+    folds = results.frames["parameters"]["fold"].nunique()
     for name, rows in free.groupby("parameter", sort=False):
         columns = (rows[key].to_numpy(dtype=np.float64) for key in ("value", "bound_low", "bound_high"))
         ends = [_describe_bound(str(name), *row) for row in zip(*columns, strict=True)]
-        yield from _bound_warning(
-            f"the fitted {short_name(str(name))}", ends, f" of {folds} folds" if folds > 1 else ""
-        )
+        yield from _count_ends(str(name), ends, folds, "folds" if folds > 1 else "")
 
 
-def _list_intervals(results: Run) -> pd.DataFrame:
-    """Return the 95 % intervals of a fit's parameters; one whose profile is open reaches the bound."""
-    table = results.frames["parameters"]
-    free = table[(table["method"] == "fitted") & (table["status"] == "free")]
+def _find_interval_bounds(results: Run) -> Iterator[Row]:
+    """Yield the 95 % intervals of a fit that end at a bound; one whose profile is open reaches it."""
     ends = results.frames["identification"].reindex(columns=["fold", "parameter", "end_low", "end_high"])
-    both = free.merge(ends, on=["fold", "parameter"], how="left")
-    low, high = (
-        both[f"interval_{end}"].where(both[f"end_{end}"] != "bound", both[f"bound_{end}"])
-        for end in ("low", "high")
-    )
-    return pd.DataFrame(
-        {
-            "fit": "",
-            **{name: both[name] for name in ("parameter", "value")},
-            "p2_5": low.astype(float),
-            "p97_5": high.astype(float),
-        }
-    )
+    both = _free_parameters(results).merge(ends, on=["fold", "parameter"], how="left")
+    for side in ("low", "high"):
+        open_end = both[f"end_{side}"] == "bound"
+        both[f"interval_{side}"] = both[f"interval_{side}"].mask(open_end, both[f"bound_{side}"])
+    for name, rows in both.groupby("parameter", sort=False):
+        bounds = (float(rows["bound_low"].iloc[0]), float(rows["bound_high"].iloc[0]))
+        fits = rows[["value", "interval_low", "interval_high"]].astype(float).to_numpy().tolist()
+        yield from _find_cut_off(str(name), fits, bounds, "")
+
+
+def _free_parameters(results: Run) -> pd.DataFrame:
+    table = results.frames["parameters"]
+    rows: pd.DataFrame = table[(table["method"] == "fitted") & (table["status"] == "free")]
+    return rows
 
 
 def analysis_bound_warnings(
@@ -89,16 +125,10 @@ def analysis_bound_warnings(
     parameters : mapping
         These, by name.
     """
-    for name, members in fits.groupby(fits.columns[0], sort=False):
-        bounds = parameters[str(name)].bounds
-        for parameter, rows in members.groupby("parameter", sort=False):
-            if parameter in bounds:
-                ends = [
-                    _describe_bound(str(parameter), value, *bounds[str(parameter)]) for value in rows["value"]
-                ]
-                yield from _bound_warning(
-                    f"the fitted {short_name(str(parameter))} of {name}", ends, f" of {len(rows)} fits"
-                )
+    for model, name, rows, bounds in _iterate_fits(fits, parameters):
+        ends = [_describe_bound(name, value, *bounds) for value in rows["value"]]
+        for values in _count_ends(name, ends, len(rows), "fits"):
+            yield write_warning("parameter_at_bound", {**values, "of": model})
 
 
 def cut_off_warnings(
@@ -108,39 +138,43 @@ def cut_off_warnings(
 
     `intervals` is as the fits of `analysis_bound_warnings`, with `p2_5` and `p97_5` too.
     """
-    for name, members in intervals.groupby(intervals.columns[0], sort=False):
-        bounds = parameters[str(name)].bounds
-        for parameter, rows in members.groupby("parameter", sort=False):
-            low, high = bounds[str(parameter)]
-            inside = rows[[not _describe_bound(str(parameter), one, low, high) for one in rows["value"]]]
-            ends = [
-                _describe_bound(str(parameter), end, low, high, CUT_OFF_FRACTION)
-                for pair in zip(inside["p2_5"], inside["p97_5"], strict=True)
-                for end in pair
-            ]
-            reached = [end for end in ends if end]
-            if reached:
-                of = f" of {name!s}" if name else ""
-                count = f", in {len(reached)} of {len(rows)} fits" if len(rows) > 1 else ""
-                yield ResultWarning(
-                    "parameter_at_bound",
-                    f"the 95 % interval of {short_name(str(parameter))}{of} ends at its "
-                    f"{' and '.join(dict.fromkeys(reached))}{count}: the bound, not the data, limits it",
-                    fix="check the data and what the model leaves out, or widen the bounds",
-                )
+    for model, name, rows, bounds in _iterate_fits(intervals, parameters):
+        ends = rows[["value", "p2_5", "p97_5"]].astype(float).to_numpy().tolist()
+        for values in _find_cut_off(name, ends, bounds, model):
+            yield write_warning("parameter_at_bound", values, "interval_at_bound")
 
 
-def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWarning]:
-    """Yield the warning about fits that ended at these bounds, "" for those that did not, if any did."""
+def _iterate_fits(
+    fits: pd.DataFrame, parameters: Mapping[str, Parameters]
+) -> Iterator[tuple[str, str, pd.DataFrame, tuple[float, float]]]:
+    """Yield model, parameter, rows and bounds of all parameters that have bounds."""
+    for (model, name), rows in fits.groupby([fits.columns[0], "parameter"], sort=False):
+        bounds = parameters[str(model)].bounds
+        if name in bounds:
+            yield str(model), str(name), rows, bounds[str(name)]
+
+
+def _find_cut_off(
+    name: str, fits: Sequence[Sequence[float]], bounds: tuple[float, float], model: str
+) -> Iterator[Row]:
+    """Yield that intervals end at a bound; `fits` are value, low and high end of each."""
+    reached = [
+        end
+        for value, *interval in fits
+        if not _describe_bound(name, value, *bounds)
+        for one in interval
+        if (end := _describe_bound(name, one, *bounds, CUT_OFF_FRACTION))
+    ]
+    for values in _count_ends(name, reached, len(fits), ""):
+        yield {**values, "of": model}
+
+
+def _count_ends(name: str, ends: Sequence[str], total: int, many: str) -> Iterator[Row]:
+    """Yield the values about fits that ended at these bounds, "" for those that did not, if any did."""
     reached = [end for end in ends if end]
     if reached:
-        bounds = " and ".join(dict.fromkeys(reached))
-        where = f", in {len(reached)}{of}" if of else ""
-        yield ResultWarning(
-            "parameter_at_bound",
-            f"{what} lies at its {bounds}{where}, so its value is no estimate",
-            fix="check bevel sides, units and layers of the data, or widen the bounds in the tissue model",
-        )
+        about = {"parameter": short_name(name), "bounds": list(dict.fromkeys(reached)), "of": ""}
+        yield {**about, "count": len(reached), "total": total, "many": many}
 
 
 def _describe_bound(name: str, value: float, low: float, high: float, near: float = BOUND_FRACTION) -> str:
@@ -152,29 +186,28 @@ def _describe_bound(name: str, value: float, low: float, high: float, near: floa
     return f"upper bound, {format_quantity(name, high)}" if place > 1 - near else ""
 
 
-def baseline_warnings(results: Run) -> Iterator[ResultWarning]:
-    """Yield the closest baseline curve, if it is significantly closer to the scored insertions than the fit.
+# ---- errors beside baselines and noise floor
 
-    That is by two standard errors, or by half of the error on a single insertion (`beats_fit`).
-    """
-    held_out = bool((results.frames["errors"]["role"] == "validate").any())
-    role = "validate" if held_out else "tune"
-    table = compare_methods(results, role=role)
-    better = [row for _, row in table.iterrows() if row["method"] in BASELINES and beats_fit(row)]
-    if better:
-        best = min(better, key=lambda row: float(row["difference_mm"]))
-        error, fit = best["ipe_mean_mm"], best["ipe_mean_mm"] - best["difference_mm"]
-        which = "held-out insertions" if held_out else "insertions fitted to"
-        # a curve follows errors of the entry pose, for which the fit allows
-        within_noise = not held_out and fit - error < _mean_noise_floor(results)
-        yield ResultWarning(
-            "worse_than_baseline",
-            f"{BASELINES[str(best['method'])].description} is closer to the {which} than the fitted model "
-            f"(mean in-plane error {error:.3f} mm against {fit:.3f} mm)",
-            fix="the difference is below the noise floor: compare both on held-out insertions"
-            if within_noise
-            else "do not rely on this model there; check bevel sides, layers and needle of the data",
-        )
+
+def _find_better_baselines(results: Run) -> Iterator[Row]:
+    """Yield the groups on which the best baseline has a significantly smaller tip error, as verdicts say."""
+    for group in list_judged_groups(results):
+        best, error, ratio = compare_best_baseline(results, group), group.get(TE), group.over_floor(TE)
+        if best is not None and best.verdict == "better":
+            held_out = group.head["grouping"] == HELD_OUT
+            yield {
+                "baseline": best.description,
+                "which": "held-out" if held_out else "fitted",
+                "group": _name_group(group),
+                "baseline_mm": best.error_mm,
+                "error_mm": error,
+                "within_floor": ratio is not None and ratio <= 1,
+            }
+
+
+def _name_group(group: ScoredGroup) -> str:
+    medium, layers = group.head["medium"], group.head["layers"]
+    return group_name(medium, layers) if layers else medium_name(medium)
 
 
 FAR_FROM_FLOOR = 2.0
@@ -184,8 +217,8 @@ CHANCE = 1e-3
 """Probability of such a factor by chance, below which it is one."""
 
 
-def noise_floor_warnings(results: Run) -> Iterator[ResultWarning]:
-    """Yield, by medium, that in-sample errors lie far below or far above their noise floor.
+def _list_floor_ratios(results: Run) -> Iterator[tuple[Row, float]]:
+    """Yield, by medium, how far in-sample errors lie from their noise floor, and the sum of their squares.
 
     The floor f is the mean error that the stated noise gives. If one error of the pose made up all of it,
     errors would be half-normal, e = f sqrt(pi / 2) |z|, and the sum of 2/pi (e / f)^2 over n insertions
@@ -198,28 +231,77 @@ def noise_floor_warnings(results: Run) -> Iterator[ResultWarning]:
     squares = (errors["ipe_mean_mm"] / errors["floor_ipe_mean_mm"]) ** 2
     means = errors.assign(square=squares).groupby(["medium", "insertion"])["square"].mean()
     for medium, some in means.groupby("medium"):
-        yield from _compare_with_floor(str(medium), some.to_numpy(np.float64))
+        total = 2 / np.pi * float(some.sum())
+        yield {"medium": str(medium), "count": len(some), "rms": float(np.sqrt(some.mean()))}, total
 
 
-def _compare_with_floor(medium: str, squares: Floats) -> Iterator[ResultWarning]:
-    """Yield the warning about the squared ratios (n,) of errors and floor on a medium, if there is one."""
-    count, rms, total = len(squares), float(np.sqrt(squares.mean())), 2 / np.pi * float(squares.sum())
-    found = f"in-sample errors on {medium_name(medium)} (n = {count}) are {rms:.2g} × their noise floor"
-    if rms < 1 / FAR_FROM_FLOOR and chdtr(count, total) < CHANCE:
-        yield ResultWarning(
-            "noise_too_large",
-            f"{found}: the stated noise is too large",
-            fix="measure point_sd_mm, pose_shift_sd_mm and pose_angle_sd_deg again",
-        )
-    if rms > FAR_FROM_FLOOR and chdtrc(count, total) < CHANCE:
-        yield ResultWarning(
-            "noise_too_small",
-            f"{found}: the model misses something, or the stated noise is too small",
-            fix="check bevel sides, layers and specimens of the data; intervals are too narrow",
-        )
+def _find_large_noise(results: Run) -> Iterator[Row]:
+    for found, total in _list_floor_ratios(results):
+        if found["rms"] < 1 / FAR_FROM_FLOOR and chdtr(found["count"], total) < CHANCE:
+            yield found
 
 
-def _mean_noise_floor(results: Run) -> float:
-    """Return the mean in-plane error that measurement noise alone gives, mm; 0 where none is stated."""
-    floors = results.frames["errors"]["floor_ipe_mean_mm"].to_numpy(dtype=np.float64)
-    return float(np.mean(floors[np.isfinite(floors)])) if np.isfinite(floors).any() else 0.0
+def _find_small_noise(results: Run) -> Iterator[Row]:
+    for found, total in _list_floor_ratios(results):
+        if found["rms"] > FAR_FROM_FLOOR and chdtrc(found["count"], total) < CHANCE:
+            yield found
+
+
+# ---- predictions
+
+
+def _find_missed_levels(results: Run) -> Iterator[Row]:
+    """Yield the intervals of held-out insertions that cover too few of them, by group."""
+    for group in list_held_out_groups(results):
+        rows = select_group(results.frames["predictive"], group)
+        missed = list_missed_levels(rows)
+        narrow = {what for what, level, _ in missed if level == 95}
+        for what, level, found in missed:
+            about = {"what": what, "level": level, "found": found, "group": _name_group(group)}
+            yield {**about, "narrow": what in narrow, "alone": rows["specimen"].nunique() == 1}
+
+
+def _find_wide_intervals(results: Run) -> Iterator[Row]:
+    """Yield the held-out groups whose tips have wide intervals: wider than the tips are deflected."""
+    for group in list_held_out_groups(results):
+        rows = select_group(results.frames["predictive"], group)
+        width, deflection = median_width(rows), float(rows["tip_measured_mm"].abs().median())
+        if is_too_wide(width, deflection):
+            medium = group.head["medium"]
+            gain = ""
+            if (rows["specimen_treatment"] == "others").any():
+                fitted = getattr(results.record, "medium", "")
+                gain = describe_gain(rows, find_adaptation(results.record.dataset, fitted, medium))
+            sizes = {"width_mm": width, "deflection_mm": deflection, "gain": gain}
+            yield {**sizes, "group": medium_name(medium)}
+
+
+def describe_gain(predictive: pd.DataFrame, adaptation: str | None = None) -> str:
+    """Return how wide intervals of tips would be after one insertion into the new specimen.
+
+    `adaptation` is the study that measures it, "" if there is none; None: nothing is said of one.
+    """
+    width = float(predictive["tip_95_width_after_one_mm"].median())
+    values = {"after_one_mm": None if math.isnan(width) else width, "adaptation": adaptation or ""}
+    return TEXT.sentence("gain", {**values, "asked": adaptation is not None})
+
+
+def _find_outside(results: Run) -> Iterator[Row]:
+    if parts := list_outside(results.run):
+        yield {"parts": parts}
+
+
+RULES: Sequence[WarningRule] = (
+    WarningRule("validity", _find_outside, qualifies=False, complete=False),
+    WarningRule("parameter_at_bound", _find_bounds),
+    WarningRule("parameter_at_bound", _find_interval_bounds, "interval_at_bound"),
+    WarningRule("worse_than_baseline", _find_better_baselines),
+    WarningRule("noise_too_large", _find_large_noise),
+    WarningRule("noise_too_small", _find_small_noise),
+    WarningRule("coverage", _find_missed_levels, complete=False),
+    WarningRule("wide_intervals", _find_wide_intervals, complete=False),
+)
+"""Of fits and cross-validations, in the order in which their warnings are kept."""
+
+QUALIFYING_WARNINGS = frozenset(rule.kind for rule in RULES if rule.qualifies)
+"""Kinds of warnings that qualify the verdict; they come first."""

@@ -8,11 +8,10 @@ from needlefit.arrays import Floats
 from needlefit.project.input_files import read_toml
 from needlefit.project.locate import find_file, list_names
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.reporting.text import KindText
 
 MAX_AIMING_WIDTH_MM = 2.0
 """Width of the 95 % interval of a tip up to which it serves for aiming, whatever the deflection."""
-
-FEW_DATA_FIX = "add insertions, or fix what the data do not determine"
 
 
 def measure_width(tips: Floats) -> float:
@@ -49,13 +48,16 @@ def warn_if_too_wide(
     fix : str
         What narrows the interval; by default more data.
     """
-    if width_mm > max(MAX_AIMING_WIDTH_MM, deflection_mm):
-        what = f"the 95 % intervals of tips on {where} are" if where else "the 95 % interval of the tip is"
-        medians = "medians: " if where else ""
-        sizes = f"{medians}width {width_mm:.2g} mm, deflection {deflection_mm:.2g} mm"
-        yield ResultWarning(
-            "wide_intervals", f"{what} too wide for aiming ({sizes})", fix=fix or FEW_DATA_FIX
-        )
+    if is_too_wide(width_mm, deflection_mm):
+        values = {"group": where, "width_mm": width_mm, "deflection_mm": deflection_mm, "gain": fix}
+        text = KindText("warnings")
+        what, remedy = (text.sentence(block, values) for block in ("wide_intervals", "wide_intervals_fix"))
+        yield ResultWarning("wide_intervals", what, fix=remedy)
+
+
+def is_too_wide(width_mm: float, deflection_mm: float) -> bool:
+    """Return whether an interval is wider than the tip is deflected, and than `MAX_AIMING_WIDTH_MM`."""
+    return width_mm > max(MAX_AIMING_WIDTH_MM, deflection_mm)
 
 
 def find_adaptation(dataset: str, fitted: str, new: str | None = None) -> str:

@@ -15,8 +15,8 @@ import pandas as pd
 from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.reporting.tidy import to_tidy
+from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
 from needlefit.studies.run import Run
 from needlefit.studies.validity import VALIDITY_KEY
 

@@ -26,6 +26,7 @@ from needlefit.reporting.table_layout import TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.reporting.tidy import to_tidy
 from needlefit.studies.columnar import iterate_pieces
+from needlefit.studies.fit_warnings import QUALIFYING_WARNINGS
 from needlefit.studies.kind import find_kind
 from needlefit.studies.run import Run, store_run
 from needlefit.studies.run_differences import TableComparison
@@ -96,13 +97,6 @@ def explain_by_report(result: Run) -> tuple[list[TableLayout], list[str]]:
     return report.lay_out(result), report.summarize(result)
 
 
-QUALIFYING_WARNINGS = (
-    *("worse_than_baseline", "parameter_at_bound", "coverage", "wide_intervals"),
-    *("noise_too_large", "noise_too_small"),
-)
-"""Kinds of warnings that qualify the verdict; they come first."""
-
-
 def list_run_warnings(result: Run) -> tuple[ResultWarning, ...]:
     """Return the warnings of a run, those that qualify the verdict first."""
     found = read_warnings(result.run)
@@ -147,6 +141,8 @@ class StudyReport:
         Result -> the tables and sentences that `--explain` prints: all of them unless a kind has more.
     headline : callable
         A fault of a run -> what stands before its verdicts; empty where a verdict itself names the fault.
+    say : callable
+        Result and name of a block of the kind's text -> its words.
     """
 
     summarize: Callable[[Run], list[str]]
@@ -165,6 +161,7 @@ class StudyReport:
     lay_out_first: Callable[[Run], list[TableLayout]] = lay_out_first_table
     explain: Callable[[Run], tuple[list[TableLayout], list[str]]] = explain_by_report
     headline: Callable[[str], str] = headline_fault
+    say: Callable[[Run, str], str] = lambda result, block: ""
 
     def write(self, result: Run, folder: Path) -> Path:
         """Write a result, as `write_run`; called by `Run.save`, which cannot import this module."""
@@ -173,6 +170,12 @@ class StudyReport:
     def format_notebook_html(self, result: Run) -> str:
         """Return what a notebook shows of a run: title, warnings, results in words, tables."""
         return _format_notebook_html(result)
+
+
+def say(result: Run, *blocks: str) -> str:
+    """Return blocks of the text of a run's kind, as one line."""
+    page = find_kind(result.kind).report
+    return " ".join(words for block in blocks if (words := page.say(result, block)))
 
 
 def report_from_text(
@@ -212,7 +215,10 @@ def report_from_text(
     def draw(result: Run, folder: Path) -> dict[str, Path]:
         return {name: one.save(folder / f"{name}.pdf") for name, one in figures(result).items()}
 
-    return StudyReport(summarize, lay_out, draw, compose, **rest)
+    def say(result: Run, block: str) -> str:
+        return text.sentence(block, values(result))
+
+    return StudyReport(summarize, lay_out, draw, compose, say=say, **rest)
 
 
 MODEL_DATA_NOTE = "The needles were simulated: errors on them do not carry over to measured ones."
@@ -296,14 +302,16 @@ def write_report(report: Document, folder: Path, name: str = "report") -> None:
 def compose_run_report(result: Run, figures: FigurePaths) -> Document:
     """Return the report: question, verdicts, results, method, provenance."""
     page = find_kind(result.kind).report
+    warnings = list_run_warnings(result)
     sentences = page.summarize(result)[1:] if page.judge is judge_by_summary else []
     blocks = [
         *state_blocks(result),
         *verdict_blocks(result),
         *([document.bullets(sentences)] if sentences else []),
         *_fault_blocks(result),
-        *compose_warnings(list_run_warnings(result)),
+        *compose_warnings(one for one in warnings if one.kind in QUALIFYING_WARNINGS),
         *page.compose(result, figures),
+        *compose_warnings(one for one in warnings if one.kind not in QUALIFYING_WARNINGS),
         *_run_blocks(result),
     ]
     data = "" if result.synthetic else f" · {result.dataset_title}"  # the first block names synthetic data

@@ -14,8 +14,8 @@ from needlefit.datasets.select import count_layers, get_other_rule, group_indepe
 from needlefit.geometry.compare import ComparedCurves, compare_curves
 from needlefit.metrics import headline_metrics, list_metrics, pool_metric
 from needlefit.schemas.study import LayerCountRule
+from needlefit.studies.fit_frames import COLUMNS, SCORE_KEYS
 from needlefit.studies.job import Job
-from needlefit.studies.kinds.cross_validation.results import COLUMNS, SCORE_KEYS
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row, list_methods
 

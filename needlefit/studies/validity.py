@@ -1,11 +1,10 @@
 """Count the simulations behind a result outside the model's assumptions; they are never penalised."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from needlefit.mechanics.shape import LIMITS, Validity
-from needlefit.project.result_warnings import ResultWarning
 
 VALIDITY_KEY = "validity"  #: key in `run.json`
 
@@ -68,23 +67,16 @@ MAX_OUTSIDE_SHARE = 0.01
 """Share of draws, or of needles predicted by them, that may be outside without a warning: their tails are."""
 
 
-def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
-    """Yield a warning where fitted, drawn or predicted needles are outside the model's assumptions."""
+def list_outside(run: Mapping[str, Any]) -> list[str]:
+    """Return in words where fitted, drawn or predicted needles are outside the model's assumptions."""
     table = run.get(VALIDITY_KEY, {})
     fitted = table.get("fitted_outside", 0)
-    parts = [f"{fitted} scored simulations of the fit"] if fitted else []
     many = {
         name: count
         for name, count in table.items()
         if name in ("draws", "predicted") and count["outside"] > MAX_OUTSIDE_SHARE * count["simulations"]
     }
-    parts += _shares(many, tuple(many))
-    if parts:
-        yield ResultWarning(
-            "validity",
-            f"outside what the model assumes (slopes, shortening, compression): {', '.join(parts)}",
-            fix="read these numbers with care; `validity` in run.json has the limits and the counts",
-        )
+    return [*([f"{fitted} scored simulations of the fit"] if fitted else []), *_shares(many, tuple(many))]
 
 
 def describe_outside(run: Mapping[str, Any]) -> str:

@@ -33,8 +33,8 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord
 from needlefit.studies import paper
+from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.job import Inputs, Settings, hand_tuned_set, prepare
-from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NEEDLE_POINTS, align_with_measured
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.packing import unpack

@@ -433,7 +433,7 @@ def contents() -> list[Seed]:
     """What stored results hold, before their digest: somebody can make a right one of anything."""
     from reporting_results import study
 
-    from needlefit.studies.kinds.cross_validation.results import COLUMNS
+    from needlefit.studies.fit_frames import COLUMNS
     from needlefit.studies.run import store_run
 
     whole = study(1)

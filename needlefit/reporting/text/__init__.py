@@ -28,7 +28,10 @@ Markdown is limited to headings (`##`, `###`), paragraphs, bullets, links, empha
 is emphasised as a whole is set in small type. `table`, `figure` and `block` refer by name to what the kind
 hands over; what it did not make is left out. Values are data: their ASCII punctuation signs are escaped. A
 number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`, `percent`, `number`,
-`medium`, ...), `quantity` (with the parameter's name), `interval`, `ratio` (two digits), `digits3`, `words`.
+`medium`, ...), `quantity` (with the parameter's name), `interval`, `ratio` (two digits), `digits3`,
+`significant(n)`, `words`; `bare` is the symbol of a parameter, `symbols` inserts all of a sentence.
+
+Links to `cite:KEY,KEY` are citations: `format_latex` makes \\cite of them, reports leave them out.
 
 `needlefit.studies.report.report_from_text` makes a report of a text, its values, tables and figures;
 `needlefit/studies/kinds/material.py` is an example.
@@ -50,13 +53,20 @@ from markupsafe import Markup
 from needlefit.reporting import document
 from needlefit.reporting.columns import FORMATS
 from needlefit.reporting.document import Block, Words
-from needlefit.reporting.number_format import format_quantity, join_words
+from needlefit.reporting.latex import escape_latex
+from needlefit.reporting.number_format import (
+    format_bare_symbol,
+    format_quantity,
+    insert_symbols,
+    join_words,
+)
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_layout import TableLayout
 
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
 _SPACE = re.compile(r"\s+")
 _REFERENCE = re.compile(r"\[\[(table|figure|block):(\w+)\]\]")
+_CITATION = "cite:"
 _INLINE_RULES = ("escape", "backticks", "emphasis", "link", "newline")
 
 
@@ -107,6 +117,9 @@ def _environment(package: str) -> jinja2.Environment:
         "interval": _format_interval,
         "ratio": lambda value: f"{value:.2g}",
         "digits3": lambda value: f"{value:.3g}",
+        "significant": lambda value, digits: f"{value:.{digits}g}",
+        "bare": format_bare_symbol,
+        "symbols": insert_symbols,
         "words": lambda words: join_words([str(one) for one in words]),
     }
     return environment
@@ -161,6 +174,16 @@ class KindText:
         """Return a block as one line of plain text."""
         return " ".join(self.sentences(block, values))
 
+    def format_latex(self, block: str, values: Mapping[str, Any]) -> tuple[str, list[str]]:
+        """Return a block as LaTeX, a line for each paragraph, and the keys that it cites, each once."""
+        lines, cited = [], []
+        for token in _parser().parse(self.render(block, values)):
+            if token.type == "inline":
+                parts = list(_iterate_latex(token))
+                lines.append("".join(latex for latex, _ in parts))
+                cited += [key for _, keys in parts for key in keys]
+        return "\n".join(lines), list(dict.fromkeys(cited))
+
     def lay_out(self, table: Table, values: Mapping[str, Any]) -> TableLayout:
         """Return a table with caption and notes from the block `table_<name>`, if there is one."""
         head, *notes = self.sentences(f"table_{table.name}", values) or [table.caption]
@@ -173,12 +196,13 @@ class KindText:
         tables: Iterable[TableLayout] = (),
         figures: Mapping[str, Path] | None = None,
         further: Mapping[str, list[Block]] | None = None,
+        captions: Mapping[str, str] | None = None,
     ) -> list[Block]:
         """Return a block as blocks of a report, with all that it refers to; `further` are blocks by name."""
         known = {("table", one.name): [document.table(one)] for one in tables}
         known |= {("block", name): blocks for name, blocks in (further or {}).items()}
         for name, path in (figures or {}).items():
-            caption = self.sentence(f"figure_{name}", values)
+            caption = (captions or {}).get(name) or self.sentence(f"figure_{name}", values)
             known[("figure", name)] = [document.figure(path, caption)]
         return list(_compose(_parser().parse(self.render(block, values)), known))
 
@@ -216,6 +240,16 @@ def _paragraph(token: Token) -> Block:
     if small and sum(one.type == "em_open" for one in children) == 1:
         return document.note(_runs(replace(token, children=children[1:-1])))
     return document.text(_runs(token))
+
+
+def _iterate_latex(token: Token) -> Iterator[tuple[str, list[str]]]:
+    for child in token.children or []:
+        target = str(child.attrs.get("href", ""))
+        if child.type == "link_open" and target.startswith(_CITATION):
+            keys = target.removeprefix(_CITATION)
+            yield f"~\\cite{{{keys}}}", keys.split(",")
+        elif child.type in ("text", "code_inline", "softbreak"):
+            yield escape_latex(" " if child.type == "softbreak" else child.content), []
 
 
 def _plain(token: Token) -> str:

@@ -10,6 +10,7 @@ from needlefit.reporting.table_layout import TableLayout
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.csv_tables import find_damaged_files
+from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kinds.credibility.evidence import (
     CredibilityEvidence,
     EvidenceKind,
@@ -17,8 +18,6 @@ from needlefit.studies.kinds.credibility.evidence import (
     gather_evidence,
 )
 from needlefit.studies.kinds.credibility.schema import NO_STATEMENTS
-from needlefit.studies.kinds.cross_validation.results import FIT_KINDS
-from needlefit.studies.kinds.cross_validation.sentences import find_scored_role
 from needlefit.studies.packing import RESULTS_FILE, unpack
 from needlefit.studies.rebuild import restore_runs
 from needlefit.studies.run import Run
@@ -110,7 +109,7 @@ class CredibilityCase:
     @property
     def held_out(self) -> list[Run]:
         """The results that have held-out insertions."""
-        return [one for one in self.results if find_scored_role(one) == "validate"]
+        return [one for one in self.results if (one.frames["errors"]["role"] == "validate").any()]
 
     @property
     def synthetic(self) -> bool:

@@ -22,9 +22,8 @@ from needlefit.studies.kinds.credibility.case import (
     make_finding,
 )
 from needlefit.studies.kinds.credibility.evidence import EVIDENCE_FIGURES, CredibilityEvidence
-from needlefit.studies.kinds.cross_validation import sentences
-from needlefit.studies.kinds.cross_validation.sentences import describe_undetermined
 from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
+from needlefit.studies.report import say
 from needlefit.studies.run import Run
 
 _CELLS_FILE, _STUDIES_FILE = "cells.csv", "studies.csv"
@@ -144,7 +143,7 @@ def find_form(case: CredibilityCase) -> FactorFindings:
         if rules := one.run.get("rules"):
             summary = "; ".join(_format_rule(key, value) for key, value in sorted(rules.items()))
             findings.append(make_finding(one, "run.json", f"Rules: {summary}."))
-        findings.append(make_finding(one, "errors.csv", sentences.summarize_baselines(one)))
+        findings.append(make_finding(one, "errors.csv", say(one, "conclusion", "ties", "paper_sets")))
     law = "Another tissue law in place of this one: not examined here; a comparison study shows it."
     return join_findings(
         FactorFindings(tuple(findings)), find_variations(case, FORM_ASPECTS), FactorFindings(gaps=(law,))
@@ -153,7 +152,7 @@ def find_form(case: CredibilityCase) -> FactorFindings:
 
 def find_sensitivities(case: CredibilityCase) -> FactorFindings:
     """Return findings on sensitivity: the parameters that the data determine, and the inputs that matter."""
-    known = [make_finding(one, "parameters.csv", describe_undetermined(one)) for one in case.results]
+    known = [make_finding(one, "parameters.csv", say(one, "undetermined")) for one in case.results]
     known += [
         make_evidence_finding(one, "identify.csv", insert_symbols(" ".join(summary)))
         for one in case.counted("identification")

@@ -8,11 +8,12 @@ import pandas as pd
 from needlefit.datasets.select import group_independent
 from needlefit.inference.proportions import estimate_proportion
 from needlefit.metrics import list_metrics
-from needlefit.reporting import labels
 from needlefit.reporting.columns import find_column
 from needlefit.reporting.labels import medium_name
 from needlefit.reporting.number_format import format_mm, format_number, join_words, typeset
+from needlefit.studies.coverage import format_proportion
 from needlefit.studies.differences import count_words
+from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.credibility.case import (
     CredibilityCase,
     FactorFindings,
@@ -21,17 +22,16 @@ from needlefit.studies.kinds.credibility.case import (
     make_finding,
 )
 from needlefit.studies.kinds.cross_validation.score_tables import (
-    format_proportion,
     lay_out_coverage,
     lay_out_validation,
 )
-from needlefit.studies.kinds.cross_validation.sentences import describe_noise_floor, summarize_errors
-from needlefit.studies.kinds.cross_validation.tables import study_label
+from needlefit.studies.report import say
 from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import study_label
 from needlefit.studies.summary import aggregate
 
-AGREEMENT_FIGURES = {"boxplot.pdf": labels.BOXPLOT_CAPTION, "predicted.pdf": labels.PREDICTIVE_CHECK_CAPTION}
-"""Figures of the run that show how outputs agree."""
+AGREEMENT_FIGURES = {"boxplot.pdf": "figure_boxplot", "predicted.pdf": "figure_predicted"}
+"""Figures of the run that show how outputs agree, and the blocks of their captions."""
 
 
 def find_equal_inputs(case: CredibilityCase) -> FactorFindings:
@@ -120,7 +120,10 @@ def find_agreement(case: CredibilityCase) -> FactorFindings:
     findings = []
     for one in case.held_out:
         named = isinstance(study_label(one), int)  # then the sentence itself says of which study it is
-        found = [make_finding(one, "validation.csv", summary) for summary in summarize_errors(one)]
+        found = [
+            make_finding(one, "validation.csv", summary)
+            for summary in find_kind(one.kind).report.summarize(one)
+        ]
         findings += [replace(summary, target="") if named else summary for summary in found]
         if len(one.frames["predictive"]):
             findings.append(make_finding(one, "predictive.csv", _describe_coverage(one)))
@@ -131,7 +134,9 @@ def find_agreement(case: CredibilityCase) -> FactorFindings:
         if len(one.frames["predictive"]) and len(case.results) == 1
     ]
     pictures = [
-        one for file, caption in AGREEMENT_FIGURES.items() for one in find_figure(case.folder, file, caption)
+        found
+        for file, caption in AGREEMENT_FIGURES.items()
+        for found in find_figure(case.folder, file, say(case.results[0], caption))
     ]
     return FactorFindings(tuple(findings), tables=tuple(tables), pictures=tuple(pictures if findings else ()))
 
@@ -252,7 +257,7 @@ def find_condition_measurements(case: CredibilityCase) -> FactorFindings:
 
 def find_condition_uncertainty(case: CredibilityCase) -> FactorFindings:
     """Return the errors that the stated measurement noise causes by itself."""
-    return _describe_each(case, "errors.csv", describe_noise_floor)
+    return _describe_each(case, "errors.csv", lambda one: say(one, "noise_floor"))
 
 
 def find_tested_range(case: CredibilityCase) -> FactorFindings:

@@ -32,9 +32,9 @@ from needlefit.studies.kinds.cross_validation.parameter_table import (
     is_conditional,
     tabulate_parameters,
 )
-from needlefit.studies.kinds.cross_validation.tables import study_label
 from needlefit.studies.paper.claims import Claim
 from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import TE, study_label
 from needlefit.studies.summary import compare_methods
 
 _INTERVAL_NOTE = (
@@ -151,7 +151,7 @@ def lay_out_baselines(results: Sequence[Run], role: str) -> TableLayout:
     """Return every method's errors and its paired difference from the fit on the same insertions."""
     rows = [row for one in results for row in _describe_methods(one, role)]
     errors = (one.name for one in headline_metrics())
-    columns = ("study", "method", "insertions", *errors, "ipe_difference", "better_of")
+    columns = ("study", "method", "insertions", *errors, "te_difference", "better_of")
     notes = (
         "Means over the insertions that both could be scored on, measured boundaries. The difference is "
         "paired over insertions, ± its standard error; a negative one means that the method does better.",
@@ -165,7 +165,7 @@ def lay_out_baselines(results: Sequence[Run], role: str) -> TableLayout:
 
 def _describe_methods(results: Run, role: str) -> Iterator[Row]:
     digits = 3 if (results.frames["errors"]["comparison"] == "aligned").any() else 2
-    for row in to_records(compare_methods(results, role=role)):
+    for row in to_records(compare_methods(results, role=role, metric=TE)):
         ours = {"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}
         name = method_name(row["method"], results.origin)
         about = {"study": study_label(results), "method": name, "origin": results.origin, DIGITS: digits}

@@ -7,9 +7,8 @@ import pandas as pd
 from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.reporting.number_format import format_number
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies.kinds.cross_validation.comparability import compare_parameter_row
-from needlefit.studies.kinds.cross_validation.tables import study_label
 from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import compare_parameter_row, study_label
 
 NOT_DETERMINED, CONDITIONAL = "not determined", "conditional"
 """Printed in place of a value: the data do not determine it, or only under an assumption."""

@@ -15,7 +15,7 @@ from needlefit.arrays import Floats
 from needlefit.inference.identifiability.precision import Direction, principal_directions
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
-from needlefit.reporting.number_format import choose_printed_unit, format_bare_symbol, insert_symbols
+from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
@@ -49,46 +49,6 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
     return pd.DataFrame([{**row, "origin": results.origin} for row in rows], columns=heads)
 
 
-def describe_unconverged(results: Run) -> str:
-    """Return which criteria of convergence are not met, by fold if there are several; empty if all are."""
-    several = len(results.posteriors) > 1
-    summary = [
-        (f"{fold}: " if several else "") + "; ".join(posterior.faults)
-        for fold, posterior in results.posteriors.items()
-        if posterior.faults
-    ]
-    if not summary:
-        return ""
-    return (
-        f"NOT CONVERGED: {'. '.join(summary)}. Percentiles and bands drawn from this posterior are not "
-        f"final; "
-        "raise the recipe’s sample.steps."
-    )
-
-
-def describe_outside_fits(results: Run) -> str:
-    """Return which fitted values lie outside the central 95 % of their posterior; empty if none does."""
-    rows = [row for row in to_records(tabulate_percentiles(results)) if row["fit_in_central_95"] is False]
-    if not rows:
-        return ""
-    several = len(results.posteriors) > 1
-    names = [format_bare_symbol(row["parameter"]) for row in rows]
-    where = [f"{name} in {row['fold']}" if several else name for name, row in zip(names, rows, strict=True)]
-    by_metric = (results.frames["starts"].query("fit == 'fitted'")["minimized"] == "metric").any()
-    why = _METRIC_FIT_NOTE if by_metric else _MODE_NOTE
-    return f"The fit lies outside the central 95 % of the posterior in {', '.join(where)}: {why}"
-
-
-_METRIC_FIT_NOTE = (
-    "the fit minimises the error metrics of the recipe (IPE, TE, EDP), the posterior uses the stated noise, "
-    "so the percentiles are no error bars of the fitted values."
-)
-_MODE_NOTE = (
-    "the fit is the mode of the posterior. Where the mode lies near a bound, or beside a broad second mode, "
-    "most of the posterior lies elsewhere. Use the percentiles."
-)
-
-
 def lay_out_posterior(results: Run) -> TableLayout:
     """Return the percentiles beside the fitted value."""
     table = to_records(tabulate_percentiles(results))
@@ -107,7 +67,8 @@ def lay_out_posterior(results: Run) -> TableLayout:
     marked = any(row["mark"] for row in rows)
     notes = ("‡ outside the central 95 % of the draws.",) if marked else ()
     caption = "Posterior: percentiles of the draws, and the fitted value."
-    caption += " NOT CONVERGED: they are not final." if describe_unconverged(results) else ""
+    unconverged = any(posterior.faults for posterior in results.posteriors.values())
+    caption += " NOT CONVERGED: they are not final." if unconverged else ""
     return Table("posterior", caption, rows, columns, notes=notes).lay_out(drop_empty=True)
 
 
@@ -168,47 +129,6 @@ RIDGE_MIN_AXIS_RATIO = 3.0
 
 RIDGE_REACH_SD = 2.0
 """Standard deviations to which the ridge is drawn in both directions."""
-
-
-def describe_draws(results: Run) -> str:
-    """Return sentences on the draws: their source, their convergence, and their longest direction."""
-    fold = results.frames["draws"]["fold"].iloc[0]
-    draws = results.frames["draws"][results.frames["draws"]["fold"] == fold]
-    source, k, certified = (draws[name].iloc[0] for name in ("draw_source", "pareto_k", "certified"))
-    summary = f"{len(draws)} draws of the sampled posterior"
-    if source == "importance":
-        summary = f"{len(draws)} importance draws about the modes of the fit, Pareto k {k:.2f}".replace(
-            "-", "−"
-        )
-    doubt = "" if certified else _UNCERTIFIED[source]
-    where = (
-        f" Shown is the first of {results.frames['draws']['fold'].nunique()} folds, {fold}."
-        if _has_several_folds(results)
-        else ""
-    )
-    ridge = _describe_ridge(draws[list_free_parameters(results)], certified)
-    return f"{summary[:1].upper()}{summary[1:]}{doubt}.{where} {ridge}"
-
-
-_UNCERTIFIED = {
-    "posterior": ", which has NOT CONVERGED: raise the recipe’s sample.steps",
-    "importance": ", which is NOT CERTIFIED: sample it (--sample)",
-}
-
-
-def _describe_ridge(draws: pd.DataFrame, certified: bool) -> str:
-    """Return what is known across the ridge and what is not along it, if the draws are certified."""
-    axes = principal_axes(draws)
-    if not is_ridge(axes):
-        return "No pair lies on a ridge."
-    if not certified:
-        return "Dashed: the longest axis of these draws."
-    known, loose = insert_symbols(axes[0].words), insert_symbols(axes[-1].words)
-    return f"Dashed, the ridge: along it {loose}; across it {known}."
-
-
-def _has_several_folds(results: Run) -> bool:
-    return bool(results.frames["draws"]["fold"].nunique() > 1)
 
 
 def list_free_parameters(results: Run) -> list[str]:

@@ -1,271 +1,333 @@
-"""Compose the report of one study or fit, the answer first, and the report of several studies."""
+"""The report of a fit or cross-validation: tables, figures, files, and the blocks of its text."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
 
-from needlefit.reporting import document, labels
-from needlefit.reporting.document import Block, Document
+import pandas as pd
+
+from needlefit.metrics import list_metrics
+from needlefit.reporting import document, latex
+from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
+from needlefit.reporting.document import Block
+from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.interval_text import choose_interval_unit, typeset_interval
 from needlefit.reporting.number_format import insert_symbols
-from needlefit.studies import paper
-from needlefit.studies.identification_tables import describe_verdicts
-from needlefit.studies.kinds.cross_validation import detail_tables, score_tables, sentences
-from needlefit.studies.kinds.cross_validation.differences import COMPARISONS
-from needlefit.studies.kinds.cross_validation.explanation import explain
-from needlefit.studies.kinds.cross_validation.explorer import collect_explorer
-from needlefit.studies.kinds.cross_validation.figures.waterfall import describe_agreement
-from needlefit.studies.kinds.cross_validation.files import (
-    draw_figures,
-    fit_to_json,
-    lay_out_tables,
-    tabulate_files,
-    write_files,
+from needlefit.reporting.table_files import to_records, write_csv
+from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.tidy import to_tidy
+from needlefit.studies.identification_tables import (
+    describe_verdicts,
+    lay_out_identification,
+    tabulate_identification,
 )
-from needlefit.studies.kinds.cross_validation.methods_paragraph import format_methods_text
+from needlefit.studies.kinds.cross_validation import detail_tables, figures, score_tables
+from needlefit.studies.kinds.cross_validation.differences import COMPARISONS
+from needlefit.studies.kinds.cross_validation.explorer import collect_explorer
+from needlefit.studies.kinds.cross_validation.facts import TEXT, Facts, find_scored_role, list_sentences, say
+from needlefit.studies.kinds.cross_validation.parameter_table import (
+    NOT_DETERMINED,
+    arrange_parameters,
+    is_conditional,
+    tabulate_parameters,
+)
 from needlefit.studies.kinds.cross_validation.posterior import (
-    describe_draws,
-    describe_outside_fits,
-    describe_unconverged,
     lay_out_posterior,
+    list_free_parameters,
+    tabulate_percentiles,
 )
 from needlefit.studies.kinds.cross_validation.score_tables import lay_out_coverage
-from needlefit.studies.kinds.cross_validation.tables import (
+from needlefit.studies.kinds.cross_validation.verdict import judge
+from needlefit.studies.report import FigurePaths, StudyReport
+from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import (
     BY_LAYERS,
     BY_MEDIA,
     list_groups,
     list_held_out_groups,
     tabulate_tuning,
+    tabulate_validation,
 )
-from needlefit.studies.kinds.cross_validation.verdict import (
-    describe_evidence,
-    judge,
-)
-from needlefit.studies.report import (
-    FigurePaths,
-    StudyReport,
-    compose_warnings,
-    list_run_warnings,
-    state_blocks,
-    verdict_blocks,
-)
-from needlefit.studies.run import Run
-from needlefit.studies.verdict import headline_fault
+from needlefit.studies.slicer import write_needles
+
+# ---- sentences
 
 
-def compose_sections(results: Run, figures: FigurePaths) -> list[Block]:
+def summarize(results: Run) -> list[str]:
+    """Return the main result: one sentence per held-out group, then the comparison with its baselines.
+
+    A study without a row of the paper is about its empirical curves, so each one's difference is given;
+    of the others only the methods that do better.
+    """
+    if not list_held_out_groups(results):
+        return list_sentences(results, "fit")
+    printed = any(group.printed for group in list_held_out_groups(results))
+    return list_sentences(results, "groups", *(("better", "ties") if printed else ("curve_differences",)))
+
+
+def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
+    """Return all tables, and sentences on the search, on what failed and on what the data determine."""
+    tables = [*lay_out_tables(results), detail_tables.lay_out_baselines([results], find_scored_role(results))]
+    tables += [lay_out_coverage(results)] if len(results.frames["predictive"]) else []
+    tables += [lay_out_posterior(results)] if results.posteriors else []
+    held_out = bool(list_held_out_groups(results))
+    errors = ["groups" if held_out else "fit", "conclusion"]
+    errors += ["better_others", "ties"] if held_out else ["paper_sets"]
+    sentences = [
+        *list_sentences(results, *errors, "noise_floor", "prediction_set", "wide_intervals", "searches"),
+        *map(insert_symbols, _name_folds(_list_undetermined(results))),
+        *list_sentences(results, "combinations"),
+        *map(insert_symbols, _name_folds(_list_verdicts(results))),
+        *list_sentences(results, "failures", "validity", "unconverged", "outside_fits"),
+    ]
+    return tables, sentences
+
+
+def _name_folds(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield the sentences of folds, each once, with the folds that it holds for unless these are all."""
+    holders: dict[str, list[str]] = {}
+    for fold, sentences in found.items():
+        for sentence in sentences:
+            holders.setdefault(sentence, []).append(fold)
+    for sentence, folds in holders.items():
+        several = "Folds" if len(folds) > 1 else "Fold"
+        yield sentence if len(folds) == len(found) else f"{several} {', '.join(folds)}: {sentence}"
+
+
+def _list_undetermined(results: Run) -> dict[str, list[str]]:
+    """Return by fold what the data do not determine."""
+    rows = arrange_parameters(tabulate_parameters(results))
+    # `describe_verdicts` names the conditions of these
+    judged = set(results.frames["identification"]["parameter"])
+    found: dict[str, list[str]] = {str(row["fold"]): [] for row in rows}
+    for row in rows:
+        conditional = row["parameter"] in judged and is_conditional(row)
+        if row["status"] == "free" and not row["determined"] and not conditional:
+            note = str(row["note"] or NOT_DETERMINED)
+            words = note if "determined" in note else f"{NOT_DETERMINED}: {note}"
+            found[str(row["fold"])].append(f"{row['parameter']}: {words}.")
+    return found
+
+
+def _list_verdicts(results: Run) -> dict[str, list[str]]:
+    """Return by fold the interval of each parameter, and under which assumption it is determined."""
+    groups = results.frames["identification"].groupby("fold", sort=False)
+    return {str(fold): describe_verdicts(rows) for fold, rows in groups}
+
+
+# ---- tables
+
+
+def tabulate_files(result: Run) -> dict[str, pd.DataFrame]:
+    """Return the tables that are written as CSV, by name."""
+    names = ("design", "errors", "shapes", "starts", "failures", "directions")
+    frames = {name: result.frames[name] for name in names}
+    predictions = [result.frames[name] for name in ("predictive", "predictive_training")]
+    if any(map(len, predictions)):
+        frames["predictive"] = pd.concat([frame for frame in predictions if len(frame)])
+    frames |= {name: frame for name, frame, _ in lay_out_files([result], [result]) if len(frame)}
+    if len(result.frames["identification"]):
+        frames["identify"] = tabulate_identification(result.frames["identification"], result.origin)
+    if result.posteriors:
+        frames["posterior"] = tabulate_percentiles(result)
+    return frames
+
+
+def fit_to_json(result: Run) -> dict[str, Any]:
+    """Return the errors beside the paper's; of a fit also its parameters, starts and what they determine."""
+    frames = {"validation": tabulate_validation(result)}
+    if result.kind == "fit":
+        names = ("errors", "starts", "failures", "directions", "identification", "profiles")
+        frames = {"parameters": tabulate_parameters(result), **{name: result.frames[name] for name in names}}
+        if result.posteriors:
+            frames["posterior"] = tabulate_percentiles(result)
+    return {name: to_records(to_tidy(frame)) for name, frame in frames.items()}
+
+
+def lay_out_tables(result: Run) -> list[TableLayout]:
+    """Return the tables of errors and parameters beside the paper's."""
+    found = [table for _, _, layouts in lay_out_files([result], [result]) for table in layouts]
+    return [table for table in found if table.rows]
+
+
+def lay_out_files(
+    studies: Sequence[Run], tunings: Sequence[Run]
+) -> Iterator[tuple[str, pd.DataFrame, list[TableLayout]]]:
+    """Yield the paper's tables with our rows beside its rows: name, rows, and the tables to print."""
+    every = list({one.name: one for one in (*studies, *tunings)}.values())
+    validation = tabulate_validation(*studies, with_alternate=True)
+    yield "validation", validation, [score_tables.lay_out_validation(studies)]
+    by = [score_tables.lay_out_tuning(tunings, grouping) for grouping in (BY_LAYERS, BY_MEDIA)]
+    yield "tuning", tabulate_tuning(*tunings, with_alternate=True), by
+    yield "parameters", tabulate_parameters(*every), [detail_tables.lay_out_parameters(every)]
+
+
+def _list_tables(results: Run) -> Iterator[TableLayout]:
+    """Yield every table that a run's report prints."""
+    role = find_scored_role(results)
+    baselines = detail_tables.lay_out_baselines([results], role)
+    yield score_tables.lay_out_design([results])
+    yield score_tables.lay_out_validation([results])
+    yield from (score_tables.lay_out_tuning([results], grouping) for grouping in (BY_LAYERS, BY_MEDIA))
+    if len(results.frames["predictive"]):
+        yield lay_out_coverage(results)
+    if len(baselines.rows) > 1:
+        yield baselines
+    yield detail_tables.lay_out_parameters([results])
+    yield detail_tables.lay_out_directions(results)
+    if len(results.frames["identification"]):
+        yield lay_out_identification(results.frames["identification"])
+    if results.posteriors:
+        yield lay_out_posterior(results)
+    yield detail_tables.lay_out_insertions(results, role)
+
+
+# ---- files
+
+
+def write_files(result: Run, folder: Path) -> None:
+    """Write the numbers and methods for a paper, and every needle in its scan."""
+    # With every digit: it is exactly these values that fail again.
+    write_csv(result.frames["failures"].assign(origin=result.origin), folder / "failures.csv", digits=None)
+    if len(result.frames["needles"]):
+        write_needles(result, folder / "slicer")
+    (folder / "numbers.tex").write_text(format_macros([result]), encoding="utf-8")
+    if Facts(result).has_methods:
+        lines, cited = format_methods(result)
+        (folder / "methods.tex").write_text(lines, encoding="utf-8")
+        (folder / "references.bib").write_text(format_references(cited), encoding="utf-8")
+
+
+def format_methods(result: Run) -> tuple[str, list[str]]:
+    """Return the methods paragraph as LaTeX, and the keys of `references.bib` that it cites."""
+    values = {"facts": Facts(result)}
+    parts = [TEXT.format_latex(block, values) for block in ("methods_data", "methods")]
+    cited = dict.fromkeys(key for _, keys in parts for key in keys)
+    return "\n".join(lines for lines, _ in parts if lines) + "\n", list(cited)
+
+
+_REFERENCES_HEAD = (
+    "% Cited by methods.tex. Needs \\usepackage{url} and, at the end, \\bibliographystyle and "
+    "\\bibliography{references}."
+)
+
+
+def format_references(cited: Sequence[str]) -> str:
+    """Return the BibTeX entries of these keys, which ship with needlefit."""
+    text = (files("needlefit.reporting") / "templates" / "references.bib").read_text(encoding="utf-8")
+    entries = [entry.strip() for entry in text.split("\n\n") if entry.strip()]
+    known = {entry.split("{", 1)[1].split(",", 1)[0]: entry for entry in entries}
+    return "\n\n".join([_REFERENCES_HEAD, *(known[key] for key in cited)]) + "\n"
+
+
+def format_macros(results: Sequence[Run]) -> str:
+    """Return a LaTeX file of macros of every printed number, by readable keys.
+
+    A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
+    beside it or `-over-floor` after it for the multiple of its noise floor; `<run>-<parameter>`, with `-low`,
+    `-high` and `-interval` of its 95 % interval (`-interval` alone where that is "not determined"), all in
+    the unit of the tables, `-unit`; or that of a cell of a table (`format_table_macros`).
+    """
+    return latex.format_macros(number for one in results for number in _list_numbers(one))
+
+
+def _list_numbers(results: Run) -> Iterator[tuple[str, str]]:
+    yield from _list_errors(results)
+    yield from _list_parameters(results)
+    yield from latex.list_cells(results.name, tuple(_list_tables(results)))
+
+
+def _list_errors(results: Run) -> Iterator[tuple[str, str]]:
+    for group in list_held_out_groups(results):
+        head = group.head
+        begin = f"{results.name}-{head['medium']}-{head['layers']}"
+        yield f"{begin}-n", str(head["insertions"])
+        for metric in list_metrics():
+            row = {"metric": metric.name, DIGITS: 3 if head["comparison"] == "aligned" else 2}
+            for key, column in (("", "value"), ("floor-", "floor"), ("paper-", "paper")):
+                value = group.get(metric.name, column)
+                if value is not None or not key:
+                    yield f"{begin}-{key}{metric.macro_name}", format_value(METRIC_FORMAT, value, row)
+            if (times := group.over_floor(metric.name)) is not None:
+                words = find_column("over_floor").format_cell({"over_floor": times})
+                yield f"{begin}-{metric.macro_name}-over-floor", words
+
+
+def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
+    table = arrange_parameters(tabulate_parameters(results))
+    several = len({row["fold"] for row in table}) > 1
+    for row in table:
+        name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
+        where = f"-{row['fold']}" if several else ""
+        key = f"{results.name}{where}-{name}"
+        label, scale = choose_interval_unit(row, row["value_used"])
+        yield key, detail_tables.format_in_unit(row["fitted"], scale)
+        if unit := label.partition(" (")[2].rstrip(")"):
+            yield f"{key}-unit", unit
+        if interval := typeset_interval(row, scale):
+            yield f"{key}-interval", interval
+            low, to, high = interval.partition(" to ")
+            yield from ((f"{key}-low", low), (f"{key}-high", high)) if to else ()
+
+
+# ---- figures and sections
+
+
+def draw_figures(results: Run, folder: Path) -> dict[str, Path]:
+    """Draw what the tables allow to be drawn."""
+    role, frames, drawn = find_scored_role(results), results.frames, {}
+    if len(frames["profiles"]):
+        drawn["profiles"] = draw_profiles(
+            frames["identification"], frames["profiles"], results.origin, folder / "profiles.pdf"
+        )
+    if all(_has_fitted(frames[name], role) for name in ("errors", "shapes")):
+        for name in ("schematic", "overlays", "residuals"):
+            drawn[name] = getattr(figures, f"draw_{name}")(results, folder / f"{name}.pdf", role)
+    if len(frames["draws"]) and list_free_parameters(results):
+        drawn["corner"] = figures.draw_corner(results, folder / "corner.pdf")
+    if len(frames["starts"]) and not Facts(results).agreement:
+        drawn["waterfall"] = figures.draw_waterfall(results, folder / "waterfall.pdf")
+    return drawn | draw_error_figures([results], folder)
+
+
+def draw_error_figures(results: Sequence[Run], folder: Path) -> dict[str, Path]:
+    """Draw the errors on held-out insertions, if there are any."""
+    if tabulate_validation(*results).empty:
+        return {}
+    drawn = {"boxplot": figures.draw_boxplot(results, folder / "boxplot.pdf")}
+    if len(results) > 1:  # of one study the table of methods has these numbers
+        drawn["baselines"] = figures.draw_baselines(results, folder / "baselines.pdf")
+    if any(len(one.frames["predictive"]) for one in results):
+        drawn["predicted"] = figures.draw_predictive_check(results, folder / "predicted.pdf")
+    return drawn
+
+
+def _has_fitted(frame: pd.DataFrame, role: str) -> bool:
+    return bool(((frame["role"] == role) & (frame["method"] == "fitted")).any())
+
+
+def compose_sections(results: Run, paths: FigurePaths) -> list[Block]:
     """Return the report below its verdicts: evidence, schematic and errors in short; then errors and
     coverage, parameters, insertions, methods; diagnostics last.
     """
-    return [
-        document.text(describe_evidence(results)),
-        *figure_blocks(figures, "schematic", _add_bands(results, labels.SCHEMATIC_CAPTION)),
-        document.table(score_tables.lay_out_summary([results])),
-        *_error_blocks(results, figures),
-        *_parameter_blocks(results, figures),
-        *_insertion_blocks(results, figures),
-        *_methods_blocks(results),
-        document.heading("Appendix: data and diagnostics"),
-        *_data_blocks(results),
-        *_diagnostic_blocks(results, figures),
-    ]
+    tables = [*_list_tables(results), score_tables.lay_out_summary([results])]
+    tables.append(score_tables.lay_out_all_errors(results))
+    methods = list_sentences(results, "methods") if Facts(results).has_methods else []
+    paragraph = {"methods": [document.text(" ".join(methods))]}
+    return TEXT.compose("report", {"facts": Facts(results)}, tables, paths, paragraph)
 
 
-def _add_bands(results: Run, caption: str) -> str:
-    """Return the caption of a figure of needles with what there is to say of the bands of those held out."""
-    if len(results.frames["bands"]):
-        return f"{caption} {labels.BANDS_CAPTION}"
-    uncertified = not results.frames["draws"]["certified"].astype(bool).all()
-    held_out = sentences.find_scored_role(results) == "validate"
-    return f"{caption} {labels.NO_BANDS_CAPTION}" if uncertified and held_out else caption
-
-
-def figure_blocks(figures: FigurePaths, name: str, caption: str) -> list[Block]:
-    """Return the block of a figure if it was drawn."""
-    return [document.figure(figures[name], caption)] if name in figures else []
-
-
-def _error_blocks(results: Run, figures: FigurePaths) -> list[Block]:
-    role = sentences.find_scored_role(results)
-    predicted = len(results.frames["predictive"]) > 0
-    held_out = f"Errors{' and coverage' if predicted else ''} on held-out insertions"
-    return [
-        document.heading(held_out if role == "validate" else "Errors"),
-        *_boxplot_blocks([results], figures),
-        *figure_blocks(figures, "predicted", labels.PREDICTIVE_CHECK_CAPTION),
-        *_baseline_table([results], role),
-        *([document.table(lay_out_coverage(results))] if predicted else []),
-    ]
-
-
-def _boxplot_blocks(results: Sequence[Run], figures: FigurePaths) -> list[Block]:
-    printed = any(group.printed for group in list_held_out_groups(*results))
-    caption = f"{labels.BOXPLOT_CAPTION} {labels.PAPER_MEANS_CAPTION}" if printed else labels.BOXPLOT_CAPTION
-    return figure_blocks(figures, "boxplot", caption)
-
-
-def _baseline_table(results: Sequence[Run], role: str) -> list[Block]:
-    table = detail_tables.lay_out_baselines(results, role)
-    return [document.table(table)] if len(table.rows) > 1 else []
-
-
-def _parameter_blocks(results: Run, figures: FigurePaths) -> list[Block]:
-    drawn = f"{labels.CORNER_CAPTION} {describe_draws(results)}" if "corner" in figures else ""
-    summary = (describe_unconverged(results), describe_outside_fits(results))
-    return [
-        document.heading("Parameters"),
-        document.text(sentences.describe_undetermined(results)),
-        *([document.text(used)] if (used := sentences.describe_prediction_set(results)) else []),
-        document.table(detail_tables.lay_out_parameters([results])),
-        *(document.text(words) for words in summary if words),
-        *figure_blocks(figures, "corner", drawn),
-    ]
-
-
-def _insertion_blocks(results: Run, figures: FigurePaths) -> list[Block]:
-    if results.frames["errors"].empty:
-        return []
-    return [
-        document.heading("Single insertions"),
-        *figure_blocks(figures, "overlays", _add_bands(results, labels.OVERLAYS_CAPTION)),
-        document.table(detail_tables.lay_out_insertions(results, sentences.find_scored_role(results))),
-    ]
-
-
-def _methods_blocks(results: Run) -> list[Block]:
-    summary = format_methods_text(results)
-    if not summary:
-        return []
-    return [
-        document.heading("Methods"),
-        document.text(summary),
-        document.note("As LaTeX, with the origin of the data and citations: methods.tex and references.bib."),
-    ]
-
-
-def tuning_blocks(results: Sequence[Run]) -> list[Block]:
+def tuning_tables(results: Sequence[Run]) -> list[TableLayout]:
     """Return the in-sample tables; by media only where the paper has a cell."""
     groups = list_groups(tabulate_tuning(*results))
     printed = any(group.head["grouping"] == BY_MEDIA and group.printed for group in groups)
     groupings = (BY_LAYERS, BY_MEDIA) if printed else (BY_LAYERS,)
-    return [document.table(score_tables.lay_out_tuning(results, by)) for by in groupings if groups]
-
-
-def _data_blocks(results: Run) -> list[Block]:
-    notes = results.run.get("dataset", {}).get("notes", ())
-    if results.synthetic:  # every page says it already
-        notes = [
-            f"{note[:1].upper()}{note[1:]}" for note in (one.removeprefix("Synthetic: ") for one in notes)
-        ]
-    title = "" if results.synthetic else f"{results.dataset_title}. "
-    return [
-        document.text(f"{title}{sentences.describe_noise_floor(results)}"),
-        *(document.note(note) for note in notes),
-        document.table(score_tables.lay_out_design([results])),
-    ]
-
-
-def _diagnostic_blocks(results: Run, figures: FigurePaths) -> list[Block]:
-    summary = (
-        sentences.describe_failures(results),
-        sentences.describe_validity(results),
-        describe_agreement(results),
-    )
-    return [
-        document.table(score_tables.lay_out_all_errors(results)),
-        *figure_blocks(figures, "residuals", _add_bands(results, labels.RESIDUALS_CAPTION)),
-        document.table(detail_tables.lay_out_directions(results)),
-        *([document.table(lay_out_posterior(results))] if results.posteriors else []),
-        *_identifiability_blocks(results, figures),
-        *(document.text(words) for words in summary if words),
-        *figure_blocks(figures, "waterfall", labels.WATERFALL_CAPTION),
-    ]
-
-
-def _identifiability_blocks(results: Run, figures: FigurePaths) -> list[Block]:
-    """Return the profiles, and what freeing the fixed parameters would change; the table of parameters has
-    the verdicts on the free ones.
-    """
-    identification = results.frames["identification"]
-    freed = describe_verdicts(identification[identification["status"] == "fixed"])
-    return [
-        *figure_blocks(figures, "profiles", labels.PROFILES_CAPTION),
-        *([document.bullets([insert_symbols(summary) for summary in freed])] if freed else []),
-    ]
-
-
-def compose_overview(
-    results: Sequence[Run],
-    tunings: Sequence[Run],
-    figures: FigurePaths,
-    appendix: Sequence[Block] = (),
-) -> Document:
-    """Return one report over all studies: a matrix of verdicts first, then errors, parameters, the paper.
-
-    `appendix` has the results of studies of other kinds.
-    """
-    synthetic = any(one.origin == "synthetic" for one in results)
-    fits = list({one.name: one for one in (*results, *tunings)}.values())
-    blocks = [
-        *_join_equal(block for one in results for block in state_blocks(one)),
-        document.table(score_tables.lay_out_matrix(results)),
-        *(block for one in results for block in verdict_blocks(one, named=True)),
-        *_overview_warnings(results),
-        document.heading("Errors on held-out insertions"),
-        *_boxplot_blocks(results, figures),
-        *figure_blocks(figures, "baselines", labels.BASELINES_CAPTION),
-        document.table(score_tables.lay_out_summary(results)),
-        *_overview_predictions(results, figures),
-        document.heading("Parameters"),
-        document.table(detail_tables.lay_out_free_parameters(fits)),
-        document.heading("Tuning"),
-        *tuning_blocks(tunings),
-        document.heading("Questions and data"),
-        document.bullets([f"{one.title}: {one.question}".rstrip(": ") for one in results]),
-        document.table(score_tables.lay_out_design(results)),
-        *_overview_contradictions(),
-        *appendix,
-    ]
-    data = "; ".join(dict.fromkeys(one.name if one.synthetic else one.dataset_title for one in results))
-    return Document("Validation studies", data, synthetic, tuple(blocks))
-
-
-def _join_equal(blocks: Iterable[Block]) -> list[Block]:
-    """Return blocks without those that are there already."""
-    found: list[Block] = []
-    for block in blocks:
-        found += [] if block in found else [block]
-    return found
-
-
-def _overview_warnings(results: Sequence[Run]) -> list[Block]:
-    """Return what did not converge, and the warnings of all runs, each with the name of its run."""
-    blocks = []
-    for one in results:
-        name = one.title.partition(":")[0]
-        blocks += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
-        blocks += compose_warnings(list_run_warnings(one), head=f"{name}: ")
-    return [document.subheading("Warnings"), *blocks] if blocks else []
-
-
-def _overview_predictions(results: Sequence[Run], figures: FigurePaths) -> list[Block]:
-    predicted = [one for one in results if len(one.frames["predictive"])]
-    if not predicted:
-        return []
-    return [
-        document.heading("Coverage of the predictive intervals"),
-        *figure_blocks(figures, "predicted", labels.PREDICTIVE_CHECK_CAPTION),
-        document.table(lay_out_coverage(*predicted, named=True)),
-    ]
-
-
-def _overview_contradictions() -> list[Block]:
-    return [
-        document.heading("Where the paper contradicts itself"),
-        document.text("Our numbers cannot agree with the paper more closely than it agrees with itself."),
-        document.table(detail_tables.lay_out_contradictions(paper.find_contradictions())),
-    ]
+    return [score_tables.lay_out_tuning(results, by) for by in groupings if groups]
 
 
 REPORT = StudyReport(
-    summarize=sentences.summarize_errors,
+    summarize=summarize,
     lay_out=lay_out_tables,
     draw=draw_figures,
     compose=compose_sections,
@@ -281,4 +343,5 @@ REPORT = StudyReport(
         detail_tables.lay_out_values(results),
     ],
     explain=explain,
+    say=say,
 )

@@ -24,11 +24,11 @@ from needlefit.inference.parameters import Theta
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.identification import identify_parameters, reconcile_verdict
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.cross_validation.results import COLUMNS
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.parameter_intervals import NO_SOURCE, add_intervals, intervals_of_draws
 from needlefit.studies.score import Row, Scorer, make_predictors

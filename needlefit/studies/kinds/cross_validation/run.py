@@ -24,6 +24,7 @@ from needlefit.project.processes import one_thread
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies import provenance
+from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.folds import Fold
 from needlefit.studies.held_out_predictions import draw_fold_parameters
@@ -36,8 +37,6 @@ from needlefit.studies.kinds.cross_validation.result_rows import (
     tabulate_fold,
     tabulate_predictions,
 )
-from needlefit.studies.kinds.cross_validation.results import COLUMNS as FRAMES
-from needlefit.studies.kinds.cross_validation.verdict import warn_of_coverage, warn_of_width
 from needlefit.studies.needles_in_scan import FoldFit, NeedleInScan, place_needles, tabulate_needles
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer
@@ -112,7 +111,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     unconverged |= {fold: faults for fold, faults in tables.uncertified.items() if fold not in unconverged}
     faults = find_faults(found.frames["errors"], tables.search_faults, unconverged)
     found = replace(found, faults=faults)
-    return add_warnings(found, job, [*warn_of_coverage(found), *warn_of_width(found)])
+    return add_warnings(found, job)
 
 
 def _list_layers(job: Job) -> dict[str, list[list[float]]]:

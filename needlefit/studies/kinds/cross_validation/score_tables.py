@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from needlefit.datasets.select import group_independent
-from needlefit.inference.proportions import Proportion, estimate_proportion
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name, study_name
@@ -15,24 +13,21 @@ from needlefit.reporting.number_format import MISSING, format_percent
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
-from needlefit.studies.kinds.cross_validation.tables import (
+from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
+from needlefit.studies.fit_warnings import describe_gain
+from needlefit.studies.kinds.cross_validation.verdict import judge
+from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import (
     BY_LAYERS,
     BY_MEDIA,
     HELD_OUT,
     ScoredGroup,
+    find_best_baseline,
     list_groups,
     list_held_out_groups,
     study_label,
     tabulate_tuning,
 )
-from needlefit.studies.kinds.cross_validation.verdict import (
-    describe_after_one,
-    find_best_baseline,
-    judge,
-    median_error,
-    median_width,
-)
-from needlefit.studies.run import Run
 
 _ROW_NOTES = {  # what a row means; it stands under the table where the row does
     "posterior-mode fit": "Each cell is the mean over insertions; IPE is mean ± standard deviation along the "
@@ -312,11 +307,6 @@ _DRAW_SOURCE_NAMES = {
     "posterior": "the sampled posterior",
     "importance": "importance-weighted draws of the posterior",
 }
-COVERAGE_COLUMNS = (
-    *("insertions", "tip_in_50", "tip_in_95", "tip_95_width_mm", "tip_median_error_mm"),
-    *("shape_in_50", "shape_in_95", "tip_crps_mm"),
-)
-"""Columns of how well needles were predicted."""
 
 
 def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
@@ -362,33 +352,7 @@ def describe_spread(predicted: pd.DataFrame) -> Iterator[str]:
         for _, rows in groups:
             study, medium = rows["study"].iloc[0], str(rows["medium"].iloc[0])
             where = f" ({study_name(study)}, {medium_name(medium)})" if len(groups) > 1 else ""
-            yield f"New specimen{where}, 95 % intervals of tips: {describe_after_one(rows)}."
+            yield f"New specimen{where}, 95 % intervals of tips: {describe_gain(rows)}."
 
 
 _COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
-
-
-def tabulate_coverage(predictions: pd.DataFrame) -> Row:
-    """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within intervals, width, mean score."""
-    independent_groups = group_independent(list(predictions["insertion"]), list(predictions["specimen"]))
-    return {
-        **{
-            name: format_share(estimate_proportion(list(predictions[name]), independent_groups))
-            for name in COVERAGE_COLUMNS
-            if "_in_" in name
-        },
-        "insertions": len(predictions),
-        "tip_95_width_mm": median_width(predictions),
-        "tip_median_error_mm": median_error(predictions),
-        "tip_crps_mm": predictions["tip_crps_mm"].mean(),
-    }
-
-
-def format_share(found: Proportion) -> str:
-    """Return how many of a number in the same row, with the interval of the share: "9 (60–98 %)"."""
-    return f"{found.hits} ({100 * found.low:.0f}–{100 * found.high:.0f} %)"
-
-
-def format_proportion(found: Proportion) -> str:
-    """Return a proportion with its interval as text: "9 of 10 (60–98 %)"."""
-    return f"{found.hits} of {found.trials} ({100 * found.low:.0f}–{100 * found.high:.0f} %)"

@@ -20,7 +20,7 @@ from needlefit.reporting.number_format import join_metrics, join_words
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
-from needlefit.studies.kinds.cross_validation.score_tables import COVERAGE_COLUMNS, tabulate_coverage
+from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
 from needlefit.studies.verdict import BestBaseline, Verdict, judge_errors

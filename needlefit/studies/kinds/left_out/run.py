@@ -18,10 +18,10 @@ from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.toml_lines import add_file_context, add_study_context
 from needlefit.schemas.study import FitRecord
+from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.folds import Fold, group_insertions, leave_out
 from needlefit.studies.held_out_predictions import PREDICTIVE_COLUMNS, tabulate_held_out
 from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.cross_validation.results import COLUMNS
 from needlefit.studies.kinds.left_out.schema import LeftOutRecord
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.posterior_fit import PosteriorFit, fit_posterior

@@ -29,9 +29,9 @@ from needlefit.reporting.labels import (
     study_name,
 )
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies.kinds.cross_validation.tables import ScoredGroup, list_held_out_groups
 from needlefit.studies.run import Run
 from needlefit.studies.score import list_methods
+from needlefit.studies.scored_groups import ScoredGroup, list_held_out_groups
 from needlefit.studies.summary import tabulate_points
 
 _IPE_COLOUR, _TE_COLOUR = "#0072B2", "#009E73"

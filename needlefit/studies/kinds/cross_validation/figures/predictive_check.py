@@ -22,9 +22,9 @@ from needlefit.inference.proportions import estimate_proportion
 from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, TEXT_WIDTH_IN, choose_width, draw_grid, plot
 from needlefit.reporting.labels import GREY, INK, study_name
 from needlefit.reporting.table_files import Row
-from needlefit.studies.kinds.cross_validation.tables import study_label
 from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import study_label
 from needlefit.studies.summary import find_bevel_sides
 
 BAND_POINTS = 100

@@ -16,6 +16,7 @@ from needlefit.reporting.figures.style import COLUMN_WIDTH_IN, choose_width, dra
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, method_colour, method_name
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row, to_records
+from needlefit.studies.kinds.cross_validation.facts import describe_counts
 from needlefit.studies.run import Run
 
 
@@ -76,14 +77,6 @@ def _paint(marks: pd.DataFrame) -> Figure:
     return figure
 
 
-def describe_agreement(results: Run) -> str:
-    """Return one sentence where all starts of every search end within tolerance of its best; else nothing."""
-    starts = results.frames["starts"]
-    if starts.empty or not starts["within_tolerance"].astype(bool).all():
-        return ""
-    return f"All {describe_counts(starts)} end within tolerance of the best objective of their search."
-
-
 MIN_SHOWN_EXCESS = 1e-3
 """Tolerances: starts nearer to the best one are drawn here, for the axis is logarithmic."""
 
@@ -110,16 +103,6 @@ def _paint_ranked(axes: Axes, starts: pd.DataFrame) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0.5 * MIN_SHOWN_EXCESS)
     draw_grid(axes, "y")
-
-
-def describe_counts(starts: pd.DataFrame) -> str:
-    """Return the number of starts of each search, and the number of searches, as text."""
-    sizes = starts.groupby(["fit", "fold"], sort=False).size()
-    each = f"{sizes.min()}" if sizes.min() == sizes.max() else f"{sizes.min()} to {sizes.max()}"
-    fits, folds = starts["fit"].nunique(), starts["fold"].nunique()
-    where = [f"{folds} folds"] if folds > 1 else []
-    where += [f"{fits} searches"] if fits > 1 else []
-    return f"{each} starts" + (f" in each of {' × '.join(where)}" if where else "")
 
 
 _OUTSIDE_TOLERANCE_STYLE: dict[str, Any] = {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}

@@ -1,30 +1,35 @@
-"""Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed."""
+"""Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed.
+
+The paper counts needles that end at a boundary in one way where it lists them and in another where it divides
+them among its studies. A study states which reading decides what tunes and what validates; with the same fit
+and the same predictions the other one only makes other groups, whose cells stand beside the first.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 
+from needlefit.datasets.select import get_other_rule
+from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import paper
-from needlefit.studies.kinds.cross_validation.comparability import (
-    compare_tuning_row,
-    compare_validation_row,
-    find_regrouped,
-    use_alternate_count,
-)
 from needlefit.studies.run import Run
-from needlefit.studies.summary import AGGREGATE_COLUMNS, aggregate
+from needlefit.studies.summary import AGGREGATE_COLUMNS, aggregate, beats_fit, compare_methods
+from needlefit.studies.verdict import BestBaseline
 
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers", "alternate_count")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
 _DESCRIPTION_COLUMNS = ("layer_count_rule", "comparable", "comparison", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)
 """Columns of both tables."""
+
+TE = "te_mm"
+"""The metric of verdicts, of warnings about them, and of every comparison of methods in words."""
 
 HELD_OUT, BY_LAYERS, BY_MEDIA = "held_out", "layers", "media"
 """Values of `grouping`: insertions held out, or fitted to, by medium and number of layers or by medium."""
@@ -113,6 +118,56 @@ def study_label(results: Run) -> str | int:
     """Return the paper's number of the study, or its name where the paper has none."""
     number = getattr(results.record, "paper_study", None)
     return results.name if number is None else int(number)
+
+
+def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
+    """Return the rows of a frame that are of a group: of its medium and, if it has one, number of layers."""
+    inside = frame["medium"] == group.head["medium"]
+    if group.head["layers"] is not None:
+        inside &= frame["layers"] == group.head["layers"]
+    members: pd.DataFrame = frame[inside]
+    return members
+
+
+def list_judged_groups(results: Run) -> list[ScoredGroup]:
+    """Return the groups that verdicts are about: those held out, of a fit the media fitted to."""
+    groups = [] if results.kind == "fit" else list_held_out_groups(results)
+    tuning = tabulate_tuning(results) if not groups else None
+    return groups if tuning is None else list_groups(tuning[tuning["grouping"] == BY_MEDIA])
+
+
+def find_best_baseline(group: ScoredGroup) -> str | None:
+    """Return the baseline with the smallest tip error."""
+    errors = {name: group.get(TE, method=name) for name in BASELINES.names()}
+    known = {name: error for name, error in errors.items() if error is not None}
+    return min(known, key=lambda name: known[name], default=None)
+
+
+def compare_best_baseline(results: Run, group: ScoredGroup) -> BestBaseline | None:
+    """Return the best baseline of a group and whether it is significantly better or worse than the fit."""
+    best = find_best_baseline(group)
+    if best is None:
+        return None
+    verdict: Literal["better", "worse", "tie"] = (
+        "better"
+        if _beats(results, group, best, "fitted")
+        else "worse"
+        if _beats(results, group, "fitted", best)
+        else "tie"
+    )
+    return BestBaseline(BASELINES[best].description, group.get(TE, method=best), verdict)
+
+
+def _beats(results: Run, group: ScoredGroup, method: str, other: str) -> bool:
+    """Return whether the tip errors of a method are significantly smaller than those of another."""
+    return any(beats_fit(row, TE) for row in compare_group(results, group, other) if row["method"] == method)
+
+
+def compare_group(results: Run, group: ScoredGroup, against: str = "fitted") -> list[Row]:
+    """Return every method's tip error on the insertions of a group beside that of another method."""
+    role = "validate" if group.head["grouping"] == HELD_OUT else "tune"
+    here = results.with_frames(errors=select_group(results.frames["errors"], group))
+    return to_records(compare_methods(here, against=against, role=role, metric=TE))
 
 
 class _IdentityKey:
@@ -211,3 +266,79 @@ def _find_published(name: paper.TableName, match: Mapping[str, Any]) -> list[Row
 
 def _find_comparison(results: Run) -> str:
     return str(results.frames["errors"]["comparison"].iloc[0])
+
+
+# ---- comparable with the paper's rows, or not; and by the other reading of a needle that ends at a boundary
+
+
+def compare_validation_row(results: Run, insertions: int, paper_insertions: int | None) -> str:
+    """Return the sentence on comparability of a held-out group; `paper_insertions`: None without a row."""
+    if paper_insertions is None:
+        return "The paper has no such row."
+    return _describe_comparability(
+        results, insertions, paper_insertions, "measured boundaries, mean over insertions"
+    )
+
+
+def compare_tuning_row(results: Run, insertions: int, paper_insertions: int | None) -> str:
+    """Return the sentence on comparability of an in-sample group."""
+    if paper_insertions is None:
+        return "In-sample; the paper has no such row."
+    conditions = "in-sample, measured boundaries, mean over insertions"
+    return _describe_comparability(results, insertions, paper_insertions, conditions)
+
+
+def compare_parameter_row(results: Run, printed: bool) -> str:
+    """Return the sentence on comparability of a parameter; `printed`: the paper has a value."""
+    if not printed:
+        return "The paper has no such value."
+    needles = "to simulated needles" if results.origin == "synthetic" else "to other needles"
+    return (
+        f"Same model, as far as the paper states it: ours fitted {needles}, the paper's tuned by hand on its "
+        "real ones; a parameter has no noise floor."
+    )
+
+
+def _describe_comparability(results: Run, insertions: int, paper_insertions: int, conditions: str) -> str:
+    if (results.frames["errors"]["comparison"] == "aligned").any():
+        return "Not comparable: our errors are after rigid alignment, the paper's in the world frame."
+    data = (
+        "ours are of simulated needles, the paper's of real ones"
+        if results.origin == "synthetic"
+        else "the needles are not the paper's"
+    )
+    count = (
+        ""
+        if insertions == paper_insertions
+        else f", {_count_insertions(insertions)} here, {paper_insertions} there"
+    )
+    verdict = (
+        "Same metrics and design, other data" if not count else "Same metrics, other data and insertions"
+    )
+    return f"{verdict}: {conditions}; {data}{count}; ours are tuned automatically, the paper's by hand."
+
+
+def _count_insertions(insertions: int) -> str:
+    return "1 insertion" if insertions == 1 else f"{insertions} insertions"
+
+
+Group = tuple[str, int]
+
+
+def use_alternate_count(results: Run) -> Run:
+    """Return the same results with the insertions grouped by the alternative rule of counting layers."""
+    record = results.record.model_copy(
+        update={"layer_count_rule": get_other_rule(results.record.layer_count_rule)}
+    )
+    errors = results.frames["errors"].assign(
+        layers=results.frames["errors"]["layers_other"], layers_other=results.frames["errors"]["layers"]
+    )
+    return replace(results.with_frames(errors=errors), record=record)
+
+
+def find_regrouped(results: Run, role: str) -> set[Group]:
+    """Return medium and layers of the groups that differ between the two rules of counting layers."""
+    rows = results.frames["errors"][results.frames["errors"]["role"] == role]
+    doubtful = rows[rows["layers"] != rows["layers_other"]]
+    counts = (doubtful["layers"], doubtful["layers_other"])
+    return {(str(m), int(n)) for layers in counts for m, n in zip(doubtful["medium"], layers, strict=True)}
