@@ -10,7 +10,7 @@ from mechanics_cases import random_batch, random_needle, random_rules, random_st
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.forward_model import make_batch, make_scene_record, predict_with_derivatives
+from needlefit.inference.forward_model import PreparedModel, make_batch, make_scene_record
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import DERIVATIVE_KINDS, linearize_steps, simulate_batches
@@ -211,10 +211,11 @@ def test_gradient_and_batch_of_a_fitted_model(medium: MediumRecord) -> None:
     theta = 0.5 * (parameters.lower + parameters.upper)
     s = np.linspace(1.0, insertion.depth, 7)
 
+    model = PreparedModel(medium, twin.needle, [insertion])
+
     def predict(theta):
-        return predict_with_derivatives(
-            parameters.values(theta), parameters, medium, twin.needle, insertion, s
-        )
+        (points,), (moves,) = model.differentiate([parameters.values(theta)], parameters, [s])
+        return points[0], moves[0]
 
     _, moves = predict(theta)
     for p in range(len(theta)):

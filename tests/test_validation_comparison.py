@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 from needlefit.errors import ConfigError
 from needlefit.inference.baseline_fit import CurveDensity
 from needlefit.inference.baselines import COEFFICIENT_LENGTH_MM
-from needlefit.inference.forward_model import make_batch, predict, predict_with_derivatives
+from needlefit.inference.forward_model import PreparedModel, make_batch, predict
 from needlefit.inference.likelihood.observation import points_covariance
 from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE, Parameters
 from needlefit.mechanics.batch import simulate_batches
@@ -241,7 +241,7 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
 def test_a_moved_bases_needle_has_exact_derivatives():
     parameters = Parameters.from_record(THIN)
     theta, s = parameters.theta(SOFT), np.linspace(0.0, 40.0, 9)
-    _, slopes = predict_with_derivatives(SOFT, parameters, THIN, NEEDLE, MOVED, s)
+    _, ((slopes,),) = PreparedModel(THIN, NEEDLE, [MOVED]).differentiate([SOFT], parameters, [s])
     for k, move in enumerate(1e-4 * np.eye(len(theta))):
         ends = [predict(parameters.values(theta + sign * move), THIN, NEEDLE, MOVED) for sign in (1, -1)]
         by = (compute_positions(ends[0], s) - compute_positions(ends[1], s)) / 2e-4

@@ -1,10 +1,7 @@
-"""Fit baselines to insertions by least squares on the points that the model is scored at.
+"""Fit baselines to insertions by least squares, and their posterior by the likelihood of a model.
 
-The posterior of a baseline, by the same likelihood as that of a model.
-
-A curve knows no layers and no mechanics: theta holds its coefficients in units of their scales, flat within
-bounds that every needle satisfies, and the logarithm of the noise scale. Of the uncertain depths only the
-tip's moves the curve.
+Theta holds a curve's coefficients in units of their scales, flat within bounds that every needle satisfies,
+and the logarithm of the noise scale. Of the uncertain depths only the tip's moves the curve.
 """
 
 from collections.abc import Mapping, Sequence

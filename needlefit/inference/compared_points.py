@@ -1,22 +1,17 @@
-"""Read what was measured off a simulation: points of the needle's shape, or the tip on its way.
-
-A tip track needs one simulated insertion, with the guide moved as recorded: the tip at every reading follows
-from where it stood at the constraint points.
-
-Choose the points at which a simulated and a measured needle are compared.
+"""Choose the points at which a simulated and a measured needle are compared, and read them off a simulation.
 
 Pose known: both curves lie in C and are sampled at equal fractions of their own inserted arc length.
 
-Pose free (shapes known only up to a rigid motion): both are sampled at the same arc lengths from the
-tip, over [0, min(measured length, D) - drop], entry side first. The simulated points are then laid on
-the measured ones by the rigid motion that fits them best, so the errors are those `aligned`. Both are
-shown in the axes of the measured entry side: x along the least-squares line through the first fifth of
-the scored points, from the first of them. Errors do not depend on that choice; the deflection does, by
-which EDP divides: it is the tip's distance from the continuation of that line.
+Pose free (shapes known only up to a rigid motion): both are sampled at the same arc lengths from the tip,
+over [0, min(measured length, D) - drop], entry side first. The simulated points are then laid on the measured
+ones by the rigid motion that fits them best, so the errors are those `aligned`. Both are shown in the axes of
+the measured entry side: x along the least-squares line through the first fifth of the scored points, from the
+first of them. Errors do not depend on that choice; the deflection, by which EDP divides, does: it is the
+tip's distance from the continuation of that line.
 
-Tip tracks (known up to a shift and a slope of the tracker's frame): the readings are compared with the tips
-simulated at their depths, after the shift and slope that fit best; the line through the first fifth of the
-readings is taken from both.
+Tip tracks (known up to a shift and a slope of the tracker's frame): one insertion is simulated with the guide
+moved as recorded. The readings are compared with its tips at their depths, after the shift and slope that fit
+best; the line through the first fifth of the readings is taken from both.
 """
 
 import math

@@ -348,44 +348,9 @@ def _make_options(
     )
 
 
-def predict_with_derivatives(
-    values: Mapping[str, float],
-    parameters: Parameters,
-    medium: MediumRecord,
-    needle: Needle,
-    insertion: Insertion,
-    s: Floats,
-) -> tuple[Floats, Floats]:
-    """Return the simulated points (K, 2), mm, and their derivatives (K, 2, P) by theta; see `read_points`.
-
-    Parameters
-    ----------
-    values : mapping
-        Every parameter of the medium, ties resolved (Pa, mm).
-    s : (K,) array
-        Beam coordinates of the points, mm.
-
-    Returns
-    -------
-    (K, 2) and (K, 2, P) arrays
-        NaN where the solve fails.
-
-    Raises
-    ------
-    ModelError
-        If the needle does not reach the depth.
-    """
-    points, slopes = PreparedModel(medium, needle, [insertion]).differentiate([values], parameters, [s])
-    return points[0][0], slopes[0][0]
-
-
 def _select_kinds(parameters: Parameters) -> tuple[str, ...]:
     """Return the kinds of the mechanics' parameters that theta moves."""
-    return _find_kinds(tuple(name for name in parameters.names if name not in parameters.fixed))
-
-
-@lru_cache(maxsize=64)
-def _find_kinds(moving: tuple[str, ...]) -> tuple[str, ...]:
+    moving = [name for name in parameters.names if name not in parameters.fixed]
     starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
     kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
     return (*kinds, *(["shape"] if any(map(is_shape_parameter, moving)) else []))
@@ -421,18 +386,28 @@ def make_scene_record(
     """
     guide = values.get("guide_distance_mm", insertion.guide_distance)
     moved = insertion.base_moved
+
+    def shape_of(layer: int) -> dict[str, Any]:
+        known = {kind: values[f"{kind}{layer}"] for kind in LAWS[medium.law].shape_names}
+        return {"alpha": known.pop("alpha", None), "shape": known}
+
     return SceneRecord(
         schema_=SceneRecord.SCHEMA,
         title=title,
         depth_mm=None if moved else insertion.depth,
         law=medium.law,
-        needle=_make_needle_record(dataset),
+        needle=NeedleRecord(  # by its rigidity, whatever that was stated by
+            name=f"needle of {dataset.name}",
+            length_mm=dataset.needle.length,
+            outer_diameter_mm=dataset.outer_diameter,
+            flexural_rigidity_nmm2=dataset.needle.flexural_rigidity,
+        ),
         layers=tuple(
             LayerRecord(
                 name=f"layer {layer}",
                 top_mm=top,
                 mu_pa=values[f"mu{layer}_pa"],
-                **_write_shape(values, medium.law, layer),
+                **shape_of(layer),
                 thickness_mm=medium.thickness_mm,
             )
             for top, layer in find_layers(insertion)
@@ -452,14 +427,13 @@ def make_scene_record(
             advance=medium.advance,
         ),
         controls=ControlsRecord(guide_distance_mm=guide),
-        steps=_make_step_records(insertion) if moved else (),
+        steps=(
+            StepRecord(depth_mm=insertion.depth),
+            StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved),
+        )
+        if moved
+        else (),
     )
-
-
-def _write_shape(values: Mapping[str, float], law: str, layer: int) -> dict[str, Any]:
-    """Return the shape parameters of a layer by the keys of its record."""
-    known = {kind: values[f"{kind}{layer}"] for kind in LAWS[law].shape_names}
-    return {"alpha": known.pop("alpha", None), "shape": known}
 
 
 def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
@@ -468,20 +442,3 @@ def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
     ends = [*tops[1:], float("inf")]
     met = zip(tops, ends, insertion.sequence, strict=True)
     return tuple((top, layer) for top, end, layer in met if end > top)
-
-
-def _make_step_records(insertion: Insertion) -> tuple[StepRecord, StepRecord]:
-    """Return the insertion, and the move of its base behind it."""
-    inserted = StepRecord(depth_mm=insertion.depth)
-    return inserted, StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved)
-
-
-def _make_needle_record(dataset: Dataset) -> NeedleRecord:
-    """Return the dataset's needle by its rigidity, whatever that was stated by."""
-    needle = dataset.needle
-    return NeedleRecord(
-        name=f"needle of {dataset.name}",
-        length_mm=needle.length,
-        outer_diameter_mm=dataset.outer_diameter,
-        flexural_rigidity_nmm2=needle.flexural_rigidity,
-    )

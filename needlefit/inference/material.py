@@ -1,11 +1,9 @@
-"""Fit mu and alpha of the Ogden law to the compression of one specimen, with the profile of alpha.
+"""Fit mu and alpha of the Ogden law to compression tests, and turn the result into the prior of a layer.
 
-The misfit is a sum of squares of stresses. At a given alpha the best mu is known in closed form, so the
-profile of alpha is exact and cheap: it is computed over the whole range, and least squares, with the exact
-Jacobian, goes on from every one of its minima. What the residuals of one specimen share along the curve is
-no information; their points count as n (1 - r) / (1 + r), r being the correlation of neighbours.
-
-Pool the specimens of a compression test, and turn the result into the prior of a layer.
+The misfit of one specimen is a sum of squares of stresses. At a given alpha the best mu is known in closed
+form, so the profile of alpha is exact and cheap: it is computed over the whole range, and least squares, with
+the exact Jacobian, goes on from every one of its minima. What the residuals of one specimen share along the
+curve is no information; their points count as n (1 - r) / (1 + r), r being the correlation of neighbours.
 
 The needle goes into a specimen that no machine compressed. What is known of it is the mean of those that
 were, its own uncertainty, and the spread between specimens, as a rule far larger than the noise within one:
@@ -15,12 +13,10 @@ were, its own uncertainty, and the spread between specimens, as a rule far large
 The scatter S of m estimates holds both; what a further specimen may be is S (1 + 1 / m), exactly as wide
 whatever the share of each. The spread alone, S less the mean covariance within, is given too.
 
-From the test to the prior of a layer:
-
-Alpha carries over as it is: it has no unit, no geometry, and k(lambda) / k(1) depends on it alone. mu does
-not. The test gives the shear modulus of the material; the model's mu is a foundation modulus, k(1) = 3 mu
-being force per length per deflection, and what lies between the two is how the needle moves the tissue
-around it. That factor is not in the test, so mu's prior is stated only by who states the factor.
+Alpha carries over to a layer as it is: it has no unit, no geometry, and k(lambda) / k(1) depends on it alone.
+mu does not. The test gives the shear modulus of the material; the model's mu is a foundation modulus,
+k(1) = 3 mu being force per length per deflection, and what lies between the two is how the needle moves the
+tissue around it. That factor is not in the test, so mu's prior is stated only by who states the factor.
 """
 
 import math

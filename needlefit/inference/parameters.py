@@ -1,11 +1,8 @@
-"""Read ties between parameters: `"mu1_pa"` or `"10 * mu1_pa"` -> a factor and the parameter it refers to.
+"""Names, bounds, ties and prior of a medium's parameters, and the vector theta that is searched.
 
-The stated prior: a Gaussian in theta, within the flat bounds; a tie with a spread is a part of it.
-
-Names, bounds and ties of a medium's parameters, and the vector theta that is searched.
-
-Moduli and lengths are searched in logarithms, because they are positive and known to orders of
-magnitude at most; shape parameters of a law are searched as they are.
+Moduli and lengths are searched in logarithms, because they are positive and known to orders of magnitude at
+most; shape parameters of a law are searched as they are. A tie is a factor and the parameter it refers to
+("10 * mu1_pa"); one with a spread is a part of the stated prior, a Gaussian in theta within the flat bounds.
 """
 
 import difflib
@@ -28,14 +25,25 @@ from needlefit.schemas.medium import MediumRecord, ParameterRecord, PriorRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.scene import CUT_ANGLE_LIMIT_DEG
 
+Theta = Sequence[float] | Floats
+Status = Literal["free", "fixed", "tied"]
+
+#: the estimated factor on the standard deviations of the noise of the points; no medium has it
 NOISE_SCALE = "noise_scale"
-"""Name of the estimated factor on the standard deviations of the noise of the points; no medium has it."""
-
+#: the relative SD of b or θ between insertions, which is estimated; no medium has it
 BEVEL_SPREAD = "bevel_spread"
-"""Name of the relative SD of b or θ between insertions, which is estimated; no medium has it."""
-
+#: what says how strongly a needle steers; a medium has one of them
 BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")
-"""Names of what says how strongly a needle steers; a medium has one of them."""
+#: bounds of a noise scale that is estimated; its prior is flat in the logarithm
+NOISE_SCALE_BOUNDS = (0.1, 10.0)
+#: bounds of the relative bevel SD, in standard deviations of its half-normal prior
+BEVEL_SPREAD_BOUNDS = (0.01, 5.0)
+#: parameters of the likelihood, on which no simulated needle depends
+HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)
+#: factor, one standard deviation, by which moduli tied as one material differ where the tie states none; the
+#: layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness
+MATERIAL_SPREAD = 1.2
+MAX_TIE_SDS = 6.0  #: standard deviations of a tie beyond which a tied parameter is not searched
 
 _NAME = re.compile(
     r"([a-z]+(?:_[a-z]+)*)[1-9]\d*(_pa)?|(?:bevel|guide_distance)_mm|cut_angle_deg|noise_scale|bevel_spread"
@@ -70,6 +78,21 @@ def dimension(name: str) -> str:
 def is_shape_parameter(name: str) -> bool:
     """Return whether `name` is a shape parameter of a law in one layer, such as `alpha2`."""
     return dimension(name) not in _DIMENSIONS
+
+
+def is_logarithmic(name: str) -> bool:
+    """Return whether theta holds the natural logarithm of this parameter."""
+    return not is_shape_parameter(name)
+
+
+def to_coordinate(name: str, value: float) -> float:
+    """Return the coordinate of a parameter in theta: its logarithm, or a shape parameter itself."""
+    return math.log(value) if is_logarithmic(name) else float(value)
+
+
+def to_value(name: str, coordinate: float) -> float:
+    """Return a parameter's value (Pa, mm) at its coordinate of theta."""
+    return math.exp(coordinate) if is_logarithmic(name) else float(coordinate)
 
 
 def parse_tie(name: str, tie: str) -> tuple[float, str]:
@@ -250,7 +273,7 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
     if not stated:
         return add_ties(Prior(), ties)
     names = tuple(stated)
-    sds = [_sd(one) for one in stated.values()]
+    sds = [one.sd if one.sd is not None else math.log(one.factor or math.nan) for one in stated.values()]
     correlations = np.eye(len(names))
     for k, (name, one) in enumerate(stated.items()):
         if one.correlation:
@@ -290,49 +313,8 @@ def _alpha_of(mu: str) -> str:
     return mu.replace("mu", "alpha").removesuffix("_pa")
 
 
-def to_coordinate(name: str, value: float) -> float:
-    """Return the coordinate of a parameter in theta: its logarithm, or a shape parameter itself."""
-    return value if is_shape_parameter(name) else math.log(value)
-
-
 def _peak(one: PriorRecord) -> float:
     return float(one.mean if one.mean is not None else one.median or math.nan)
-
-
-def _sd(one: PriorRecord) -> float:
-    return float(one.sd if one.sd is not None else math.log(one.factor or math.nan))
-
-
-Theta = Sequence[float] | Floats
-Status = Literal["free", "fixed", "tied"]
-
-
-def is_logarithmic(name: str) -> bool:
-    """Return whether theta holds the natural logarithm of this parameter."""
-    return not is_shape_parameter(name)
-
-
-def to_value(name: str, coordinate: float) -> float:
-    """Return a parameter's value (Pa, mm) at its coordinate of theta."""
-    return math.exp(coordinate) if is_logarithmic(name) else coordinate
-
-
-NOISE_SCALE_BOUNDS = (0.1, 10.0)
-"""Bounds of a noise scale that is estimated; its prior is flat in the logarithm."""
-
-BEVEL_SPREAD_BOUNDS = (0.01, 5.0)
-"""Bounds of the relative bevel SD, in standard deviations of its half-normal prior."""
-
-HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)
-"""Parameters of the likelihood, on which no simulated needle depends."""
-
-MATERIAL_SPREAD = 1.2
-"""Factor, one standard deviation, by which moduli tied as one material differ where the tie states none.
-
-The layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness.
-"""
-
-MAX_TIE_SDS = 6.0  #: standard deviations of a tie beyond which a tied parameter is not searched
 
 
 @dataclass(frozen=True)
@@ -367,15 +349,17 @@ class Parameters:
         resolve_ties(every, frozenset(names))  # checks those with a spread too
         soft = {name: spread for name in every if (spread := find_tie_spread(name, table[name])) > 1}
         for name in names:
-            _check_positive(name, table[name])
-            _check_shape(name, table[name], record.law)
-            _check_cut_angle(name, table[name])
+            _check_values(name, table[name], record.law)
         fixed = {name: value for name in names if (value := table[name].fixed) is not None}
         exact = {name: tie for name, tie in every.items() if name not in soft}
         ends = resolve_ties(exact, frozenset(names))
         # what is tied to a fixed parameter is fixed too
         fixed |= {name: factor * fixed[at] for name, (factor, at) in ends.items() if at in fixed}
-        ties = _order_ties([_make_soft_tie(n, every[n], soft[n], ends) for n in names if n in soft])
+        found = []
+        for name, (factor, source) in ((name, every[name]) for name in names if name in soft):
+            more, source = ends.get(source, (1.0, source))
+            found.append(SoftTie(name, source, factor * more, soft[name]))
+        ties = _order_ties(found)
         bounds = {name: bounds for name in names if (bounds := table[name].bounds) is not None}
         for tie in ties:
             bounds[tie.name] = _find_tied_bounds(tie, bounds, fixed)
@@ -395,12 +379,12 @@ class Parameters:
     @cached_property
     def lower(self) -> Floats:
         """Lower bounds of theta: (P,)."""
-        return np.array([_to_coordinate(name, self.bounds[name][0]) for name in self.free])
+        return np.array([to_coordinate(name, self.bounds[name][0]) for name in self.free])
 
     @cached_property
     def upper(self) -> Floats:
         """Upper bounds of theta: (P,)."""
-        return np.array([_to_coordinate(name, self.bounds[name][1]) for name in self.free])
+        return np.array([to_coordinate(name, self.bounds[name][1]) for name in self.free])
 
     @property
     def status(self) -> dict[str, Status]:
@@ -415,8 +399,7 @@ class Parameters:
         if len(theta) != len(self.bounds):
             raise ValueError(f"theta has {len(theta)} entries, {len(self.bounds)} parameters are free")
         known = dict(self.fixed)
-        for name, entry in zip(self.free, theta, strict=True):
-            known[name] = math.exp(entry) if is_logarithmic(name) else float(entry)
+        known |= {name: to_value(name, entry) for name, entry in zip(self.free, theta, strict=True)}
         for name, (factor, source) in self.ties.items():
             known[name] = factor * known[source]
         return {name: known[name] for name in self.names}
@@ -435,7 +418,7 @@ class Parameters:
         Hyperparameters may be missing: they are what they are before any data.
         """
         known = {**choose_hyperparameters(self), **values}
-        return np.array([_to_coordinate(name, known[name]) for name in self.free])
+        return np.array([to_coordinate(name, known[name]) for name in self.free])
 
     @property
     def expected(self) -> Floats:
@@ -576,14 +559,6 @@ def find_tie_spread(name: str, parameter: ParameterRecord) -> float:
     return parameter.spread
 
 
-def _make_soft_tie(
-    name: str, tie: tuple[float, str], spread: float, exact: Mapping[str, tuple[float, str]]
-) -> SoftTie:
-    factor, source = tie
-    more, source = exact.get(source, (1.0, source))
-    return SoftTie(name, source, factor * more, spread)
-
-
 def _order_ties(ties: Sequence[SoftTie]) -> list[SoftTie]:
     """Return the ties so that each comes behind that of its source."""
     waiting, found = list(ties), []
@@ -635,10 +610,6 @@ def make_tissue(
     )
 
 
-def _to_coordinate(name: str, value: float) -> float:
-    return math.log(value) if is_logarithmic(name) else float(value)
-
-
 def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
     """Return the medium's parameter names in the order of layers; ConfigError unless they are complete."""
     usual = state_usual_bounds(record)
@@ -688,40 +659,32 @@ def _suggest_fix(missing: Sequence[str], unstated: Sequence[str], extra: Sequenc
     return f"{', '.join(fixes)}; or correct `layers = {layers}`"
 
 
-def _check_shape(name: str, parameter: ParameterRecord, law: str) -> None:
-    bounds = {one.name: one.bounds for one in LAWS[law].parameters}.get(dimension(name))
-    if bounds is None:
-        return
+def _check_values(name: str, parameter: ParameterRecord, law: str) -> None:
+    """Refuse bounds and fixed values without a logarithm, or that the law or a needle cannot have."""
     stated = parameter.bounds or (() if parameter.fixed is None else (parameter.fixed,))
-    if any(not bounds[0] <= value <= bounds[1] for value in stated):
-        raise ConfigError(
-            f"the tissue law `{law}` is not meant for {name} = {' to '.join(f'{one:g}' for one in stated)}",
-            key=f"parameters.{name}",
-            expected=f"{bounds[0]:g} to {bounds[1]:g}",
-            fix="change the bounds or the fixed value, or take another law",
-        )
-
-
-def _check_cut_angle(name: str, parameter: ParameterRecord) -> None:
-    stated = parameter.bounds or (() if parameter.fixed is None else (parameter.fixed,))
-    if name == "cut_angle_deg" and any(value >= CUT_ANGLE_LIMIT_DEG for value in stated):
-        raise ConfigError(
-            f"{name} may be {max(stated):g}, and no needle is simulated with {CUT_ANGLE_LIMIT_DEG:g} or more",
-            key=f"parameters.{name}",
-            expected=f"below {CUT_ANGLE_LIMIT_DEG:g} degrees",
-            fix="lower the upper bound, or the fixed value",
-        )
-
-
-def _check_positive(name: str, parameter: ParameterRecord) -> None:
-    """Refuse what has no logarithm; a fixed bevel of 0, the symmetric tip, is allowed."""
-    low = parameter.bounds[0] if parameter.bounds else parameter.fixed
-    if low is None or not is_logarithmic(name):
+    if not stated:
         return
-    if low < 0 or (low == 0 and not (name in BEVEL_PARAMETERS and parameter.bounds is None)):
-        raise ConfigError(
+    low, high, fault = stated[0], max(stated), None
+    of_law = {one.name: one.bounds for one in LAWS[law].parameters}
+    bounds = of_law.get(dimension(name), (-math.inf, math.inf))
+    symmetric = low == 0 and name in BEVEL_PARAMETERS and parameter.bounds is None
+    if is_logarithmic(name) and low <= 0 and not symmetric:
+        fault = (
             f"{name} may be {low:g}, which is not above 0",
-            key=f"parameters.{name}",
-            expected="a positive number: it is searched in logarithms",
-            fix="raise the lower bound, or the fixed value",
+            "a positive number: it is searched in logarithms",
+            "raise the lower bound, or the fixed value",
         )
+    elif any(not bounds[0] <= value <= bounds[1] for value in stated):
+        fault = (
+            f"the tissue law `{law}` is not meant for {name} = {' to '.join(f'{one:g}' for one in stated)}",
+            f"{bounds[0]:g} to {bounds[1]:g}",
+            "change the bounds or the fixed value, or take another law",
+        )
+    elif name == "cut_angle_deg" and high >= CUT_ANGLE_LIMIT_DEG:
+        fault = (
+            f"{name} may be {high:g}, and no needle is simulated with {CUT_ANGLE_LIMIT_DEG:g} or more",
+            f"below {CUT_ANGLE_LIMIT_DEG:g} degrees",
+            "lower the upper bound, or the fixed value",
+        )
+    if fault:
+        raise ConfigError(fault[0], key=f"parameters.{name}", expected=fault[1], fix=fault[2])

@@ -1,16 +1,13 @@
-"""The predictive distribution of a held-out needle: a mixture of Gaussians, one for each posterior draw.
+"""Draw parameters from a posterior or a prior, and the predictive distribution of a held-out needle.
 
-Each draw gives one curve. The Gaussian about it has the errors of pose and measurement.
-
-Quantities of a mixture have closed forms: with weights 1 / B, means m_b and one deviation s,
+Each draw gives one curve, and the Gaussian about it has the errors of pose and measurement. Quantities of
+this mixture have closed forms: with weights 1 / B, means m_b and one deviation s,
 
     F(y) = mean_b Phi((y - m_b) / s),
     CRPS(y) = mean_b A(y - m_b, s) - mean_bc A(m_b - m_c, sqrt(2) s) / 2,
     A(m, s) = 2 s phi(m / s) + m (2 Phi(m / s) - 1)
 
 (E. P. Grimit, T. Gneiting, V. J. Berrocal, N. A. Johnson, Q. J. R. Meteorol. Soc. 132 (2006) 2925, eq. 5).
-
-Draws of the parameters from a posterior or from the prior.
 """
 
 import math

@@ -1,14 +1,12 @@
 """A fit as an optimisation problem: theta in; metric objective, residuals or log posterior out.
 
-The metric objective: how far one simulated needle lies from the measured one, in the paper's own errors.
+The metric objective is how far one simulated needle lies from the measured one, in the paper's own errors,
 
     ipe * mean_j IPE_j  +  te * TE  +  edp * TE / max(|measured deflection|, edp_floor_mm)            (mm)
 
 with the recipe's weights; edp_floor_mm is about the noise of a tip: a deflection below it says nothing.
 A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + e^2) - e with e =
 `SMOOTHING_MM`, which is smooth and at most e shorter.
-
-Explain failed evaluations, and find parameter sets outside the model's range of validity.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The spread of the parameters between specimens, and what it adds to predictions in a new specimen.
+"""Estimate the spread of the parameters between specimens, and what it adds to predictions in a new specimen.
 
     theta_i ~ N( m, T ),      T = sum_g tau_g^2 z_g z_g^T
 
@@ -12,27 +12,21 @@ the source of the ties counts.
 Draws theta of a posterior learned from n specimens become draws of a further one by adding
 N( 0, (1 + 1 / n) T ): both it and the mean of the n vary about m. Between layers of nominally one material,
 tied with a spread, the ratios are drawn anew. Few specimens tell little of a spread: with two or three its
-posterior depends strongly on its prior. (`Population` estimates a population's own mean and spread from
-many.)
+posterior depends strongly on its prior.
 
-Estimate mean and spread of the parameters between specimens of one medium, in two stages.
-
-    theta_i ~ N( m, diag(tau^2) ),      needles of specimen i ~ their likelihood at theta_i
-
-Stage one has the posterior of every specimen by itself, with a prior flat in theta. Stage two weighs its
-draws anew by the population (D. Lunn, J. Barrett, M. Sweeting, S. Thompson, J. R. Stat. Soc. C 62 (2013)
-551):
+`Population` estimates mean and spread of one medium's specimens, theta_i ~ N( m, diag(tau^2) ), from many, in
+two stages. Stage one has the posterior of every specimen by itself, with a prior flat in theta. Stage two
+weighs its draws anew by the population (D. Lunn, J. Barrett, M. Sweeting, S. Thompson, J. R. Stat. Soc. C 62
+(2013) 551):
 
     L(m, tau) = prod_i sum_k w_ik N( theta_ik; m, diag(tau^2) ).
 
 Draws alone fail where tau is smaller than the distance between them, at tau = 0 altogether. So each draw
 stands for a Gaussian, shrunk toward the specimen's mean so that mean and covariance of all stay what they are
 (J. Liu, M. West, in: Sequential Monte Carlo Methods in Practice, Springer 2001, 197), and the sum is over
-N( c_ik; m, H_i + diag(tau^2) ), closed for every tau. Ridges stay: the kernels H_i have the shape of their
-posterior. tau has a half-normal prior, m a flat one within the bounds.
-
-Parameters vary independently between specimens, in theta: **decided here**, for a few specimens cannot
-determine a correlation. What they determine best is a combination, so the spread along it is reported too.
+N( c_ik; m, H_i + diag(tau^2) ), closed for every tau. tau has a half-normal prior, m a flat one within the
+bounds. A few specimens cannot determine a correlation, so parameters vary independently; what they determine
+best is a combination, so the spread along it is reported too.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Estimate the moduli and the bevel's strength of one needle while a tracker follows its tip.
+"""Estimate the parameters of one needle while a tracker follows its tip, and predict its later readings.
 
     theta = (ln mu_1, ..., ln mu_L, ln b) ~ N(m, P)
     y_k = y(d_k; theta) + c_0 + c_1 d_k + e_k,    e_k ~ N(0, s^2 + (y'_k s_d)^2)
@@ -7,28 +7,20 @@ for readings y_k of the tip at depths d_k: s and s_d are the errors of a reading
 c_0 ~ N(0, shift^2) and c_1 ~ N(0, slope^2) those of the tracker's registration, which all readings share.
 The state is (theta, c_0, c_1). The estimate is its mode, found by Gauss-Newton with the exact Jacobian, and
 the Gaussian about it. One simulation gives the tip and its derivatives at all depths behind it. Every update
-therefore linearises all readings anew: an iterated extended Kalman filter without process noise, and without
-the linearisation errors of its past. An estimate can be the prior of the next insertion.
+therefore linearises all readings anew: an iterated extended Kalman filter without process noise (B. M. Bell,
+F. W. Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294), and without the linearisation errors of its past. An
+estimate can be the prior of the next insertion.
 
-B. M. Bell, F. W. Cathey, The iterated Kalman filter update as a Gauss-Newton method, IEEE Trans. Automat.
-Contr. 38 (1993) 294-297.
-
-Predict the later readings of a run from its first ones, by draws of a model or by baseline curves.
-
-Given the deflections y of one draw of the parameters, the readings of a run are Gaussian,
+Predictions: given the deflections y of one draw of the parameters, the readings of a run are Gaussian,
 
     t = y + F n + noise,        n = (shift, slope),   shift free,   slope ~ N(m, v)
 
 with m and v from the runs fitted to: m the mean of the slopes that y leaves in k of them, v what their
 scatter s^2, of f degrees of freedom, says of one more run, s^2 (1 + 1/k) f / (f - 2), the variance of
 Student's t; f is k - 1 where all runs are taken. Conditioned on the first readings this is Gaussian again.
-What the run does further on enters nowhere.
-
-Baselines: curves without tissue or guide, fitted to the same runs.
-
-A straight line leaves nothing to fit but each run's shift and slope. A parabola has one curvature for all
-runs, toward the bevel; these and others are entries of `inference.baselines`. The scale of the noise is what
-they leave of the runs fitted to, so that what they predict is as wide as their residuals.
+What the run does further on enters nowhere. Baselines are curves without tissue or guide, fitted to the same
+runs: a straight line has nothing but each run's shift and slope, a parabola one curvature for all runs. The
+scale of the noise is what they leave of the runs fitted to, so that what they predict is as wide.
 """
 
 from collections.abc import Sequence

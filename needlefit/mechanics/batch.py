@@ -1,8 +1,6 @@
-"""Batches: one insertion with many parameter sets, and the needle shapes that result.
+"""Simulate insertions with many parameter sets, with exact derivatives of the needle's shape if wanted.
 
-Compute a needle's shape and its exact derivatives with respect to the parameters, in one pass.
-
-Simulate many insertions with many parameter sets: vector instructions within one, threads between.
+Vector instructions serve the sets of one insertion, threads different insertions.
 """
 
 import math

@@ -1,11 +1,9 @@
-"""Limits of an insertion: how many elements it may solve for, and how deep a needle can go.
-
-Turn the steps of an insertion into stops: where the tip halts, which ray cut its path, which controls hold
-the needle.
+"""Turn the steps of an insertion into stops: where the tip halts, which ray cut its path, what holds it.
 
 Which equilibria an insertion needs depends on depths and on changes of the inputs, never on the solution.
 They are therefore listed beforehand, and all solvers (the reference, the kernel, its lanes, the
-sensitivities, a session) follow the same list.
+sensitivities, a session) follow the same list. How deep a needle can go, and for how many elements, is
+limited here too.
 """
 
 import math

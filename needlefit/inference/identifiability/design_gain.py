@@ -1,5 +1,4 @@
-"""Compute the expected information of insertions before they are made: nested Monte Carlo and Fisher
-information.
+"""Compute the expected information of insertions before they are made: nested Monte Carlo, or Fisher.
 
 The gain of an insertion is the mutual information of parameters and data: the entropy of the present
 posterior minus that of the next one, averaged over the data that may come (D. V. Lindley, Ann. Math. Stat. 27
@@ -13,14 +12,9 @@ The new weights are the posterior after y_o, so deviations and gains of single q
 theta_o is among the b, what B draws can show is about log B at most.
 
 Linearised at a draw the gain is 0.5 log det( I + Sigma J^T J ), with Sigma the covariance of all draws and J
-the whitened Jacobian. That is exact where data depend linearly on Gaussian parameters, and too large where
-what is known is a bent ridge, which one covariance makes too thick.
-
-Fisher information of a design, at several places.
-
-The information is that of the model's own shapes, so no measured one decides. It changes along the ridge on
-which parameters lie, and the truth is not known: besides the place asked for, it is taken at some more,
-drawn from what the design would leave of the parameters there.
+the whitened Jacobian: exact where data depend linearly on Gaussian parameters, too large on a bent ridge. It
+changes along the ridge on which parameters lie, so it is taken at more places than the one asked for, drawn
+from what the design would leave of the parameters there.
 """
 
 from collections.abc import Callable, Mapping

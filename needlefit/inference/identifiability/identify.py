@@ -14,12 +14,8 @@ above 1), J^T J is divided by that ratio. With five independent groups of insert
 specimen are one group), and two more than parameters, no deviation is smaller than the scatter between groups
 implies (`precision.between_needle_sds`).
 
-Compute the profile likelihoods of a fit's free parameters, and of shape parameters that it held fixed.
-
-Compare three measures of identifiability of one parameter: posterior SD, information and profile.
-
-The information at the optimum is local, the profile is not, and the posterior SD is of draws where there are
-any: where they disagree, the sentence says which.
+The information at the optimum is local, profile likelihoods are not, and the posterior SD is of draws where
+there are any: where the three disagree, the sentence about a parameter says which.
 """
 
 import math
@@ -232,7 +228,8 @@ def find_fixed_shape(problem: Problem) -> dict[str, tuple[str, ...]]:
 def free_shape(problem: Problem, name: str) -> Problem:
     """Return the problem with one parameter of `find_fixed_shape` free, the others of its material tied."""
     same, parameters = find_fixed_shape(problem)[name], problem.parameters
-    (low, high), at = find_usual_bounds(problem.medium.law, name), parameters.fixed[name]
+    usual = {one.name: one.usual for one in LAWS[problem.medium.law].parameters}
+    (low, high), at = usual[dimension(name)], parameters.fixed[name]
     # the value that the fit used must lie within the bounds, whatever it was
     bounds: Mapping[str, tuple[float, float]] = {name: (min(low, at), max(high, at))}
     return problem.with_parameters(
@@ -243,11 +240,6 @@ def free_shape(problem: Problem, name: str) -> Problem:
             ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
         )
     )
-
-
-def find_usual_bounds(law: str, name: str) -> tuple[float, float]:
-    """Return the usual bounds of a law's shape parameter in one layer, such as `alpha2`."""
-    return next(one.usual for one in LAWS[law].parameters if one.name == dimension(name))
 
 
 MAX_OTHER_STARTS = 2
@@ -316,30 +308,19 @@ def _profile_one(
     problem: Problem, optimum: LocalMinimum, elsewhere: Sequence[Floats], scale: float, part: str | int
 ) -> ParameterProfile:
     """Return the profile of a free parameter, by its number, or of a fixed shape parameter, by its name."""
-    if isinstance(part, str):
-        return _profile_fixed(problem, part, optimum, scale)
-    return _profile_free(problem, part, optimum, elsewhere, scale)
-
-
-def _profile_free(
-    problem: Problem, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats], scale: float
-) -> ParameterProfile:
-    found = compute_profile(problem, k, optimum, elsewhere, scale)
-    return ParameterProfile(found, (float(problem.lower[k]), float(problem.upper[k])))
-
-
-def _profile_fixed(problem: Problem, name: str, optimum: LocalMinimum, scale: float) -> ParameterProfile:
-    """Return the profile of a shape parameter that the fit held fixed."""
-    freed = free_shape(problem, name)
+    if isinstance(part, int):
+        found = compute_profile(problem, part, optimum, elsewhere, scale)
+        return ParameterProfile(found, (float(problem.lower[part]), float(problem.upper[part])))
+    freed = free_shape(problem, part)
     theta = freed.parameters.theta(problem.values(optimum.theta))
-    k = freed.names.index(name)
+    k = freed.names.index(part)
     found = compute_profile(freed, k, minimize_squares(freed, theta), (), scale)
     return ParameterProfile(
         found,
         (float(freed.lower[k]), float(freed.upper[k])),
-        fixed_at=problem.parameters.fixed[name],
-        same=find_fixed_shape(problem)[name],
-        tip_range_mm=tip_range(freed, theta, name),
+        fixed_at=problem.parameters.fixed[part],
+        same=find_fixed_shape(problem)[part],
+        tip_range_mm=tip_range(freed, theta, part),
     )
 
 
@@ -392,10 +373,10 @@ def assess_parameter(
     profile, name = parameter.profile, parameter.name
     low, high = (to_value(name, end) for end in (profile.low, profile.high))
     faults = [
-        *_compare_classes(parameter, sds),
-        *_compare_sds(parameter, sds),
-        *_compare_widths(parameter),
-        *_compare_starts(parameter, equal),
+        _compare_classes(parameter, sds),
+        _compare_sds(parameter, sds),
+        _compare_widths(parameter),
+        _compare_starts(parameter, equal),
     ]
     return Assessment(
         name=name,
@@ -403,7 +384,7 @@ def assess_parameter(
         determined=_classify_by_profile(parameter, sds[1]) == 2,
         interval=(low, high),
         profile_verdict=_describe_profile(parameter, low, high),
-        agreement="; ".join(faults) if faults else AGREEMENT,
+        agreement="; ".join(filter(None, faults)) or AGREEMENT,
     )
 
 
@@ -415,22 +396,17 @@ def describe_posterior_sd(name: str, sd: float) -> str:
 def _describe_profile(parameter: ParameterProfile, low: float, high: float) -> str:
     profile = parameter.profile
     if profile.flat:
-        description = _describe_flat(parameter)
+        ends = (to_value(parameter.name, bound) for bound in parameter.bounds)
+        between = format_quantity_range(parameter.name, *ends)
+        tip_range_mm = parameter.tip_range_mm
+        tip = "" if tip_range_mm is None else f" and the tip moves by {_print_small(tip_range_mm)} mm"
+        rise = _print_small(profile.rise)
+        description = f"not identifiable: over its whole range, {between}, the deviance rises by {rise}{tip}"
     elif profile.closed:
         description = f"{format_quantity_range(parameter.name, low, high)} (95 %)"
     else:
         description = f"not identifiable: {_describe_open(parameter, low, high)}"
     return description + (f"; its profile has {profile.minima} minima" if profile.minima > 1 else "")
-
-
-def _describe_flat(parameter: ParameterProfile) -> str:
-    low, high = (to_value(parameter.name, end) for end in parameter.bounds)
-    tip_range_mm = parameter.tip_range_mm
-    tip = "" if tip_range_mm is None else f" and the tip moves by {_print_small(tip_range_mm)} mm"
-    return (
-        f"not identifiable: over its whole range, {format_quantity_range(parameter.name, low, high)}, the "
-        f"deviance rises by {_print_small(parameter.profile.rise)}{tip}"
-    )
 
 
 def _describe_open(parameter: ParameterProfile, low: float, high: float) -> str:
@@ -443,70 +419,58 @@ def _describe_open(parameter: ParameterProfile, low: float, high: float) -> str:
     return ", ".join(parts)
 
 
-def _compare_classes(parameter: ParameterProfile, sds: tuple[float, float]) -> list[str]:
+def _compare_classes(parameter: ParameterProfile, sds: tuple[float, float]) -> str:
     """Return where posterior SD and profile do not come to the same conclusion."""
-    name, (sd, prior_sd) = parameter.name, sds
+    sd, prior_sd = sds
     by_profile = _classify_by_profile(parameter, prior_sd)
-    by_sd = (
-        0 if sd > UNINFORMED_SD_RATIO * prior_sd else 2 if is_determined_by_data(name, sd, prior_sd) else 1
-    )
-    if by_profile == by_sd:
-        return []
+    by_sd = 0 if sd > UNINFORMED_SD_RATIO * prior_sd else 1 + is_determined_by_data(parameter.name, *sds)
     words = ("not determined", "determined in part", "determined")
-    return [f"{words[by_sd]} by the posterior SD, {words[by_profile]} by the profile"]
+    return (
+        ""
+        if by_profile == by_sd
+        else f"{words[by_sd]} by the posterior SD, {words[by_profile]} by the profile"
+    )
 
 
 def _classify_by_profile(parameter: ParameterProfile, prior_sd: float) -> int:
     """Return the class of a parameter by its profile: 0 not determined, 1 in part, 2 determined."""
     profile = parameter.profile
+    if profile.flat:
+        return 0
     sd = (profile.high - profile.low) / (2 * NORMAL_95_HALF_WIDTH_SD)  # of a Gaussian interval of this width
-    return (
-        0
-        if profile.flat
-        else 2
-        if profile.closed and is_determined_by_data(parameter.name, sd, prior_sd)
-        else 1
-    )
+    return 1 + (profile.closed and is_determined_by_data(parameter.name, sd, prior_sd))
 
 
-def _compare_sds(parameter: ParameterProfile, sds: tuple[float, float]) -> list[str]:
+def _compare_sds(parameter: ParameterProfile, sds: tuple[float, float]) -> str:
     """Return where the posterior SD is not the one that the profile's curvature at the optimum implies."""
-    sd, prior_sd = sds
-    ratio = sd * math.hypot(1 / parameter.profile.sd, 1 / prior_sd)
-    if 1 / AGREEMENT_FACTOR < ratio < AGREEMENT_FACTOR:
-        return []
-    return [f"the posterior SD is {ratio:.2g} times that by the information"]
+    ratio = sds[0] * math.hypot(1 / parameter.profile.sd, 1 / sds[1])
+    agrees = 1 / AGREEMENT_FACTOR < ratio < AGREEMENT_FACTOR
+    return "" if agrees else f"the posterior SD is {ratio:.2g} times that by the information"
 
 
-def _compare_widths(parameter: ParameterProfile) -> list[str]:
+def _compare_widths(parameter: ParameterProfile) -> str:
     """Return where the profile's interval is not the one that the information implies."""
     profile = parameter.profile
     half = NORMAL_95_HALF_WIDTH_SD * profile.sd
+    if not math.isfinite(half):
+        return ""
     reaches = (("below", profile.best - profile.low), ("above", profile.high - profile.best))
-    description = []
+    found = []
     for (side, reach), end in zip(reaches, profile.ends, strict=True):
-        if (
-            end == "closed"
-            and math.isfinite(half)
-            # 1e-9: the reach is divided by below, and may be 0
-            and not 1 / AGREEMENT_FACTOR < max(reach, 1e-9) / half < AGREEMENT_FACTOR
-        ):
-            ratio = max(reach / half, half / max(reach, 1e-9))
-            description.append(f"{ratio:.2g} times {'farther' if reach > half else 'nearer'} {side}")
-    if not description:
-        return []
-    return [
-        f"the profile’s interval ends {' and '.join(description)} the optimum than the information implies"
-    ]
+        # 1e-9: the reach is divided by, and may be 0
+        ratio = max(reach / half, half / max(reach, 1e-9))
+        if end == "closed" and not 1 / AGREEMENT_FACTOR < max(reach, 1e-9) / half < AGREEMENT_FACTOR:
+            found.append(f"{ratio:.2g} times {'farther' if reach > half else 'nearer'} {side}")
+    ends = " and ".join(found)
+    return f"the profile’s interval ends {ends} the optimum than the information implies" if found else ""
 
 
-def _compare_starts(parameter: ParameterProfile, equal: tuple[float, float] | None) -> list[str]:
+def _compare_starts(parameter: ParameterProfile, equal: tuple[float, float] | None) -> str:
     profile = parameter.profile
     if equal is None or (equal[0] >= profile.low - 1e-6 and equal[1] <= profile.high + 1e-6):
-        return []
-    low, high = (to_value(parameter.name, end) for end in equal)
-    between = format_quantity_range(parameter.name, low, high)
-    return [f"equally good starts end outside its interval, {between}"]
+        return ""
+    between = format_quantity_range(parameter.name, *(to_value(parameter.name, end) for end in equal))
+    return f"equally good starts end outside its interval, {between}"
 
 
 def _print_small(value: float) -> str:

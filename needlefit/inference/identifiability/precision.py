@@ -1,12 +1,8 @@
-"""Compute Fisher information: difference Jacobians, Cramer-Rao deviations, directions in words.
+"""Compute Fisher information, standard deviations of theta, and the directions that data determine, in words.
 
-Compute standard deviations of theta at a point: by the information, or the scatter between needles.
-
-Find under which assumptions a parameter is determined: with ties loosened, and with an error of the model.
-
-The information at the optimum is computed again, with one Jacobian each, first with the ties loosened
-(`loosen_ties`), then with a model error added to that. Errors that insertions share are in the likelihood
-already.
+Under which assumptions a parameter is determined is found by computing the information at the optimum again,
+with one Jacobian each, first with the ties loosened (`loosen_ties`), then with a model error added to that.
+Errors that insertions share are in the likelihood already.
 """
 
 import math

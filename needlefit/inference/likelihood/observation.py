@@ -1,29 +1,19 @@
-"""What a measurement does to a shape: the matrices by which simulated and measured deflections are compared.
-
-A reconstruction that draws a smoothing spline rounds every rapid change of curvature, as a layer's boundary
-makes it: measured shapes then differ from the needle's by far more than their noise, alike in all insertions.
-What it does is known, and is done to the simulation, too: residuals are differences of spline coefficients,
-with the spline's own covariance. Equations: docs/inference.md, section 2.
-
-Turn one insertion into an observation: its measured points, and the whitening that makes residuals
-independent.
+"""Turn an insertion into an observation: measured points, and the whitening that makes residuals independent.
 
 Residuals are differences of deflection between the simulated and the measured curve at the same beam
-coordinates, of cross-sections after both were smoothed as the measurement was (`operators`). Points are the
-measured ones (thinned, never interpolated), so that no error is counted twice. A known pose enters their
+coordinates. Points are the measured ones (thinned, never interpolated), so that no error is counted twice.
+A reconstruction that draws a smoothing spline rounds every rapid change of curvature, as a layer's boundary
+makes it, alike in all insertions. What it does is known, and is done to the simulation, too: residuals are
+then differences of spline coefficients, with the spline's own covariance.
+
+Errors of the pose in the plane: a shift across moves all points alike, a turn about the entry moves them by
+their distance from it, and a shift along the entry axis by the curve's slope. A known pose enters the
 covariance with its prior; a free one is projected off, as the limit of a prior that is flat. A tip track is
 the same: its points are the tips at some depths, and a shift and a slope of the tracker's frame are projected
-off. Equations: docs/inference.md.
-
-Where the dataset states how much runs of a session differ in slope, the slope is the session's, and
+off. Where the dataset states how much runs of a session differ in slope, the slope is the session's, and
 integrated over with its prior. Headings, where their deviation is stated, are compared with the direction of
 the path over the last `HEADING_STEP_MM` before a reading; they may all be off by a constant, the sensor's in
-the needle and the cut's.
-
-Errors of the pose in the plane:
-
-A shift across moves all points alike, a turn about the entry moves them by their distance from it, and a
-shift along the entry axis moves the curve past itself: a point then differs by the slope.
+the needle and the cut's. Equations: docs/inference.md, section 2.
 """
 
 import math

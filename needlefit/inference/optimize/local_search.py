@@ -1,11 +1,9 @@
-"""Run one stage of a search by one of nlopt's algorithms.
+"""Search from one start: the algorithms of a recipe in turn, then a check that the end is a minimum.
 
 nlopt reports success on a NaN, forgets the best point when it is stopped, and breaks or crashes on values
 that are not finite. So nothing that it returns is used: every evaluation goes through an
 `EvaluationRecorder`, which keeps the best point, counts, and ends the search; nlopt only gets finite numbers.
 It works in the unit cube, where one step size and one tolerance suit all parameters.
-
-Search from one start: the algorithms of a recipe in turn, then a check that the end is a minimum.
 
 A search ends by its tolerance on a plateau and in a narrow valley as well as at a minimum. Where the
 objective is a sum of squares the exact Jacobian J distinguishes them: the best step s within the bounds of

@@ -1,13 +1,12 @@
-"""Independent proposals: a mixture of Student's t, fitted to the points that an ensemble visited.
-
-A walker that accepts one is independent of its last place, so a good fit mixes in a few steps. At first it is
-one Student-t, the Laplace approximation's; later many narrow ones about visited points, and a wide one about
-all of them, so that every place is proposed often enough.
-
-Adapt emcee: make its moves in several independent ensembles side by side.
+"""Move the walkers of several independent ensembles side by side, with emcee's moves or adapted proposals.
 
 A proposal of an ensemble looks at walkers of that ensemble only. They take their steps side by side so that
 the proposals of all are evaluated in one call, which costs no more than those of one ensemble.
+
+Independent proposals are a mixture of Student's t, fitted to the points that an ensemble visited. A walker
+that accepts one is independent of its last place, so a good fit mixes in a few steps. At first it is one
+Student-t, the Laplace approximation's; later many narrow ones about visited points, and a wide one about all
+of them, so that every place is proposed often enough.
 """
 
 import math

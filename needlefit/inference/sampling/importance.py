@@ -1,28 +1,20 @@
-"""Smooth importance weights by a Pareto tail, and compute the Pareto k that shows whether to trust them.
+"""Sample the posterior about a fit by adaptive importance sampling; compute the density of further data.
 
-The largest weights follow a generalised Pareto distribution; its shape k says how heavy their tail is, and
-its quantiles take their places (A. Vehtari, D. Simpson, A. Gelman, Y. Yao, J. Gabry, J. Mach. Learn. Res. 25
-(2024) 72). k is estimated as by J. Zhang & M. A. Stephens, Technometrics 51 (2009) 316: a mean over a grid of
-the profile likelihood, drawn to 1/2 by as much as ten further weights would.
+Mixtures of Student's t are fitted to the draws, round by round: after each one all draws so far are weighted
+by the density of all rounds together (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira,
+C. P. Robert, Scand. J. Stat. 39 (2012) 798), and the mixture follows them by one step of expectation and
+maximisation over all components (Rao-Blackwellised population Monte Carlo; O. Cappe, R. Douc, A. Guillin,
+J.-M. Marin, C. P. Robert, Stat. Comput. 18 (2008) 447). At first, and while few draws carry all weight, it
+follows a flatter density, so that it grows along a ridge instead of falling on its best draws. What falls
+outside the bounds has no density, and costs nothing.
 
-Sample adaptively by importance: mixtures of Student's t are fitted to the draws, round by round.
+The largest weights follow a generalised Pareto distribution; its shape k says how heavy their tail is and
+whether to trust them, and its quantiles take their places (A. Vehtari, D. Simpson, A. Gelman, Y. Yao,
+J. Gabry, J. Mach. Learn. Res. 25 (2024) 72). k is estimated as by J. Zhang & M. A. Stephens, Technometrics 51
+(2009) 316: a mean over a grid of the profile likelihood, drawn to 1/2 by as much as ten further weights
+would. It cannot see what no draw has come near, which is why the first rounds are wide, and never the last.
 
-Rounds of draws fit the mixture better: after each one all draws so far are weighted by the density of all
-rounds together (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert,
-Scand. J. Stat. 39 (2012) 798), and the mixture follows them. At first, and while few draws carry all weight,
-it follows a flatter density, so that it grows along a ridge instead of falling on its best draws. What falls
-outside the bounds has no density, and costs nothing. `pareto` says whether the weights can be trusted; it
-cannot see what no draw has come near, which is why the first rounds are wide, and never the last.
-
-Mixtures of Student's t: proposals with tails, and how they are fitted to weighted draws.
-
-Fitting is the Rao-Blackwellised population Monte Carlo of O. Cappe, R. Douc, A. Guillin, J.-M. Marin and
-C. P. Robert, Stat. Comput. 18 (2008) 447: one step of expectation and maximisation over all components.
-
-Sample the posterior about a fit by importance sampling, and compute the predictive density of further
-data.
-
-How probable further data y are, after data D: the evidence of both over that of the first.
+How probable further data y are, after data D, is the evidence of both over that of the first:
 
     log p(y | D) = log Z(D, y) - log Z(D),      Z = integral of likelihood and prior over theta
 
@@ -52,6 +44,7 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.log_density import (
     Evaluator,
     LaplaceApproximation,
+    LogDensityFunction,
     approximate_by_information,
     approximate_by_laplace,
 )
@@ -168,10 +161,6 @@ class StudentMixture:
         away = at[None] - centres[:, None]  # (M, N, P)
         scales = np.einsum("nm,mnp,mnq->mpq", pulls[:, kept], away, away) / parts[kept, None, None]
         return StudentMixture(parts[kept] / parts[kept].sum(), centres, np.linalg.cholesky(scales + least))
-
-
-LogDensityFunction = Callable[[Floats], Floats]
-"""Log densities (W,) of thetas (W, P), -inf where there is none."""
 
 
 @dataclass(frozen=True)

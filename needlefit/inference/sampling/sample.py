@@ -1,20 +1,15 @@
-"""Store snapshots of a sampler, one per block of steps, so that a killed run resumes to the same bytes.
+"""Sample the posterior with several independent ensembles until they converge, or the budget ends.
 
-Draw initial walkers, wider than the posterior, and decide when their proposals are adapted.
+Walkers are laid out, wider than the posterior, and moved in the coordinates of the Laplace approximation, in
+which the ridges of the posterior are round. After every block of steps a snapshot is stored, from which a
+killed run resumes to the same bytes, and the rule of `assess_convergence` asked: what ends a run is counted
+in steps, never in time. Not counted is the burn-in, the first ten autocorrelation times of the second half of
+the steps, but never more than the first half; nor what the ensembles learned from.
 
-Adaptation of the proposals:
-
-Each learns from its own steps alone, and only after a few fixed ones. Between these it walks by fixed rules,
-which have the density as their stationary one; what was walked before the last of them is burn-in. What an
-ensemble knows follows from the steps that are kept, so that a run that goes on knows the same.
-
-Sample the posterior with several independent ensembles until they converge, or the budget ends.
-
-Walkers are laid out and moved in the coordinates of the Laplace approximation, in which the ridges of the
-posterior are round. After every block of steps the run is kept, and the rule of `assess_convergence` asked:
-what ends a run is counted in steps, never in time. Not counted is the burn-in, the first ten autocorrelation
-times of the second half of the steps, but never more than the first half; nor what the ensembles learned
-from.
+Proposals are adapted by each ensemble from its own steps alone, and only after a few fixed ones. Between
+these it walks by fixed rules, which have the density as their stationary one; what was walked before the last
+of them is burn-in. What an ensemble knows follows from the steps that are kept, so that a run that goes on
+knows the same.
 """
 
 import math
