@@ -19,7 +19,7 @@ import trimesh
 from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
 
 from needlefit.cli import main
-from needlefit.cli.multi_file_command import repeat_option
+from needlefit.cli.application import repeat_option
 from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.datasets.sources import ScanVolume, find_volume

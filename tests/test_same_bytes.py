@@ -130,16 +130,14 @@ def test_scans_and_what_is_reconstructed_of_them_are_the_same(new_project):
 SEVERAL = (
     ON_CORES
     + """
-from pathlib import Path
-from needlefit.cli.execution import Execution
+from needlefit.cli.execution import Execution, plan_studies, run_studies
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.run_study import plan_studies, run_studies
 from needlefit.project.tasks import LocalPool
 jobs = int(sys.argv[2])
 todo = [*plan_studies("held_out"), *plan_studies("meat")]
 pool = LocalPool(jobs)
-execution = Execution(Invocation(()), Path("reports"), None, jobs, False, lambda: False, pool=pool)
-print([one.name for one in run_studies(execution, todo, json=True).runs])
+execution = Execution(Invocation((), jobs=jobs, json=True), pool=pool)
+print([one.name for one in run_studies(execution, todo)])
 """
 )
 

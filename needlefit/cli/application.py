@@ -3,17 +3,15 @@
 A command is imported when it is run or its help is printed, so that none waits for the others.
 """
 
-import inspect
-from collections.abc import Callable, Iterator, Mapping
-from functools import cache, wraps
+from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from needlefit.cli import exit_codes, options
-from needlefit.cli.multi_file_command import MultiFileCommand
 
 _COMMANDS: Mapping[str, Mapping[str, str]] = {
     "Data": {
@@ -57,16 +55,28 @@ _GROUPS = {
 }
 """First words of commands that form a group, with its help."""
 
-_FUNCTIONS = {
+_STUDIES = (*("tune", "identify", "calibrate", "validate", "predict", "material", "verify", "credibility"),)
+
+_MODULES = {
     "init": "start.init",
     "new dataset": "start.new_dataset",
     "import": "import_data.import_data",
     "twin build": "twin.twin_build",
     "twin ct": "twin.twin_ct",
+    **{name: f"studies.{name}" for name in _STUDIES},
+    **{name: f"results.{name}" for name in ("report", "explain", "diff", "paper")},
 }
-"""The function of a command in `needlefit.cli`, where it is not `name.name`."""
+"""The module of a command in `needlefit.cli`, where it has not its name, and its function likewise."""
+
+LAYERS_OPTION = "--layers"
 
 _MULTI_FILE_COMMANDS = ("reconstruct", "view")
+"""Commands whose `--layers` takes all words up to the next option."""
+
+NO_SCAN_MESSAGE = (
+    "no SCAN is left: --layers takes every word up to the next option as a file; put SCAN first, "
+    "before the options"
+)
 
 _STYLE: Mapping[str, Any] = {"rich_markup_mode": None, "no_args_is_help": True}
 
@@ -154,35 +164,54 @@ def _build_command(name: str) -> Any:  # noqa: ANN401 - a command of typer's own
         )
         group.callback()(_no_options)
         return typer.main.get_command(group)
-    module, _, function = _FUNCTIONS.get(name, f"{name}.{name}").partition(".")
+    module, _, function = _MODULES.get(name, name).partition(".")
     app = typer.Typer(rich_markup_mode=None, add_completion=False)
     form = MultiFileCommand if name in _MULTI_FILE_COMMANDS else None
-    run = _with_plugins(getattr(import_module(f"needlefit.cli.{module}"), function))
-    app.command(name.split()[-1], cls=form, epilog=_example(name))(run)
+    command = getattr(import_module(f"needlefit.cli.{module}"), function or name)
+    app.command(name.split()[-1], cls=form, epilog=_example(name))(options.takes("plugins")(command))
     return typer.main.get_command(app)
+
+
+class MultiFileCommand(TyperCommand):
+    """A command whose `--layers` takes all words up to the next option."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Repeat `--layers` before each of its files, as typer wants it."""
+        nameless = any(
+            word == LAYERS_OPTION and after.startswith("-")
+            for word, after in zip(args, [*args[1:], "--"], strict=True)
+        )
+        if nameless and not ctx.resilient_parsing:  # a shell may complete half a line
+            raise typer.BadParameter("--layers names no file: FILES... follow it, or leave it out")
+        try:
+            return super().parse_args(ctx, repeat_option(args))
+        except Exception as error:
+            missing = getattr(getattr(error, "param", None), "name", "")
+            if missing == "scans" and any(map(_is_layers_option, args)):
+                raise typer.BadParameter(NO_SCAN_MESSAGE) from None
+            raise
+
+
+def repeat_option(args: list[str]) -> list[str]:
+    """Return the words of a command with `--layers` before each of the files that follow it."""
+    words, files = list[str](), False
+    for word in args:
+        if word.startswith("-"):
+            files = _is_layers_option(word)
+            words += [] if word == LAYERS_OPTION else [word]
+        else:
+            words += [LAYERS_OPTION, word] if files else [word]
+    return words
+
+
+def _is_layers_option(word: str) -> bool:
+    """Whether files of layers follow a word."""
+    return word == LAYERS_OPTION or word.startswith(f"{LAYERS_OPTION}=")
 
 
 def _example(name: str) -> str:
     words = next(found[name] for found in _COMMANDS.values() if name in found)
     return f"Example: needlefit {name} {words}".rstrip()
-
-
-def _with_plugins(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that also takes `--plugins`, which acts while the command line is read."""
-
-    @wraps(command)
-    def run(*args: Any, plugins: options.Plugins = None, **kwargs: Any) -> None:  # noqa: ANN401
-        command(*args, **kwargs)
-
-    option = inspect.Parameter(
-        "plugins", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=options.Plugins
-    )
-    signature = inspect.signature(command)
-    run.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=[*signature.parameters.values(), option]
-    )
-    run.__annotations__ = {**command.__annotations__, "plugins": options.Plugins}
-    return run
 
 
 def _version(wanted: bool) -> None:

@@ -1,42 +1,48 @@
-"""Settings of a run: options, progress, and the folders of results and checkpoints."""
+"""Run studies as the options say: progress, folders of results and checkpoints, what is printed of them."""
 
-from collections.abc import Callable, Iterable, Iterator
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from needlefit.cli import exit_codes, screen
-from needlefit.cli.exit_codes import Invocation
+from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.progress import show_progress
 from needlefit.errors import ConfigError
 from needlefit.project.processes import count_cores
+from needlefit.project.progress import never_stop
 
 if TYPE_CHECKING:
-    from needlefit.project.progress import Progress
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
-    from needlefit.studies.job import Settings
     from needlefit.studies.run import Run
 
 
 @dataclass(frozen=True)
-class Execution:
-    """What the options say about a run; results go to `out/<name>/`, checkpoints to `out/<name>.partial/`.
+class StudyTask:
+    """A study, or a fit of the paper's tuning tables, that is to be carried out."""
 
-    `file` is the study's, where it is known: warnings name it. `pool` is where tasks run; None: in
-    processes of each run.
+    name: str
+    record: "FileRecord"
+    file: Path
+
+
+@dataclass(frozen=True)
+class Execution:
+    """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
+
+    `stop` says whether to end early. `file` is the study's, where it is known: warnings name it. `pool` is
+    where tasks run; None: in processes of each run.
     """
 
     invocation: Invocation
-    out: Path
-    seed: int | None
-    jobs: int | None
-    resume: bool
-    stop: Callable[[], bool]
-    sample: bool = False
+    stop: Callable[[], bool] = never_stop
     file: Path | None = None
     pool: "TaskPool | None" = None
 
@@ -53,10 +59,11 @@ class Execution:
         from needlefit.project.checkpoint import require_own_checkpoint
         from needlefit.project.manifest import require_replaceable
 
+        samples = self.invocation.sample or replaces_posterior
         for name in names:
             require_replaceable(self.folder(name))
             require_own_checkpoint(self.checkpoint(name))
-            if not (self.sample or replaces_posterior) and any(self.folder(name).glob("posterior*.nc")):
+            if not samples and any(self.folder(name).glob("posterior*.nc")):
                 raise ConfigError(
                     "holds a sampled posterior, which this run would replace by none",
                     where=str(self.folder(name)),
@@ -65,43 +72,53 @@ class Execution:
 
     def folder(self, name: str) -> Path:
         """Return where the results of one study or fit go."""
-        return self.out / name
+        return self.invocation.out / name
 
     def checkpoint(self, name: str) -> Path:
         """Return where a run keeps what it has finished."""
-        return self.out / f"{name}.partial"
+        return self.invocation.out / f"{name}.partial"
+
+    @contextmanager
+    def in_pool(self) -> "Iterator[Execution]":
+        """Yield the same execution with the pool that the options name, for several runs."""
+        with open_pool(self.invocation.jobs, self.invocation.scheduler, self.invocation.insecure) as pool:
+            yield replace(self, pool=pool)
 
     def run(self, name: str, record: "FileRecord") -> "Run":
         """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`."""
+        from needlefit.studies.job import Settings
         from needlefit.studies.kind import kind_of
 
-        opened = open_pool(self.jobs, None, False) if self.pool is None else nullcontext(self.pool)
-        with show_progress(self.invocation.quiet) as report, opened as pool:
-            return kind_of(record).run(name, record, self._settings(name, report, pool))
+        asked = self.invocation
+        opened = open_pool(asked.jobs, None, False) if self.pool is None else nullcontext(self.pool)
+        with show_progress(asked.quiet) as report, opened as pool:
+            settings = Settings(
+                seed=asked.seed,
+                jobs=asked.jobs or count_cores(),
+                pool=pool,
+                checkpoint=self.checkpoint(name),
+                resume=asked.resume,
+                sample=asked.sample,
+                progress=report,
+                stop=self.stop,
+                note=print_remark,
+                file=self.file,
+            )
+            return kind_of(record).run(name, record, settings)
 
-    def run_and_write(self, name: str, record: "FileRecord") -> "Run":
-        """Run one study and write its folder; an interrupted one ends the command."""
-        result = self.run(name, record)
+    def run_kind(self, kind: str, name: str, **options: object) -> "Run":
+        """Run the study of a kind that options describe, and write its folder.
+
+        An interrupted one ends the command.
+        """
+        from needlefit.studies.kind import find_kind
+
+        result = self.run(name, find_kind(kind).make_record(**options))
         if result.interrupted:
             raise self.interrupted()
         self.write(result)
+        self.remove_checkpoint(name)
         return result
-
-    def _settings(self, name: str, report: "Progress", pool: "TaskPool") -> "Settings":
-        from needlefit.studies.job import Settings
-
-        return Settings(
-            seed=self.seed,
-            jobs=self.jobs or count_cores(),
-            pool=pool,
-            checkpoint=self.checkpoint(name),
-            resume=self.resume,
-            sample=self.sample,
-            progress=report,
-            stop=self.stop,
-            note=print_remark,
-            file=self.file,
-        )
 
     def write(self, result: "Run") -> Path:
         """Write a run; return its folder."""
@@ -110,15 +127,16 @@ class Execution:
         return write_run(result, self.folder(result.name))
 
     def prepare_reference(self, names: Iterable[str]) -> None:
-        """Make sure that the reference results of runs can be written; ConfigError as of `prepare`."""
-        self.prepare([f"reference/{name}" for name in names], replaces_posterior=True)
+        """Make sure that reference results can be written, if wanted; ConfigError as of `prepare`."""
+        if self.invocation.reference:
+            self.prepare([f"reference/{name}" for name in names], replaces_posterior=True)
 
     def write_reference(self, runs: "Iterable[Run]") -> None:
-        """Write the reference results of runs: their tables, rounded."""
+        """Write the reference results of runs, if wanted: their tables, rounded."""
         from needlefit.studies.reference import write_reference
 
-        for one in runs:
-            screen.print_line(f"written: {write_reference(one, self.folder(f'reference/{one.name}'))}/")
+        for run in runs if self.invocation.reference else ():
+            screen.print_line(f"written: {write_reference(run, self.folder(f'reference/{run.name}'))}/")
 
     def remove_checkpoint(self, name: str) -> None:
         """Remove the checkpoint of a run that is complete."""
@@ -130,6 +148,30 @@ class Execution:
         """Say how to go on; return the exit to raise."""
         screen.print_note(self.invocation.interrupt_message())
         return typer.Exit(exit_codes.INTERRUPTED)
+
+    def show(self, result: "Run", more: dict[str, object] | None = None) -> None:
+        """Print the result of a command that runs one study: in words, or as JSON that has `more` keys, too.
+
+        With JSON, warnings go to stderr.
+        """
+        if not self.invocation.json:
+            show_run(self.invocation, result, self.folder(result.name))
+            return
+        from needlefit.studies.report import run_to_json
+
+        screen.show_json(run_to_json(result) | (more or {}))
+        show_warnings(self.invocation, result)
+
+
+@contextmanager
+def begin(context: typer.Context) -> Iterator[Execution]:
+    """Yield the execution of a command that Ctrl-C stops with what is finished.
+
+    Commands import what they need inside of it, so that Ctrl-C never cuts an import in two.
+    """
+    invocation = context.find_root().obj
+    with catch_interrupts(invocation) as stop:
+        yield Execution(invocation, stop)
 
 
 @contextmanager
@@ -151,18 +193,148 @@ def print_remark(line: str) -> None:
     screen.print_note(f"needlefit: {line}")
 
 
-def require_converged(results: "Run") -> None:
-    """End with its exit code if a scored simulation of the fit, its search, or a posterior did not converge.
-
-    The results are written by then, marked.
-    """
-    require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
-
-
 def require_no_faults(faults: Iterable[str]) -> None:
-    """Say all faults and end with the exit code of what did not converge, if there is one."""
+    """Say all faults and end with the exit code of what did not converge, if there is one.
+
+    Faults of a run are a scored simulation, a search or a posterior that did not converge. The results are
+    written by then, marked.
+    """
     listed = list(faults)
     for fault in listed:
         screen.print_note(f"needlefit: {fault}")
     if listed:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
+
+
+def plan_studies(study: str) -> list[StudyTask]:
+    """Return what a name means; of `everything`, studies without their data are left out, with a note.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such study, or its file does not hold what its kind wants.
+    """
+    from needlefit.project.load import load
+    from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
+    from needlefit.schemas.study import FitRecord
+    from needlefit.studies.study_files import find_missing_data, load_study
+
+    found = []
+    for name, path in find_studies(study):
+        missing = find_missing_data(path) if study == EVERY_STUDY else []
+        if missing:
+            screen.print_note(f"needlefit: {name} is left out: the data of {', '.join(missing)} are not here")
+        else:
+            found.append(StudyTask(name, load_study(path), path))
+    return [*found, *(StudyTask(name, load(path, FitRecord), path) for name, path in find_tunings(study))]
+
+
+def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
+    """Run, write and print every work; their checkpoints stay.
+
+    Several studies and fits run side by side, one in each process: much of a fit keeps Python busy, which
+    threads of one process cannot share. Studies whose work falls into tasks follow one after the other.
+    """
+    done = []
+    for result in _run_each(execution, todo):
+        if result.interrupted:
+            break
+        if execution.invocation.json:
+            show_warnings(execution.invocation, result)
+        else:
+            show_run(execution.invocation, result, execution.folder(result.name), len(todo) > 1)
+            if len(todo) > 1:
+                screen.print_line()
+        done.append(result)
+    if len(done) < len(todo):
+        raise execution.interrupted()
+    return done
+
+
+def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> "Iterable[Run]":
+    """Run and write the studies; yield them in their order, not all where Ctrl-C asks to stop."""
+    from needlefit.project.checkpoint import hold_checkpoint
+    from needlefit.project.tasks import LocalPool
+    from needlefit.schemas.study import FitRecord, StudyRecord
+
+    fits = all(isinstance(work.record, FitRecord | StudyRecord) for work in todo)
+    if not fits or len(todo) == 1 or not isinstance(execution.pool, LocalPool) or execution.pool.size == 1:
+        return map(partial(_run_one, execution), todo)
+    # a process among several shows no progress of its own
+    quiet = replace(execution.invocation, quiet=True)
+    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=_stop_in_process, pool=None))
+    finished: dict[int, Run] = {}
+    with show_progress(execution.invocation.quiet) as report:
+        report(f"{len(todo)} studies side by side", 0, len(todo))
+        for n, result in execution.pool.run(sent, todo, execution.stop):
+            finished[n] = result
+            hold_checkpoint(execution.checkpoint(result.name))
+            report(f"studies: {result.name}", len(finished), len(todo))
+    return [finished[n] for n in sorted(finished)]
+
+
+def _stop_in_process() -> bool:
+    """Return whether to stop: it was asked for, or the program that began this process has ended."""
+    from needlefit.project.tasks import stop_requested
+
+    program = parent_process()
+    return stop_requested() or not (program is None or program.is_alive())
+
+
+def _run_in_process(execution: Execution, work: StudyTask) -> "Run":
+    from needlefit.project.checkpoint import release_checkpoint
+    from needlefit.project.tasks import threads_of_task
+
+    alone = replace(execution.invocation, jobs=threads_of_task())
+    result = _run_one(replace(execution, invocation=alone), work)
+    release_checkpoint(execution.checkpoint(work.name))  # the program that began this process takes it
+    return result
+
+
+def _run_one(execution: Execution, work: StudyTask) -> "Run":
+    """Run one study and, unless it was interrupted, write it."""
+    from needlefit.project.toml_lines import add_file_context
+
+    with add_file_context(work.file):
+        result = replace(execution, file=work.file).run(work.name, work.record)
+        if not result.interrupted:
+            execution.write(result)
+    return result
+
+
+def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = False) -> None:
+    """Print the result of a study: verdicts, warnings, one table, files; with `--explain` all tables.
+
+    `named`: before each verdict stands the name of the run.
+    """
+    from needlefit.studies.kind import find_kind
+    from needlefit.studies.verdict import judge_run
+
+    for verdict in judge_run(result):
+        screen.print_text(f"{result.name}: {verdict.sentence}." if named else f"{verdict.sentence}.")
+    show_warnings(invocation, result)
+    screen.print_line()
+    title = result.name if result.title in ("", result.name) else f"{result.name}: {result.title}"
+    origins = {"synthetic": "SYNTHETIC data", "measured": "Measured data"}  # which a reader cannot miss
+    data = f"\n{origins[result.origin]}: {result.dataset_title}" if result.origin != "none" else ""
+    screen.print_text(f"{title}{data}")
+    report = find_kind(result.kind).report
+    tables, sentences = report.explain(result) if invocation.explain else (report.lay_out_first(result), [])
+    for table in tables:
+        screen.show_display(table, notes=invocation.explain)
+    for sentence in sentences:
+        screen.print_text(sentence)
+    documents = [str(folder / name) for name in ("report.pdf", "report.html") if (folder / name).is_file()]
+    if documents:
+        screen.print_line(f"Report: {', '.join(documents)}")
+    if not invocation.explain:
+        screen.print_line(f"Explained: {shlex.join(('needlefit', 'report', str(folder), '--explain'))}")
+    screen.print_line(f"written: {folder}/")
+
+
+def show_warnings(invocation: Invocation, result: "Run") -> None:
+    """Print the warnings of a run to stderr, with the paths of the files that they are about."""
+    from needlefit.studies.report import list_run_warnings
+
+    data = Path(result.timing.get("dataset", "")).parent
+    screen.print_warnings(invocation, [screen.locate_warning(one, data) for one in list_run_warnings(result)])

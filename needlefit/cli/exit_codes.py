@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 
 from needlefit.errors import (
@@ -23,16 +24,25 @@ from needlefit.errors import (
 
 @dataclass
 class Invocation:
-    """One call of the program; the options -q, -v, --strict and --explain write `quiet`, `verbose`, ...
+    """One call of the program, and the values of its common options.
 
     `warned` is whether a warning was printed: with `strict` the exit code then is that of no convergence.
     """
 
     words: tuple[str, ...]
-    quiet: bool = False
-    verbose: bool = False
+    sample: bool = False
+    seed: int | None = None
+    jobs: int | None = None
+    scheduler: str | None = None
+    insecure: bool = False
+    out: Path = Path("reports")
+    reference: bool = False
+    resume: bool = False
     strict: bool = False
     explain: bool = False
+    json: bool = False
+    quiet: bool = False
+    verbose: bool = False
     warned: bool = False
 
     def resuming(self) -> str:

@@ -1,35 +1,28 @@
-"""Options that several commands share."""
+"""Options that several commands share; the values of common ones are kept by the invocation."""
 
+import inspect
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.project.locate import STUDY_GROUPS, list_names, list_runs
+from needlefit.project.locate import STUDY_GROUPS, FileKind, list_names, list_runs
 from needlefit.schemas.limits import MAX_SEED
 
 if TYPE_CHECKING:
     from needlefit.schemas.scene import SceneRecord
 
 
-def _set_quiet(context: typer.Context, value: bool) -> bool:
-    context.find_root().obj.quiet = value
-    return value
+def _keep(name: str) -> Callable[[typer.Context, Any], Any]:
+    """Return what writes the value of an option to the field `name` of the invocation."""
 
+    def callback(context: typer.Context, value: Any) -> Any:  # noqa: ANN401 - of the option
+        setattr(context.find_root().obj, name, value)
+        return value
 
-def _set_verbose(context: typer.Context, value: bool) -> bool:
-    context.find_root().obj.verbose = value
-    return value
-
-
-def _set_strict(context: typer.Context, value: bool) -> bool:
-    context.find_root().obj.strict = value
-    return value
-
-
-def _set_explain(context: typer.Context, value: bool) -> bool:
-    context.find_root().obj.explain = value
-    return value
+    return callback
 
 
 def _use_plugins(modules: list[str] | None) -> list[str] | None:
@@ -40,6 +33,51 @@ def _use_plugins(modules: list[str] | None) -> list[str] | None:
     return modules
 
 
+def _flag(name: str, *words: str, text: str) -> Any:  # noqa: ANN401 - an option of typer's
+    return typer.Option(*(words or (f"--{name}",)), callback=_keep(name), help=text)
+
+
+Sample = Annotated[bool, _flag("sample", text="Also sample the posterior (netCDF): takes minutes.")]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=MAX_SEED, callback=_keep("seed"), help="Seed of all randomness (default: the recipe's)."
+    ),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        min=1, callback=_keep("jobs"), help="Cores to use (default: all); they do not change the result."
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        callback=_keep("scheduler"),
+        help="Run tasks on a Dask cluster: tls://HOST:PORT (docs/scale.md).",
+    ),
+]
+Insecure = Annotated[
+    bool, _flag("insecure", text="Accept a scheduler on another machine without encryption.")
+]
+Out = Annotated[
+    Path,
+    typer.Option(callback=_keep("out"), help="Folder of all results; each run has a folder in it."),
+]
+Reference = Annotated[
+    bool,
+    _flag(
+        "reference",
+        text="Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version control.",
+    ),
+]
+Resume = Annotated[bool, _flag("resume", text="Continue an interrupted run.")]
+Strict = Annotated[bool, _flag("strict", text="Exit code 5 after a warning; results are written.")]
+Explain = Annotated[bool, _flag("explain", text="All tables, with notes and diagnostics.")]
+Json = Annotated[bool, _flag("json", text="Results as JSON on stdout.")]
+Quiet = Annotated[bool, _flag("quiet", "--quiet", "-q", text="No progress on stderr.")]
+Verbose = Annotated[bool, _flag("verbose", "--verbose", "-v", text="Tracebacks of errors.")]
 Plugins = Annotated[
     list[str] | None,
     typer.Option(
@@ -50,92 +88,67 @@ Plugins = Annotated[
         help="Installed Python module with further tissue laws, file formats, ...; may be repeated.",
     ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", callback=_set_quiet, help="No progress on stderr.")]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", callback=_set_verbose, help="Tracebacks of errors.")
-]
-Json = Annotated[bool, typer.Option("--json", help="Results as JSON on stdout.")]
-Seed = Annotated[
-    int | None, typer.Option(min=0, max=MAX_SEED, help="Seed of all randomness (default: the recipe's).")
-]
-Jobs = Annotated[
-    int | None, typer.Option(min=1, help="Cores to use (default: all); they do not change the result.")
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Run tasks on a Dask cluster: tls://HOST:PORT (docs/scale.md).",
-    ),
-]
-Insecure = Annotated[
-    bool, typer.Option("--insecure", help="Accept a scheduler on another machine without encryption.")
-]
-Out = Annotated[Path, typer.Option(help="Folder of all results; each run has a folder in it.")]
-Sample = Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")]
-Reference = Annotated[
-    bool,
-    typer.Option(
-        "--reference",
-        help="Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version control.",
-    ),
-]
 
-Strict = Annotated[
-    bool,
-    typer.Option("--strict", callback=_set_strict, help="Exit code 5 after a warning; results are written."),
-]
-
-Explain = Annotated[
-    bool,
-    typer.Option("--explain", callback=_set_explain, help="All tables, with notes and diagnostics."),
-]
+_COMMON: dict[str, tuple[Any, object]] = {
+    "sample": (Sample, False),
+    "seed": (Seed, None),
+    "jobs": (Jobs, None),
+    "scheduler": (Scheduler, None),
+    "insecure": (Insecure, False),
+    "out": (Out, Path("reports")),
+    "reference": (Reference, False),
+    "resume": (Resume, False),
+    "strict": (Strict, False),
+    "explain": (Explain, False),
+    "json": (Json, False),
+    "quiet": (Quiet, False),
+    "verbose": (Verbose, False),
+    "plugins": (Plugins, None),
+}
+"""Options that many commands have, in the order of help: their types and defaults."""
 
 
-def complete_scenes(incomplete: str) -> list[str]:
-    """Return the scenes whose names begin so."""
-    return _with_prefix(list_names("scene"), incomplete)
+def takes(names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator of commands: they also take these options, whose values the invocation keeps."""
+    common = {name: _COMMON[name] for name in names.split()}
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=option)
+        for name, (option, default) in common.items()
+    ]
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def run(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - as the command has them
+            command(*args, **{name: value for name, value in kwargs.items() if name not in common})
+
+        signature = inspect.signature(command)
+        parameters = [*signature.parameters.values(), *added]
+        run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {**command.__annotations__, **{one.name: one.annotation for one in added}}
+        return run
+
+    return decorate
 
 
-def complete_studies(incomplete: str) -> list[str]:
-    """Return the studies whose names begin so, and the names of several."""
-    return _with_prefix([*list_names("study"), *STUDY_GROUPS], incomplete)
+def _complete(*kinds: FileKind, runs: bool = False, more: Sequence[str] = ()) -> Callable[[str], list[str]]:
+    """Return what completes names of these kinds of files, of runs in reports/, and some more."""
+
+    def complete(incomplete: str) -> list[str]:
+        names = [*(name for kind in kinds for name in list_names(kind)), *more]
+        names += list_runs() if runs else []
+        return [name for name in names if name.startswith(incomplete)]
+
+    return complete
 
 
-def complete_targets(incomplete: str) -> list[str]:
-    """Return the studies and fits whose names begin so."""
-    return _with_prefix([*list_names("study"), *list_names("fit")], incomplete)
-
-
-def complete_runs(incomplete: str) -> list[str]:
-    """Return the runs in reports/ whose names begin so."""
-    return [name for name in list_runs() if name.startswith(incomplete)]
-
-
-def complete_checked(incomplete: str) -> list[str]:
-    """Return the datasets, studies and fits whose names begin so."""
-    return _with_prefix(list_names("dataset"), incomplete) + complete_targets(incomplete)
-
-
-def complete_scans(incomplete: str) -> list[str]:
-    """Return the tables of scans whose names begin so."""
-    return _with_prefix(list_names("scans"), incomplete)
-
-
-def complete_reconstructions(incomplete: str) -> list[str]:
-    """Return the recipes of reconstruction whose names begin so."""
-    return _with_prefix(list_names("reconstruction"), incomplete)
-
-
-def complete_view_targets(incomplete: str) -> list[str]:
-    """Return the scenes, runs, datasets and tables of scans whose names begin so."""
-    names = [name for kind in ("scene", "dataset", "scans") for name in list_names(kind)]
-    return _with_prefix([*names, *list_runs()], incomplete)
-
-
-def _with_prefix(known: list[str], incomplete: str) -> list[str]:
-    return [name for name in known if name.startswith(incomplete)]
+complete_scenes = _complete("scene")
+complete_studies = _complete("study", more=STUDY_GROUPS)
+complete_targets = _complete("study", "fit")
+complete_runs = _complete(runs=True)
+complete_checked = _complete("dataset", "study", "fit")
+complete_scans = _complete("scans")
+complete_reconstructions = _complete("reconstruction")
+complete_view_targets = _complete("scene", "dataset", "scans", runs=True)
 
 
 Target = Annotated[

@@ -1,28 +1,62 @@
 """`needlefit simulate`: one scene, or a recording of it; the needle's shape after each step."""
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import Depth, Set, complete_scenes, scene_record
-from needlefit.cli.screen import print_warnings
-from needlefit.cli.simulation_outcome import (
-    SimulationOutcome,
-    describe_outcome,
-    replay_recording,
-    show_summary,
-    simulate_scene,
-    summarize_simulation,
-)
+from needlefit.cli import exit_codes, screen
+from needlefit.cli.options import Depth, Set, complete_scenes, scene_record, takes
+from needlefit.errors import NeedlefitError
 from needlefit.project.locate import find_file
 from needlefit.project.outputs import require_output_files
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
+from needlefit.project.view_targets import find_view_target
+
+if TYPE_CHECKING:
+    from needlefit.geometry.frames import Placement
+    from needlefit.mechanics.scene import Entry, Scene
+    from needlefit.mechanics.shape import NeedleShape
+    from needlefit.reporting.table_files import Row
+    from needlefit.reporting.table_layout import TableLayout
+    from needlefit.schemas.scene import SceneRecord
+
+ANIMATION_SPEED_MM_S = 10.0
+"""mm/s: how fast a scene goes in in an animation; the model knows no time."""
 
 
+@dataclass(frozen=True)
+class SimulationOutcome:
+    """A needle at the end of its way.
+
+    Attributes
+    ----------
+    scene : Scene
+        Its steps are those that `shapes` belong to.
+    shapes : tuple of NeedleShape
+        After each step, up to the one that failed.
+    files : mapping of str to callable
+        By option, what writes such a file; False where there is no needle to write.
+    more : dict
+        What else `--json` says.
+    placement : Placement or None
+        Where a measured needle lies; None of a scene, which says so itself.
+    """
+
+    title: str
+    scene: "Scene"
+    shapes: "tuple[NeedleShape, ...]"
+    files: Mapping[str, Callable[[Path], bool | None]]
+    more: dict[str, Any]
+    warnings: tuple[ResultWarning, ...]
+    placement: "Placement | None" = None
+
+
+@takes("strict json verbose")
 def simulate(
     context: typer.Context,
     scene: Annotated[
@@ -43,8 +77,6 @@ def simulate(
     step: Annotated[
         int | None, typer.Option(metavar="N", min=0, help="With --recording: stop after this step.")
     ] = None,
-    strict: options.Strict = False,
-    json: options.Json = False,
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the needle: .png, .pdf or .svg.")
     ] = None,
@@ -72,7 +104,6 @@ def simulate(
         Path | None,
         typer.Option(metavar="FILE", help="Of a recording: one HTML file that plays it without a server."),
     ] = None,
-    verbose: options.Verbose = False,
 ) -> None:
     """Simulate a SCENE (a needle, layers, a bevel, and a depth or steps), or replay a recording of one.
 
@@ -91,33 +122,29 @@ def simulate(
             raise typer.BadParameter("is of a recording: it needs --recording", param_hint="--html")
         require_output_files(written, [find_file("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
-        done = simulate_scene(scene, record, where)
+        done = _simulate_scene(scene, record, where)
     else:
         if scene is not None or depth is not None or set_:
             raise typer.BadParameter(
                 "the recording contains its scene: leave out SCENE, --depth and --set",
                 param_hint="--recording",
             )
-        done = replay_recording(recording, step, written)
+        done = _replay_recording(recording, step, written)
     # before anything is printed: a name may be none of a picture
     saved = [
         path for option, path in written.items() if done.files[option.removeprefix("--")](path) is not False
     ]
-    _show(context.find_root().obj, done, saved, json)
-
-
-def _show(invocation: Invocation, done: SimulationOutcome, saved: Sequence[Path], json: bool) -> None:
-    """Print where the needle ends; leave with an exit code of its own where it was not found."""
+    invocation = context.find_root().obj
     summary = summarize_simulation(done.scene, done.shapes, done.placement) | done.more
     warnings = [*done.warnings, *validity_warnings(summary["validity"]["faults"])]
     summary |= {WARNINGS_KEY: to_rows(warnings)}
-    if json:
+    if invocation.json:
         screen.show_json(summary)
     else:
-        screen.print_text(describe_outcome(summary))
-    print_warnings(invocation, warnings)
-    if not json:
-        show_summary(done.title, summary)
+        screen.print_text(_describe_outcome(summary))
+    screen.print_warnings(invocation, warnings)
+    if not invocation.json:
+        _show_summary(done.title, summary)
     for path in saved:
         screen.print_note(f"written: {path}")
     if not summary["converged"]:
@@ -137,3 +164,179 @@ def validity_warnings(faults: Sequence[str]) -> Iterator[ResultWarning]:
             f"the solution is outside what the model assumes: {'; '.join(faults)}",
             fix="check stiffness, bevel offset and depth",
         )
+
+
+def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
+    """Carry out a scene's steps; `where` is named in errors."""
+    from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
+    from needlefit.mechanics.session import NeedleState
+    from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
+
+    title, scene = record.title or name, Scene.from_record(record, where)
+    shapes = simulate_scene(scene)
+
+    def draw(path: Path) -> None:
+        from needlefit.reporting.figures.scene import draw_scene
+
+        draw_scene(title, scene, shapes, path)
+
+    def write_table(path: Path) -> bool:
+        from needlefit.reporting.shape_table import write_shape
+
+        shape = shapes[-1]
+        if shape.converged:
+            write_shape(scene, NeedleState(shape, scene.steps[len(shapes) - 1], scene.tissue), path)
+        return shape.converged
+
+    def write_curves(path: Path) -> bool:
+        from needlefit.studies.slicer import write_scene
+
+        return write_scene(scene.entry.placement, shapes, path, record.needle.outer_diameter_mm)
+
+    def draw_animation(path: Path) -> None:
+        from needlefit.reporting.figures.animation import animate
+
+        moments = [(gone / ANIMATION_SPEED_MM_S, moment) for gone, moment in iterate_states(scene)]
+        animate(title, scene, moments, moments[-1][0], path)
+
+    files = {"plot": draw, "csv": write_table, "slicer": write_curves, "animation": draw_animation}
+    warnings = (*scene_warnings(record, where), *coarse_warnings(record, where))
+    return SimulationOutcome(title, scene, shapes, files, {}, warnings)
+
+
+def _replay_recording(path: Path, upto: int | None, outputs: Mapping[str, Path]) -> SimulationOutcome:
+    """Carry out a recording, or its steps up to number `upto`.
+
+    ConfigError if one of `outputs`, by option, is a file of what was steered, or cannot be written.
+    """
+    from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
+    from needlefit.viewer.export import WRITERS, replay_to_end
+    from needlefit.viewer.recording import read_recording
+
+    recording = read_recording(path)
+    require_output_files(outputs, [path, *_view_target_files(recording.head.target)])
+    if upto is not None:
+        if upto > len(recording.steps):
+            raise typer.BadParameter(f"the recording has {len(recording.steps)} steps", param_hint="--step")
+        recording = replace(recording, steps=recording.steps[:upto])
+    done = replay_to_end(recording)
+    files = {option: partial(write, done) for option, write in WRITERS.items()}
+    more = {"replayed": {"steps": len(recording.steps), "tip_offset_mm": done.tip_offset_mm}}
+    planned = recording.head.scene
+    warnings = (*scene_warnings(planned, str(path)), *coarse_warnings(planned, str(path)))
+    shapes = (done.state.shape,)
+    return SimulationOutcome(done.title, done.scene, shapes, files, more, warnings, done.placement)
+
+
+def _view_target_files(target: str) -> list[Path]:
+    """Return the scene, or the folder of the run or dataset, that a recording is of; none if it is gone."""
+    try:
+        view_target = find_view_target(target)
+    except NeedlefitError:
+        return []
+    return [view_target.path.parent if view_target.kind == "dataset" else view_target.path]
+
+
+def summarize_simulation(
+    scene: "Scene", shapes: "Sequence[NeedleShape]", placement: "Placement | None" = None
+) -> dict[str, Any]:
+    """Return what `--json` prints, of the last step that was tried and, in `steps`, of each; lengths in mm.
+
+    `shapes` end with the last step, or with the one that failed; `placement` is where a measured needle lies.
+    """
+    from needlefit.mechanics.shape import find_worst
+
+    pairs = zip(scene.steps, shapes, strict=False)
+    steps = [
+        {"depth_mm": step.depth} | _summarize_step(scene.entry, shape, placement) for step, shape in pairs
+    ]
+    for step, before in zip(steps[:0:-1], steps[-2::-1], strict=True):
+        step["iterations"] -= before["iterations"]  # a shape counts from first contact
+    unreached = dict.fromkeys(steps[0], None) | {
+        "converged": False, "status": "not reached", "valid": False, "iterations": 0,
+    }  # fmt: skip
+    left = [unreached | {"depth_mm": step.depth} for step in scene.steps[len(shapes) :]]
+    validity = find_worst([shape.validity for shape in shapes])
+    return steps[-1] | {
+        "max_slope": validity.max_slope,
+        "valid": all(shape.valid for shape in shapes),
+        "validity": validity.table(),
+        "boundaries_mm": scene.tissue.boundaries,
+        "constraints_mm": shapes[-1].constraints,
+        "iterations": shapes[-1].iterations,
+        "steps": steps + left,
+    }
+
+
+def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement | None") -> dict[str, Any]:
+    from needlefit.mechanics.shape import compute_positions
+
+    slope = float(shape.slope[-1])
+    return {
+        "tip_lateral_mm": shape.tip_lateral,
+        "tip_slope": slope,
+        "tip_mm": (placement or entry).to_world(compute_positions(shape, shape.x[-1:]))[0],
+        "tip_angle_deg": math.degrees(entry.angle + slope),
+        "converged": shape.converged,
+        "status": shape.status,
+        "valid": shape.valid,
+        "iterations": shape.iterations,
+    }
+
+
+def _show_summary(title: str, summary: dict[str, Any]) -> None:
+    """Print a row for each step, and boundaries, iterations and, of a recording, the difference from it."""
+    interfaces = ", ".join(f"{depth:g}" for depth in summary["boundaries_mm"])
+    screen.print_line()
+    screen.print_text(title)
+    screen.show_display(_lay_out_steps(summary["steps"]), notes=False)
+    screen.print_line(f"Layer boundaries: {f'{interfaces} mm' if interfaces else 'none'}")
+    state = "" if summary["converged"] else "not converged, "
+    slope = f"; largest slope {summary['max_slope']:.3f}" if summary["converged"] else ""
+    screen.print_line(f"Solution: {state}{summary['iterations']} Newton iterations{slope}")
+    if "replayed" in summary:
+        screen.print_line(f"Replayed: {_describe_replay(**summary['replayed'])}")
+
+
+def _describe_outcome(summary: dict[str, Any]) -> str:
+    """Return where the needle ends in one sentence, or that no solution was found."""
+    depth = f"depth {summary['depth_mm']:g} mm"
+    if not summary["converged"]:
+        return f"NOT CONVERGED at {depth}: {summary['status']}."
+    place = ", ".join(map(_format_length, summary["tip_mm"]))
+    valid = "" if summary["valid"] else "; outside what the model assumes"
+    lateral = summary["tip_lateral_mm"]
+    side = f"{_format_length(abs(lateral))} mm to the {'right' if lateral < 0 else 'left'}"
+    return f"Tip {side} of the entry axis at {depth}; tip at ({place}) mm in the world{valid}."
+
+
+def _lay_out_steps(steps: Sequence[Mapping[str, Any]]) -> "TableLayout":
+    from needlefit.reporting.table import Table
+
+    rows = [_describe_step(number, step) for number, step in enumerate(steps, start=1)]
+    columns = ("step", "inserted_mm", "tip_lateral_mm", "tip_position", "tip_angle_deg", "step_state")
+    caption = "Steps: tip in the world." if len(rows) > 1 else "Tip in the world."
+    return Table("steps", caption, rows, columns).lay_out()
+
+
+def _describe_step(number: int, step: Mapping[str, Any]) -> "Row":
+    found = bool(step["converged"])
+    state = ("ok" if step["valid"] else "outside the model's limits") if found else str(step["status"])
+    place = ", ".join(map(_format_length, step["tip_mm"])) if found else None
+    lengths = {"tip_lateral_mm": step["tip_lateral_mm"] if found else None, "inserted_mm": step["depth_mm"]}
+    angle = step["tip_angle_deg"] if found else None
+    return {"step": number, **lengths, "tip_position": place, "tip_angle_deg": angle, "step_state": state}
+
+
+def _describe_replay(steps: int, tip_offset_mm: float) -> str:
+    text = f"{steps} step{'' if steps == 1 else 's'}, tip "
+    return text + (
+        f"up to {tip_offset_mm:.1g} mm from the recorded one"
+        if tip_offset_mm
+        else "identical to the recorded one"
+    )
+
+
+def _format_length(value: float) -> str:
+    """Return a length in print; a dash where the needle was not found."""
+    return f"{value:z.3f}".replace("-", "−") if math.isfinite(value) else "–"

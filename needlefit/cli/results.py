@@ -1,0 +1,289 @@
+"""Commands about results: report, diff, explain, paper."""
+
+import dataclasses
+import difflib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from needlefit.cli import options, screen
+from needlefit.cli.execution import show_run
+from needlefit.cli.options import complete_runs, takes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from needlefit.reporting.table_layout import TableColumn
+    from needlefit.studies.toml_reference import FileKind
+
+
+@takes("explain strict quiet verbose")
+def report(
+    context: typer.Context,
+    run: options.RunFolder,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Write to this folder; the run's own by default."),
+    ] = None,
+    paper: Annotated[
+        Path | None,
+        typer.Option(
+            "--paper",
+            metavar="DIR",
+            help="Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.",
+        ),
+    ] = None,
+    latex: Annotated[
+        Path | None,
+        typer.Option(
+            "--latex",
+            metavar="PDF",
+            help="Also compile the example, a paper of all tables and figures. Needs LaTeX.",
+        ),
+    ] = None,
+) -> None:
+    """Write tables, figures and report of a RUN again, and print it, without fitting anything.
+
+    From the stored results, exact to the last digit: as after an update that draws figures differently, or
+    where files were lost. A file that was changed is never replaced: remove it first. `all` is made again
+    from the runs beside it.
+    """
+    from needlefit.project.locate import find_run
+    from needlefit.studies.csv_tables import find_damaged_files
+    from needlefit.studies.rebuild import rebuild
+
+    folder = find_run(run)
+    damaged = find_damaged_files(folder)
+    written = folder if out is None else out
+    runs = rebuild(folder, written)
+    several = len(runs) > 1
+    for one in runs:
+        show_run(context.find_root().obj, one, written, named=several)
+    for name, what in damaged.items():
+        screen.print_note(f"needlefit: damaged, and not used: {folder}/{name} {what}")
+    if paper is not None:
+        from needlefit.studies.paper_folder import write_paper_folder
+
+        for one in runs:
+            stored, to = (folder.parent / one.name, paper / one.name) if several else (written, paper)
+            write_paper_folder(one, stored, to)
+        screen.print_line(f"written: {paper}")
+    if latex is not None:
+        from needlefit.reporting.paper_example import compile_example
+
+        compile_example(written if paper is None else paper, latex)
+        screen.print_line(f"written: {latex}")
+
+
+_Run = Annotated[
+    str,
+    typer.Argument(autocompletion=complete_runs, help="A folder of results, or its bare name in reports/."),
+]
+
+
+@takes("json verbose")
+def diff(
+    context: typer.Context,
+    run_a: _Run,
+    run_b: _Run,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also print the changes that do not matter.")
+    ] = False,
+) -> None:
+    """Compare RUN_B with RUN_A: inputs, parameters, errors on the same insertions, verdicts.
+
+    Prints the changes that matter, each with its size relative to its own uncertainty, and the inputs that
+    differ. `--json` has all changes.
+    """
+    from needlefit.project.locate import find_run
+    from needlefit.studies.differences import (
+        differences_to_json,
+        lay_out_differences,
+        summarize_differences,
+    )
+    from needlefit.studies.run_differences import compare_runs
+
+    found = compare_runs(find_run(run_a), find_run(run_b))
+    if context.find_root().obj.json:
+        screen.show_json(differences_to_json(found))
+        return
+    screen.print_text(summarize_differences(found))
+    table = lay_out_differences(found, everything)
+    if table.rows:
+        screen.print_line()
+        screen.show_display(table, notes=everything)
+    if table.notes and not everything:
+        screen.print_text("\n".join(table.notes))
+
+
+@dataclasses.dataclass(frozen=True)
+class Topic:
+    """What is printed about a key: a title, then paragraphs."""
+
+    key: str
+    title: str
+    paragraphs: tuple[str, ...] = ()
+
+
+def _list_warnings() -> Iterator[Topic]:
+    from needlefit.project.troubleshooting import read_sections
+
+    yield from (Topic(one.key, one.title, one.paragraphs) for one in read_sections().values())
+
+
+def _list_files() -> Iterator[Topic]:
+    from needlefit.studies.toml_reference import list_files
+
+    yield from (Topic(one.name, one.title) for one in list_files())
+
+
+def _list_terms() -> Iterator[Topic]:
+    from needlefit.project.glossary import read_terms
+
+    for one in read_terms().values():
+        yield Topic(one.name, ", ".join(filter(None, (one.name, one.symbol, one.unit))), (one.meaning,))
+
+
+def _list_laws() -> Iterator[Topic]:
+    from needlefit.mechanics.laws import LAWS
+
+    for law in LAWS.values():
+        shape = [
+            f"{one.name} ({one.symbol}{one.unit and f', {one.unit}'}): {one.explanation}; "
+            f"{one.bounds[0]:g} to {one.bounds[1]:g}, usually {one.usual[0]:g} to {one.usual[1]:g}"
+            for one in law.parameters
+        ]
+        yield Topic(law.name, law.label, tuple(shape) or ("No shape parameters.",))
+
+
+def _list_columns() -> Iterator[Topic]:
+    from needlefit.reporting.columns import list_columns
+
+    for one in list_columns().values():
+        title = f"{one.label} ({one.unit})" if one.unit else one.label
+        yield Topic(one.key, title, (one.explanation,))
+
+
+_GROUPS: dict[str, Callable[[], Iterator[Topic]]] = {
+    "Warnings": _list_warnings,
+    "Files": _list_files,
+    "Terms": _list_terms,
+    "Tissue laws": _list_laws,
+    "Columns of tables": _list_columns,
+}
+
+
+def _complete_keys(start: str) -> list[str]:
+    return [one.key for group in _GROUPS.values() for one in group() if one.key.startswith(start)]
+
+
+@takes("json")
+def explain(
+    context: typer.Context,
+    key: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            autocompletion=_complete_keys,
+            help="A warning as printed (coverage), a file (study.toml), a term, a law, or a column (te_mm).",
+        ),
+    ] = "",
+) -> None:
+    """Explain a warning, a file with all its keys, a term, a law or a column. Without NAME: list all."""
+    groups = {name: list(group()) for name, group in _GROUPS.items()}
+    topics = [one for group in groups.values() for one in group]
+    found = [one for one in topics if one.key == key] or _find_numbered_column(key)
+    if key and not found:
+        near = difflib.get_close_matches(key, [one.key for one in topics], n=3)
+        raise typer.BadParameter(
+            f"`{key}` is no warning, file, term, tissue law or column"
+            + (f"; did you mean {' or '.join(near)}?" if near else "")
+        )
+    described = [_describe(one) for one in found]
+    if context.find_root().obj.json:
+        screen.show_json([dataclasses.asdict(one) for one in (described if key else topics)])
+    elif key:
+        for one in described:
+            screen.print_text("\n".join([one.title, *one.paragraphs]))
+    else:
+        for name, members in groups.items():
+            screen.print_line(f"\n{name}")
+            for one in members:
+                screen.print_line(f"  {one.key:28}{one.title}")
+
+
+def _find_numbered_column(key: str) -> list[Topic]:
+    """Return a column whose name has a number, such as mu3_pa."""
+    from needlefit.reporting.columns import find_column
+
+    column = find_column(key)
+    return [Topic(key, column.label, (column.explanation,))] if key and column.explanation else []
+
+
+def _describe(topic: Topic) -> Topic:
+    """Return a topic with its paragraphs; those of a file are its tables."""
+    from needlefit.studies.toml_reference import list_files
+
+    file = next((one for one in list_files() if one.name == topic.key), None)
+    return topic if file is None else Topic(topic.key, topic.title, tuple(_describe_file(file)))
+
+
+def _describe_file(file: "FileKind") -> Iterator[str]:
+    from needlefit.studies.toml_reference import describe_files
+
+    ((_, tables),) = describe_files([file])
+    for number, table in enumerate(tables):
+        yield f"\n{table.title}\n{table.summary}" if number else table.summary
+        for one in table.keys:
+            more = f" Keys: {one.described_in}." if one.described_in else ""
+            yield f"\n  {one.key}: {one.value.replace('**', '').replace('`', '')}"
+            yield f"      {one.meaning}{more}"
+            yield from (f"      {one.example}",) if one.example else ()
+
+
+@takes("json verbose")
+def paper(context: typer.Context) -> None:
+    """Print the paper's tables and the list of its contradictions."""
+    from needlefit.reporting.table_layout import TableLayout
+    from needlefit.studies import paper as published
+
+    contradictions = published.find_contradictions()
+    if context.find_root().obj.json:
+        tables = published.TABLE_TITLES
+        rows: dict[str, object] = {
+            name: published.read_published_table(name).to_dict("records") for name in tables
+        }
+        claims = [dataclasses.asdict(claim) for claim in contradictions]
+        screen.show_json({**rows, "contradictions": claims})
+        return
+    screen.print_text(
+        f"The paper contradicts itself in {len(contradictions)} places, listed below its tables."
+    )
+    screen.print_line()
+    for name, title in published.TABLE_TITLES.items():
+        printed = published.read_printed_table(name)  # numbers as printed, headings as everywhere else
+        columns = tuple(_find_head(str(key), printed[key]) for key in printed)
+        cells = printed.apply(lambda column: column.str.replace("_", " "))
+        table = TableLayout(name, title, columns, tuple(cells.itertuples(index=False, name=None)))
+        screen.show_display(table, notes=False)
+    screen.print_line(f"Contradictions ({len(contradictions)})")
+    for number, claim in enumerate(contradictions, start=1):
+        screen.print_text(f"{number:3}. {claim.sentence}")
+
+
+_ROLES = {"tune_": "Fitted: ", "validate_": "Held out: "}
+
+
+def _find_head(key: str, cells: "pd.Series[str]") -> "TableColumn":
+    import pandas as pd
+
+    from needlefit.reporting.columns import find_column
+    from needlefit.reporting.table_layout import TableColumn
+
+    role = next((prefix for prefix in _ROLES if key.startswith(prefix)), "")
+    column = find_column(key.removeprefix(role))
+    label = f"{_ROLES[role]}{column.label.lower()}" if role else column.label
+    is_number = pd.to_numeric(cells.replace("", "0"), errors="coerce").notna().all()
+    return TableColumn(label, column.unit, "right" if is_number else "left")

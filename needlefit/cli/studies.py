@@ -1,0 +1,430 @@
+"""Commands that run studies: tune, identify, calibrate, validate, predict, material, verify, credibility."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from needlefit.cli import exit_codes, options, screen
+from needlefit.cli.execution import (
+    Execution,
+    begin,
+    plan_studies,
+    require_no_faults,
+    run_studies,
+    show_run,
+    show_warnings,
+)
+from needlefit.cli.options import Depth, Set, complete_scenes, complete_studies, complete_targets, takes
+from needlefit.schemas.limits import MAX_REPLICATES
+
+if TYPE_CHECKING:
+    from needlefit.studies.rank_statistics import Control
+    from needlefit.studies.run import Run
+
+
+@takes("sample seed jobs scheduler insecure out resume strict explain json quiet verbose")
+def tune(context: typer.Context, target: options.Target) -> None:
+    """Fit the parameters of a TARGET (mu, alpha, b).
+
+    Prints each parameter with its 95 % interval, and which ones the data do not determine.
+
+    Of a study only the fit is run; results go to OUT/STUDY-tune/. The folder slicer/ holds every needle,
+    measured and fitted with the 95 % band of the parameters, for 3D Slicer. Ctrl-C writes the best result so
+    far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
+    """
+    with begin(context) as execution:
+        from needlefit.project.toml_lines import add_file_context
+        from needlefit.studies.targets import load_target
+
+        name, record, file = load_target(target)
+        execution.prepare([name])
+        with add_file_context(file), execution.in_pool() as pooled:
+            results = pooled.run(name, record)
+        if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
+            raise execution.interrupted()  # nothing found yet: an earlier result stays
+        execution.write(results)
+        execution.show(results)
+        if results.interrupted:
+            raise execution.interrupted()
+        execution.remove_checkpoint(name)
+    require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
+
+
+@takes("seed jobs out resume strict explain json quiet verbose")
+def identify(
+    context: typer.Context,
+    target: options.Target,
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Also fit, and report what the measured shapes determine.")
+    ] = False,
+) -> None:
+    """Determine which parameters of a TARGET are identifiable from its insertions.
+
+    Without --fit only the design is used (depths, layers, bevel sides, poses and noise), at the paper's
+    hand-tuned parameters or in the middle of the bounds; with --fit, the fitted values. Fisher information,
+    its eigenvectors, profile likelihoods and posterior SD / prior SD go to OUT/identify-<target>/.
+    """
+    with begin(context) as execution:
+        from needlefit.studies.targets import load_target
+
+        name = f"identify-{load_target(target)[0].removesuffix('-tune')}"
+        execution.prepare([name])
+        found = execution.run_kind("identification", name, target=target, fit=fit)
+    execution.show(found)
+
+
+@takes("seed jobs scheduler insecure out reference resume strict explain json quiet verbose")
+def calibrate(
+    context: typer.Context,
+    target: options.Target,
+    replicates: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=MAX_REPLICATES,
+            help="Number of simulated datasets (default: 500; with --sample 100; with --truth synthetic 50).",
+        ),
+    ] = None,
+    sample: Annotated[
+        bool,
+        typer.Option("--sample", help="Sample every posterior by MCMC; uses at most three insertions."),
+    ] = False,
+    control: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Use a wrong likelihood, which the test must detect: sigma, prior, pose, shuffled, or all.",
+        ),
+    ] = None,
+    truth: Annotated[
+        str,
+        typer.Option(
+            metavar="SOURCE",
+            help="True parameters: drawn from the prior, or synthetic (simulated by another model than the "
+            "fitted one).",
+        ),
+    ] = "prior",
+    ct: Annotated[
+        bool,
+        typer.Option("--ct", help="With --truth synthetic: measure through CT volumes (4 s per insertion)."),
+    ] = False,
+) -> None:
+    """Test whether the intervals of a TARGET are right (simulation-based calibration).
+
+    Parameters are drawn from their prior; the needles of TARGET are simulated with them, measured with the
+    stated errors, and fitted as `tune` does. The ranks of the true values among the draws must be uniform.
+    This tests the computation, not the model.
+
+    With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
+    does not have, and held-out tips are predicted. This tests the model.
+
+    Results go to OUT/calibrate-TARGET/ (or -CONTROL, -synthetic, -synthetic-ct). Exit code 6: ranks are not
+    uniform, or a control is not detected. Exit code 5: a posterior has not converged, or there are too few
+    replicates for a verdict.
+    """
+    synthetic = truth == "synthetic"
+    if truth not in ("prior", "synthetic"):
+        raise typer.BadParameter(f"'{truth}' is none of prior, synthetic.", param_hint="--truth")
+    if ct and not synthetic:
+        raise typer.BadParameter("needs --truth synthetic.", param_hint="--ct")
+    if synthetic and (sample or control is not None):
+        raise typer.BadParameter("excludes --sample and --control.", param_hint="--truth synthetic")
+    given = {"replicates": replicates} if replicates else {}
+    with begin(context) as execution:
+        from needlefit.studies.targets import load_target
+
+        ending = ("-sample" if sample else "") + ("-synthetic" if synthetic else "") + ("-ct" if ct else "")
+        about = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
+        runs = {f"{about}-{one}" if one else about: one for one in _list_controls(control)}
+        execution.prepare(runs)
+        execution.prepare_reference(runs)
+        with execution.in_pool() as pooled:
+            found = [
+                pooled.run_kind(
+                    "calibration", name,
+                    target=target, control=one, sampled=sample, truth=truth, ct=ct, **given,
+                )
+                for name, one in runs.items()
+            ]  # fmt: skip
+        execution.write_reference(found)
+    _end_calibration(execution, found)
+
+
+def _list_controls(named: str | None) -> "list[Control | None]":
+    from needlefit.studies.kinds.calibration import CONTROLS
+
+    if named is None:
+        return [None]
+    found = [control for control in CONTROLS if named in (control, "all")]
+    if not found:
+        known = ", ".join((*CONTROLS, "all"))
+        raise typer.BadParameter(f"'{named}' is none of {known}.", param_hint="--control")
+    return [*found]
+
+
+def _end_calibration(execution: Execution, found: "list[Run]") -> None:
+    """Show the results; end with an exit code if one is not what it should be."""
+    from needlefit.studies.kind import find_kind
+    from needlefit.studies.report import run_to_json
+
+    invocation = execution.invocation
+    if invocation.json:
+        every = [run_to_json(run) for run in found]
+        screen.show_json(every if len(every) > 1 else every[0])
+    for run in found:
+        if invocation.json:
+            show_warnings(invocation, run)
+        else:
+            show_run(invocation, run, execution.folder(run.name), named=len(found) > 1)
+    wrong = [run for run in found if run.run["conclusive"] and not run.run["passes"]]
+    for run in wrong:
+        sentence = find_kind("calibration").report.summarize(run)[0]
+        screen.print_note(f"needlefit: {execution.folder(run.name)}: {sentence}")
+    if wrong:
+        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
+    if any(run.faults for run in found):
+        raise typer.Exit(exit_codes.NOT_CONVERGED)
+
+
+@takes("sample seed jobs scheduler insecure out reference resume strict explain json quiet verbose")
+def validate(
+    context: typer.Context,
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="STUDY",
+            autocompletion=complete_studies,
+            help="study1 ... study5, all (those five), everything, another, or a path.",
+        ),
+    ],
+) -> None:
+    """Run a STUDY: fit, score held-out insertions, compare, plan, as its file states.
+
+    `all` runs the paper's five studies and the fits of its tuning tables; `everything` runs all studies whose
+    data are present.
+
+    Prints and writes tables, figures and a report, with the paper's numbers beside ours, and slicer/: every
+    needle, measured and predicted with its 95 % band, for 3D Slicer.
+
+    Ctrl-C saves what is finished and prints the command that continues; a second Ctrl-C stops at once.
+    """
+    with begin(context) as execution:
+        from needlefit.project.locate import STUDY_GROUPS
+
+        todo, combined = plan_studies(study), [study] if study in STUDY_GROUPS else []
+        execution.prepare([*(work.name for work in todo), *combined])
+        execution.prepare_reference(work.name for work in todo)
+        with execution.in_pool() as pooled:
+            runs = run_studies(pooled, todo)
+        if combined:
+            _write_combined_report(execution, study, runs)
+        execution.write_reference(runs)
+        if execution.invocation.json:
+            from needlefit.studies.report import run_to_json
+
+            every: dict[str, object] = {run.name: run_to_json(run) for run in runs}
+            screen.show_json(next(iter(every.values())) if len(every) == 1 else every)
+        for work in todo:  # not before all are done: a group is resumed as a whole
+            execution.remove_checkpoint(work.name)
+    require_no_faults(f"{run.name}: {fault}" for run in runs for fault in run.faults)
+
+
+def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") -> None:
+    from needlefit.studies.combined_report import write_combined
+    from needlefit.studies.kinds.cross_validation.score_tables import lay_out_tuning
+
+    folder = execution.folder(study)
+    write_combined(runs, folder)
+    if not execution.invocation.json:
+        tuned = [run for run in runs if run.kind == "fit"]
+        for by in ("layers", "media"):
+            screen.show_display(lay_out_tuning(tuned, by))
+        screen.print_line(f"written: {folder}/")
+
+
+@takes("seed jobs out resume strict explain json quiet verbose")
+def predict(
+    context: typer.Context,
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="TARGET",
+            autocompletion=complete_targets,
+            help="What was tuned: a study, a fit, or a path.",
+        ),
+    ],
+    scene: Annotated[
+        str,
+        typer.Option(
+            "--scene",
+            metavar="SCENE",
+            autocompletion=complete_scenes,
+            help="The planned insertion: a name or a path.",
+        ),
+    ],
+    run: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Result of `tune TARGET --sample` (default: OUT/TARGET-tune)."),
+    ] = None,
+    specimen: Annotated[
+        Literal["new", "same"] | None,
+        typer.Option(
+            help="new: into a specimen that was not fitted to; same: into one that was (default: new, with "
+            "the spread between specimens unless the TARGET's `specimens` leaves it out).",
+            show_default=False,
+        ),
+    ] = None,
+    depth: Depth = None,
+    set_: Set = None,
+) -> None:
+    """Predict a planned insertion with the parameters fitted to a TARGET's data.
+
+    The scene defines needle, depth, layer depths, bevel side and controls. Moduli and bevel offset are draws
+    of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
+    new fit. For a new specimen the spread between specimens is added. What the scene states of the rules must
+    agree with the fit. Prints the tip with its intervals, and writes shape and figure to
+    OUT/predict-TARGET-SCENE/.
+    """
+    with begin(context) as execution:
+        from needlefit.project.input_files import is_file
+        from needlefit.project.toml_lines import add_file_context
+        from needlefit.schemas.names import require_file_name
+        from needlefit.studies.job import load_medium
+        from needlefit.studies.kinds.prediction.forecast import make_scene
+        from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE
+        from needlefit.studies.targets import load_target
+
+        scene_name, planned = options.scene_record(scene, depth, set_ or [])
+        target_name, fitted, file = load_target(target)
+        with add_file_context(file):
+            medium, _ = load_medium(fitted)
+        make_scene(planned, scene_name, medium, options.list_set_keys(set_ or []))
+        require_file_name(Path(scene).stem, scene)
+        name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
+        execution.prepare([name])
+        tuned = execution.folder(target_name)
+        if run is None and is_file(tuned / POSTERIOR_FILE):
+            run = tuned
+        found = execution.run_kind(
+            "prediction",
+            name,
+            target=target,
+            scene=planned,
+            scene_name=scene_name,
+            posterior=None if run is None else str(run),
+            specimen=specimen,
+        )
+    execution.show(found, {"scene": scene, "written": str(execution.folder(name))})
+    if found.faults:
+        from needlefit.studies.kinds.prediction.report import describe_faults
+
+        screen.print_note(f"needlefit: {target_name}: {describe_faults(found)}")
+        raise typer.Exit(exit_codes.NOT_CONVERGED)
+
+
+@takes("out strict explain json verbose")
+def material(
+    context: typer.Context,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.csv", help="Stretch and stress; data/README.md lists the columns.")
+    ],
+    stress: Annotated[
+        Literal["nominal", "true"] | None,
+        typer.Option(help="Stress measure of a column `stress_kpa`, whose name does not state it."),
+    ] = None,
+    foundation: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="FACTOR SPREAD",
+            help="Write a prior of the model's mu too: FACTOR times the material's shear modulus, known "
+            "within a factor of SPREAD. docs/model.md states the bounds of FACTOR.",
+        ),
+    ] = None,
+) -> None:
+    """Fit mu and alpha of the Ogden law to a compression test.
+
+    Needle shapes do not identify alpha; a compression test can. Prints the estimates and the 95 % regions of
+    alpha, and writes the prior for fits, with tables and figures, to OUT/material-<file>/.
+    """
+    from needlefit.schemas.names import require_file_name
+
+    require_file_name(file.stem, str(file))
+    execution, name = Execution(context.find_root().obj), f"material-{file.stem}"
+    execution.prepare([name])
+    found = execution.run_kind("material", name, file=str(file), stress=stress, foundation=foundation)
+    execution.show(found)
+    if found.run["prior"] is not None and not execution.invocation.json:
+        prior = f"{execution.folder(name)}/prior.toml"
+        screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{prior}" }}')
+
+
+@takes("out explain json quiet verbose")
+def verify(
+    context: typer.Context,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random cases.")] = 1,
+) -> None:
+    """Verify the solver: closed forms, observed orders, an independent solution, symmetries.
+
+    All values are measured in this run. Prints the outcome of each group of checks, with --explain every
+    check, and writes CSV, LaTeX, PDF and HTML to OUT/verification/. Exit code 6 if a check fails.
+    """
+    execution, name = Execution(context.find_root().obj), "verification"
+    execution.prepare([name])
+    found = execution.run_kind("verification", name, seed=seed)
+    if execution.invocation.verbose:
+        for trace in found.timing.get("traces", ()):
+            screen.print_note(trace)
+    execution.show(found)
+    rows = found.frames["verification"]
+    for row in rows[rows["verdict"] == "FAILS"].to_dict("records"):
+        remark = f" ({row['note']})" if row["note"] else ""
+        screen.print_note(f"needlefit: {row['check']}: {row['quantity']}: fails{remark}")
+    if found.faults:
+        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
+
+
+@takes("out explain json quiet verbose")
+def credibility(
+    context: typer.Context,
+    run: options.RunFolder,
+    evidence: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DIR",
+            help="A folder of verify, calibrate, identify or a sensitivity study (several times), instead of "
+            "those of its kind beside RUN.",
+        ),
+    ] = None,
+    statements: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="TOML with what only people can state: question, context, risk."),
+    ] = None,
+) -> None:
+    """Collect the credibility evidence of a RUN, in the order of ASME V&V 40-2018.
+
+    Verification, calibration, sensitivity, uncertainty and provenance, from the files of this run and of
+    other runs in the same folder. Missing evidence is listed as missing. Evidence of another version or
+    dataset is not counted. Nothing is graded. Results go to OUT/credibility-RUN/.
+    """
+    from needlefit.project.load import load
+    from needlefit.project.locate import find_run
+    from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
+    from needlefit.studies.kinds.credibility.report import list_open_statements
+
+    given: dict[str, object] = {"run": run, "evidence": [str(folder) for folder in evidence or ()]}
+    if statements is not None:
+        given["statements"] = load(statements, CredibilityStatementsRecord)
+        given["statements_file"] = statements.name
+    execution = Execution(context.find_root().obj)
+    name = f"credibility-{find_run(run).resolve().name}"
+    execution.prepare([name])
+    found = execution.run_kind("credibility", name, **given)
+    for fault in found.run["damaged"]:
+        screen.print_note(f"needlefit: damaged and not used: {fault}")
+    execution.show(found)
+    if not execution.invocation.json and (missing := list_open_statements(found)):
+        screen.print_text(
+            "Statements that only people can make are missing. Write them as texts in a TOML file with "
+            f"`schema = 1`, given by --statements FILE: {', '.join(missing)}."
+        )
