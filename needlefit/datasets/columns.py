@@ -1,5 +1,6 @@
 """Column names of `insertions.csv` and of a centreline file, and the type of a row."""
 
+import math
 import re
 import unicodedata
 from dataclasses import dataclass
@@ -29,14 +30,8 @@ REQUIRED_COLUMNS = ("id", "medium", "layers", "depth_mm")
 
 INSERTION_COLUMNS = (
     *("id", "medium", "specimen", "layers", "layers_alternative", "depth_mm", "bevel_side"),
-    *(
-        *ENTRY_COLUMNS,
-        *DIRECTION_COLUMNS,
-        *BEVEL_COLUMNS,
-        "pose_source",
-        "pose_shift_sd_mm",
-        "pose_angle_sd_deg",
-    ),
+    *(*ENTRY_COLUMNS, *DIRECTION_COLUMNS, *BEVEL_COLUMNS),
+    *("pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
 """The columns of `insertions.csv` in the order in which they are written; `SHARED_COLUMN` follows where it is
@@ -46,6 +41,20 @@ stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS` where any i
 SHARED_COLUMN = "boundary_shared_sd_mm"
 
 BASE_SHIFT_COLUMN = "base_moved_mm"
+
+NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
+    "pose_shift_sd_mm": ("pose_shift_sd", 0.0),
+    "pose_angle_sd_deg": ("pose_angle_sd", 0.0),
+    "boundary_sd_mm": ("boundary_sd", 0.0),
+    "depth_sd_mm": ("depth_sd", 0.0),
+    "depth_mm": ("depth", None),
+    "guide_distance_mm": ("guide_distance", math.nan),
+    BASE_SHIFT_COLUMN: ("base_moved", 0.0),
+    SHARED_COLUMN: ("boundary_shared_sd", math.nan),
+}
+"""The columns of single numbers: the field of `InsertionRow`, and the value of an empty cell. NaN: the field
+is None; None: no cell may be empty. Angles are in rad in the field.
+"""
 
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 

@@ -8,12 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
-    BASE_SHIFT_COLUMN,
     BEVEL_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
     ID_PATTERN,
-    INSERTION_COLUMNS,
+    NUMBER_COLUMNS,
     POSE_COLUMNS,
     POSE_SOURCES,
     REQUIRED_COLUMNS,
@@ -77,52 +76,51 @@ def _rename_columns(table: CsvTable, record: InsertionsRecord, found: list[Fault
 
 def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[InsertionRow]:
     """Turn cells into rows; a faulty number leaves a NaN and a note."""
-    text = {name: table.cells[name].tolist() for name in INSERTION_COLUMNS if name in table.cells}
-    blank = [""] * len(table.lines)
 
     def column(name: str, default: float | None = None) -> Floats:
         return _parse_column(table, name, default, found)
 
-    def vector(names: tuple[str, ...]) -> Floats:
-        return np.column_stack([column(name) for name in names])
+    def vectors(names: tuple[str, ...], default: float | None = None) -> Floats:
+        return np.column_stack([column(name, default) for name in names])
+
+    def texts(name: str) -> list[str]:
+        return list(table.cells[name]) if name in table.cells else [""] * len(table.lines)
 
     layers, alternative = column("layers"), column("layers_alternative", math.nan)
-    bevel = vector(BEVEL_COLUMNS)
-    turn, shift = (
-        np.column_stack([column(c, math.nan) for c in names])
-        for names in (SCAN_ROTATION_COLUMNS, SCAN_SHIFT_COLUMNS)
-    )
-    entry, direction = (vector(ENTRY_COLUMNS), vector(DIRECTION_COLUMNS)) if pose_known else (None, None)
-    shift_sd, angle_sd = column("pose_shift_sd_mm", 0.0), column("pose_angle_sd_deg", 0.0)
-    boundary_sd, depth_sd = column("boundary_sd_mm", 0.0), column("depth_sd_mm", 0.0)
-    depth, side, guide = column("depth_mm"), column("bevel_side", 1.0), column("guide_distance_mm", math.nan)
-    base_moved, shared = column(BASE_SHIFT_COLUMN, 0.0), column(SHARED_COLUMN, math.nan)
-    sources = text.get("pose_source", blank) if pose_known else ["none"] * len(blank)
+    bevel = vectors(BEVEL_COLUMNS)
+    turn, shift = vectors(SCAN_ROTATION_COLUMNS, math.nan), vectors(SCAN_SHIFT_COLUMNS, math.nan)
+    entry, direction = (vectors(ENTRY_COLUMNS), vectors(DIRECTION_COLUMNS)) if pose_known else (None, None)
+    numbers = {name: column(name, default) for name, (_, default) in NUMBER_COLUMNS.items()}
+    side, ids = column("bevel_side", 1.0), texts("id")
+    sources = texts("pose_source") if pose_known else ["none"] * len(ids)
     return [
         InsertionRow(
-            id=text["id"][n],
-            medium=text["medium"][n],
-            specimen=text.get("specimen", blank)[n] or text["id"][n],
+            id=ids[n],
+            medium=medium,
+            specimen=specimen or ids[n],
             layers=_to_int(layers[n]),
             layers_alternative=_to_int(layers[n] if np.isnan(alternative[n]) else alternative[n]),
-            depth=float(depth[n]),
             side=_to_int(side[n]),
             entry=None if entry is None else entry[n],
             direction=None if direction is None else direction[n],
             bevel=None if np.isnan(bevel[n]).all() else bevel[n],
             pose_source=sources[n],  # type: ignore[arg-type]  # checked with the row
-            pose_shift_sd=float(shift_sd[n]),
-            pose_angle_sd=math.radians(angle_sd[n]),
-            boundary_sd=float(boundary_sd[n]),
-            boundary_shared_sd=None if np.isnan(shared[n]) else float(shared[n]),
-            depth_sd=float(depth_sd[n]),
-            guide_distance=None if np.isnan(guide[n]) else float(guide[n]),
             patient=_make_patient_frame(turn[n], shift[n]),
-            base_moved=float(base_moved[n]),
             line=int(table.lines[n]),
+            **{
+                field: _to_field(name, float(numbers[name][n]), default)
+                for name, (field, default) in NUMBER_COLUMNS.items()
+            },  # type: ignore[arg-type]
         )
-        for n in range(len(blank))
+        for n, (medium, specimen) in enumerate(zip(texts("medium"), texts("specimen"), strict=True))
     ]
+
+
+def _to_field(name: str, value: float, default: float | None) -> float | None:
+    """Return a number of a column as the field of a row holds it."""
+    if default is not None and math.isnan(value):
+        return None
+    return math.radians(value) if name.endswith("_deg") else value
 
 
 def _parse_column(table: CsvTable, name: str, default: float | None, found: list[Fault]) -> Floats:
@@ -179,20 +177,10 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
             "+1 (toward +y of C) or -1",
             "write 1 or -1, or leave the cell empty: +1",
         )
-    for name, value in (
-        ("pose_shift_sd_mm", row.pose_shift_sd),
-        ("pose_angle_sd_deg", row.pose_angle_sd),
-        ("boundary_sd_mm", row.boundary_sd),
-        (SHARED_COLUMN, row.boundary_shared_sd or 0.0),
-        ("depth_sd_mm", row.depth_sd),
-    ):
-        if value < 0:
-            yield Fault(
-                where,
-                f"{name} is negative",
-                "a standard deviation, 0 or more",
-                "remove the sign, or leave the cell empty: 0",
-            )
+    for name, (field, default) in NUMBER_COLUMNS.items():
+        if "_sd_" in name and default is not None and (getattr(row, field) or 0.0) < 0:
+            expected, fix = "a standard deviation, 0 or more", "remove the sign, or leave the cell empty: 0"
+            yield Fault(where, f"{name} is negative", expected, fix)
     if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
         yield Fault(
             where,

@@ -1,7 +1,7 @@
 """Read a dataset's layer surfaces, find the layers of each insertion, reduce it to its bending plane."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -151,32 +151,23 @@ def reduce_insertion(
     else:
         reach = row.depth if row.entry is None else float(local[-1, 0])
         boundaries, sequence = select_layers(medium.boundaries, reach)
+    names = {field.name for field in fields(Insertion)} & {field.name for field in fields(InsertionRow)}
+    given = {name: getattr(row, name) for name in names}
+    given["layers_alternative"] = row.layers if row.layers_alternative is None else row.layers_alternative
     return Insertion(
-        id=row.id,
-        medium=row.medium,
-        specimen=row.specimen,
-        layers=row.layers,
-        layers_alternative=row.layers if row.layers_alternative is None else row.layers_alternative,
-        depth=row.depth,
-        side=row.side,
-        frame=frame,
-        pose_source=row.pose_source,
-        pose_shift_sd=row.pose_shift_sd,
-        pose_angle_sd=row.pose_angle_sd,
-        centerline=centerline,
-        planar=local[:, :2],
-        out_of_plane=local[:, 2],
-        boundaries=boundaries,
-        sequence=sequence,
-        boundary_sd=row.boundary_sd,
-        boundary_shared_sd=row.boundary_shared_sd,
-        depth_sd=row.depth_sd,
-        guide_distance=row.guide_distance,
-        sd=points.sd,
-        surfaces=medium.surfaces,
-        patient=patient,
-        base_moved=row.base_moved,
-        sections=sections,
+        **given
+        | {
+            "frame": frame,
+            "centerline": centerline,
+            "planar": local[:, :2],
+            "out_of_plane": local[:, 2],
+            "boundaries": boundaries,
+            "sequence": sequence,
+            "sd": points.sd,
+            "surfaces": medium.surfaces,
+            "patient": patient,
+            "sections": sections,
+        }
     )
 
 

@@ -11,9 +11,15 @@ from scipy.spatial.transform import Rotation
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
+    BEVEL_COLUMNS,
+    DIRECTION_COLUMNS,
+    ENTRY_COLUMNS,
     INSERTION_COLUMNS,
+    NUMBER_COLUMNS,
     POINT_COLUMNS,
     SCAN_COLUMNS,
+    SCAN_ROTATION_COLUMNS,
+    SCAN_SHIFT_COLUMNS,
     SD_COLUMN,
     SHARED_COLUMN,
     InsertionRow,
@@ -68,7 +74,13 @@ def write_dataset(
         If a row has no centreline, or a surface that the record names is not given.
     """
     surfaces, sections = surfaces or {}, sections or {}
-    table, pattern = _get_file_names(folder, record)
+    table, pattern = record.insertions.file, record.centerlines.pattern
+    if table is None or pattern is None:
+        raise DataError(
+            "nothing to write for the table of insertions or the centrelines",
+            where=str(folder),
+            expected="insertions.file and centerlines.pattern",
+        )
     _require_files(folder, record, rows, {*centerlines, *surfaces})
     files = {table: _format_rows(rows)}
     drawn = None if record.measurement is None else record.measurement.sections
@@ -83,18 +95,6 @@ def write_dataset(
     record = record.model_copy(update={"checksums": sums if checksums else {}})
     _write_text(folder / "dataset.toml", dumps(record.model_dump(mode="json", by_alias=True)))
     return folder / "dataset.toml"
-
-
-def _get_file_names(folder: Path, record: DatasetRecord) -> tuple[str, str]:
-    """Return the table of insertions and the pattern of centrelines; DataError if one is not named."""
-    table, pattern = record.insertions.file, record.centerlines.pattern
-    if table is None or pattern is None:
-        raise DataError(
-            "nothing to write for the table of insertions or the centrelines",
-            where=str(folder),
-            expected="insertions.file and centerlines.pattern",
-        )
-    return table, pattern
 
 
 def _require_files(
@@ -119,51 +119,42 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _format_rows(rows: Sequence[InsertionRow]) -> str:
-    lines: list[tuple[str, ...]] = [INSERTION_COLUMNS, *map(_format_cells, rows)]
-    if any(row.boundary_shared_sd is not None for row in rows):
-        stated = ["" if (sd := row.boundary_shared_sd) is None else _format_number(sd) for row in rows]
-        lines = [(*line, more) for line, more in zip(lines, [SHARED_COLUMN, *stated], strict=True)]
-    if any(row.base_moved for row in rows):
-        lines = [
-            (*line, more)
-            for line, more in zip(lines, [BASE_SHIFT_COLUMN, *map(_format_base_moved, rows)], strict=True)
-        ]
-    if any(row.patient is not None for row in rows):
-        lines = [
-            (*line, *more) for line, more in zip(lines, [SCAN_COLUMNS, *map(_format_scan, rows)], strict=True)
-        ]
+    columns = list(INSERTION_COLUMNS)
+    columns += [SHARED_COLUMN] if any(row.boundary_shared_sd is not None for row in rows) else []
+    columns += [BASE_SHIFT_COLUMN] if any(row.base_moved for row in rows) else []
+    columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
+    lines = [columns, *([cells[name] for name in columns] for cells in map(_format_cells, rows))]
     return "".join(",".join(cells) + "\n" for cells in lines)
 
 
-def _format_base_moved(row: InsertionRow) -> str:
-    return _format_number(row.base_moved)
-
-
-def _format_scan(row: InsertionRow) -> tuple[str, ...]:
-    """Return the cells of a row under `SCAN_COLUMNS`."""
-    if row.patient is None:
-        return ("",) * len(SCAN_COLUMNS)
-    turn = Rotation.from_matrix(row.patient.rotation).as_rotvec(degrees=True)
-    return *_format_vector(turn, 6), *_format_vector(row.patient.origin, 4)
-
-
-def _format_cells(row: InsertionRow) -> tuple[str, ...]:
-    """Return the cells of a row in the order of `INSERTION_COLUMNS`."""
+def _format_cells(row: InsertionRow) -> dict[str, str]:
+    """Return the cells of a row, by column."""
     alternative = row.layers if row.layers_alternative is None else row.layers_alternative
-    return (
-        *(row.id, row.medium, row.specimen or row.id, str(row.layers), str(alternative)),
-        *(_format_number(row.depth), f"{row.side:+d}"),
-        *_format_vector(row.entry, 4),
-        *_format_vector(row.direction, 6),
-        *_format_vector(row.bevel, 6),
-        *(
-            row.pose_source,
-            _format_number(row.pose_shift_sd),
-            _format_number(math.degrees(row.pose_angle_sd)),
-        ),
-        *(_format_number(row.boundary_sd), _format_number(row.depth_sd)),
-        "" if row.guide_distance is None else _format_number(row.guide_distance),
-    )
+    turn = shift = None
+    if row.patient is not None:
+        turn, shift = Rotation.from_matrix(row.patient.rotation).as_rotvec(degrees=True), row.patient.origin
+    cells = {
+        "id": row.id,
+        "medium": row.medium,
+        "specimen": row.specimen or row.id,
+        "layers": str(row.layers),
+        "layers_alternative": str(alternative),
+        "bevel_side": f"{row.side:+d}",
+        "pose_source": row.pose_source,
+    }
+    for names, vector, digits in (
+        (ENTRY_COLUMNS, row.entry, 4),
+        (DIRECTION_COLUMNS, row.direction, 6),
+        (BEVEL_COLUMNS, row.bevel, 6),
+        (SCAN_ROTATION_COLUMNS, turn, 6),
+        (SCAN_SHIFT_COLUMNS, shift, 4),
+    ):
+        cells |= dict(zip(names, _format_vector(vector, digits), strict=True))
+    for name, (field, _) in NUMBER_COLUMNS.items():
+        value = getattr(row, field)
+        value = math.degrees(value) if name.endswith("_deg") else value
+        cells[name] = "" if value is None else _format_number(value)
+    return cells
 
 
 def _format_points(points: ArrayLike) -> str:
