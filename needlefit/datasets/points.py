@@ -82,4 +82,5 @@ def trace_fault(fault: Fault, curves: Mapping[str, Points], folder: Path) -> Fau
         return replace(fault, where=fault.where.replace(f"{folder}/", ""))
     row = int(place["line"]) - 2  # below one header line, as the dataset was just written
     name, point = (place["id"], row) if place["id"] else (list(curves)[row], 0)
-    return replace(fault, where=curves[name].where(point), what=f"curve {name}: {fault.what}")
+    colon = "" if place["id"] else ":"
+    return replace(fault, where=curves[name].where(point), what=f"curve {name}{colon} {fault.what}")

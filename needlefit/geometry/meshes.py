@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -13,6 +13,9 @@ from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import Surface, make_mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 TUBE_FACETS = 12
 """Number of corners of a tube's cross-section."""

@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -19,6 +18,9 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import Frame, PatientSystem, apply_affine, normalize
 from needlefit.project.input_files import open_regular, read_bytes
+
+if TYPE_CHECKING:
+    import trimesh
 
 MAX_POLYGON_VERTICES = 100
 """Of one polygon; models are made of triangles."""
