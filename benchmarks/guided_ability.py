@@ -23,7 +23,7 @@ from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import SelectionRecord
-from needlefit.studies.kinds.tracks.score import tabulate_tuned
+from needlefit.studies.kinds.tracks import tabulate_tuned
 
 
 def main() -> None:

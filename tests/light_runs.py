@@ -7,7 +7,7 @@ from needlefit.inference import predict
 from needlefit.inference.sampling.importance import EFFORT
 from needlefit.reporting.figures import style
 from needlefit.studies import held_out_predictions, posterior_fit
-from needlefit.studies.kinds.tracks import run as tracks
+from needlefit.studies.kinds import tracks
 
 DRAWS, CURVES = 50, 100
 

@@ -15,8 +15,7 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.job import Settings, prepare, with_one_bevel
 from needlefit.studies.kinds.calibration import simulate_experiment
-from needlefit.studies.kinds.tracks.report import lay_out_positions
-from needlefit.studies.kinds.tracks.results import RUN_COLUMNS
+from needlefit.studies.kinds.tracks import REPORT, RUN_COLUMNS
 from needlefit.studies.run import restore_run
 from needlefit.studies.targets import load_target
 
@@ -130,9 +129,9 @@ def test_runs_are_predicted_scored_and_printed(project, capsys):
     assert certified["low_mm"].notna().all() and uncertified["low_mm"].isna().all() and len(uncertified)
     assert "fitted" not in set(pd.read_csv(folder / "coverage.csv")["method"])
     results = restore_run(folder)
-    assert not any(" to " in cell for row in lay_out_positions(results).rows for cell in row)
+    assert not any(" to " in cell for row in REPORT.lay_out(results)[1].rows for cell in row)
     given = results.frames["readings"].assign(low_95_mm=-1.0, high_95_mm=2.0)
-    rows = lay_out_positions(results.with_frames(readings=given)).rows
+    rows = REPORT.lay_out(results.with_frames(readings=given))[1].rows
     assert len(rows) == 2 and all("−1.00 to 2.00" in row and "moved" in row for row in rows)
     record = json.loads((folder / "run.json").read_text())
     assert str(project) not in json.dumps(record) and record["fits"]["gel"]["tune"][0] == "rest0"

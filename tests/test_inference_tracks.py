@@ -46,8 +46,8 @@ from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.studies.kinds.tracks import run as tracks
-from needlefit.studies.kinds.tracks.run import TrackTask
+from needlefit.studies.kinds import tracks
+from needlefit.studies.kinds.tracks import TrackTask
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])

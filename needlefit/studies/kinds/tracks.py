@@ -1,0 +1,759 @@
+"""Studies of tip tracks: fit to some runs, and predict others reading by reading, beside baseline curves."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.special import stdtrit  # scipy.stats takes 0.4 s to load
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.read import read
+from needlefit.datasets.select import select_insertions
+from needlefit.datasets.tip_tracks import GUIDE_STILL_MM, TipTrack
+from needlefit.errors import ConfigError, FitError
+from needlefit.geometry.frames import make_tracker_columns
+from needlefit.inference.baselines import BASELINES, list_baselines
+from needlefit.inference.fit import Callbacks, Fit
+from needlefit.inference.forward_model import simulate_deflections
+from needlefit.inference.identifiability.identify import identify, select_within_tolerance
+from needlefit.inference.likelihood.observation import Observation, make_observation
+from needlefit.inference.optimize import minimize
+from needlefit.inference.parameters import NOISE_SCALE, is_logarithmic
+from needlefit.inference.predict import (
+    INTERVAL_PROBABILITIES,
+    Draws,
+    PredictiveMixture,
+    crps,
+    interval,
+    quantile,
+    simulate_shape_pit,
+    thin_posterior,
+)
+from needlefit.inference.problem import Problem
+from needlefit.inference.proportions import estimate_proportion
+from needlefit.inference.sampling.importance import escalate_effort, resample_draws, sample_about_fit
+from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
+from needlefit.inference.sampling.sample import Snapshots, sample
+from needlefit.inference.tracking import TrackDraws, draw_baseline, estimate_slopes, predict_readings
+from needlefit.project.checkpoint import Checkpoint, open_checkpoint
+from needlefit.project.locate import find_file
+from needlefit.project.random_streams import random_stream
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.toml_lines import locate_key, renamed_keys
+from needlefit.reporting.document import bullets
+from needlefit.reporting.figures import Drawing
+from needlefit.reporting.labels import medium_name, method_name
+from needlefit.reporting.number_format import choose_printed_unit
+from needlefit.reporting.table import Table, part, pivot
+from needlefit.reporting.table_files import to_records
+from needlefit.reporting.text import KindText
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
+from needlefit.studies.csv_tables import TableSchema
+from needlefit.studies.fit_warnings import analysis_bound_warnings, cut_off_warnings
+from needlefit.studies.folds import Fold, specimen_warning
+from needlefit.studies.interval_width import warn_if_too_wide
+from needlefit.studies.job import Settings, farthest_guide, prepare
+from needlefit.studies.kind import StudyKind
+from needlefit.studies.planned_draws import vary_bevels
+from needlefit.studies.posterior_fit import PREDICTION_DRAWS
+from needlefit.studies.provenance import (
+    PACKAGES,
+    describe_dataset,
+    describe_model_options,
+    package_versions,
+    plugin_versions_of,
+)
+from needlefit.studies.report import StudyReport, report_from_text
+from needlefit.studies.run import Run
+from needlefit.studies.run_differences import Difference, TableComparison, compare_means
+from needlefit.studies.score import Row
+from needlefit.studies.verdict import Status, Verdict
+
+KIND = StudyKind("tracks", TrackStudyRecord, __name__)
+
+READING_COLUMNS = (
+    *("fit", "run", "medium", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
+    *("median_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+)
+"""A row per reading of a run predicted and method; `measured_mm` counts from the run's first reading."""
+
+RUN_COLUMNS = (
+    *("fit", "role", "run", "medium", "specimen", "method", "readings"),
+    *("aligned_rms_mm", "rms_mm", "end_error_mm", "crps_mm", "end_width_95_mm"),
+    *("end_in_50", "end_in_95", "track_pit", "track_in_50", "track_in_95", "points_in_50", "points_in_95"),
+)
+"""A row per run and method. `aligned_rms_mm` is what remains of the scored readings (all of them where the
+run was fitted to) when the best shift and slope are taken from readings and draws, against the draws' median;
+the rest is of what was predicted: error of the median, and at the last reading. `track_pit` is the
+probability predicted of a track nearer, at its worst reading, than the one seen."""
+
+PARAMETER_COLUMNS = (
+    *("fit", "parameter", "fitted", "p2_5", "p16", "p50", "p84", "p97_5", "sd_ratio"),
+    *("determined", "condition", "note"),
+)
+"""`fitted`: at the posterior's mode. `sd_ratio`: the draws' deviation over that of prior and bounds, in ln;
+1: nothing was learned. `condition`: the assumption under which alone the data determine a parameter."""
+
+PAIRED_COLUMNS = ("medium", "method", "metric", "runs", "value", "difference", "low", "high", "better")
+"""`difference`: the method's error minus the fitted model's, and its 95 % interval (Student) over runs."""
+
+COVERAGE_COLUMNS = ("medium", "method", "quantity", "level", "covered", "runs", "specimens", "low", "high")
+"""`low`, `high`: 95 % interval of the share; where `medium` is "all", of phantoms as trials."""
+
+DEPTH_COLUMNS = ("medium", "method", "low_mm", "high_mm", "readings", "error_mm")
+
+FRAMES: Mapping[str, tuple[str, ...]] = {
+    "readings": READING_COLUMNS,
+    "runs": RUN_COLUMNS,
+    "parameters": PARAMETER_COLUMNS,
+    "paired": PAIRED_COLUMNS,
+    "coverage": COVERAGE_COLUMNS,
+    "depths": DEPTH_COLUMNS,
+}
+
+MIN_SCORED_READINGS = 2
+"""Fewest readings of a predicted run that are scored."""
+
+DEPTH_BIN_MM = 20.0
+"""mm of depth that are taken together."""
+
+MEASURES = ("rms_mm", "aligned_rms_mm", "crps_mm")
+"""Of runs, by which methods are compared."""
+
+
+def list_track_methods() -> tuple[str, ...]:
+    """Return the names of all methods that predict tracks: the fit, then baselines."""
+    return ("fitted", *(one.name for one in list_baselines("tracks")))
+
+
+def name_track_method(method: str) -> str:
+    """Return the printed name of a method that predicts tracks; the model does with all draws."""
+    known = BASELINES.get(method)
+    label = "fitted model" if method == "fitted" else known.track_label if known else ""
+    return label or method_name(method)
+
+
+# ---- fits and the runs that they are scored on
+
+
+@dataclass(frozen=True)
+class TrackTask:
+    """One fit of a study: its problem, the runs it is scored on, and the recipe.
+
+    `group` is the name of the fit in the study's file, which its folds share.
+    """
+
+    name: str
+    problem: Problem
+    held: tuple[TipTrack, ...]
+    recipe: RecipeRecord
+    group: str = ""
+
+
+def make_tasks(
+    name: str, record: TrackStudyRecord, one: TrackFitRecord, settings: Settings, dataset: Dataset
+) -> list[TrackTask]:
+    """Return one fit with everything that it names, or the fits of its folds.
+
+    Raises
+    ------
+    ConfigError
+        If a medium or run is missing, stands on both sides, the needle is too short, folds are too many, or a
+        predicted run has too few readings that are scored.
+    """
+    held = select_insertions(dataset, one.validate_.selection(), key="validate")
+    tuned = select_insertions(dataset, one.tune.selection())
+    both = sorted({track.id for track in tuned} & {track.id for track in held})
+    if both and one.folds is None:
+        raise ConfigError(
+            f"{', '.join(both)} would both tune and validate",
+            key="tune",
+            expected="runs on one side only",
+            fix="narrow tune or validate, or give folds",
+        )
+    if one.folds is not None and one.folds > len(held):
+        raise ConfigError(
+            f"{len(held)} runs cannot be dealt into {one.folds} folds",
+            key="folds",
+            expected=f"{len(held)} at most",
+        )
+    job = prepare(name, record.tuning(one), settings, dataset)
+    far = max(farthest_guide(job.parameters, track) for track in (*tuned, *held))
+    deepest = max(track.depth for track in (*tuned, *held))
+    if far + deepest + 1 >= dataset.needle.length:
+        raise ConfigError(
+            f"a needle of {dataset.needle.length:g} mm is too short for {deepest:.0f} mm of depth and a "
+            f"guide {far:g} mm before the skin",
+            where=locate_key(dataset.path, "needle.length_mm"),
+            fix="write its length, or lessen the bound of guide_distance_mm",
+        )
+    tracks = tuple(track for track in held if isinstance(track, TipTrack))
+    if one.folds is None:
+        return [TrackTask(one.name, job.problem(job.folds[0]), tracks, job.recipe, one.name)]
+    tasks = []
+    for k in range(one.folds):
+        left = tracks[k :: one.folds]
+        names = {track.id for track in left}
+        fold = Fold(f"{one.name}-{k + 1}", tuple(run for run in tuned if run.id not in names), left)
+        tasks.append(TrackTask(fold.name, job.problem(fold), left, job.recipe, one.name))
+    return tasks
+
+
+def _require_scored(one: TrackTask, placed_by: float) -> None:
+    """Raise ConfigError if a predicted run has too few readings beyond `placed_by` mm to be scored."""
+    for track in one.held:
+        if int((track.depths > placed_by).sum()) < MIN_SCORED_READINGS:
+            raise ConfigError(
+                f"of run {track.id} nothing is left to be predicted: its readings end at "
+                f"{track.depth:g} mm, and those down to {placed_by:g} mm place it",
+                key="registration_depth_mm",
+                expected=f"{MIN_SCORED_READINGS} readings below it, at least",
+                fix="lower registration_depth_mm, or leave the run out",
+            )
+
+
+def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
+    """Run a study of tip tracks.
+
+    Runs are predicted by draws of the posterior: by importance sampling, or by MCMC if that is asked for, or
+    where the weights cannot be trusted.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong.
+    FitError
+        If a search finds no point that can be solved.
+    """
+    dataset, tasks = read(find_file("dataset", record.dataset)), list[TrackTask]()
+    for n, fit_record in enumerate(record.fits, start=1):
+        keys = ("medium", "tune", "validate", "priors", "folds")
+        with renamed_keys({key: f"fits.{n}.{key}" for key in keys}):
+            tasks += make_tasks(name, record, fit_record, settings, dataset)
+    for one in tasks:
+        _require_scored(one, record.registration_depth_mm)
+    doing = {**_describe_configuration(name, record, dataset, tasks), "prediction_draws": PREDICTION_DRAWS}
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, doing, settings.note)
+    rows: dict[str, list[Row]] = {"readings": [], "runs": [], "parameters": []}
+    draws: dict[str, Draws] = {}
+    posteriors: dict[str, Posterior] = {}
+    for one in tasks:
+        drawn = _draw_posterior(name, one, settings, checkpoint)
+        if drawn is None:
+            break
+        fit, draws[one.name], posterior = drawn
+        posteriors |= {} if posterior is None else {one.name: posterior}
+        rows["parameters"] += _summarize_parameters(one.name, one.problem, fit, draws[one.name])
+        found = _predict_runs(name, one, draws[one.name], record.registration_depth_mm, settings.jobs)
+        for frame, more in found.items():
+            rows[frame] += more
+    frames = {key: pd.DataFrame(each, columns=list(FRAMES[key])) for key, each in rows.items()}
+    frames |= {
+        "paired": compare_methods_by_run(frames["runs"]),
+        "coverage": tabulate_coverage(frames["runs"]),
+        "depths": tabulate_by_depth(frames["readings"]),
+    }
+    faults = tuple(f"{fit}: {why}" for fit, one in draws.items() for why in one.faults)
+    warnings = [
+        *dataset.warnings,
+        *_warn_of_specimens(name, record, tasks, settings.place("fits")),
+        *_warn_of_bounds(tasks, frames["parameters"]),
+        *_warn_of_baselines(frames["paired"]),
+        *_warn_of_width(frames["readings"]),
+    ]
+    return Run(
+        kind=KIND.name,
+        name=name,
+        record=record,
+        origin=dataset.origin,
+        dataset_title=dataset.title,
+        frames=frames,
+        run={
+            **doing,
+            "not_converged": list(faults),
+            "draws": {fit: one.describe() for fit, one in draws.items()},
+            **warnings_entry(warnings),
+        },
+        timing={"dataset": str(dataset.path)},
+        interrupted=len(draws) < len(tasks),
+        faults=faults,
+        posteriors=posteriors,
+    )
+
+
+def _describe_configuration(
+    name: str, record: TrackStudyRecord, dataset: Dataset, tasks: Sequence[TrackTask]
+) -> dict[str, Any]:
+    """Return everything that decides the result, as JSON values."""
+    plugins = {k: v for one in tasks for k, v in plugin_versions_of(one.problem.medium, dataset).items()}
+    return {
+        "name": name,
+        "versions": package_versions(PACKAGES) | plugins,
+        "dataset": describe_dataset(dataset) | {"remarks": list(dataset.remarks)},
+        "study": record.model_dump(mode="json", by_alias=True),
+        "recipe": tasks[0].recipe.model_dump(mode="json", by_alias=True),
+        "fits": {
+            one.name: {
+                "medium": one.problem.medium.model_dump(mode="json", by_alias=True),
+                "rules": {**describe_model_options(one.problem.medium), "first_cell": "a whole cell"},
+                "tune": [track.id for track in one.problem.insertions],
+                "validate": [track.id for track in one.held],
+            }
+            for one in tasks
+        },
+    }
+
+
+def _draw_posterior(
+    name: str, task: TrackTask, settings: Settings, checkpoint: Checkpoint
+) -> tuple[Fit, Draws, Posterior | None] | None:
+    """Return one fit, and draws of its posterior from the ends of its searches; None after an early stop."""
+
+    def step(done: int, total: int) -> None:
+        settings.progress(f"{name}: posterior of {task.name}", done, total)
+
+    stream = partial(random_stream, task.recipe.seed, name, task.name)
+    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs, pool=settings.part_pool)
+    fit = minimize(task.problem, task.recipe, stream("starts"), callbacks)
+    if fit.interrupted or settings.stop():
+        return None
+    pareto_k = math.nan
+    if not settings.sample:
+        rng, jobs, pool = stream("weighed"), settings.jobs, settings.part_pool
+        found = escalate_effort(lambda effort: sample_about_fit(task.problem, fit, rng, jobs, effort, pool))
+        if found.certified:
+            return fit, resample_draws(found, PREDICTION_DRAWS, rng), None
+        pareto_k = found.k
+    ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
+    kept = Snapshots(checkpoint, task.name)
+    try:
+        posterior = sample(
+            task.problem, np.array(ends), task.recipe.sample, stream("posterior"), callbacks, kept
+        )
+    except FitError:
+        if settings.stop():
+            return None
+        raise
+    if posterior.interrupted:
+        return None
+    draws = thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS, pareto_k)
+    return fit, draws, posterior
+
+
+def _summarize_parameters(name: str, problem: Problem, fit: Fit, draws: Draws) -> Iterator[Row]:
+    """Yield a row per free parameter: percentiles (Pa, mm), posterior SD / prior SD, and what it needs.
+
+    Of draws that are not certified, no parameter is called determined.
+    """
+    verdict, certified = identify(problem, fit, draws.certified), not draws.faults
+    sets = [problem.values(theta) for theta in draws.thetas]
+    heads = [f"p{at:g}".replace(".", "_") for at in PERCENTILES]
+    for parameter, width in zip(problem.names, problem.upper - problem.lower, strict=True):
+        values = np.array([one[parameter] for one in sets])
+        drawn = np.log(values) if is_logarithmic(parameter) else values
+        stated = problem.parameters.prior.sd(parameter)
+        before = stated if math.isfinite(stated) else float(width) / math.sqrt(12)
+        yield {
+            "fit": name,
+            "parameter": parameter,
+            "fitted": fit.values[parameter],
+            **dict(zip(heads, np.percentile(values, PERCENTILES).tolist(), strict=True)),
+            "sd_ratio": float(np.std(drawn)) / before,
+            "determined": certified and verdict.determined[parameter],
+            "condition": verdict.conditions[parameter] if certified else "",
+            "note": verdict.notes[parameter] if certified else "not determined: no certified draws",
+        }
+
+
+def _warn_of_specimens(
+    name: str, record: TrackStudyRecord, tasks: Sequence[TrackTask], where: str
+) -> Iterator[ResultWarning]:
+    shared: dict[str, None] = {}
+    for one in tasks:
+        held = {track.specimen for track in one.held}
+        shared |= dict.fromkeys(track.specimen for track in one.problem.insertions if track.specimen in held)
+    if shared and not record.same_specimen:
+        yield specimen_warning(name, list(shared), where)
+
+
+def _warn_of_bounds(tasks: Sequence[TrackTask], parameters: pd.DataFrame) -> Iterator[ResultWarning]:
+    """Yield the parameters of which the optimum, or else the interval of the draws, ends at a bound."""
+    bounds = {one.group: one.problem.parameters for one in tasks}
+    groups = {one.name: one.group for one in tasks}
+    fits = parameters.assign(fit=parameters["fit"].map(groups)).rename(columns={"fitted": "value"})
+    yield from analysis_bound_warnings(fits, bounds)
+    yield from cut_off_warnings(fits, bounds)
+
+
+def _warn_of_baselines(paired: pd.DataFrame) -> Iterator[ResultWarning]:
+    """Yield, by medium, the closest curve without a model, if it is significantly closer than the fit."""
+    better = paired[(paired["metric"] == "rms_mm") & (paired["high"] < 0)]
+    for medium, rows in better.groupby("medium", sort=False):
+        best = rows.sort_values("value", kind="stable").iloc[0]
+        yield ResultWarning(
+            "worse_than_baseline",
+            f"the {name_track_method(str(best['method']))} is closer to the predicted tips on "
+            f"{medium_name(str(medium))} than the fitted model (mean error {best['value']:.2f} mm against "
+            f"{best['value'] - best['difference']:.2f} mm)",
+            fix="do not rely on this model there; fit to runs with guide moves like those predicted",
+        )
+
+
+def _warn_of_width(readings: pd.DataFrame) -> Iterator[ResultWarning]:
+    """Yield the media whose last readings are predicted with wide intervals."""
+    last = readings[readings["method"] == "fitted"].groupby(["fit", "run"], sort=False).tail(1)
+    for medium, some in last.dropna(subset=["low_95_mm"]).groupby("medium", sort=False):
+        width = float((some["high_95_mm"] - some["low_95_mm"]).median())
+        deflection = float(some["measured_mm"].abs().median())
+        yield from warn_if_too_wide(width, deflection, medium_name(str(medium)))
+
+
+# ---- predictions and their scores
+
+
+def _predict_runs(
+    name: str, task: TrackTask, draws: Draws, placed_by: float, jobs: int
+) -> dict[str, list[Row]]:
+    """Return rows of what every method makes of the runs of one fit, and of their readings."""
+    problem, runs, readings = task.problem, list[Row](), list[Row]()
+    # predicted are readings, in a frame whose slope every method estimates from its own residuals
+    plain = problem.likelihood.model_copy(update={"measurement": "points", "bevel_spread": 0.0})
+    tuned, held = (
+        tuple(make_observation(problem.dataset, track, likelihood=plain) for track in tracks)
+        for tracks in (problem.insertions, task.held)
+    )
+    for method in list_track_methods():
+        rng = random_stream(task.recipe.seed, name, task.name, method)
+        if method in BASELINES:
+            drawn = draw_baseline(BASELINES[method], tuned, task.held, PREDICTION_DRAWS, rng)
+        else:
+            drawn = _draw_model_tips(task, draws, jobs, rng)
+        head: Row = {"fit": task.name, "method": method}
+        uncertified = bool(draws.faults) and method not in BASELINES
+        runs += [{**head, "role": "tune", **row} for row in tabulate_tuned(tuned, drawn)]
+        for row, some in _score_runs(tuned, held, drawn, placed_by, rng):
+            if uncertified:
+                row, *some = map(_remove_intervals, (row, *some))
+            runs.append({**head, "role": "validate", **row})
+            readings += [{**head, **one} for one in some]
+    return {"runs": runs, "readings": readings}
+
+
+def _draw_model_tips(task: TrackTask, draws: Draws, jobs: int, rng: np.random.Generator) -> TrackDraws:
+    """Return the model's draws; those of which a solve fails are left out.
+
+    Runs fitted to have the needle's bevel, those predicted each one of their own.
+    """
+    problem = task.problem
+    sets = [problem.values(theta) for theta in draws.thetas]
+
+    def simulate(sets: Sequence[Mapping[str, float]], runs: Sequence[Insertion]) -> tuple[Floats, ...]:
+        depths = [run.planar[:, 0] for run in runs]
+        return simulate_deflections(sets, problem.medium, problem.dataset.needle, runs, depths, jobs)
+
+    tuned, held = simulate(sets, problem.insertions), list[Floats]()
+    for one in task.held:
+        held += simulate(vary_bevels(sets, problem.new_bevel_sd, rng), (one,))
+    good = np.all([np.isfinite(one).all(axis=1) for one in (*tuned, *held)], axis=0)
+    scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])[good]
+    return TrackDraws(tuple(one[good] for one in tuned), tuple(one[good] for one in held), scale)
+
+
+def tabulate_tuned(tuned: Sequence[Observation], drawn: TrackDraws) -> Iterator[Row]:
+    """Yield the residuals of a method on the runs that it was fitted to."""
+    for track, deflection in zip(_tracks(tuned), drawn.tuned, strict=True):
+        yield {**_describe_track(track, len(track.tip)), **_aligned_error(track, deflection, 0)}
+
+
+def _score_runs(
+    tuned: Sequence[Observation],
+    held: Sequence[Observation],
+    drawn: TrackDraws,
+    placed_by: float,
+    rng: np.random.Generator,
+) -> Iterator[tuple[Row, list[Row]]]:
+    """Yield for every held-out run its scores, and its readings beside their predictions.
+
+    Readings up to `placed_by` mm locate a run in the tracker's frame; the others are scored.
+    """
+    for track, known, deflection in zip(_tracks(held), held, drawn.held_out, strict=True):
+        placed = max(1, int(np.sum(track.depths <= placed_by)))
+        slope = estimate_slopes(drawn, tuned, track)
+        draws = predict_readings(known, deflection, drawn.scale, slope, placed, rng)
+        mixture = PredictiveMixture(draws, np.zeros(draws.shape[1]))
+        row = _describe_track(track, draws.shape[1]) | _aligned_error(track, deflection, placed)
+        row |= _score_prediction(mixture, track.tip[placed:], rng)
+        yield row, list(_reading_rows(track, mixture, placed))
+
+
+def _tracks(observations: Sequence[Observation]) -> list[TipTrack]:
+    return [one.insertion for one in observations if isinstance(one.insertion, TipTrack)]
+
+
+def _describe_track(track: TipTrack, readings: int) -> Row:
+    return {"run": track.id, "medium": track.medium, "specimen": track.specimen, "readings": readings}
+
+
+def _aligned_error(track: TipTrack, deflection: Floats, placed: int) -> Row:
+    """Return what is left between the scored readings and the draws, shift and slope taken from all alike."""
+    off = (track.tip - deflection)[:, placed:]  # (B, m)
+    taken = np.linalg.qr(make_tracker_columns(track.depths[placed:]))[0]
+    left = np.median(off - off @ taken @ taken.T, axis=0)
+    return {"aligned_rms_mm": float(np.sqrt(np.mean(left**2)))}
+
+
+def _score_prediction(mixture: PredictiveMixture, measured: Floats, rng: np.random.Generator) -> Row:
+    off = quantile(mixture, 0.5) - measured
+    level = simulate_shape_pit(mixture, np.zeros((len(measured), len(measured))), measured, rng)
+    row: Row = {"rms_mm": float(np.sqrt(np.mean(off**2))), "end_error_mm": float(off[-1])}
+    row |= {"crps_mm": float(crps(mixture, measured).mean()), "track_pit": level}
+    for wanted in INTERVAL_PROBABILITIES:
+        name = f"{100 * wanted:.0f}"
+        low, high = interval(mixture, wanted)
+        within = (low <= measured) & (measured <= high)
+        row |= {f"end_in_{name}": bool(within[-1]), f"points_in_{name}": float(within.mean())}
+        row |= {f"track_in_{name}": level <= wanted, f"end_width_{name}_mm": float(high[-1] - low[-1])}
+    return row
+
+
+_INTERVAL_KEYS = ("low_", "high_", "crps_", "track_", "end_in_", "end_width_", "points_in_")
+
+
+def _remove_intervals(row: Row) -> Row:
+    """Return a row without what only certified draws can predict: intervals and the scores of these."""
+    return {key: np.nan if key.startswith(_INTERVAL_KEYS) else value for key, value in row.items()}
+
+
+def _reading_rows(track: TipTrack, mixture: PredictiveMixture, placed: int) -> Iterator[Row]:
+    predicted = {"median_mm": quantile(mixture, 0.5)}
+    for level in INTERVAL_PROBABILITIES:
+        low, high = interval(mixture, level)
+        predicted |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
+    first = track.tip[0]
+    for n, (depth, guide, tip) in enumerate(zip(track.depths, track.guide, track.tip, strict=True)):
+        known = {
+            name: float(of[n - placed] - first) if n >= placed else np.nan for name, of in predicted.items()
+        }
+        about = {"depth_mm": float(depth), "guide_mm": float(guide), "scored": n >= placed}
+        yield {"run": track.id, "medium": track.medium, **about, "measured_mm": float(tip - first), **known}
+
+
+# ---- summaries
+
+
+def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
+    """Compare every method with the fitted model on the same predicted runs: columns `PAIRED_COLUMNS`."""
+    rows, held = [], runs[runs["role"] == "validate"]
+    for medium, group in held.groupby("medium", sort=False):
+        for measure in MEASURES:
+            wide = group.pivot_table(index="run", columns="method", values=measure, sort=False)
+            if "fitted" not in wide:  # its draws are not certified: no CRPS
+                continue
+            for method in [name for name in list_track_methods() if name in wide]:
+                gap = (wide[method] - wide["fitted"]).to_numpy(dtype=np.float64)
+                n, half = len(gap), math.nan
+                if n > 1:  # half of the 95 % interval of a mean of few differences
+                    half = float(stdtrit(n - 1, 0.975) * gap.std(ddof=1) / np.sqrt(n))
+                difference = (gap.mean(), gap.mean() - half, gap.mean() + half, int((gap > 0).sum()))
+                rows.append((medium, method, measure, n, wide[method].mean(), *difference))
+    return pd.DataFrame(rows, columns=list(PAIRED_COLUMNS))
+
+
+def tabulate_coverage(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the coverage of last-reading intervals and whole-track bands: columns `COVERAGE_COLUMNS`."""
+    rows, held = [], runs[runs["role"] == "validate"].dropna(subset="track_pit")  # uncertified: no interval
+    for medium, group in [*held.groupby("medium", sort=False), ("all", held)]:
+        for method, some in group.groupby("method", sort=False):
+            trials = some["specimen" if medium == "all" else "run"].tolist()
+            for what in ("end", "track"):
+                for level in (50, 95):
+                    found = estimate_proportion(some[f"{what}_in_{level}"].tolist(), trials)
+                    counted = (found.hits, found.trials, some["specimen"].nunique(), found.low, found.high)
+                    rows.append((medium, method, what, level, *counted))
+    return pd.DataFrame(rows, columns=list(COVERAGE_COLUMNS))
+
+
+def tabulate_by_depth(readings: pd.DataFrame) -> pd.DataFrame:
+    """Return the mean absolute error of the predicted medians by depth: columns `DEPTH_COLUMNS`."""
+    scored = readings[readings["scored"].astype(bool)]
+    scored = scored.assign(
+        error_mm=(scored["median_mm"] - scored["measured_mm"]).abs(),
+        low_mm=DEPTH_BIN_MM * np.floor(scored["depth_mm"] / DEPTH_BIN_MM),
+    )
+    grouped = scored.groupby(["medium", "method", "low_mm"], sort=False)["error_mm"]
+    rows = grouped.agg(readings="size", error_mm="mean").reset_index()
+    return rows.assign(high_mm=rows["low_mm"] + DEPTH_BIN_MM)[list(DEPTH_COLUMNS)]
+
+
+# ---- the report
+
+TEXT = KindText("tracks")
+_MEASURE_HEADINGS = {"rms_mm": "Error", "aligned_rms_mm": "Shape"}
+"""The measures that tables and sentences show."""
+
+
+def describe(results: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    paired, data = results.frames["paired"], results.run["dataset"]
+    return {
+        "media": [
+            {"name": medium_name(str(medium))}
+            | {one: _compare(group[group["metric"] == one]) for one in _MEASURE_HEADINGS}
+            for medium, group in paired.groupby("medium", sort=False)
+        ],
+        "remarks": data["remarks"],
+        "notes": bool(data["notes"]),
+        "placed_by": results.record.registration_depth_mm,
+        "faults": bool(results.faults),
+    }
+
+
+def _compare(group: pd.DataFrame) -> dict[str, list[str]]:
+    """Return the methods by how the fit compares: better or worse if the interval excludes 0."""
+    verdicts: dict[str, list[str]] = {}
+    for row in to_records(group[group["method"] != "fitted"]):
+        low, high = row["low"], row["high"]
+        if low is None or high is None:  # a single run has no scatter
+            words = "on one run, without an interval, compared with"
+        else:
+            words = (
+                "better than" if low > 0 else "worse than" if high < 0 else "not significantly different from"
+            )
+        verdicts.setdefault(words, []).append(f"the {name_track_method(str(row['method']))}")
+    return verdicts
+
+
+def judge(results: Run) -> list[Verdict]:
+    """Return for each medium how the predicted tips compare with the baselines."""
+    verdicts = []
+    for one in describe(results)["media"]:
+        found = one["rms_mm"]
+        status: Status = (
+            "fail" if "worse than" in found else "pass" if {*found} == {"better than"} else "warn"
+        )
+        verdicts.append(Verdict(TEXT.sentence("medium", {"one": one}), status, one["name"]))
+    return verdicts
+
+
+def tabulate(results: Run) -> list[Table]:
+    """Return the tables of scores, positions, depths, coverage and parameters."""
+    return [
+        _tabulate_scores(results),
+        _tabulate_positions(results),
+        _tabulate_depths(results),
+        _tabulate_shares(results),
+        _tabulate_parameters(results),
+    ]
+
+
+def _tabulate_scores(results: Run) -> Table:
+    """Return the prediction errors of every method on the same runs."""
+    rows = [
+        {**row, "method": name_track_method(row["method"]), "metric": _MEASURE_HEADINGS[row["metric"]]}
+        | ({"difference": "", "better": ""} if row["method"] == "fitted" else {})
+        for row in to_records(results.frames["paired"])
+        if row["metric"] in _MEASURE_HEADINGS
+    ]
+    keys = ("track_error", "track_difference", "better_runs")
+    measures = (part(key, metric=heading) for heading in _MEASURE_HEADINGS.values() for key in keys)
+    columns = ("medium", "runs", "method", *measures)
+    methods = pivot(rows, ["medium", "method"], ["metric"])
+    return Table("scores", "", methods, columns, groups=("medium",), strong="groups")
+
+
+def _tabulate_positions(results: Run) -> Table:
+    """Return where the tip was predicted at the last reading of each run, with its 95 % interval."""
+    readings, rows = results.frames["readings"], []
+    for _, run in readings[readings["method"] == "fitted"].groupby(["fit", "run"], sort=False):
+        moved = run["guide_mm"].max() - run["guide_mm"].min() > GUIDE_STILL_MM
+        last = to_records(run.tail(1))[0]
+        ends = {f"95_{end}_mm": last[f"{end}_95_mm"] for end in ("low", "high")}
+        rows.append({**last, **ends, "guide_state": "moved" if moved else "at rest"})
+    columns = ("medium", "run", "guide_state", "depth_mm", "measured_mm", "median_mm", "range_95_mm")
+    return Table("positions", "", rows, columns, groups=("medium",))
+
+
+def _tabulate_depths(results: Run) -> Table:
+    """Return how prediction errors grow with depth."""
+    known = to_records(results.frames["depths"])
+    order = list(list_track_methods())
+    rows = [
+        {
+            **row,
+            "depth_interval": f"{row['low_mm']:g}–{row['high_mm']:g}",
+            "place": order.index(row["method"]),
+        }
+        for row in known
+    ]
+    media = list(dict.fromkeys(row["medium"] for row in known))
+    rows.sort(key=lambda row: (media.index(row["medium"]), row["place"]))
+    ranges = sorted({(row["low_mm"], row["depth_interval"]) for row in rows})
+    named = [row | {"method": name_track_method(row["method"])} for row in rows]
+    errors = (part("depth_error", depth_interval=words) for _, words in ranges)
+    methods = pivot(named, ["medium", "method"], ["depth_interval"])
+    columns = ("medium", "method", *errors)
+    return Table("depths", "", methods, columns, groups=("medium",), strong="groups")
+
+
+def _tabulate_shares(results: Run) -> Table:
+    """Return the coverage of intervals: of last readings, and of whole tracks; a run is a trial."""
+    rows = [
+        {"medium": medium, "method": name_track_method(str(method))}
+        | {f"{row['quantity']}_in_{row['level']:g}": _format_share(row) for row in to_records(group)}
+        for (medium, method), group in results.frames["coverage"].groupby(["medium", "method"], sort=False)
+    ]
+    columns = ("medium", "method", "end_in_50", "end_in_95", "track_in_50", "track_in_95")
+    return Table("coverage", "", rows, columns, groups=("medium",), strong="groups")
+
+
+def _format_share(row: Row) -> str:
+    return f"{row['covered']} of {row['runs']} ({100 * row['low']:.0f}–{100 * row['high']:.0f} %)"
+
+
+def _tabulate_parameters(results: Run) -> Table:
+    """Return the estimate of each parameter from the fitted runs."""
+    rows = []
+    for row in to_records(results.frames["parameters"]):
+        label, unit = choose_printed_unit(str(row["parameter"]), [row["p97_5"]])
+        scaled = {one: None if row[one] is None else row[one] / unit for one in ("p2_5", "p50", "p97_5")}
+        verdict = "determined" if row["determined"] else str(row["condition"] or "not determined")
+        rows.append({**row, **scaled, "parameter": label, "verdict": verdict})
+    columns = ("fit", "parameter", "p2_5", "p50", "p97_5", "sd_ratio", "verdict")
+    return Table("parameters", "", rows, columns)
+
+
+def draw(results: Run) -> dict[str, Drawing]:
+    """Return every predicted run: the tip at each reading, and the guide below it."""
+    return {"readings": Drawing("tracks", results.frames["readings"].assign(origin=results.origin))}
+
+
+def _compare_tracks(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    """Yield how errors of runs predicted changed, by role and method."""
+    keys = ["fit", "role", "run", "method"]
+    one, two = (frame.drop_duplicates(keys) for frame in (before, after))
+    both = one.merge(two, validate="1:1", on=keys, suffixes=("_a", "_b"), sort=False)
+    for (role, method), rows in both.groupby(["role", "method"], sort=False):
+        for column, words in (("rms_mm", "error"), ("crps_mm", "CRPS"), ("aligned_rms_mm", "shape")):
+            yield from compare_means(f"{words} of runs, {method}, {role}", rows, column)
+
+
+_RUNS = TableSchema(
+    ("fit", "role", "run", "method", "quantity", "level"), numbers=("rms_mm", "crps_mm", "aligned_rms_mm")
+)
+REPORT: StudyReport = report_from_text(
+    TEXT,
+    describe,
+    tabulate,
+    draw,
+    lambda results: {"notes": [bullets(results.run["dataset"]["notes"])]},
+    to_json=lambda results: {"paired": to_records(results.frames["paired"])},
+    judge=judge,
+    lay_out_first=lambda results: REPORT.lay_out(results)[:2],
+    comparisons={"runs": TableComparison(_RUNS, _compare_tracks)},
+)
