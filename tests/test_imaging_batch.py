@@ -117,7 +117,7 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
     scans = [replace(sample, id="crashing", volume=crashing), sample]
     found = reconstruct_all(scans, RECIPE, ReconstructionBatch(LocalPool(jobs)))
     assert isinstance(found[0], ReconstructionFailure) and str(crashing) in str(found[0].error)
-    assert ("SIG" in str(found[0].error)) == (jobs == 1)  # another process has its own check
+    assert jobs > 1 or "SIG" in str(found[0].error)  # another process may have its own check
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
 
 

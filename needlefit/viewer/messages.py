@@ -322,7 +322,7 @@ def _read_change(row: object) -> Change:
     if not (isinstance(row, list) and len(row) == 3):
         raise ModelError(f"{row!r:.60} is no input", expected="[input, item, value]")
     name, item, value = row
-    number = _read_finite(value)
+    number = _read_finite(value, math.inf)  # a `Change` names its own limit, in the unit of its field
     if number is None:
         raise ModelError(f"{name!r:.40} is {value!r:.40}", expected="a finite number")
     if not isinstance(name, str) or not (item is None or type(item) is int):
@@ -330,11 +330,11 @@ def _read_change(row: object) -> Change:
     return Change(name[:40], item, number)
 
 
-def _read_finite(value: object) -> float | None:
+def _read_finite(value: object, most: float = MAX_NUMBER) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
         number = float(value)
     except OverflowError:
         return None
-    return number if abs(number) <= MAX_NUMBER else None
+    return number if abs(number) <= most else None
