@@ -9,10 +9,14 @@ from needlefit.inference.sampling.importance import Effort
 from needlefit.studies import further_insertion
 from needlefit.studies.further_insertion import WeightedPosterior, find_template
 from needlefit.studies.job import Settings, prepare
-from needlefit.studies.kinds.next_insertion import run
-from needlefit.studies.kinds.next_insertion.candidates import frame_of, predict_candidate
-from needlefit.studies.kinds.next_insertion.report import summarize
-from needlefit.studies.kinds.next_insertion.schema import CandidateEntryRecord, NextInsertionRecord
+from needlefit.studies.kinds import next_insertion
+from needlefit.studies.kinds.next_insertion import (
+    REPORT,
+    CandidateEntryRecord,
+    NextInsertionRecord,
+    frame_of,
+    predict_candidate,
+)
 from needlefit.studies.report import write_run
 
 CHICKEN = {
@@ -78,22 +82,22 @@ def test_the_mean_bevel_of_all_needles_is_less_known_than_that_of_some(ids):
     problem = job.problem(job.folds[0])
     theta = problem.parameters.theta({"mu1_pa": 2e3, "bevel_mm": 0.3, "bevel_spread": 0.1})
     known = WeightedPosterior(problem, None, np.tile(theta, (4000, 1)), np.full(4000, 1 / 4000), 0.1)
-    factors = np.exp(run.refer_to_all_needles(known, np.random.default_rng(1)).thetas - theta)
+    factors = np.exp(next_insertion.refer_to_all_needles(known, np.random.default_rng(1)).thetas - theta)
     sds = dict(zip(problem.names, factors.std(axis=0), strict=True))
     assert sds["bevel_mm"] == pytest.approx(0.1 / np.sqrt(len(ids)), rel=0.05)
     assert sds["mu1_pa"] == sds["bevel_spread"] == 0
 
 
 def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "OUTER_DRAWS", 40)
+    monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
     monkeypatch.setattr(further_insertion, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))
-    answer = run.run("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())
+    answer = next_insertion.run("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())
     found = answer.frames["candidates"].set_index("depth_mm")
     assert found["nats"][80] > found["nats"][10] + 5 * found["nats_se"][10]
     tips = answer.frames["tips"].set_index("depth_mm")
     assert tips["sd_after_mm"][80] < tips["sd_after_mm"][10] < tips["sd_now_mm"][10]
     alphas = answer.frames["alphas"]
     assert np.all(alphas["sd_after"] > 0.99 * alphas["sd_now"])
-    assert "80 mm deep" in summarize(answer)[0]
+    assert "80 mm deep" in REPORT.summarize(answer)[0]
     written = {path.name for path in write_run(answer, tmp_path / "out").iterdir()}
     assert {"gains.csv", "gains.pdf", "report.pdf", "report.html"} <= written

@@ -14,9 +14,8 @@ from needlefit.schemas.planning import ObstacleRecord
 from needlefit.studies import further_insertion
 from needlefit.studies.further_insertion import WeightedPosterior
 from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.plan import run
-from needlefit.studies.kinds.plan.report import lay_out_tables, summarize
-from needlefit.studies.kinds.plan.schema import PlanRecord
+from needlefit.studies.kinds import plan
+from needlefit.studies.kinds.plan import REPORT, PlanRecord
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.posterior_fit import PosteriorFit
 from needlefit.studies.report import write_run
@@ -42,15 +41,15 @@ def job() -> Job:
 
 
 def site(**changed: object) -> TargetSite:
-    return run.make_site(job(), PlanRecord.model_validate({**CHICKEN, **changed}))
+    return plan.make_site(job(), PlanRecord.model_validate({**CHICKEN, **changed}))
 
 
 @pytest.fixture
 def few_draws(monkeypatch) -> None:
     effort = replace(further_insertion.PLANNING_EFFORT, draws=100, min_ess=100.0)
     monkeypatch.setattr(further_insertion, "PLANNING_EFFORT", effort)
-    monkeypatch.setattr(run, "SEARCH_DRAWS", 2)
-    monkeypatch.setattr(run, "TEST_DRAWS", 6)
+    monkeypatch.setattr(plan, "SEARCH_DRAWS", 2)
+    monkeypatch.setattr(plan, "TEST_DRAWS", 6)
 
 
 def test_without_a_bevel_the_best_plan_is_the_straight_aim():
@@ -112,7 +111,7 @@ def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
     new = NewSpecimens(replace(job(), recipe=recipe), fold, theta, unknown)
     sds = {}
     for name, about in (("same", None), ("new", new)):
-        sets = [one.values for one in run.draw_trials(job(), site().like, posterior(theta), about, 4000)]
+        sets = [one.values for one in plan.draw_trials(job(), site().like, posterior(theta), about, 4000)]
         sds[name] = [np.std(np.log([values[key] for values in sets])) for key in ("bevel_mm", "mu1_pa")]
     # of one insertion: its bevel is the mean of those fitted to
     assert sds["same"][0] == pytest.approx(0.1 * np.sqrt(2), rel=0.05) and sds["same"][1] < 1e-9
@@ -128,37 +127,37 @@ def test_needles_differ_by_bevel_and_in_a_new_specimen_by_its_parameters():
 def test_the_template_s_specimen_decides_unless_the_study_does(tuned, stated, differs):
     specimens = {one.specimen for one in job().folds[0].tune}
     template = next(one for one in job().dataset.insertions if (one.specimen in specimens) == tuned)
-    found = run.find_new_specimen(job(), stated, template, posterior(np.empty(0)))
+    found = plan.find_new_specimen(job(), stated, template, posterior(np.empty(0)))
     assert (found is not None) == differs
 
 
 @pytest.mark.sweep
 def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch, few_draws):
-    monkeypatch.setattr(run, "SEARCH_DRAWS", 8)
-    monkeypatch.setattr(run, "TEST_DRAWS", 20)
-    answer = run.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
+    monkeypatch.setattr(plan, "SEARCH_DRAWS", 8)
+    monkeypatch.setattr(plan, "TEST_DRAWS", 20)
+    answer = plan.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
     plans = answer.frames["plans"].set_index("method")
     assert plans["rms_mm"]["expected"] < plans["rms_mm"]["straight"]
     misses = answer.frames["misses"].query("method == 'expected'")["miss_mm"]
     assert len(misses) == 20
     beyond = answer.frames["exceedances"].set_index(["method", "limit_mm"])["share"]
     assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
-    assert "45" in summarize(answer)[0]
+    assert "45" in REPORT.summarize(answer)[0]
     written = {path.name for path in write_run(answer, tmp_path / "out").iterdir()}
     assert {"plane.pdf", "plane.csv", "within.pdf", "within.csv", "report.pdf"} <= written
 
 
 @pytest.mark.sweep
 def test_a_plan_of_draws_that_are_not_certified_has_no_misses(tmp_path, monkeypatch, few_draws):
-    weigh, fault = run.weigh_posterior, "draws by importance are not certified"
+    weigh, fault = plan.weigh_posterior, "draws by importance are not certified"
 
     def weigh_uncertified(*given):
         known = weigh(*given)
         draws = replace(known.learned.draws, faults=(fault,))
         return replace(known, learned=replace(known.learned, draws=draws))
 
-    monkeypatch.setattr(run, "weigh_posterior", weigh_uncertified)
-    answer = run.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
+    monkeypatch.setattr(plan, "weigh_posterior", weigh_uncertified)
+    answer = plan.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
     assert answer.faults == (fault,)
     assert answer.frames["misses"].empty and answer.frames["plans"]["median_mm"].isna().all()
     assert answer.frames["exceedances"]["share"].isna().all()
@@ -180,9 +179,9 @@ def test_a_plan_out_of_reach_is_reported_with_its_parameters_at_bounds(few_draws
     """Straight ahead and 30 mm deep at most, a place 4 mm to the side is out of reach."""
     entry_plane = {**AHEAD, "depth_mm": [20, 30]}
     record = {**CHICKEN, "target_mm": [29, 4], "tolerances_mm": [1.0], "entry_plane": entry_plane}
-    answer = run.run("aside", PlanRecord.model_validate(record), Settings())
+    answer = plan.run("aside", PlanRecord.model_validate(record), Settings())
     (fault,) = (one for one in answer.faults if "no plan" in one)
     assert "1 mm" in fault
-    assert "(29, 4 mm)" in summarize(answer)[0] and "offset, angle" in summarize(answer)[0]
-    (table, _) = lay_out_tables(answer)
+    assert "(29, 4 mm)" in REPORT.summarize(answer)[0] and "offset, angle" in REPORT.summarize(answer)[0]
+    (table, _) = REPORT.lay_out(answer)
     assert "0.1*" in table.rows[0] and "(*" in table.caption

@@ -6,11 +6,15 @@ execution for exact; and that of the paper's hand-tuned set. At known parameters
 found first. All are tried on draws that none was sought with, each with the layers on its own path.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, Literal, Self
 
 import numpy as np
+import pandas as pd
+from pydantic import Field, PositiveFloat, model_validator
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
@@ -26,7 +30,13 @@ from needlefit.planning.aiming import (
 )
 from needlefit.planning.goals import PATH_POINTS, Goal, compute_clearances
 from needlefit.project.random_streams import random_stream
-from needlefit.schemas.planning import EntryPlaneRecord
+from needlefit.reporting.figures import Drawing, Look
+from needlefit.reporting.labels import PLAN_COLOURS, PLAN_NAMES
+from needlefit.reporting.table import Table, part, pivot
+from needlefit.reporting.table_files import to_records
+from needlefit.reporting.text import KindText
+from needlefit.schemas.analyses import TunedAnalysisRecord
+from needlefit.schemas.planning import EntryPlaneRecord, ObstacleRecord, PlanePoint
 from needlefit.studies.further_insertion import (
     WeightedPosterior,
     check_reach,
@@ -35,12 +45,51 @@ from needlefit.studies.further_insertion import (
     weigh_posterior,
 )
 from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.plan.schema import PlanRecord
-from needlefit.studies.new_specimens import NewSpecimens, describe_specimen
+from needlefit.studies.kind import StudyKind
+from needlefit.studies.new_specimens import NewSpecimens, describe_specimen, describe_spread
 from needlefit.studies.planned_draws import vary_bevels
+from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, run_analysis
 from needlefit.studies.score import Row
+from needlefit.studies.verdict import Status, headline_fault
+
+
+class PlanRecord(TunedAnalysisRecord):
+    """`kind = "plan"`: the entry that brings the predicted tip to a target."""
+
+    kind: Literal["plan"]
+    template_insertion: str
+    """Insertion whose stated errors of entry, depth and layers the planned one would have."""
+    target_mm: PlanePoint
+    """Target, x and y in the plane."""
+    tolerances_mm: tuple[PositiveFloat, ...] = Field(default=(1.0, 2.0), min_length=1)
+    """Distances for which the probability of a hit is reported."""
+    entry_plane: EntryPlaneRecord
+    """The plane and what may be chosen in it."""
+    obstacles: tuple[ObstacleRecord, ...] = ()
+    """Circles that the needle must avoid."""
+    specimen: Literal["new", "same"] | None = None
+    """Whether the plan is for a specimen that was not fitted ("new") or one that was ("same"); without it,
+    as the template."""
+
+    @model_validator(mode="after")
+    def _within_reach(self) -> Self:
+        """Refuse what no needle of these depths reaches, however it bends."""
+        (x, y), (low, high) = self.target_mm, self.entry_plane.offset_mm
+        deepest = self.entry_plane.depth_mm[1]
+        away = math.hypot(x, y - min(max(y, low), high))
+        if x <= 0:
+            raise ValueError(f"target_mm lies before the entrance, x = 0: x is {x:g} mm")
+        if away > deepest + max(self.tolerances_mm):
+            raise ValueError(
+                f"target_mm is {away:.1f} mm from the nearest entry that offset_mm allows; depth_mm ends "
+                f"at {deepest:g} mm"
+            )
+        return self
+
+
+KIND = StudyKind("plan", PlanRecord, __name__)
 
 SEARCH_DRAWS, TEST_DRAWS = 60, 1000
 """Draws on which a plan is sought, and others on which it is tried."""
@@ -303,3 +352,136 @@ def _describe_unreachable(median: float, limit: float) -> str:
     if not np.isfinite(median):
         missed = "no needle of the best one has a solution"
     return f"no plan within these bounds comes within {limit:g} mm of the target: {missed}"
+
+
+# ---- the report
+
+
+def describe(result: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    record, plane = result.record, result.record.entry_plane
+    plans = [
+        {**row, "name": PLAN_NAMES[str(row["method"])], "at_bounds": at_bounds(plane, row)}
+        for row in to_records(result.frames["plans"])
+    ]
+    exceeded = to_records(result.frames["exceedances"])
+    (posterior,) = to_records(result.frames["posterior"])
+    of_others = posterior["specimen_treatment"] == "others"
+    return {
+        "ours": next(row for row in plans if row["method"] == EXPECTED),
+        "others": [row for row in plans if row["method"] != EXPECTED],
+        "certified": not posterior["note"],
+        "reached": rate_reach(result),
+        "limit_mm": max(record.tolerances_mm),
+        "target": record.target_mm,
+        "exceedances": [row for row in exceeded if row["method"] == EXPECTED],
+        "marked": any(row["at_bounds"] for row in plans),
+        "posterior": posterior,
+        "specimen": describe_spread(posterior) if of_others else "",
+        "ranges": [
+            {"name": name, "unit": "°" if name == "angle" else " mm", "low": low, "high": high}
+            for name, (low, high) in plane.ranges.items()
+        ],
+    }
+
+
+def rate_reach(result: Run) -> bool:
+    """Return whether at least half of the plan's needles come within the largest tolerance."""
+    (ours,) = (row for row in to_records(result.frames["plans"]) if row["method"] == EXPECTED)
+    return reaches(ours["median_mm"], max(result.record.tolerances_mm))
+
+
+def rate(result: Run) -> Status:
+    """Return "warn" if no plan reaches the target, or the plan lies at a bound of the study."""
+    (ours,) = (row for row in to_records(result.frames["plans"]) if row["method"] == EXPECTED)
+    return "pass" if rate_reach(result) and not at_bounds(result.record.entry_plane, ours) else "warn"
+
+
+def tabulate(result: Run) -> list[Table]:
+    """Return the plans with their misses, and how often they miss by more than the tolerance."""
+    found = describe(result)
+    rows = [
+        {
+            **row,
+            **{f"{name}_mark": "*" if name in row["at_bounds"] else "" for name in _PLAN_COLUMNS},
+            "plan": row["name"],
+            "bevel_side": "+y" if row["bevel_side"] > 0 else "−y",
+        }
+        for row in (found["ours"], *found["others"])
+    ]
+    columns = (
+        *("plan", *(f"aimed_{name}" for name in _PLAN_COLUMNS), "bevel_side", "half_miss", "miss_95"),
+        *("rms_mm", "bias", "miss_spread"),
+    )
+    plans = Table("plans", "", rows, columns, strong="first")
+    if not found["certified"]:
+        return [plans]
+    events = [
+        {**row, "plan": PLAN_NAMES[str(row["method"])], "event": _name_event(row)}
+        for row in to_records(result.frames["exceedances"])
+    ]
+    shares = (
+        part("exceedance_share", event=event) for event in dict.fromkeys(row["event"] for row in events)
+    )
+    missed = pivot(events, ["plan"], ["event"])
+    return [plans, Table("exceedances", "", missed, ("plan", *shares), strong="first")]
+
+
+def _name_event(row: Row) -> str:
+    missed = row["object"] == TARGET
+    return f"misses by > {row['limit_mm']:g} mm" if missed else f"touches {row['object']}"
+
+
+def draw(result: Run) -> dict[str, Drawing]:
+    """Return the plan in its plane, and the share of needles of each plan within a distance."""
+    looks = {
+        name: Look(words, PLAN_COLOURS[name], dashes="-" if name == EXPECTED else (0, (5, 2)))
+        for name, words in PLAN_NAMES.items()
+    }
+    options = {"by": "method", "looks": looks, "main": EXPECTED}
+    plane = {"plane": Drawing("plan_in_plane", _tabulate_plane(result), options)}
+    if not len(result.frames["misses"]):
+        return plane
+    labels = {"value": "miss_mm", "x_label": "miss of the tip (mm)", "y_label": "share of needles"}
+    within = Drawing("shares_within", _tabulate_misses(result), {**options, **labels})
+    return {**plane, "within": within}
+
+
+def _tabulate_plane(result: Run) -> pd.DataFrame:
+    """Return needles, tips of the plan, layers, and the circles about target and obstacles."""
+    record, frames = result.record, result.frames
+    circles = [("tolerance", "", record.target_mm, limit) for limit in record.tolerances_mm]
+    circles += [("obstacle", one.name, one.centre_mm, one.radius_mm) for one in record.obstacles]
+    rows = [
+        {"mark": mark, "object": name, "x_mm": x, "y_mm": y, "radius_mm": radius}
+        for mark, name, (x, y), radius in circles
+    ]
+    tips = frames["misses"][frames["misses"]["method"] == EXPECTED]
+    parts = [frames["needles"].assign(mark="needle"), tips.assign(mark="tip")]
+    parts += [frames["layers"].assign(mark="layer"), pd.DataFrame(rows)]
+    columns = (
+        *("mark", "method", "trial", "x_mm", "y_mm", "object", "radius_mm"),
+        *("interval", "layer", "low_mm", "high_mm"),
+    )
+    every = [one.reindex(columns=list(columns)) for one in parts if len(one)]
+    whole = dict.fromkeys(("trial", "interval", "layer"), "Int64")
+    return pd.concat(every, ignore_index=True).astype(whole).assign(origin=result.origin)
+
+
+def _tabulate_misses(result: Run) -> pd.DataFrame:
+    """Return the steps of each plan's share of needles, and the tolerances."""
+    parts = []
+    for name, rows in result.frames["misses"].groupby("method", sort=False):
+        miss = np.sort(rows["miss_mm"].to_numpy(dtype=np.float64))
+        share = np.arange(1, len(miss) + 1) / len(miss)
+        parts.append(pd.DataFrame({"mark": "needles", "method": name, "miss_mm": miss, "share": share}))
+    parts.append(pd.DataFrame({"mark": "tolerance", "miss_mm": result.record.tolerances_mm}))
+    return pd.concat(parts, ignore_index=True).assign(origin=result.origin)
+
+
+def headline(fault: str) -> str:
+    """Return the headline of a fault; a target out of reach is the verdict itself."""
+    return "" if fault.startswith("no plan") else headline_fault(fault)
+
+
+REPORT = report_from_text(KindText("plan"), describe, tabulate, draw, rate=rate, headline=headline)
