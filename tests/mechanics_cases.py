@@ -1,14 +1,90 @@
 """Random insertions for tests: any tissue, any inputs, several steps with changes and retractions."""
 
+from dataclasses import fields, replace
+from typing import Any
+
+import complex_step
 import numpy as np
 
-from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.batch import Batch, Jacobian
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 
 Random = np.random.Generator
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+
+#: the decided rules; any constraint point, advance and first cell; and the advance by the path angle
+RULES = ("decided", "variant", "path_angle")
+
+
+def assert_same_bits(found: Any, expected: Any, but: tuple[str, ...] = ()) -> None:
+    """Compare two shapes, Jacobians, or batches of them, `but` some fields."""
+    for name in {field.name for field in fields(found)} - set(but):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+
+
+def assert_close(found: NeedleShape, expected: NeedleShape, atol: float = 1e-7) -> None:
+    assert found.converged and expected.converged
+    np.testing.assert_allclose(found.x, expected.x, atol=1e-9)
+    for name in ("u", "slope", "constraints"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=atol, err_msg=name)
+    track = np.isnan(expected.tip_track)  # a retraction may have left a point without its tip
+    np.testing.assert_array_equal(np.isnan(found.tip_track), track)
+    np.testing.assert_allclose(found.tip_track[~track], expected.tip_track[~track], atol=atol)
+
+
+def assert_derivatives(
+    found: Jacobian,
+    needle: Needle,
+    tissue: Tissue,
+    steps: tuple[Step, ...],
+    rules: ModelOptions,
+    lattice: Lattice | None = None,
+    rtol: float = 1e-7,
+) -> None:
+    """Compare a Jacobian with complex steps; by shape parameters of laws, some in tables, to 1e-5."""
+    for p, name in enumerate(found.names):
+        nodes, u, slope, points = complex_step.follow(needle, tissue, steps, rules, name, lattice)
+        tolerance = 1e-5 if name.rstrip("0123456789") in LAWS[tissue.law].shape_names else rtol
+        largest = max(np.abs(u).max(), np.abs(points).max(), 1e-6)
+        # a parameter that shifts the needle as a whole hardly turns it: its slopes are but rounding
+        steepest = max(np.abs(slope).max(), 0.01 * largest)
+        np.testing.assert_allclose(found.x[:, p], nodes, atol=1e-12, err_msg=name)
+        for part, exact, size in ((found.u, u, largest), (found.slope, slope, steepest),
+                                  (found.constraints, points, largest)):  # fmt: skip
+            np.testing.assert_allclose(part[:, p], exact, rtol=0, atol=tolerance * size, err_msg=name)
+
+
+def vary(rng: Random, rules: ModelOptions, kind: str) -> ModelOptions:
+    """Return rules of one of the kinds `RULES`."""
+    if kind != "variant":
+        return rules if kind == "decided" else replace(rules, advance="path_angle")
+    return replace(
+        rules,
+        switch=float(rng.choice([0.0, 1.0, rng.uniform()])),
+        tangent=float(rng.choice([0.0, rng.uniform()])),
+        first_cell=float(rng.uniform(0.05, 1.0)) * rules.spacing if rng.random() < 0.5 else None,
+    )
+
+
+def adapt(steps: tuple[Step, ...], rules: ModelOptions) -> tuple[Step, ...]:
+    """Return the steps with the bevel that the rules know: an offset, or an angle, of the same number."""
+    if not rules.path_angle:
+        return steps
+    return tuple(replace(s, bevel=Bevel(0.0, s.bevel.side, s.bevel.offset)) for s in steps)
+
+
+def random_case(rng: Random, kind: str = "decided", count: int = 5, deepest: float = 11.0) -> tuple:
+    """Return needle, tissue, `count` steps and one more, rules of a kind and, if it is decided, a lattice."""
+    rules = vary(rng, random_rules(rng), kind)
+    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
+    steps = adapt(random_steps(rng, count, deepest=deepest), rules)
+    first = None if kind == "variant" else rng.uniform(0.05, 1.0) * rules.spacing
+    return needle, tissue, steps, rules, first and Lattice(first, rules.spacing)
 
 
 def random_rules(rng: Random) -> ModelOptions:
@@ -93,7 +169,9 @@ def random_steps(rng: Random, count: int, within: bool = True, deepest: float = 
     return (*steps, Step(random_depth(rng, deepest), bevel, controls))
 
 
-def random_batch(rng: Random, sets: int, within: bool = False, friction: float = 0.0) -> Batch:
+def random_batch(
+    rng: Random, sets: int, within: bool = False, friction: float = 0.0, kind: str = "decided"
+) -> Batch:
     """Return many parameter sets over broad priors; `within`: with guides in the tissue and tracked tips."""
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, friction)
@@ -110,4 +188,8 @@ def random_batch(rng: Random, sets: int, within: bool = False, friction: float =
     names = [name for name in given if rng.random() < 0.6] or ["mu"]
     if all(len(step.controls.before) == 1 for step in steps) and rng.random() < 0.7:
         names, given["guide_x"] = [*names, "guide_x"], rng.uniform(-30, -2, sets)
-    return Batch(needle, tissue, steps, rules, **{name: given[name] for name in names})
+    rules = vary(rng, rules, kind)
+    if rules.path_angle:
+        names, given["cut_angle"] = [name for name in names if name != "offset"], rng.uniform(0, 0.2, sets)
+        names.append("cut_angle")
+    return Batch(needle, tissue, adapt(steps, rules), rules, **{name: given[name] for name in names})

@@ -2,45 +2,22 @@
 
 import numpy as np
 import pytest
-from mechanics_cases import random_needle, random_rules, random_steps, random_tissue
+from mechanics_cases import NEEDLE, RULES, assert_close, random_case
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points, sample_inserted_points
 from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 
-
-def assert_close(fast: NeedleShape, slow: NeedleShape, atol: float = 1e-7) -> None:
-    assert fast.converged
-    np.testing.assert_allclose(fast.x, slow.x, atol=1e-12)
-    for name in ("u", "slope", "constraints"):
-        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), atol=atol, err_msg=name)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_kernel_equals_reference(seed: int) -> None:
-    """One step, any inputs: base, stage, guides before and in the tissue, a tracked tip."""
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("seed", range(28))
+def test_kernel_equals_reference(seed: int, kind: str) -> None:
+    """One step, or many: inputs and bevel change on the way in, and out, and in again, on any grid."""
     rng = np.random.default_rng(seed)
-    rules = random_rules(rng)
-    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
-    case = (needle, tissue, random_steps(rng, 0), rules)
-    assert_close(simulate_steps(*case), reference.simulate_steps(*case))
-
-
-@pytest.mark.parametrize("seed", range(100, 130))
-def test_kernel_equals_reference_along_many_steps(seed: int) -> None:
-    """Inputs and bevel change on the way in, and out, and in again, on any grid."""
-    rng = np.random.default_rng(seed)
-    rules = random_rules(rng)
-    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
-    lattice = Lattice(rng.uniform(0.01, 1.0) * rules.spacing, rules.spacing)
-    case = (needle, tissue, random_steps(rng, 5, deepest=11.0), rules, lattice)
+    case = random_case(rng, kind, 5, 11.0) if seed % 2 else random_case(rng, kind, 0, 22.0)
     assert_close(simulate_steps(*case), reference.simulate_steps(*case))
 
 

@@ -5,18 +5,16 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from mechanics_cases import random_batch, random_steps
+from mechanics_cases import NEEDLE, RULES, assert_close, assert_same_bits, random_batch, random_steps
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import native, reference
 from needlefit.mechanics.batch import Batch, NeedleShapes, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 WIDE = Step(14.2, Bevel(0.1), Controls(base_y=0.3))  # its first cell is short: the entry has no node
 TURN = Step(17.2, Bevel(0.1, -1), Controls(base_y=0.1, base_slope=0.004))
@@ -52,48 +50,18 @@ def some(batch: Batch, sets: np.ndarray) -> Batch:
     return replace(batch, **{name: v[sets] for name, v in given.items() if v is not None})
 
 
-def assert_same_bits(found: NeedleShapes | NeedleShape, expected: NeedleShapes | NeedleShape) -> None:
-    for field in fields(found):
-        np.testing.assert_array_equal(getattr(found, field.name), getattr(expected, field.name))
-
-
-def assert_close(found: NeedleShape, expected: NeedleShape, atol: float = 1e-7) -> None:
-    assert found.converged and expected.converged
-    np.testing.assert_allclose(found.x, expected.x, atol=1e-12)
-    for name in ("u", "slope", "constraints"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=atol, err_msg=name)
-    track = np.isnan(expected.tip_track)  # a retraction may have left a point without its tip
-    np.testing.assert_array_equal(np.isnan(found.tip_track), track)
-    np.testing.assert_allclose(found.tip_track[~track], expected.tip_track[~track], atol=atol)
-
-
-@pytest.mark.parametrize("seed", range(60))
-def test_every_set_is_what_newtons_method_gives(seed: int) -> None:
-    batch = random_batch(np.random.default_rng(seed), 6)
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("within", [False, True])
+@pytest.mark.parametrize("seed", range(30))
+def test_every_set_is_what_newtons_method_gives(seed: int, within: bool, kind: str) -> None:
+    """Also with guides in the tissue, tracked tips and friction."""
+    batch = random_batch(np.random.default_rng(seed), 6, within, float(seed % 2), kind)
     shapes, exact = one(batch), replace(batch, rules=replace(batch.rules, tolerance=1e-11))
-    assert shapes.converged.all()
-    for i in range(len(batch)):
-        assert_close(shapes[i], simulate_steps(*exact.pick(i)))
-        assert_same_bits(shapes[i], simulate_steps(*batch.pick(i)))
-
-
-@pytest.mark.parametrize("friction", [0.0, 1.0])
-@pytest.mark.parametrize("advance", ["tangent", "path_angle"])
-@pytest.mark.parametrize("seed", range(200, 230))
-def test_guides_in_the_tissue_tracked_tips_and_friction_are_those_of_single_needles(
-    seed: int, advance: str, friction: float
-) -> None:
-    batch = random_batch(np.random.default_rng(seed), 6, within=True, friction=friction)
-    if advance == "path_angle":
-        steps = tuple(replace(s, bevel=Bevel(0.0, s.bevel.side, s.bevel.offset / 9)) for s in batch.steps)
-        batch = replace(batch, steps=steps, rules=replace(batch.rules, advance=advance), offset=None,
-                        cut_angle=np.linspace(0.0, 0.03, 6))  # fmt: skip
-    shapes = one(batch)
     for i in range(len(batch)):
         alone = simulate_steps(*batch.pick(i))
-        assert shapes[i].status == alone.status
+        assert_same_bits(shapes[i], alone)
         if alone.converged:
-            assert_close(shapes[i], alone)
+            assert_close(shapes[i], simulate_steps(*exact.pick(i)))
 
 
 @pytest.mark.parametrize("seed", [*range(100, 107), *range(108, 113)])

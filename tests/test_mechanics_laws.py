@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanics_cases import NEEDLE
 from plugin_cases import install, plugin_folder
 
 from needlefit.errors import ConfigError, ModelError
@@ -13,12 +14,10 @@ from needlefit.mechanics.batch import linearize
 from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.law_form import compile_law
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import evaluate_layer
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 BASE = Controls(base_y=0.4)
 
 
@@ -94,6 +93,11 @@ def deflection(law: str, alpha: float, thickness: float = 4.0) -> float:
     shape = simulate(NEEDLE, tissue, Bevel(0.1), 20.0, BASE)
     assert shape.converged
     return shape.tip_lateral
+
+
+def test_every_law_begins_at_3_mu() -> None:
+    for law in LAWS.values():
+        np.testing.assert_allclose(law.k(np.ones(4), *law.draw_shape(np.random.default_rng(0), (4,))), 3.0)
 
 
 def test_neo_hookean_is_ogden_at_two() -> None:

@@ -1,17 +1,15 @@
 """Derivatives of many sets at once are those of single ones, to the bit, and those of complex steps."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
-import complex_step
 import numpy as np
 import pytest
-from mechanics_cases import random_batch
+from mechanics_cases import NEEDLE, assert_derivatives, assert_same_bits, random_batch
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
     Batch,
-    Jacobian,
     Jacobians,
     compute_batch_positions,
     differentiate_batch_positions,
@@ -21,12 +19,10 @@ from needlefit.mechanics.batch import (
     simulate_batches,
 )
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import PreparedInsertion
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.tissue import Tissue
 
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 RUBBING = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[5.3], friction=[0.2, 0.1])
 GUIDED = Controls(0.2, 0.004, 0.002, (Guide(-9.0, 0.1, None), Guide(3.7, 0.05, in_tissue=True)))
 STEPS = (Step(6.0, Bevel(0.1), GUIDED), Step(11.4, Bevel(0.05, -1), GUIDED))
@@ -35,13 +31,6 @@ STEPS = (Step(6.0, Bevel(0.1), GUIDED), Step(11.4, Bevel(0.05, -1), GUIDED))
 def linearize(batch: Batch, wrt=DERIVATIVE_KINDS, threads: int | None = None):
     ((shapes, jacobians),) = linearize_batches([batch], wrt, threads)
     return shapes, jacobians
-
-
-def assert_same_bits(found: NeedleShape | Jacobian, expected: NeedleShape | Jacobian) -> None:
-    for field in fields(found):
-        np.testing.assert_array_equal(
-            getattr(found, field.name), getattr(expected, field.name), err_msg=field.name
-        )
 
 
 def make_batch(sets: int, steps: tuple[Step, ...] = STEPS, tissue: Tissue = RUBBING, **more) -> Batch:
@@ -80,14 +69,7 @@ def test_derivatives_in_lanes_are_those_of_complex_steps(advance: str) -> None:
     shapes, jacobians = linearize(batch)
     assert shapes.converged.all() and len(jacobians.names) == 19
     for i in (0, 7, 8):
-        needle, tissue, steps, rules = batch.pick(i)
-        for p, name in enumerate(jacobians.names):
-            x, u, slope, points = complex_step.follow(needle, tissue, steps, rules, name)
-            found = jacobians[i]
-            np.testing.assert_allclose(found.x[:, p], x, atol=1e-12, err_msg=name)
-            for part, exact in ((found.u, u), (found.slope, slope), (found.constraints, points)):
-                scale = np.abs(exact).max()
-                np.testing.assert_allclose(part[:, p], exact, rtol=0, atol=1e-6 * scale + 1e-9, err_msg=name)
+        assert_derivatives(jacobians[i], *batch.pick(i), rtol=1e-6)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])

@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mechanics_cases import NEEDLE
 
-from needlefit.errors import ConfigError, ModelError
+from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, ModelOptions
-from needlefit.mechanics.law_form import compile_law
-from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.scene import RulesRecord
-
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 
 
 def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:
@@ -87,28 +83,6 @@ def test_one_more_modulus_bends_more_in_stiff_tissue() -> None:
         for mu in (0.01, 0.1, 1)
     ]
     assert deflections == sorted(deflections)
-
-
-def test_laws_agree_where_they_must() -> None:
-    """k(1) = 3 mu for every law; neo-Hookean is Ogden at alpha = 2."""
-    for law in LAWS.values():
-        shape = law.draw_shape(np.random.default_rng(0), (4,))
-        np.testing.assert_allclose(law.k(np.ones(4), *shape), 3.0)
-    c, q = compile_law("ogden", np.array([[2.0]]))
-    n, r = compile_law("neo_hookean", np.empty((0, 1)))
-    np.testing.assert_array_equal(c, n)
-    np.testing.assert_array_equal(q, r)
-
-
-def test_ogden_modulus_by_hand() -> None:
-    """alpha = 3, lambda = 1/4: 2 mu (1/16 + 1/2 * 4^(5/2)) = 32.125 mu."""
-    assert float(LAWS["ogden"].k(np.array([0.25]), np.array([3.0]))[0]) == pytest.approx(32.125)
-
-
-def test_unknown_law_names_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="`mooney`") as fault:
-        simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], law="mooney"), Bevel(0.1), 10.0)
-    assert all(law in fault.value.expected for law in ("linear", "neo_hookean", "ogden"))
 
 
 def test_alpha_hardly_moves_the_tip() -> None:

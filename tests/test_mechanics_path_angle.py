@@ -1,23 +1,20 @@
-"""The advance by the path angle: one rule in reference, kernel, lanes, derivatives, session; it converges."""
+"""The advance by the path angle: its rule, in a session and in media; it converges."""
 
 import math
 from dataclasses import replace
 
-import complex_step
 import numpy as np
 import pytest
-from mechanics_cases import random_batch, random_needle, random_rules, random_steps, random_tissue
+from mechanics_cases import NEEDLE, random_case
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import PreparedModel, make_batch, make_scene_record
 from needlefit.inference.parameters import Parameters
-from needlefit.mechanics import reference
-from needlefit.mechanics.batch import DERIVATIVE_KINDS, linearize_steps, simulate_batches
+from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.load import compute_loads
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate, simulate_steps
@@ -27,65 +24,13 @@ from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle
 from needlefit.viewer.steering import Change, apply_changes, find_changes
 
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[7, 13, 18])
 RULES = ModelOptions(advance="path_angle")
 
 
-def angled(steps) -> list[Step]:
-    return [replace(step, bevel=Bevel(0.0, step.bevel.side, step.bevel.offset)) for step in steps]
-
-
-def random_case(seed: int, **more):
-    rng = np.random.default_rng(seed)
-    rules = replace(random_rules(rng), advance="path_angle", **more)
-    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
-    lattice = Lattice(rng.uniform(0.05, 1.0) * rules.spacing, rules.spacing)
-    return needle, tissue, angled(random_steps(rng, 5, deepest=11.0)), rules, lattice
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_kernel_equals_reference_along_many_steps(seed: int) -> None:
-    case = random_case(seed)
-    fast, slow = simulate_steps(*case), reference.simulate_steps(*case)
-    assert fast.converged
-    for name in ("u", "slope", "constraints"):
-        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), atol=1e-7, err_msg=name)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_lanes_equal_single_needles(seed: int) -> None:
-    batch = random_batch(np.random.default_rng(seed), 3)
-    batch = replace(
-        batch, rules=replace(batch.rules, advance="path_angle"), steps=tuple(angled(batch.steps)),
-        offset=None, cut_angle=np.array([0.02, 0.1, 0.2]),
-    )  # fmt: skip
-    (shapes,) = simulate_batches([batch], threads=1)
-    for i in range(3):
-        alone = simulate_steps(*batch.pick(i))
-        assert alone.converged == shapes.converged[i]
-        np.testing.assert_array_equal(shapes.u[i], alone.u)
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 5])
-def test_jacobian_equals_complex_steps(seed: int) -> None:
-    needle, tissue, steps, rules, lattice = random_case(seed, tolerance=1e-9)
-    tissue = replace(tissue, mu=np.maximum(tissue.mu, 0.1))  # softer, rounding is larger than 1e-7
-    shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=DERIVATIVE_KINDS)
-    assert shape.converged and not found.u[:, found.names.index("offset")].any()
-    for p, name in enumerate(found.names):
-        _, u, _, points = complex_step.follow(needle, tissue, steps, rules, name, lattice)
-        largest = max(np.abs(u).max(), np.abs(points).max(), 1e-6)
-        tolerance = 1e-5 if name.startswith("alpha") else 1e-6
-        np.testing.assert_allclose(found.u[:, p], u, rtol=0, atol=tolerance * largest, err_msg=name)
-        np.testing.assert_allclose(
-            found.constraints[:, p], points, rtol=0, atol=tolerance * largest, err_msg=name
-        )
-
-
 @pytest.mark.parametrize("seed", range(20, 26))
 def test_a_session_is_the_batch_however_its_steps_are_divided(seed: int) -> None:
-    needle, tissue, steps, rules, lattice = random_case(seed)
+    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), "path_angle")
     whole = simulate_steps(needle, tissue, steps, rules, lattice)
     session = Session(needle, tissue, steps[0].bevel, lattice.first_cell, steps[0].controls, rules)
     for step in steps:

@@ -4,17 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mechanics_cases import random_needle, random_rules, random_steps, random_tissue
+from mechanics_cases import NEEDLE, random_needle, random_rules, random_steps, random_tissue
 
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 SOFT, STIFF = (Tissue(mu=[mu, 5.0], alpha=[1.0, -1.0], boundaries=[12.3]) for mu in (0.2, 2.0))
 LEFT, RIGHT = Bevel(0.08, 1), Bevel(0.08, -1)
 
