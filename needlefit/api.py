@@ -35,7 +35,7 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.job import Inputs, Settings, prepare, set_priors
 from needlefit.studies.kind import find_kind, kind_of
-from needlefit.studies.kinds.prediction.run import require_same_configuration
+from needlefit.studies.kinds.prediction import require_same_configuration
 from needlefit.studies.run import Run, restore_run
 from needlefit.studies.study_files import check_study, load_study
 from needlefit.studies.targets import load_target

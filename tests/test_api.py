@@ -20,7 +20,7 @@ from needlefit.project.load import load
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.kinds.prediction import run as prediction
+from needlefit.studies.kinds import prediction
 
 TUNE = {"insertions": ["chicken-04"]}
 RECIPE = {"starts": 1, "metric": False, "likelihood": {"depths": "fixed"}}

@@ -28,10 +28,16 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.prediction import run as prediction
-from needlefit.studies.kinds.prediction.forecast import forecast, make_scene, tabulate_forecast
-from needlefit.studies.kinds.prediction.report import find_tip, lay_out_forecast
-from needlefit.studies.kinds.prediction.run import draw_parameters, require_same_configuration
+from needlefit.studies.kinds import prediction
+from needlefit.studies.kinds.prediction import (
+    REPORT,
+    draw_parameters,
+    find_tip,
+    forecast,
+    make_scene,
+    require_same_configuration,
+    tabulate_forecast,
+)
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import list_run_warnings
@@ -263,7 +269,7 @@ def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
         target="phantom2", scene=load(find_file("scene", "study2"), SceneRecord), specimen="same"
     )
     found = find_kind("prediction").run("gel", record, Settings())
-    layout = lay_out_forecast(found)
+    layout = REPORT.lay_out(found)[0]
     assert "NOT CONVERGED" in layout.caption and "budget" in " ".join(layout.notes)
     tip = find_tip(found)
     assert tip["s_mm"] == SCENE.depth and "(budget)" in found.run["not_converged"][0]

@@ -291,8 +291,7 @@ def predict(
         from needlefit.project.toml_lines import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import load_medium
-        from needlefit.studies.kinds.prediction.forecast import make_scene
-        from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE
+        from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
         from needlefit.studies.targets import load_target
 
         scene_name, planned = options.scene_record(scene, depth, set_ or [])
@@ -317,7 +316,7 @@ def predict(
         )
     execution.show(found, {"scene": scene, "written": str(execution.folder(name))})
     if found.faults:
-        from needlefit.studies.kinds.prediction.report import describe_faults
+        from needlefit.studies.kinds.prediction import describe_faults
 
         screen.print_note(f"needlefit: {target_name}: {describe_faults(found)}")
         raise typer.Exit(exit_codes.NOT_CONVERGED)

@@ -1,0 +1,690 @@
+"""Predict a planned insertion from a fit: draws of its posterior, simulated in a scene.
+
+There are two bands. The *needle's* comes from the draws of the parameters, of a bevel for each insertion, and
+of the depths of layers and tip. The *measurement's* adds what a scan of it would err by: the errors that the
+dataset states of its points and of the entry pose. Neither includes model error. Draws that are not certified
+predict nothing: the median stays, marked, and the bands are left out.
+
+In a specimen that was not tuned on the parameters differ (`new_specimens`). What that adds stands beside the
+width that would be left in the specimen tuned on, and after one insertion into the new one.
+"""
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, split_boundary_sd
+from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.fit import Callbacks, keep_start, read_starts
+from needlefit.inference.forward_model import make_bevel, make_options
+from needlefit.inference.likelihood.nodes import enforce_order
+from needlefit.inference.likelihood.observation import pose_sds
+from needlefit.inference.optimize import minimize
+from needlefit.inference.predict import (
+    INTERVAL_PROBABILITIES,
+    Draws,
+    PredictiveMixture,
+    quantile,
+    rms_noise_scale,
+    thin_posterior,
+)
+from needlefit.inference.sampling.posterior import load
+from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.tissue import Tissue
+from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
+from needlefit.project.input_files import convert_stored_errors, is_file
+from needlefit.project.json_values import to_json_values
+from needlefit.project.random_streams import random_stream
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.run_file import read_run
+from needlefit.project.unit_warnings import scene_warnings
+from needlefit.reporting.figures import Drawing, Look, Panel
+from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, SPECIMEN_NAMES
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import to_records
+from needlefit.reporting.text import KindText
+from needlefit.schemas.analyses import TargetRecord
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.studies.csv_tables import TableSchema
+from needlefit.studies.held_out_predictions import draw_fold_parameters
+from needlefit.studies.interval_width import (
+    estimate_width_after_one,
+    find_adaptation,
+    measure_width,
+    warn_if_too_wide,
+)
+from needlefit.studies.job import Job, Settings
+from needlefit.studies.kind import StudyKind
+from needlefit.studies.new_specimens import NewSpecimens, describe_specimen, describe_spread
+from needlefit.studies.planned_draws import PlannedNeedles, vary_bevels
+from needlefit.studies.posterior_fit import PREDICTION_DRAWS
+from needlefit.studies.provenance import describe_configuration
+from needlefit.studies.report import StudyReport, report_from_text
+from needlefit.studies.run import Run, posterior_file_names
+from needlefit.studies.run_differences import (
+    MIN_SD_CHANGE,
+    MIN_SHIFT_SD,
+    ROUNDING_FRACTION,
+    Difference,
+    TableComparison,
+)
+from needlefit.studies.score import Row
+from needlefit.studies.targets import begin_run, prepare_target, target_name
+from needlefit.studies.verdict import Status, Verdict, headline_fault
+
+
+class PredictionRecord(TargetRecord):
+    """`kind = "prediction"`: the predicted needle of a planned insertion."""
+
+    kind: Literal["prediction"]
+    scene: SceneRecord
+    """The planned insertion: the keys of a scene."""
+    scene_name: str = "scene"
+    """Its name in tables and figures."""
+    posterior: str | None = None
+    """Folder of a sampled run of `target`; without it, a fit is made."""
+    specimen: Literal["new", "same"] | None = None
+    """Whether the insertion goes into a specimen that was not fitted ("new") or one that was ("same");
+    without it, a new one, with the spread between specimens unless `specimens` of the target leaves that
+    out."""
+
+
+KIND = StudyKind("prediction", PredictionRecord, __name__)
+"""What `needlefit predict` runs, or a study file."""
+
+
+FORECAST_POINTS = 101
+"""Points of a predicted needle, from entry to tip."""
+
+RIGIDITY_TOLERANCE = 0.02
+"""Relative difference of two needles' rigidity from which on they are two needles."""
+
+BANDS = ("needle", "measured")
+"""Where the needle is, and where it would be measured."""
+
+SPECIMEN_COLUMNS = (
+    *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "other_specimens"),
+    "tip_95_width_mm",
+)
+"""The first row is what is predicted, the others what would be left of its width."""
+
+
+FRAMES: Mapping[str, tuple[str, ...]] = {"specimens": SPECIMEN_COLUMNS}
+
+(POSTERIOR_FILE,) = posterior_file_names(1)
+
+
+# ---- the scene under the rules of the fit
+
+
+_REPLACED = re.compile(
+    r"(layers\.\d+\.(mu_pa|alpha|shape(\.\w+)?)|(bevel|steps\.\d+)\.(offset_mm|cut_angle_deg))$"
+)
+"""Keys of a scene whose values the draws replace."""
+
+_FITTED_RULES = ("advance", "constraint_spacing_mm", "constraint_switch", "tangent_part")
+"""Rules under which parameters mean what they do: those of a fit are of no use under others."""
+
+
+def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: Sequence[str] = ()) -> Scene:
+    """Return a planned insertion under the rules of the fit, with the lattice that the scene states.
+
+    Parameters
+    ----------
+    where : str
+        Named in errors.
+    changed : sequence of str
+        Dotted keys that the user changed in the scene.
+
+    Raises
+    ------
+    ConfigError
+        If the scene states what the fit does not have, or the user changed what the draws replace.
+    """
+    _require_fitted_rules(record, where, medium)
+    dropped = [key for key in changed if _REPLACED.match(key)]
+    for n, step in enumerate(record.steps, start=1):
+        given = (key for key in ("offset_mm", "cut_angle_deg") if getattr(step, key) is not None)
+        dropped += [f"steps.{n}.{key}" for key in given]
+    if dropped:
+        raise ConfigError(
+            f"{', '.join(f'`{key}`' for key in dict.fromkeys(dropped))} would have no effect: draws take "
+            "its place",
+            where=where,
+            expected="needle, depth, depths of layers, bevel side, controls",
+            fix="leave it out; `needlefit simulate` takes all values from the scene",
+        )
+    scene, options, stated = Scene.from_record(record, where), make_options(medium), record.rules
+    if "element_mm" in stated.model_fields_set:
+        options = replace(options, element=stated.element)
+    if "first_cell_mm" in stated.model_fields_set:
+        options = replace(options, first_cell=stated.first_cell_mm)
+    return replace(scene, rules=options)
+
+
+def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord) -> None:
+    """Raise ConfigError where a scene states another rule, law or thickness than the fit used."""
+    rules, layers = record.rules, list(enumerate(record.layers, start=1))
+    stated = [(f"rules.{key}", key, getattr(rules, key)) for key in rules.model_fields_set & {*_FITTED_RULES}]
+    stated += [("law", "law", record.law)] if "law" in record.model_fields_set else []
+    stated += [
+        (f"layers.{n}.thickness_mm", "thickness_mm", layer.thickness_mm)
+        for n, layer in layers
+        if "thickness_mm" in layer.model_fields_set
+    ]
+    for key, name, value in sorted(stated):
+        fitted = getattr(medium, name)
+        if value != fitted:
+            raise ConfigError(
+                f"`{key}` is {json.dumps(value)}, but the parameters were fitted with {json.dumps(fitted)}",
+                where=where,
+                expected=f"{json.dumps(fitted)}: fitted parameters hold for this value alone",
+                fix=f"leave `{key}` out, or fit a tissue model with `{name} = {json.dumps(value)}`",
+            )
+    for n, layer in layers:
+        if layer.friction:
+            raise ConfigError(
+                f"`layers.{n}.friction` is {layer.friction:g}, but the fit was made without friction",
+                where=where,
+                expected="0",
+                fix=f"leave `layers.{n}.friction` out",
+            )
+
+
+# ---- the needle for all draws
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """A predicted needle in the scene's constraint frame, with its uncertainty.
+
+    Attributes
+    ----------
+    s : (K,) array
+        Arc length from the entry, mm.
+    x : (K,) array
+        Depth of these points along the entry axis, median over draws, mm.
+    needle, measured : PredictiveMixture
+        Of y at each of them, mm: where the needle is, and where it would be measured.
+    failed : int
+        Draws of which the solve failed; they are left out.
+    outside : int
+        Draws whose needle is outside what the model assumes; they are kept.
+    specimens : tuple of Row
+        Rows of `SPECIMEN_COLUMNS`.
+    """
+
+    s: Floats
+    x: Floats
+    needle: PredictiveMixture
+    measured: PredictiveMixture
+    failed: int
+    outside: int
+    specimens: tuple[Row, ...]
+
+
+def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
+    """Return one row per station: s and x, then median and ends of the bands of y, all mm."""
+    columns = {"s_mm": forecast.s, "x_mm": forecast.x}
+    for name in BANDS:
+        mixture: PredictiveMixture = getattr(forecast, name)
+        columns[f"{name}_median_mm"] = _find_quantile(mixture, 0.5)
+        for level in INTERVAL_PROBABILITIES:
+            columns[f"{name}_{100 * level:.0f}_low_mm"] = _find_quantile(mixture, (1 - level) / 2)
+            columns[f"{name}_{100 * level:.0f}_high_mm"] = _find_quantile(mixture, (1 + level) / 2)
+    return pd.DataFrame(columns)
+
+
+def _find_quantile(mixture: PredictiveMixture, p: float) -> Floats:
+    """Return the quantiles (K,) of probability `p`, mm."""
+    if mixture.sd.any():
+        return quantile(mixture, p)
+    # the CDF of draws without errors is a step function: between two draws its inverse is not unique, and
+    # in the sparse tail of a skewed posterior an arbitrary value there can lie outside the measured band
+    found: Floats = np.quantile(mixture.means, p, axis=0)
+    return found
+
+
+def forecast(
+    scene: Scene, draws: Draws, job: Job, new: NewSpecimens | None = None, otherwise: str = "same"
+) -> Forecast:
+    """Predict the needle of a planned insertion.
+
+    The scene says needle, depth, layers' places, bevel side and controls, under the rules of the fit
+    (`make_scene`); its moduli and bevel offset are replaced by the draws': layer n of the scene is layer n of
+    the medium. With each draw a bevel of this insertion and the depths of layers and tip are drawn too, as
+    they err in a typical insertion of the dataset. With `new` the insertion goes into a specimen that is not
+    in the dataset; without, `otherwise` is what its specimen is called.
+
+    Raises
+    ------
+    ConfigError
+        If the scene has more layers than the medium, or another needle than the dataset.
+    ModelError
+        If no draw can be solved.
+    """
+    _check(scene, job.medium, job.dataset)
+    rng = random_stream(job.recipe.seed, job.name, "forecast")
+    s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
+    thetas = draws.thetas if new is None else new.move(draws.thetas, None, rng)
+    found = _simulate_draws(scene, thetas, job, s, rng)
+    points = found.points[found.solved]  # (B, K, 2)
+    if not len(points):
+        raise ModelError(
+            f"none of {len(thetas)} draws of the parameters can be solved for this scene",
+            expected="an insertion that the model can follow",
+            fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
+        )
+    sd = _measurement_sd(
+        s, job.dataset, rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
+    )
+    tips = found.points[:, -1, 1]
+    rows = [describe_specimen(new, None, otherwise) | {"tip_95_width_mm": measure_width(tips)}]
+    if new is not None:
+        again, same = (
+            _simulate_draws(scene, some, job, s, rng).points[:, -1, 1] for some in (thetas, draws.thetas)
+        )
+        known = tips + sd[-1] * rng.standard_normal(len(tips))
+        left = {"one insertion": estimate_width_after_one(again, known), "same": measure_width(same)}
+        rows += [
+            describe_specimen(None, None, name) | {"tip_95_width_mm": width} for name, width in left.items()
+        ]
+    return Forecast(
+        s=s,
+        x=np.median(points[:, :, 0], axis=0),
+        needle=PredictiveMixture(points[:, :, 1], np.zeros(len(s))),
+        measured=PredictiveMixture(points[:, :, 1], sd),
+        failed=len(thetas) - len(points),
+        outside=int(np.sum(~found.valid[found.solved])),
+        specimens=tuple(rows),
+    )
+
+
+def _simulate_draws(
+    scene: Scene, thetas: Floats, job: Job, s: Floats, rng: np.random.Generator
+) -> PlannedNeedles:
+    """Return the needles of parameters (B, P) at arc lengths `s` (K,), each of its own bevel and depths."""
+    new_bevel_sd = job.problem(job.folds[0]).new_bevel_sd
+    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], new_bevel_sd, rng)
+    typical = [(one.depth_sd, np.hypot(*split_boundary_sd(one))) for one in job.dataset.insertions]
+    entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
+    deep = entry_sd * rng.standard_normal(len(sets))
+    wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
+    points, valid = np.full((len(sets), len(s), 2), np.nan), np.zeros(len(sets), dtype=np.bool_)
+    layers, medium = range(1, scene.tissue.layers + 1), job.medium
+    for n, values in enumerate(sets):
+        tissue = Tissue(
+            np.array([values[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
+            [[values[name] for name in row] for row in LAWS[medium.law].name_shape(layers)],
+            enforce_order(scene.tissue.boundaries + float(deep[n]) + wrong[n]),
+            np.array([medium.thickness_mm]),
+            law=medium.law,
+        )
+        steps = []
+        for step in scene.steps:
+            bevel = make_bevel(values, medium, step.bevel.side)
+            steps.append(replace(step, depth=step.depth + float(deep[n]), bevel=bevel))
+        shape = simulate_steps(scene.needle, tissue, tuple(steps), scene.rules)
+        if shape.converged:
+            points[n], valid[n] = compute_positions(shape, s + deep[n]), shape.valid
+    return PlannedNeedles(points, valid)
+
+
+def _measurement_sd(s: Floats, dataset: Dataset, scale: float) -> Floats:
+    """Return the deviation (K,) of a measured y about the needle's, mm; of a typical insertion.
+
+    The scale of the noise is none of the pose.
+    """
+    noise = dataset.noise
+    pose = np.array([pose_sds(one, noise) for one in dataset.insertions])  # (N, 3)
+    shift, angle, _ = np.sqrt(np.mean(pose**2, axis=0))  # a shift along hardly moves y
+    stated = [
+        noise.correlated_sd**2 if one.sd is None else float(np.mean(one.sd**2)) for one in dataset.insertions
+    ]
+    points = noise.point_sd**2 + np.mean(stated)
+    total: Floats = np.sqrt(scale**2 * points + shift**2 + (angle * s) ** 2)
+    return total
+
+
+def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
+    if scene.tissue.layers > medium.layers:
+        raise ConfigError(
+            f"the scene has {scene.tissue.layers} layers, the fitted medium {medium.layers}",
+            expected="at most as many: layer n of the scene is layer n of the medium",
+            fix="name a scene of the fitted medium, or fit a medium with more layers",
+        )
+    ours, fitted = scene.needle.flexural_rigidity, dataset.needle.flexural_rigidity
+    if abs(ours - fitted) > RIGIDITY_TOLERANCE * fitted:
+        raise ConfigError(
+            f"the scene's needle has a flexural rigidity of {ours:.4g} N mm^2, the fitted one {fitted:.4g}",
+            expected="the needle that the parameters were fitted with: mu and b depend on it",
+            fix="correct [needle] of the scene",
+        )
+
+
+# ---- draws of the parameters
+
+
+def draw_parameters(
+    job: Job, run: Path | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT
+) -> Draws | None:
+    """Return draws of the posterior stored in the folder `run`, or, if there is none, about a new fit.
+
+    Returns
+    -------
+    Draws or None
+        None after a stop.
+
+    Raises
+    ------
+    ConfigError
+        If the posterior is of other data or another configuration, or the folder holds none.
+    """
+    if settings.inputs.posterior is not None:
+        return thin_posterior(settings.inputs.posterior, job.parameters, PREDICTION_DRAWS)
+    if run is not None:
+        return _draw_from_run(job, run)
+    (fold,) = job.folds
+    rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
+    callbacks = Callbacks(
+        read_starts(checkpoint, "fitted"),
+        partial(keep_start, checkpoint, "fitted"),
+        settings.stop,
+        jobs=settings.jobs,
+        pool=settings.part_pool,
+    )
+    fit = minimize(job.problem(fold), job.recipe, rng, callbacks)
+    if fit.interrupted:
+        return None
+    found, _ = draw_fold_parameters(job, fold, fit, None, settings)
+    if settings.stop():
+        return None
+    return replace(found, faults=(*((fit.fault,) if fit.fault else ()), *found.faults))
+
+
+def _draw_from_run(job: Job, run: Path) -> Draws:
+    if not is_file(run / POSTERIOR_FILE):
+        raise ConfigError(
+            f"holds no {POSTERIOR_FILE}",
+            where=str(run),
+            expected="the folder of a run of one fold that was sampled",
+            fix="sample it (`needlefit tune TARGET --sample`), or leave --run out",
+        )
+    require_same_configuration(job, read_run(run), str(run))
+    with convert_stored_errors(run / POSTERIOR_FILE):
+        return thin_posterior(load(run / POSTERIOR_FILE), job.parameters, PREDICTION_DRAWS)
+
+
+def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str) -> None:
+    """Raise ConfigError if what a run recorded is of other data or another configuration than `job`."""
+    ours = describe_configuration(job)
+    pairs = {key: (recorded.get(key), ours[key]) for key in ("dataset", "medium", "folds")}
+    recipe = recorded.get("recipe")
+    theirs = recipe.get("likelihood") if isinstance(recipe, dict) else None
+    pairs["likelihood"] = (theirs, job.recipe.likelihood.model_dump(mode="json"))
+    for key, (found, wanted) in pairs.items():
+        if found != to_json_values(wanted):
+            raise ConfigError(
+                f"its posterior is of another {key}",
+                where=where,
+                expected=f"the {key} that {job.name} names now",
+                fix="sample again (`needlefit tune TARGET --sample`), or name the right one with --run",
+            )
+
+
+# ---- the run
+
+
+def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
+    """Predict the planned insertion of a record.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong, or its posterior is of something else.
+    ModelError
+        If no draw can be solved.
+    """
+    job = prepare_target(record, target_name(record, settings), settings)
+    scene = make_scene(record.scene, record.scene_name, job.medium)
+    scene_name = record.scene_name.rpartition("/")[2]
+    title = record.scene.title or scene_name
+    about = begin_run(name, record, job, f"Prediction: {title}")
+    folder = None if record.posterior is None else Path(record.posterior)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.run, settings.note)
+    draws = draw_parameters(job, folder, settings, checkpoint)
+    if draws is None:
+        return replace(about, interrupted=True)
+    (fold,) = job.folds
+    known = record.specimen or ("new" if job.record.specimens == "others" else "training only")
+    new = NewSpecimens(job, fold, draws.thetas.mean(axis=0)) if known == "new" else None
+    found = forecast(scene, draws, job, new, known)
+    frames = _make_frames(found, title, certified=not draws.faults)
+    warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name), *outside_warnings(found)]
+    warned += warn_of_width(frames, find_adaptation(about.run["fit"]["dataset"], about.run["fit"]["medium"]))
+    stored: Any = about.record
+    named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
+    return replace(
+        about,
+        record=stored.model_copy(update=named),
+        frames=frames,
+        run={
+            **about.run,
+            "study": about.run["study"] | named,
+            "draw_source": draws.source,
+            "pareto_k": draws.pareto_k,
+            "ess": draws.effective_sample_size,
+            "draws": len(found.needle.means),
+            "failed_solves": found.failed,
+            "outside_validity": found.outside,
+            "not_converged": list(draws.faults),
+            **warnings_entry(warned),
+        },
+        faults=draws.faults,
+    )
+
+
+def _make_frames(found: Forecast, title: str, certified: bool) -> dict[str, pd.DataFrame]:
+    """Return the tables of a run; the intervals of draws that are not certified are left out."""
+    needle = tabulate_forecast(found)
+    specimens = pd.DataFrame(found.specimens, columns=list(FRAMES["specimens"]))
+    if not certified:
+        needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
+        specimens["tip_95_width_mm"] = np.nan
+    return {"forecast": needle.assign(scene=title, converged=certified), "specimens": specimens}
+
+
+def outside_warnings(forecast: Forecast) -> Iterator[ResultWarning]:
+    """Yield a warning where draws give needles outside the model's range of validity."""
+    if forecast.outside:
+        yield ResultWarning(
+            "validity",
+            f"{forecast.outside} of {len(forecast.needle.means)} predicted needles are outside what the "
+            "model assumes (slopes, shortening, compression, rounding)",
+            fix="read the bands with care; `needlefit simulate` of the scene names what is exceeded",
+        )
+
+
+def warn_of_width(frames: Mapping[str, pd.DataFrame], adaptation: str) -> Iterator[ResultWarning]:
+    """Yield that the tip's interval is too wide for aiming, with what one insertion would gain.
+
+    `adaptation` is the name of a study that measures it, or empty.
+    """
+    widths = frames["specimens"].set_index("specimen_treatment")["tip_95_width_mm"].dropna()
+    fix = ""
+    if "one insertion" in widths:
+        study = f" (`needlefit validate {adaptation}`)" if adaptation else ""
+        fix = (
+            f"one measured insertion into this specimen would narrow it to {widths['one insertion']:.2g} mm "
+            f"if the model is right there; a study of kind adaptation{study} measures the gain"
+        )
+    if len(widths):
+        deflection = abs(float(frames["forecast"]["needle_median_mm"].iloc[-1]))
+        yield from warn_if_too_wide(float(widths.iloc[0]), deflection, fix=fix)
+
+
+# ---- the report
+
+TEXT = KindText("prediction")
+_KNOWN_KEYS = ("s_mm", "needle_median_mm", "needle_95_low_mm", "needle_95_high_mm")
+
+
+def describe(found: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    study, specimens = found.run["study"], to_records(found.frames["specimens"])
+    rows = {str(row["specimen_treatment"]): row for row in specimens}
+    faults = ", ".join(dict.fromkeys(map(headline_fault, found.faults)))
+    return {
+        **{key: found.run[key] for key in ("draws", "draw_source", "failed_solves")},
+        **{key: value for key, value in find_tip(found).items() if key in _KNOWN_KEYS},
+        "title": study["scene"]["title"] or study["scene_name"],
+        "faults": f"{faults}: {'; '.join(found.faults)}" if faults else "",
+        "fault_heads": faults,
+        "synthetic": found.synthetic,
+        "specimen": "others" if "others" in rows else next(iter(rows)),
+        "spread": describe_spread(rows["others"]) if "others" in rows else "",
+        "widths": {name: row["tip_95_width_mm"] for name, row in rows.items()},
+    }
+
+
+def find_tip(found: Run) -> Row:
+    """Return the tip's row, mm; None for the ends of bands that were left out."""
+    return to_records(found.frames["forecast"].drop(columns=["scene", "converged"]))[-1]
+
+
+def describe_faults(found: Run) -> str:
+    """Return why a prediction has no intervals; empty if it has them."""
+    return str(describe(found)["faults"])
+
+
+def judge(found: Run) -> list[Verdict]:
+    """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
+    row, sentence = find_tip(found), TEXT.sentence("answer", describe(found))
+    status: Status = "fail" if found.faults else "none"
+    return [Verdict(sentence, status, "", {key: row[key] for key in _KNOWN_KEYS[: 1 if found.faults else 4]})]
+
+
+def tabulate(found: Run) -> list[Table]:
+    """Return the tip's table, and that of the specimen."""
+    row = find_tip(found)
+    rows = [
+        {"tip_y": words} | {key.removeprefix(f"{name}_"): value for key, value in row.items()}
+        for name, words in zip(BANDS, ("needle", "measurement of the needle"), strict=True)
+    ]
+    columns = ("tip_y", "median_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES))
+    treatments = {
+        "others": SPECIMEN_NAMES["others"],
+        "one insertion": SPECIMEN_NAMES["one insertion"],
+        "same": "tuned specimen",
+        "training only": "new specimen, without the spread between specimens, as the target states",
+    }
+    specimens = [
+        one | {"specimen_treatment": treatments[str(one["specimen_treatment"])]}
+        for one in to_records(found.frames["specimens"])
+    ]
+    return [
+        Table("forecast", "", rows, columns),
+        Table("specimens", "", specimens, ("specimen_treatment", "tip_95_width_mm")),
+    ]
+
+
+def draw(found: Run) -> dict[str, Drawing]:
+    """Return median, 50 and 95 % bands of the needle, and the 95 % band of its measurement, mm."""
+    facts, colour = describe(found), METHOD_COLOURS["fitted"]
+    title = f"{facts['title']} ({facts['fault_heads']})" if found.faults else facts["title"]
+    table = found.frames["forecast"].assign(origin=found.origin, scene=title)
+    names = {
+        "measured_95": Look("95 % of measurements", GREY),
+        "needle_95": Look("95 % of needles", colour),
+        "needle_50": Look("50 % of needles", "#004B7A"),
+        "median": Look("median", INK, marker="", width=1.3),
+    }
+    if found.faults:  # whose bands are left out
+        names = {"median": names["median"]}
+    options = {
+        **{
+            "x": "x_mm",
+            "by": "band",
+            "looks": names,
+            "x_label": "x along the entry (mm)",
+            "size": (7.16, 2.6),
+        },
+        "panels": (Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm", zero=True),),
+    }
+    return {"forecast": Drawing("curves", table, options, _list_bands)}
+
+
+def _list_bands(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each band and point, and for the median."""
+    parts = [table.assign(band="median", median_mm=table["needle_median_mm"], low_mm=np.nan, high_mm=np.nan)]
+    for band in ("measured_95", "needle_95", "needle_50"):
+        ends = {f"{end}_mm": table[f"{band}_{end}_mm"] for end in ("low", "high")}
+        parts.append(table.assign(band=band, median_mm=np.nan, **ends))
+    return pd.concat(parts, ignore_index=True)
+
+
+_BASIS_KEYS = (
+    *("draw_source", "pareto_k", "ess", "draws", "failed_solves"),
+    *("outside_validity", "not_converged"),
+)
+
+
+def forecast_to_json(found: Run) -> dict[str, Any]:
+    """Return the tip's row and the basis of the prediction, as JSON values."""
+    named = {"target": found.run["name"], "scene": found.run["study"]["scene_name"]}
+    specimens = to_records(found.frames["specimens"])
+    basis = {key: found.run.get(key) for key in _BASIS_KEYS}
+    return {**named, "tip": find_tip(found), "specimens": specimens, **basis}
+
+
+NORMAL_95_WIDTH_SD = 2 * 1.959963984540054
+"""Width of the central 95 % of a normal distribution, in standard deviations."""
+
+
+def _compare_forecasts(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
+    """Yield how the tip predicted moved, in standard deviations of where the needle is, and its band."""
+    bands = (frame[(frame["quantity"] == "needle") & (frame["level"] == 0.95)] for frame in (before, after))
+    tips = [band.iloc[-1] for band in bands]
+    medians = [float(one["median_mm"]) for one in tips]
+    widths = [float(one["high_mm"] - one["low_mm"]) for one in tips]
+    sd = max(widths) / NORMAL_95_WIDTH_SD
+    if medians[0] != medians[1] and sd > 0:
+        shift = abs(medians[1] - medians[0]) / sd
+        why = f"{shift:.2g} of its standard deviation"
+        rounding = shift < ROUNDING_FRACTION * MIN_SHIFT_SD
+        yield Difference(
+            "error", "tip, median (mm)", medians[0], medians[1], shift > MIN_SHIFT_SD, why, rounding
+        )
+    if widths[0] != widths[1] and all(width > 0 for width in widths):
+        factor = abs(math.log(widths[1] / widths[0]))
+        why = f"{widths[1] / widths[0]:.3g} times as wide"
+        rounding = factor < ROUNDING_FRACTION * MIN_SD_CHANGE
+        yield Difference(
+            "error", "tip, width of 95 % (mm)", widths[0], widths[1], factor > MIN_SD_CHANGE, why, rounding
+        )
+
+
+_FORECAST = TableSchema(texts=("quantity",), numbers=("level", "median_mm", "low_mm", "high_mm"))
+REPORT: StudyReport = report_from_text(
+    TEXT,
+    describe,
+    tabulate,
+    draw,
+    to_json=forecast_to_json,
+    judge=judge,
+    explain=lambda found: (REPORT.lay_out(found), []),  # the verdict and the notes hold the summary
+    comparisons={"forecast": TableComparison(_FORECAST, _compare_forecasts)},
+)
