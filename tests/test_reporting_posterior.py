@@ -12,10 +12,8 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting import labels
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.kinds.cross_validation.facts import say
-from needlefit.studies.kinds.cross_validation.posterior import (
-    lay_out_posterior,
-    tabulate_percentiles,
-)
+from needlefit.studies.kinds.cross_validation.posterior import tabulate_percentiles
+from needlefit.studies.kinds.cross_validation.tables import lay_out_posterior
 from needlefit.studies.report import compose_run_report
 from needlefit.studies.run import Run
 

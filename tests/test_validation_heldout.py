@@ -31,7 +31,7 @@ from needlefit.studies.held_out_predictions import (
 )
 from needlefit.studies.interval_width import estimate_width_after_one
 from needlefit.studies.job import Settings, prepare, with_one_bevel
-from needlefit.studies.kinds.cross_validation.score_tables import lay_out_coverage
+from needlefit.studies.kinds.cross_validation.tables import lay_out_coverage
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.planned_draws import draw_conditions, simulate_planned
 

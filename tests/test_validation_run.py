@@ -27,8 +27,8 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.folds import make_folds
 from needlefit.studies.kinds.cross_validation.facts import say
-from needlefit.studies.kinds.cross_validation.parameter_table import arrange_parameters, tabulate_parameters
 from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.kinds.cross_validation.tables import arrange_parameters, tabulate_parameters
 from needlefit.studies.report import write_run
 from needlefit.studies.run import Run
 

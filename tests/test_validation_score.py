@@ -19,8 +19,8 @@ from needlefit.inference.forward_model import predict
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.reporting.number_format import format_number
 from needlefit.studies.folds import make_folds
-from needlefit.studies.kinds.cross_validation.parameter_table import arrange_parameters, tabulate_parameters
 from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.kinds.cross_validation.tables import arrange_parameters, tabulate_parameters
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 

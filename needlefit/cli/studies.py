@@ -232,7 +232,7 @@ def validate(
 
 def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") -> None:
     from needlefit.studies.combined_report import write_combined
-    from needlefit.studies.kinds.cross_validation.score_tables import lay_out_tuning
+    from needlefit.studies.kinds.cross_validation.tables import lay_out_tuning
 
     folder = execution.folder(study)
     write_combined(runs, folder)

@@ -13,7 +13,7 @@ from needlefit.reporting.text import KindText
 from needlefit.studies import paper
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.cross_validation import detail_tables, score_tables
+from needlefit.studies.kinds.cross_validation import tables as fit_tables
 from needlefit.studies.kinds.cross_validation.facts import TEXT as FIT_TEXT
 from needlefit.studies.kinds.cross_validation.report import (
     draw_error_figures,
@@ -21,6 +21,7 @@ from needlefit.studies.kinds.cross_validation.report import (
     lay_out_files,
     tuning_tables,
 )
+from needlefit.studies.kinds.cross_validation.verdict import judge
 from needlefit.studies.report import (
     compose_warnings,
     label_figures,
@@ -95,11 +96,11 @@ def compose_overview(
     fits = list({one.name: one for one in (*results, *tunings)}.values())
     predicted = [one for one in results if len(one.frames["predictive"])]
     tables = [
-        *(score_tables.lay_out_matrix(results), score_tables.lay_out_summary(results)),
-        *(detail_tables.lay_out_free_parameters(fits), score_tables.lay_out_design(results)),
-        detail_tables.lay_out_contradictions(paper.find_contradictions()),
+        *(fit_tables.lay_out_matrix(results, judge), fit_tables.lay_out_summary(results)),
+        *(fit_tables.lay_out_free_parameters(fits), fit_tables.lay_out_design(results)),
+        fit_tables.lay_out_contradictions(paper.find_contradictions()),
         *tuning_tables(tunings),
-        *([score_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
+        *([fit_tables.lay_out_coverage(*predicted, named=True)] if predicted else []),
     ]
     values = {
         "groups": [group for one in results for group in _list_groups(one)],

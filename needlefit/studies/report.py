@@ -415,6 +415,7 @@ _OMITTED_RUN_KEYS = (
     "folds",
     "searches",
     "hand_tuned",
+    "truth",
     WARNINGS_KEY,
     VALIDITY_KEY,
 )

@@ -184,10 +184,10 @@ class KindText:
                 cited += [key for _, keys in parts for key in keys]
         return "\n".join(lines), list(dict.fromkeys(cited))
 
-    def lay_out(self, table: Table, values: Mapping[str, Any]) -> TableLayout:
+    def lay_out(self, table: Table, values: Mapping[str, Any], drop_empty: bool = False) -> TableLayout:
         """Return a table with caption and notes from the block `table_<name>`, if there is one."""
         head, *notes = self.sentences(f"table_{table.name}", values) or [table.caption]
-        return replace(table.lay_out(), caption=head, notes=(*notes, *table.notes))
+        return replace(table.lay_out(drop_empty), caption=head, notes=(*notes, *table.notes))
 
     def compose(
         self,

@@ -21,7 +21,7 @@ from needlefit.studies.kinds.credibility.case import (
     find_figure,
     make_finding,
 )
-from needlefit.studies.kinds.cross_validation.score_tables import (
+from needlefit.studies.kinds.cross_validation.tables import (
     lay_out_coverage,
     lay_out_validation,
 )

@@ -19,16 +19,16 @@ from needlefit.schemas.medium import ParameterRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import list_coverages, median_error, median_width
 from needlefit.studies.identification_tables import describe_verdicts
-from needlefit.studies.kinds.cross_validation.parameter_table import (
-    find_conditional,
-    find_fixed,
-    find_undetermined,
-)
 from needlefit.studies.kinds.cross_validation.posterior import (
     is_ridge,
     list_free_parameters,
     principal_axes,
     tabulate_percentiles,
+)
+from needlefit.studies.kinds.cross_validation.tables import (
+    find_conditional,
+    find_fixed,
+    find_undetermined,
 )
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (

@@ -15,15 +15,7 @@ from needlefit.arrays import Floats
 from needlefit.inference.identifiability.precision import Direction, principal_directions
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
-from needlefit.reporting.number_format import choose_printed_unit
-from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.reporting.table_layout import TableLayout
-from needlefit.studies.kinds.cross_validation.parameter_table import (
-    CONDITIONAL,
-    NOT_DETERMINED,
-    is_conditional,
-)
 from needlefit.studies.run import Run
 
 
@@ -47,44 +39,6 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
     heads += ("fit_in_central_95",)
     heads += ("r_hat", "ess_bulk", "ess_tail", "acceptance", "converged", "origin")
     return pd.DataFrame([{**row, "origin": results.origin} for row in rows], columns=heads)
-
-
-def lay_out_posterior(results: Run) -> TableLayout:
-    """Return the percentiles beside the fitted value."""
-    table = to_records(tabulate_percentiles(results))
-    fitted = {(str(row["fold"]), str(row["parameter"])): row for row in _fitted_rows(results)}
-    several = len(results.posteriors) > 1
-    rows = [
-        {
-            **_scale_percentiles(row),
-            **_mark_fit(row, fitted),
-            "fold": row["fold"] if several else "",
-            "state": "" if row["converged"] else "NOT CONVERGED",
-        }
-        for row in table
-    ]
-    columns = ("fold", "parameter", *map(_percentile_column, PERCENTILES), "fit_value", "r_hat", "state")
-    marked = any(row["mark"] for row in rows)
-    notes = ("‡ outside the central 95 % of the draws.",) if marked else ()
-    caption = "Posterior: percentiles of the draws, and the fitted value."
-    unconverged = any(posterior.faults for posterior in results.posteriors.values())
-    caption += " NOT CONVERGED: they are not final." if unconverged else ""
-    return Table("posterior", caption, rows, columns, notes=notes).lay_out(drop_empty=True)
-
-
-def _scale_percentiles(row: Row) -> Row:
-    """Return a row with its label and values in the unit in which they are printed."""
-    columns = [*map(_percentile_column, PERCENTILES), "fit_value_used"]
-    label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in columns[:-1]])
-    scaled = {name: None if row[name] is None else row[name] / unit for name in columns}
-    return {**row, **scaled, "parameter": label}
-
-
-def _mark_fit(row: Row, fitted: Mapping[tuple[str, str], Row]) -> Row:
-    if row["determined"] is False:
-        conditional = is_conditional(fitted[str(row["fold"]), str(row["parameter"])])
-        return {"fit_value_used": CONDITIONAL if conditional else NOT_DETERMINED, "mark": ""}
-    return {"mark": "‡" if row["fit_in_central_95"] is False else ""}
 
 
 def _fitted_rows(results: Run) -> list[Row]:

@@ -22,22 +22,22 @@ from needlefit.studies.identification_tables import (
     lay_out_identification,
     tabulate_identification,
 )
-from needlefit.studies.kinds.cross_validation import detail_tables, figures, score_tables
+from needlefit.studies.kinds.cross_validation import figures, tables
 from needlefit.studies.kinds.cross_validation.differences import COMPARISONS
 from needlefit.studies.kinds.cross_validation.explorer import collect_explorer
 from needlefit.studies.kinds.cross_validation.facts import TEXT, Facts, find_scored_role, list_sentences, say
-from needlefit.studies.kinds.cross_validation.parameter_table import (
-    NOT_DETERMINED,
-    arrange_parameters,
-    is_conditional,
-    tabulate_parameters,
-)
 from needlefit.studies.kinds.cross_validation.posterior import (
-    lay_out_posterior,
     list_free_parameters,
     tabulate_percentiles,
 )
-from needlefit.studies.kinds.cross_validation.score_tables import lay_out_coverage
+from needlefit.studies.kinds.cross_validation.tables import (
+    NOT_DETERMINED,
+    arrange_parameters,
+    is_conditional,
+    lay_out_coverage,
+    lay_out_posterior,
+    tabulate_parameters,
+)
 from needlefit.studies.kinds.cross_validation.verdict import judge
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
@@ -68,9 +68,9 @@ def summarize(results: Run) -> list[str]:
 
 def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
     """Return all tables, and sentences on the search, on what failed and on what the data determine."""
-    tables = [*lay_out_tables(results), detail_tables.lay_out_baselines([results], find_scored_role(results))]
-    tables += [lay_out_coverage(results)] if len(results.frames["predictive"]) else []
-    tables += [lay_out_posterior(results)] if results.posteriors else []
+    shown = [*lay_out_tables(results), tables.lay_out_baselines([results], find_scored_role(results))]
+    shown += [lay_out_coverage(results)] if len(results.frames["predictive"]) else []
+    shown += [lay_out_posterior(results)] if results.posteriors else []
     held_out = bool(list_held_out_groups(results))
     errors = ["groups" if held_out else "fit", "conclusion"]
     errors += ["better_others", "ties"] if held_out else ["paper_sets"]
@@ -81,7 +81,7 @@ def explain(results: Run) -> tuple[list[TableLayout], list[str]]:
         *map(insert_symbols, _name_folds(_list_verdicts(results))),
         *list_sentences(results, "failures", "validity", "unconverged", "outside_fits"),
     ]
-    return tables, sentences
+    return shown, sentences
 
 
 def _name_folds(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
@@ -157,30 +157,30 @@ def lay_out_files(
     """Yield the paper's tables with our rows beside its rows: name, rows, and the tables to print."""
     every = list({one.name: one for one in (*studies, *tunings)}.values())
     validation = tabulate_validation(*studies, with_alternate=True)
-    yield "validation", validation, [score_tables.lay_out_validation(studies)]
-    by = [score_tables.lay_out_tuning(tunings, grouping) for grouping in (BY_LAYERS, BY_MEDIA)]
+    yield "validation", validation, [tables.lay_out_validation(studies)]
+    by = [tables.lay_out_tuning(tunings, grouping) for grouping in (BY_LAYERS, BY_MEDIA)]
     yield "tuning", tabulate_tuning(*tunings, with_alternate=True), by
-    yield "parameters", tabulate_parameters(*every), [detail_tables.lay_out_parameters(every)]
+    yield "parameters", tabulate_parameters(*every), [tables.lay_out_parameters(every)]
 
 
 def _list_tables(results: Run) -> Iterator[TableLayout]:
     """Yield every table that a run's report prints."""
     role = find_scored_role(results)
-    baselines = detail_tables.lay_out_baselines([results], role)
-    yield score_tables.lay_out_design([results])
-    yield score_tables.lay_out_validation([results])
-    yield from (score_tables.lay_out_tuning([results], grouping) for grouping in (BY_LAYERS, BY_MEDIA))
+    baselines = tables.lay_out_baselines([results], role)
+    yield tables.lay_out_design([results])
+    yield tables.lay_out_validation([results])
+    yield from (tables.lay_out_tuning([results], grouping) for grouping in (BY_LAYERS, BY_MEDIA))
     if len(results.frames["predictive"]):
         yield lay_out_coverage(results)
     if len(baselines.rows) > 1:
         yield baselines
-    yield detail_tables.lay_out_parameters([results])
-    yield detail_tables.lay_out_directions(results)
+    yield tables.lay_out_parameters([results])
+    yield tables.lay_out_directions(results)
     if len(results.frames["identification"]):
         yield lay_out_identification(results.frames["identification"])
     if results.posteriors:
         yield lay_out_posterior(results)
-    yield detail_tables.lay_out_insertions(results, role)
+    yield tables.lay_out_insertions(results, role)
 
 
 # ---- files
@@ -262,7 +262,7 @@ def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
         where = f"-{row['fold']}" if several else ""
         key = f"{results.name}{where}-{name}"
         label, scale = choose_interval_unit(row, row["value_used"])
-        yield key, detail_tables.format_in_unit(row["fitted"], scale)
+        yield key, tables.format_in_unit(row["fitted"], scale)
         if unit := label.partition(" (")[2].rstrip(")"):
             yield f"{key}-unit", unit
         if interval := typeset_interval(row, scale):
@@ -311,11 +311,11 @@ def compose_sections(results: Run, paths: FigurePaths) -> list[Block]:
     """Return the report below its verdicts: evidence, schematic and errors in short; then errors and
     coverage, parameters, insertions, methods; diagnostics last.
     """
-    tables = [*_list_tables(results), score_tables.lay_out_summary([results])]
-    tables.append(score_tables.lay_out_all_errors(results))
+    shown = [*_list_tables(results), tables.lay_out_summary([results])]
+    shown.append(tables.lay_out_all_errors(results))
     methods = list_sentences(results, "methods") if Facts(results).has_methods else []
     paragraph = {"methods": [document.text(" ".join(methods))]}
-    return TEXT.compose("report", {"facts": Facts(results)}, tables, paths, paragraph)
+    return TEXT.compose("report", {"facts": Facts(results)}, shown, paths, paragraph)
 
 
 def tuning_tables(results: Sequence[Run]) -> list[TableLayout]:
@@ -323,7 +323,7 @@ def tuning_tables(results: Sequence[Run]) -> list[TableLayout]:
     groups = list_groups(tabulate_tuning(*results))
     printed = any(group.head["grouping"] == BY_MEDIA and group.printed for group in groups)
     groupings = (BY_LAYERS, BY_MEDIA) if printed else (BY_LAYERS,)
-    return [score_tables.lay_out_tuning(results, by) for by in groupings if groups]
+    return [tables.lay_out_tuning(results, by) for by in groupings if groups]
 
 
 REPORT = StudyReport(
@@ -339,8 +339,8 @@ REPORT = StudyReport(
     judge=judge,
     explore=collect_explorer,
     lay_out_first=lambda results: [
-        score_tables.lay_out_summary([results]),
-        detail_tables.lay_out_values(results),
+        tables.lay_out_summary([results]),
+        tables.lay_out_values(results),
     ],
     explain=explain,
     say=say,

@@ -1,6 +1,7 @@
 """Run a study or a fit: fit to some insertions, score on others, each fold by every method."""
 
 import math
+import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import Snapshots, sample
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
+from needlefit.project.input_files import read_toml
 from needlefit.project.processes import one_thread
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.study import FitRecord, StudyRecord
@@ -40,6 +42,7 @@ from needlefit.studies.kinds.cross_validation.result_rows import (
 from needlefit.studies.needles_in_scan import FoldFit, NeedleInScan, place_needles, tabulate_needles
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer
+from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.summary import tabulate_design
 
 __all__ = ["FRAMES", "Settings", "run"]
@@ -103,7 +106,10 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             "needles": tabulate_needles(needles.values()),
         },
         posteriors=tables.posteriors,
-        run={**work, "layers": _list_layers(job), **provenance.summarize_searches(tables, interrupted)},
+        run=work
+        | {"layers": _list_layers(job)}
+        | _find_truth(job)
+        | provenance.summarize_searches(tables, interrupted),
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
         interrupted=interrupted,
     )
@@ -112,6 +118,21 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     faults = find_faults(found.frames["errors"], tables.search_faults, unconverged)
     found = replace(found, faults=faults)
     return add_warnings(found, job)
+
+
+_TWIN_SOURCE = re.compile(r"needlefit twin build --seed (\d+)")
+
+
+def _find_truth(job: Job) -> dict[str, dict[str, float]]:
+    """Return the true parameters, where the data are our synthetic ones; nothing that fits knows them."""
+    path = job.dataset.path / "dataset.toml" if job.dataset.path.is_dir() else job.dataset.path
+    if job.dataset.origin != "synthetic" or len(job.folds) > 1 or not path.is_file():
+        return {}
+    built = _TWIN_SOURCE.fullmatch(str(read_toml(path).get("source", "")))
+    if built is None:
+        return {}
+    known = {name: find_true_value(job, name, int(built[1])) for name in job.parameters.names}
+    return {"truth": {name: value for name, value in known.items() if math.isfinite(value)}}
 
 
 def _list_layers(job: Job) -> dict[str, list[list[float]]]:
