@@ -17,6 +17,7 @@ from needlefit.inference.likelihood.marginal import (
     linearize_residuals,
     log_marginals,
     mixing_matrices,
+    solve_shared,
 )
 from needlefit.inference.likelihood.nodes import (
     BEVEL,
@@ -160,24 +161,6 @@ def test_the_mixing_is_the_densitys_derivative(depths):
     assert -np.sum(mixed @ white * step) == pytest.approx(slope, rel=1e-6)
 
 
-def test_the_residuals_of_the_linear_density_and_their_slopes():
-    rng = np.random.default_rng(5)
-    made = make_nodes(LAYERED, LINE, "linear")
-    white, by = rng.normal(size=(7, 6)), rng.normal(size=(7, 6, 2))
-
-    def both(theta):
-        moved = (white + by @ theta)[None]
-        return np.append(*(part[0] for part in linear_residuals([moved], make_group(made), *at)))
-
-    at = np.array([1.3]), np.zeros(1)
-    found, log_det = (part[0] for part in linear_residuals([white[None]], make_group(made), *at))
-    shrunk = one(white, made, 1.3) + 6 * math.log(1.3)
-    assert -0.5 * (found @ found + log_det) == pytest.approx(shrunk)
-    slopes = linearize_residuals([white[None]], [by[None]], make_group(made), at, np.zeros(2))[2:]
-    exact = np.vstack([part[0] for part in slopes])
-    np.testing.assert_allclose(exact, difference_jacobian(both, np.zeros(2), np.full(2, 1e-5)), atol=1e-7)
-
-
 def layered(depths, noise_scale=1.0, pose="known"):
     record = medium()
     made = [
@@ -255,6 +238,7 @@ def test_many_sets_are_integrated_as_each_alone():
 
 
 SPREAD = 0.3
+AT = np.array([1.3]), np.array([SPREAD])  # scale of the noise, and spread
 FLAT = replace(insertion(40.0, (12.0, 20.0), (1, 2, 3)), boundary_sd=0.15)
 
 
@@ -295,40 +279,81 @@ def test_what_insertions_share_and_what_each_has_are_the_gaussian_of_their_covar
     made, whites, parts = linear_case(depths, seed=7)
     groups = group_nodes(made)
     assert [members for members, _ in groups] == [(0, 1), (2,)]
-    got = sum(
-        log_marginals([whites[k][None] for k in members], group, np.array([1.3]), np.array([SPREAD]))[0]
-        for members, group in groups
-    )
+    got = sum(log_marginals([whites[k][None] for k in members], group, *AT)[0] for members, group in groups)
     exact = multivariate_normal(cov=exact_covariance(parts, 1.3)).logpdf(parts[0].ravel())
     assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9 if depths == "linear" else 5e-3)
 
 
-def centred_case(bevels, seed=7):
-    """The three insertions with the named bevels, whose deviations sum to zero, and the exact covariance."""
-    made, whites, parts = linear_case("linear", seed)
+def shared_case(bevels, centred, seed=7, depths="linear"):
+    """The three insertions with the named bevels, which may sum to zero, and the exact covariance."""
+    made, whites, parts = linear_case(depths, seed)
     made = tuple(one.share_bevel((name, 0)) for one, name in zip(made, bevels, strict=True))
-    same = np.equal.outer(bevels, bevels).astype(float)
-    apart = same - 1 / len(set(bevels)) - np.eye(3)  # what `exact_covariance` has is independent
+    same = np.equal.outer(list(bevels), list(bevels)).astype(float)
+    apart = same - centred / len(set(bevels)) - np.eye(3)  # what `exact_covariance` has is independent
     more = np.einsum("ij,ir,js->irjs", SPREAD**2 * apart, parts[2], parts[2]).reshape(18, 18)
-    return made, whites, exact_covariance(parts, 1.3) + more, parts[0].ravel()
+    return made, whites, exact_covariance(parts, 1.3) + more, parts
 
 
-@pytest.mark.parametrize("bevels", [("a", "b", "c"), ("a", "b", "b"), ("a", "a", "a")])
-def test_deviations_of_bevels_that_sum_to_zero_have_the_density_of_their_covariance(bevels):
-    made, whites, covariance, first = centred_case(bevels)
-    ((members, group),) = group_nodes(made, centred=True)
-    assert members == (0, 1, 2) and sum(surface[1] == BEVEL for surface in group.surfaces) == len(set(bevels))
-    got = log_marginals([white[None] for white in whites], group, np.array([1.3]), np.array([SPREAD]))[0]
-    exact = multivariate_normal(cov=covariance).logpdf(first)
+@pytest.mark.parametrize(
+    ("bevels", "centred"),
+    [("abc", True), ("abb", True), ("aaa", True), ("abc", False), ("aab", False)],
+)
+def test_bevels_that_are_shared_or_sum_to_zero_have_the_density_of_their_covariance(bevels, centred):
+    made, whites, covariance, parts = shared_case(bevels, centred)
+    groups, got, by_residuals = group_nodes(made, centred), 0.0, -18 * math.log(1.3)
+    if centred:
+        ((members, group),) = groups
+        assert members == (0, 1, 2)
+        assert sum(surface[1] == BEVEL for surface in group.surfaces) == len(set(bevels))
+    for members, group in groups:
+        many = [whites[k][None] for k in members]
+        got += log_marginals(many, group, *AT)[0]
+        residuals, log_det = (part[0] for part in linear_residuals(many, group, *AT))
+        by_residuals -= 0.5 * (residuals @ residuals + log_det)
+    exact = multivariate_normal(cov=covariance).logpdf(parts[0].ravel())
     assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9)
-    at = np.array([1.3]), np.array([SPREAD])
-    residuals, log_det = (part[0] for part in linear_residuals([white[None] for white in whites], group, *at))
-    assert -0.5 * (residuals @ residuals + log_det) - 18 * math.log(1.3) == pytest.approx(got, abs=1e-9)
+    assert by_residuals == pytest.approx(got, abs=1e-9)
+
+
+def test_a_shared_bevel_given_its_insertions_is_the_gaussians():
+    made, whites, covariance, (first, _, bevel, _) = shared_case("aab", centred=False)
+    (members, group), _ = group_nodes(made)
+    mean, found = solve_shared([whites[k][None] for k in members], group, *AT)
+    at = [surface[1] for surface in group.surfaces].index(BEVEL)
+    loads = SPREAD * bevel[:2].ravel()
+    gain = np.linalg.solve(covariance[:12, :12], loads)
+    # residuals are simulated minus measured: a needle that bent more has a negative one
+    assert mean[0, at] == pytest.approx(-gain @ first[:2].ravel())
+    assert found[0, at, at] == pytest.approx(1 - gain @ loads)
+
+
+@pytest.mark.parametrize("centred", [False, True])
+def test_the_residuals_of_the_linear_density_have_exact_slopes_by_residuals_and_spread(centred):
+    made, whites, *_ = shared_case("abb" if centred else "aab", centred, seed=8)
+    (members, group), *_ = group_nodes(made, centred)
+    whites, rng = [whites[k] for k in members], np.random.default_rng(9)
+    steps = [rng.normal(size=white.shape) for white in whites]
+
+    def both(theta):
+        many = [(white + theta[1] * step)[None] for white, step in zip(whites, steps, strict=True)]
+        found = linear_residuals(many, group, AT[0], np.array([SPREAD * math.exp(theta[0])]))
+        return np.append(*(part[0] for part in found))
+
+    by = [np.stack([0 * step, step], axis=-1)[None] for step in steps]
+    slopes = linearize_residuals([white[None] for white in whites], by, group, AT, np.array([1.0, 0.0]))[2:]
+    exact = np.vstack([part[0] for part in slopes])
+    np.testing.assert_allclose(exact, difference_jacobian(both, np.zeros(2), np.full(2, 1e-5)), atol=1e-7)
+
+
+def test_quadrature_refuses_a_shared_bevel():
+    with pytest.raises(ConfigError) as raised:
+        shared_case("aab", centred=False, depths="quadrature")
+    assert raised.value.key == "likelihood.depths"
 
 
 def test_a_bevel_that_all_insertions_share_cannot_stand_in_for_b():
     """A curve that b bends too little in every insertion is no deviation of their bevels."""
-    made, whites, _, _ = centred_case(("a", "b", "c"))
+    made, whites, _, _ = shared_case("abc", centred=True)
     for white in whites:
         white[:7] += 10 * (white[6] - white[5])  # all nodes, by the difference of the bevel's two
     density = {}
@@ -343,7 +368,7 @@ def test_a_bevel_that_all_insertions_share_cannot_stand_in_for_b():
 
 @pytest.mark.parametrize("centred", [False, True])
 def test_the_mixing_of_bevels_is_the_densitys_derivative(centred):
-    made, whites, _, _ = centred_case(("a", "b", "b"), seed=8)
+    made, whites, _, _ = shared_case("abb", centred, seed=8)
     (members, group), *_ = group_nodes(made, centred)
     assert_mixing([whites[k] for k in members], group)
 

@@ -96,12 +96,6 @@ def test_repeats_of_one_fit_are_equal_for_any_number_of_jobs():
     assert fits[0] == fits[1]
 
 
-def test_mirrored_insertions_mirror_the_prediction():
-    record = medium()
-    left, right = (predict(TRUTH, record, NEEDLE, insertion(40.0, (15.0,), (1, 2), side)) for side in (1, -1))
-    assert left.u == pytest.approx(-right.u, abs=1e-9) and left.tip_lateral > 0
-
-
 def test_planned_boundaries_replace_the_measured_ones():
     record = medium()
     asked = predict(TRUTH, record, NEEDLE, insertion(40.0, (15.0,), (1, 2)), np.array([25.0]), (1, 2))

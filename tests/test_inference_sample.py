@@ -2,6 +2,7 @@
 
 import math
 import re
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -203,18 +204,12 @@ def test_a_stop_finishes_the_step_and_keeps_equal_lengths():
     assert "interrupted" in got.faults[0]
 
 
-def test_a_stop_at_once_leaves_nothing():
-    with pytest.raises(FitError, match="nothing to keep"):
-        draw(callbacks=Callbacks(stop=lambda: True))
-
-
 @pytest.mark.parametrize("stopped", [1, 21, 37, 59])
 def test_a_run_resumes_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
     save(draw(), tmp_path / "whole.nc")
-    try:
-        draw(callbacks=Callbacks(stop=stopping_after(stopped)), kept=tmp_path / "kept")
-    except FitError:
-        assert stopped == 1
+    stop = Callbacks(stop=stopping_after(stopped))
+    with pytest.raises(FitError, match="nothing to keep") if stopped == 1 else nullcontext():
+        draw(callbacks=stop, kept=tmp_path / "kept")
     save(draw(kept=tmp_path / "kept"), tmp_path / "again.nc")
     assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
     assert [
@@ -282,12 +277,6 @@ def test_the_file_is_inference_data_and_reads_back_equal(tmp_path):
         ]
         assert group["ess_tail"].dims == ("chain", "quantity") and group["r_hat"].dims == ("quantity",)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["posterior.nc"]
-
-
-def test_equal_posteriors_give_equal_bytes(tmp_path):
-    for name in ("a.nc", "b.nc"):
-        save(draw(), tmp_path / name)
-    assert (tmp_path / "a.nc").read_bytes() == (tmp_path / "b.nc").read_bytes()
 
 
 def test_a_file_that_is_no_posterior_is_refused(tmp_path):

@@ -44,23 +44,6 @@ def test_the_bevel_turns_the_cut_once_per_constraint_spacing(solve, spacing, fir
         assert found[-1, 0] == 7.3
 
 
-@pytest.mark.parametrize(("alpha", "depth"), [(-8.0, 7.5), (8.0, 12.0)])
-def test_newton_goes_on_until_nothing_moves(alpha: float, depth: float) -> None:
-    """One more Newton step from the answer changes nothing, though the thin tissue hardens strongly.
-
-    The increment before the last is of some 1e-5 mm here: ending there would be wrong by 1e-7 mm.
-    """
-    tissue = Tissue(mu=[0.5], alpha=[alpha], thickness=[0.2])
-    found = simulate(NEEDLE, tissue, Bevel(0.1), depth)
-    state = np.column_stack((found.u, found.slope)).ravel()
-    held = np.arange(len(state)) < 2
-    again, used = reference.equilibrium(
-        NEEDLE, tissue, found.x, found.constraints, state, held, ModelOptions(tolerance=np.inf)
-    )
-    assert found.converged and used == 1
-    np.testing.assert_allclose(again[0::2], found.u, atol=1e-10)
-
-
 @pytest.mark.parametrize("element", [0.125, 0.0625])
 def test_rounding_on_a_fine_mesh_in_soft_tissue_is_no_failure(element: float) -> None:
     """Increments there end at 1e-6 mm, which the tolerance does not get below; the tip is the same."""
@@ -81,13 +64,7 @@ def test_large_compression_leaves_the_series_and_still_agrees() -> None:
     np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
 
 
-def test_over_compression_is_a_value_with_its_reason() -> None:
-    shape = simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
-    assert not shape.converged
-    assert shape.status == "over-compressed"
-
-
-@pytest.mark.parametrize(("offset", "thickness"), [(0.1, 0.1), (0.5, 0.5), (30.0, 1.0)])
+@pytest.mark.parametrize(("offset", "thickness"), [(0.2, 0.05), (0.1, 0.1), (0.5, 0.5), (30.0, 1.0)])
 def test_over_compression_is_reported_at_any_newton_iteration(offset: float, thickness: float) -> None:
     """Also where the first guess was bearable; what was never found is NaN, not 0."""
     tissue = Tissue(mu=[5.0], alpha=[1.0], thickness=[thickness])

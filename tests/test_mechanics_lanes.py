@@ -111,17 +111,6 @@ def test_slopes_converge_where_all_deflections_are_prescribed(depth: float, slop
         assert_close(shapes[i], simulate_steps(*batch.pick(i)), 1e-10)
 
 
-def test_a_mirrored_set_is_the_mirrored_needle() -> None:
-    rng = np.random.default_rng(4)
-    offset, y, slope = rng.uniform(-0.1, 0.1, 40), rng.uniform(-1, 1, 40), rng.uniform(-0.01, 0.01, 40)
-    left, right = (
-        one(Batch(NEEDLE, TISSUE, THERE_AND_BACK, offset=s * offset, base_y=s * y, base_slope=s * slope))
-        for s in (1, -1)
-    )
-    np.testing.assert_array_equal(left.u, -right.u)
-    assert np.ptp(left.u[:, -1]) > 0.1
-
-
 @pytest.mark.parametrize("sets", [1, 31, 33, 64])
 @pytest.mark.parametrize("controls", [TURN.controls, *HELD])
 @pytest.mark.parametrize("tissue", [TISSUE, RUBBING])

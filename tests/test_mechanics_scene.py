@@ -198,28 +198,6 @@ def test_figure_1_satisfies_its_boundary_conditions():
         assert start == pytest.approx([depth - 150.0, driven[0]])  # the stage carries it along the world's x
 
 
-def test_figure_1_mirrored_deflects_to_the_other_side():
-    def mirrored(step: Step) -> Step:
-        held = step.controls
-        guides = tuple(replace(guide, y=-guide.y, slope=-(guide.slope or 0.0)) for guide in held.guides)
-        controls = replace(held, base_y=-held.base_y, base_slope=-held.base_slope, guides=guides)
-        return Step(step.depth, replace(step.bevel, side=-step.bevel.side), controls)
-
-    for shape, other in zip(
-        SHAPES, simulate_scene(replace(FIGURE1, steps=tuple(map(mirrored, FIGURE1.steps)))), strict=True
-    ):
-        assert other.u == pytest.approx(-shape.u, abs=1e-12)
-        assert other.constraints[:, 1] == pytest.approx(-shape.constraints[:, 1], abs=1e-12)
-
-
-def test_figure_1_keeps_its_cut_path_and_starts_a_ray_where_the_bevel_turns():
-    b, spacing = FIGURE1.steps[0].bevel.offset, FIGURE1.rules.spacing
-    for past, shape, side, last in ((SHAPES[0], SHAPES[1], -1, 40), (SHAPES[1], SHAPES[2], -1, 70)):
-        assert np.array_equal(shape.constraints[: last + 1], past.constraints)  # x_m = m mm: a point a mm
-        u, slope = shape.tip_track[last]  # of the tip where it stood, the inputs of the new step upon it
-        assert shape.constraints[last + 1, 1] == pytest.approx(u + spacing * slope + side * b, abs=1e-9)
-
-
 def test_figure_1_bends_toward_its_bevel():
     """Without the lateral inputs, the turned bevel takes the tip back from where the first side led it."""
     alone = replace(FIGURE1, steps=tuple(replace(step, controls=Controls()) for step in FIGURE1.steps))
@@ -230,18 +208,3 @@ def test_figure_1_bends_toward_its_bevel():
     assert np.array_equal(turned[0].u, kept[0].u)
     assert turned[1].slope[-1] < turned[0].slope[-1] < kept[1].slope[-1]
     assert turned[2].slope[-1] < 0 < kept[2].slope[-1]
-
-
-@pytest.mark.parametrize("back", [104.3, 104.001, 90.0, 80.4])  # within the last cell, and cells back
-def test_figure_1_pulled_back_and_pushed_again_returns(back):
-    there, last = SHAPES[-1], FIGURE1.steps[-1]
-    lattice = make_lattice(FIGURE1.steps, FIGURE1.rules)
-    pulled, returned = (
-        simulate_steps(FIGURE1.needle, FIGURE1.tissue, (*FIGURE1.steps, *more), FIGURE1.rules, lattice)
-        for more in ((replace(last, depth=back),), (replace(last, depth=back), last))
-    )
-    kept = int(back) + 1  # x_m = m mm
-    assert np.array_equal(pulled.constraints[:kept], there.constraints[:kept])
-    assert pulled.depth == back and pulled.tip_lateral != there.tip_lateral
-    assert returned.u == pytest.approx(there.u, abs=1e-6)
-    assert returned.constraints == pytest.approx(there.constraints, abs=1e-6)
