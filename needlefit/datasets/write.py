@@ -123,11 +123,11 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
     columns += [SHARED_COLUMN] if any(row.boundary_shared_sd is not None for row in rows) else []
     columns += [BASE_SHIFT_COLUMN] if any(row.base_moved for row in rows) else []
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
-    lines = [columns, *([cells[name] for name in columns] for cells in map(_format_cells, rows))]
+    lines = [columns, *([cells[name] for name in columns] for cells in map(format_cells, rows))]
     return "".join(",".join(cells) + "\n" for cells in lines)
 
 
-def _format_cells(row: InsertionRow) -> dict[str, str]:
+def format_cells(row: InsertionRow) -> dict[str, str]:
     """Return the cells of a row, by column."""
     alternative = row.layers if row.layers_alternative is None else row.layers_alternative
     turn = shift = None

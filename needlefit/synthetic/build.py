@@ -18,7 +18,6 @@ from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import Detections, derive_reconstruction, reconstruct
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import register
-from needlefit.mechanics.needle import Needle
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, no_progress
 from needlefit.project.random_streams import random_stream
@@ -26,7 +25,6 @@ from needlefit.project.tasks import THIS_PROCESS, TaskPool, run_in_order
 from needlefit.project.toml_text import dumps
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import truth
-from needlefit.synthetic.ct_scene import Scanner, Scene3D
 from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
 from needlefit.synthetic.insertion import (
     SUBLAYER_THICKNESS_MM,
@@ -46,7 +44,7 @@ from needlefit.synthetic.scans import (
     sample_whole_needle,
     write_layers,
 )
-from needlefit.synthetic.truth import LOG_MU_SD, NOMINAL_NEEDLE, TRUE_MEDIA, MediumTruth, TrueSpecimen
+from needlefit.synthetic.truth import LOG_MU_SD, NOMINAL_NEEDLE, TRUE_MEDIA, TrueSpecimen
 
 
 @dataclass(frozen=True)
@@ -73,13 +71,6 @@ def centerline_errors(built: ReconstructedInsertion) -> Floats:
     return np.asarray(cKDTree(true).query(built.reconstruction.points)[0], dtype=np.float64)
 
 
-def tip_error(built: ReconstructedInsertion) -> float:
-    """Return the distance of the reconstructed tip from the true one, in the world, mm."""
-    return float(
-        np.linalg.norm(built.reconstruction.points[-1] - built.insertion.true_insertion.centerline[-1])
-    )
-
-
 SIGNIFICANT_DIGITS = 6
 """Significant digits of every number."""
 
@@ -96,21 +87,46 @@ TRUTH_NOTE = (
 
 def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) -> None:
     """Write the truth of the insertions `built` to the TOML file `path`."""
+    needle = truth.draw_needle(seed)
+    planned = [one.insertion.planned for one in built]
+    pairs = dict.fromkeys((one.medium, one.specimen) for one in planned)
     tables = {
         "schema": 1,
         "origin": "synthetic",
         "seed": seed,
         "note": TRUTH_NOTE,
-        "specimens": _specimen_tables(seed, [one.insertion.planned for one in built]),
-        "insertions": [_insertion_table(one) for one in built],
-        "needle": _needle_table(truth.draw_needle(seed)),
+        "specimens": [_describe_specimen(truth.draw_specimen(seed, *pair)) for pair in pairs],
+        "insertions": [_describe_insertion(one) for one in built],
+        "needle": {
+            "length_mm": needle.length,
+            "flexural_rigidity_nmm2": _round(needle.flexural_rigidity),
+            "nominal_flexural_rigidity_nmm2": _round(NOMINAL_NEEDLE.flexural_rigidity),
+        },
         "model": {
             "constraint_spacing_mm": TRUTH_OPTIONS.spacing,
             "element_mm": TRUTH_OPTIONS.element,
             "slice_mm": SUBLAYER_THICKNESS_MM,
         },
-        "media": {name: _medium_table(name, medium) for name, medium in TRUE_MEDIA.items()},
-        "deviations": _deviations_table(),
+        "media": {
+            name: {
+                "mu_pa": medium.mu_pa,
+                "alpha": medium.alpha,
+                "bevel_mm": medium.bevel,
+                "friction": medium.friction,
+                "hu": medium.hu,
+                "specimen_sd_of_ln_mu": LOG_MU_SD[name],
+            }
+            for name, medium in TRUE_MEDIA.items()
+        },
+        "deviations": {
+            "rigidity_relative_range": truth.RIGIDITY_DEVIATION,
+            "chicken_field_sd_of_ln_mu": truth.FIELD_LOG_MU_SD,
+            "chicken_field_length_mm": truth.FIELD_LENGTH_MM,
+            "layer_place_sd_mm": truth.LAYER_SD_MM,
+            "bevel_plane_sd_deg": truth.ROLL_SD_DEG,
+            "pose_shift_sd_mm": truth.POSE_SHIFT_SD_MM,
+            "pose_angle_sd_deg": truth.POSE_ANGLE_SD_DEG,
+        },
         "markers": {"places_mm": WHOLE_BOX_SETUP.markers.tolist(), "stated_sd_mm": WHOLE_BOX_SETUP.known_sd},
         "groups": _group_deflections(built),
     }
@@ -118,91 +134,42 @@ def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) 
     path.write_bytes(dumps(tables).encode("utf-8"))
 
 
-def _needle_table(needle: Needle) -> dict[str, Any]:
-    return {
-        "length_mm": needle.length,
-        "flexural_rigidity_nmm2": _round(needle.flexural_rigidity),
-        "nominal_flexural_rigidity_nmm2": _round(NOMINAL_NEEDLE.flexural_rigidity),
-    }
-
-
-def _medium_table(name: str, medium: MediumTruth) -> dict[str, Any]:
-    return {
-        "mu_pa": medium.mu_pa,
-        "alpha": medium.alpha,
-        "bevel_mm": medium.bevel,
-        "friction": medium.friction,
-        "hu": medium.hu,
-        "specimen_sd_of_ln_mu": LOG_MU_SD[name],
-    }
-
-
-def _deviations_table() -> dict[str, Any]:
-    """Summarise what was drawn: standard deviations (sd) and others."""
-    return {
-        "rigidity_relative_range": truth.RIGIDITY_DEVIATION,
-        "chicken_field_sd_of_ln_mu": truth.FIELD_LOG_MU_SD,
-        "chicken_field_length_mm": truth.FIELD_LENGTH_MM,
-        "layer_place_sd_mm": truth.LAYER_SD_MM,
-        "bevel_plane_sd_deg": truth.ROLL_SD_DEG,
-        "pose_shift_sd_mm": truth.POSE_SHIFT_SD_MM,
-        "pose_angle_sd_deg": truth.POSE_ANGLE_SD_DEG,
-    }
-
-
-def _specimen_tables(seed: int, plan: Sequence[PlannedInsertion]) -> list[dict[str, Any]]:
-    pairs = dict.fromkeys((planned.medium, planned.specimen) for planned in plan)
-    return [_specimen_table(truth.draw_specimen(seed, *pair)) for pair in pairs]
-
-
-def _specimen_table(specimen: TrueSpecimen) -> dict[str, Any]:
-    tops = [float(surface.mesh.bounds[0, 0]) for surface in specimen.surfaces]
+def _describe_specimen(specimen: TrueSpecimen) -> dict[str, Any]:
     return {
         "name": specimen.name,
         "medium": specimen.medium,
         "mu_pa": _round_all(specimen.mu * 1e6),
         "alpha": specimen.alpha.tolist(),
-        "layer_tops_mm": _round_all(tops),
+        "layer_tops_mm": _round_all([float(surface.mesh.bounds[0, 0]) for surface in specimen.surfaces]),
     }
 
 
-def _insertion_table(built: ReconstructedInsertion) -> dict[str, Any]:
-    insertion, true_insertion, deviations = (
-        built.insertion,
-        built.insertion.true_insertion,
-        built.insertion.deviations,
-    )
+def _describe_insertion(built: ReconstructedInsertion) -> dict[str, Any]:
+    insertion, exposure, found = built.insertion, built.exposure, built.reconstruction
+    true, deviations, needle = insertion.true_insertion, insertion.deviations, exposure.scene.needles[0]
+    centerline = true.centerline
     return {
         "id": insertion.planned.id,
-        "deflection_mm": _round(true_insertion.deflection),
-        "axis_deflection_mm": _round(true_insertion.shape.tip_lateral),
-        "tip_mm": _round_all(true_insertion.centerline[-1]),
-        "out_of_plane_mm": _round(float(true_insertion.frame.to_local(true_insertion.centerline)[-1, 2])),
+        "deflection_mm": _round(true.deflection),
+        "axis_deflection_mm": _round(true.shape.tip_lateral),
+        "tip_mm": _round_all(centerline[-1]),
+        "out_of_plane_mm": _round(float(true.frame.to_local(centerline)[-1, 2])),
         "bevel_mm": _round(truth.bevel_offset(insertion.specimen, insertion.planned)),
-        "sequence": true_insertion.sequence,
-        "boundaries_mm": _round_all(true_insertion.boundaries),
-        "mu_pa": _round_all(true_insertion.tissue.mu * 1e6),
+        "sequence": true.sequence,
+        "boundaries_mm": _round_all(true.boundaries),
+        "mu_pa": _round_all(true.tissue.mu * 1e6),
         "bevel_plane_deg": _round(np.degrees(deviations.roll)),
         "pose_shift_mm": _round_all(deviations.shift),
         "pose_angle_deg": _round_all(np.degrees(deviations.tilt)),
         "registration_error_mm": _round(float(registration_errors(built).mean())),
         "centerline_error_mm": _round(float(centerline_errors(built).mean())),
-        "tip_error_mm": _round(tip_error(built)),
-        **_scan_table(built.exposure.scene, built.exposure.scanner),
-    }
-
-
-def _scan_table(scene: Scene3D, scanner: Scanner) -> dict[str, Any]:
-    """Return how an insertion was scanned."""
-    needle = scene.needles[0]
-    return {
+        "tip_error_mm": _round(float(np.linalg.norm(found.points[-1] - centerline[-1]))),
         "bevel_deg": _round(needle.bevel_deg),
         "needle_hu": _round(needle.hu),
-        "psf_mm": _round(scanner.psf_mm),
-        "noise_hu": _round(scanner.noise_hu),
-        "bloom": _round(scanner.bloom),
-        "streaks": _round(scanner.streaks),
-        "cupping_hu": _round(scanner.cupping_hu),
+        **{
+            name: _round(getattr(exposure.scanner, name))
+            for name in ("psf_mm", "noise_hu", "bloom", "streaks", "cupping_hu")
+        },
     }
 
 
@@ -350,9 +317,9 @@ def _simulate_axis(
     end = length + TIP_SD_MM[0] * rng.normal()
     begin = length - insertion.true_insertion.shape.depth - WHOLE_BOX_SETUP.outside
     s = np.linspace(begin, end, int(np.ceil((end - begin) / recipe.centerline.station_spacing_mm)) + 1)
-    true = interpolate_at_arc(whole, np.minimum(s, length)) + np.outer(
-        np.maximum(s - length, 0), _end_direction(whole)
-    )
+    last = whole[-1] - whole[-2]
+    beyond = np.outer(np.maximum(s - length, 0), last / np.linalg.norm(last))
+    true = interpolate_at_arc(whole, np.minimum(s, length)) + beyond
     apart = np.abs(s[:, None] - s)
     # tracing errors are correlated over about half a knot spacing, since the spline smooths over it
     hang_together = np.linalg.cholesky(np.exp(-apart / (recipe.centerline.knot_spacing_mm / 2)))
@@ -369,9 +336,3 @@ def _simulate_axis(
         sections_s=np.empty(0),
         residuals=np.empty((0, 3)),
     )
-
-
-def _end_direction(points: Floats) -> Floats:
-    """Return the unit vector (3,) in which a needle (N, 3) ends."""
-    last: Floats = points[-1] - points[-2]
-    return last / np.linalg.norm(last)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS
+from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS, InsertionRow
+from needlefit.datasets.write import format_cells
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scans import LayerSource, Scan, StagePose
@@ -212,22 +213,15 @@ def _draw_bevel_deg(seed: int) -> float:
 
 STATED_COLUMNS = (
     *("id", "scan", "medium", "specimen", "markers", "surfaces", "surfaces_in"),
-    *(
-        *ENTRY_COLUMNS,
-        *DIRECTION_COLUMNS,
-        "pose_shift_sd_mm",
-        "pose_angle_sd_deg",
-        *BEVEL_COLUMNS,
-        "bevel_side",
-    ),
-    *("layers", "layers_alternative", "origin"),
+    *(*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg", *BEVEL_COLUMNS),
+    *("bevel_side", "layers", "layers_alternative", "origin"),
 )
 """The columns of `scans.csv` that the twin fills."""
 
 
 def format_scans(scans: Sequence[Scan], folder: Path) -> str:
     """Return the text of the table of `scans`; file names are relative to `folder`."""
-    rows = [STATED_COLUMNS, *(_scan_cells(scan, folder) for scan in scans)]
+    rows = [STATED_COLUMNS, *(_format_scan(scan, folder) for scan in scans)]
     return "".join(",".join(row) + "\n" for row in rows)
 
 
@@ -237,40 +231,20 @@ def format_markers(places: NDArray[np.float64]) -> str:
     return "\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n"
 
 
-def _scan_cells(scan: Scan, folder: Path) -> tuple[str, ...]:
-    surfaces = ";".join(_surface_cell(source, folder) for source in scan.surfaces)
-    return (
-        *(scan.id, _relative_path(scan.volume, folder), scan.medium, scan.specimen),
-        *(_relative_path(scan.markers, folder), surfaces, scan.surfaces_in if surfaces else ""),
-        *_stage_cells(scan.stage),
-        *_number_cells(scan.bevel, 6),
-        f"{scan.side:+d}",
-        *("" if count is None else str(count) for count in (scan.layers, scan.layers_alternative)),
-        scan.origin,
+def _format_scan(scan: Scan, folder: Path) -> list[str]:
+    """Return the cells of a scan under `STATED_COLUMNS`, formatted as in a table of insertions."""
+    assert scan.stage is not None and scan.markers is not None and scan.layers is not None
+    row = InsertionRow(
+        *(scan.id, scan.medium, scan.layers, math.nan, scan.specimen, scan.layers_alternative, scan.side),
+        *(scan.stage.entry, scan.stage.direction, scan.bevel),
+        pose_shift_sd=scan.stage.shift_sd,
+        pose_angle_sd=scan.stage.angle_sd,
     )
-
-
-def _surface_cell(source: LayerSource, folder: Path) -> str:
-    return f"{_relative_path(source.path, folder)}={source.kind}:{source.into}"
-
-
-def _stage_cells(stage: StagePose | None) -> tuple[str, ...]:
-    if stage is None:
-        return ("",) * 8
-    deviations = np.array([stage.shift_sd, math.degrees(stage.angle_sd)])
-    return (*_number_cells(stage.entry, 4), *_number_cells(stage.direction, 6), *_number_cells(deviations, 4))
-
-
-def _relative_path(path: Path | None, folder: Path) -> str:
-    return "" if path is None else path.relative_to(folder).as_posix()
-
-
-def _number_cells(values: NDArray[np.float64] | None, digits: int) -> tuple[str, ...]:
-    """Return the cells of `values`, three empty ones for none; never "-0.0000"."""
-    if values is None:
-        return ("", "", "")
-    # adding 0.0 turns -0.0 into 0.0
-    return tuple(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)
+    scan_file, markers = (path.relative_to(folder).as_posix() for path in (scan.volume, scan.markers))
+    surfaces = [f"{one.path.relative_to(folder).as_posix()}={one.kind}:{one.into}" for one in scan.surfaces]
+    cells = format_cells(row) | {"scan": scan_file, "markers": markers, "surfaces": ";".join(surfaces)}
+    cells |= {"surfaces_in": scan.surfaces_in if surfaces else "", "origin": scan.origin}
+    return [cells[name] for name in STATED_COLUMNS]
 
 
 VolumeFormat = Literal["nrrd", "dicom"]
