@@ -17,6 +17,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.refusals import refusal
 from needlefit.schemas.dataset import (
     CenterlinesRecord,
     DatasetMediumRecord,
@@ -167,12 +168,10 @@ def _medium_record(
     first = group[0].layers.surfaces
     for one in group[1:]:
         if [(s.kind, s.into) for s in one.layers.surfaces] != [(s.kind, s.into) for s in first]:
-            raise DataError(
-                f"the layers of {one.scan.id} are not those of {group[0].scan.id}",
-                where=f"medium {name}",
-                expected="in every scan of a medium the same kinds of surfaces, leading into the same layers",
-                fix="give these scans media of different names, or the same layers",
-            )
+            raise refusal(f"""the layers of {one.scan.id} are not those of {group[0].scan.id}
+                expected: in every scan of a medium the same kinds of surfaces, leading into the same layers
+                fix: give these scans media of different names, or the same layers
+                where: medium {name}""")
     shared = all(_same_surfaces(one.layers.surfaces, first) for one in group)
     numbered = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
     names = [f"layers/{stem}.stl" for stem in (_file_stems(name, first) if shared else numbered)]
@@ -192,12 +191,10 @@ def _require_new(files: Mapping[str, Surface], written: Mapping[str, Surface], m
     """Refuse names that a medium shares with another: `a` with `b_c` and `a_b` with `c` both make `a_b_c`."""
     both = sorted(files.keys() & written.keys())
     if both:
-        raise DataError(
-            f"two media would write {both[0]}",
-            where=f"medium {medium}",
-            expected="names of media and surfaces that make different files",
-            fix="rename the medium, or the file of the surface",
-        )
+        raise refusal(f"""two media would write {both[0]}
+            expected: names of media and surfaces that make different files
+            fix: rename the medium, or the file of the surface
+            where: medium {medium}""")
 
 
 def _file_stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
@@ -277,12 +274,10 @@ def _fault_error(one: Reconstruction, faults: Sequence[Fault]) -> DataError:
     """Return the error of an insertion whose faults the user meets in the scan and the recipe."""
     what = "; ".join(dict.fromkeys(fault.what for fault in faults))
     first = faults[0]
-    return DataError(
-        f"gives no insertion that a dataset may hold: {what}",
-        where=str(one.scan.volume),
-        expected=first.expected,
-        fix=_fix_in_recipe(first.fix),
-    )
+    return refusal(f"""gives no insertion that a dataset may hold: {what}
+        expected: {first.expected}
+        fix: {_fix_in_recipe(first.fix)}
+        where: {one.scan.volume}""")
 
 
 def _without_folder(fault: Fault, folder: Path) -> Fault:

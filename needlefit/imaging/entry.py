@@ -29,12 +29,12 @@ from typing import Literal
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.materials import MaterialRun, find_rises, find_runs, find_soft_steps
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.register import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
 
@@ -126,12 +126,11 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     """
     use = shaft.s < -SHAFT_CLEARANCE_MM
     if usable_length(shaft) < MIN_SHAFT_LENGTH_MM:
-        raise DataError(
-            f"{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
-            where="entry pose",
-            expected=f"at least {MIN_SHAFT_LENGTH_MM:g} mm, or the pose of the stage",
-            fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
-        )
+        raise refusal(f"""{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw
+                its axis
+            expected: at least {MIN_SHAFT_LENGTH_MM:g} mm, or the pose of the stage
+            fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle
+            where: entry pose""")
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]
     chord = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
     sides = np.column_stack([make_normal(chord), np.cross(chord, make_normal(chord))])  # (3, 2)
@@ -173,13 +172,11 @@ def require_agreement(stage: EntryPose, shaft: EntryPose) -> None:
     found = compare_poses(stage, shaft)
     if found.worst <= MAX_AXIS_DISAGREEMENT_SD:
         return
-    raise DataError(
-        found.sentence,
-        where="entry pose",
-        expected="the axis on which the needle was pushed",
-        fix="check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS), and "
-        "the deviations stated; or leave the stage out, and the shaft is taken",
-    )
+    raise refusal(f"""{found.sentence}
+        expected: the axis on which the needle was pushed
+        fix: check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS), and
+            the deviations stated; or leave the stage out, and the shaft is taken
+        where: entry pose""")
 
 
 def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose:
@@ -204,25 +201,21 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     along = (points - pose.origin) @ pose.direction
     before = np.flatnonzero((along[:-1] < 0) & (along[1:] >= 0))
     if not len(before):
-        raise DataError(
-            f"the needle does not pass the entry: it lies {along.min():.1f} to {along.max():.1f} mm from it "
-            "along the entry direction",
-            where="entry pose",
-            expected="an entry between the needle's base and its tip, a direction into the tissue",
-            fix="check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of "
-            "the direction",
-        )
+        raise refusal(f"""the needle does not pass the entry: it lies {along.min():.1f} to {along.max():.1f}
+                mm from it along the entry direction
+            expected: an entry between the needle's base and its tip, a direction into the tissue
+            fix: check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of the
+                direction
+            where: entry pose""")
     n = int(before[0])
     s = arc_length(points)
     at: float = s[n] - along[n] / (along[n + 1] - along[n]) * (s[n + 1] - s[n])
     away = float(np.linalg.norm(interpolate_at_arc(points, [at])[0] - pose.origin))
     if away > MAX_ENTRY_DISTANCE_MM:
-        raise DataError(
-            f"the needle crosses the plane of first contact {away:.1f} mm from the entry",
-            where="entry pose",
-            expected=f"within {MAX_ENTRY_DISTANCE_MM:g} mm of it",
-            fix="check the entry pose, the known places of the markers, and that both are in one frame",
-        )
+        raise refusal(f"""the needle crosses the plane of first contact {away:.1f} mm from the entry
+            expected: within {MAX_ENTRY_DISTANCE_MM:g} mm of it
+            fix: check the entry pose, the known places of the markers, and that both are in one frame
+            where: entry pose""")
     return at
 
 
@@ -328,12 +321,11 @@ def _choose_by_depth(candidates: tuple[EntryCandidate, ...], depth: float) -> En
     misses = [abs(one.depth - depth) for one in candidates]
     best = int(np.argmin(misses))
     if misses[best] > MAX_DEPTH_MISS_MM:
-        raise DataError(
-            f"the tissue may begin {list_in_words(candidates)}, but {depth:g} mm are stated as inserted",
-            where="expected_depth_mm",
-            expected=f"within {MAX_DEPTH_MISS_MM:g} mm of one of them",
-            fix="correct expected_depth_mm, or leave it empty",
-        )
+        raise refusal(f"""the tissue may begin {list_in_words(candidates)}, but {depth:g} mm are stated as
+                inserted
+            expected: within {MAX_DEPTH_MISS_MM:g} mm of one of them
+            fix: correct expected_depth_mm, or leave it empty
+            where: expected_depth_mm""")
     near = [
         one
         for one, miss in zip(candidates, misses, strict=True)

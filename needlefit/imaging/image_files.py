@@ -2,8 +2,8 @@
 
 import gzip
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,19 +13,17 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from needlefit.arrays import Floats
 from needlefit.errors import DataError
-from needlefit.imaging.image_headers import truncated_voxels_error, unreadable_image_error
+from needlefit.imaging.image_headers import missing_voxels, unreadable_image
+from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import (
     AXES_COSINE_TOLERANCE,
-    EXPECTED_AXES,
-    SHEARED_AXES_FAULT,
-    SHEARED_AXES_FIX,
     Volume,
     VoxelGrid,
     check_grid,
     grid_to_json,
     orthogonalize,
+    sheared_axes,
 )
 from needlefit.project.atomic_write import replace_file
 from needlefit.project.sandbox import SandboxArrays
@@ -51,12 +49,17 @@ def read_image(results: SandboxArrays, path: str, layers: bool = False, header: 
     system it stands, or claims an absurd size.
     """
     file = Path(path)
-    with _open_readable(file, header) as named:
+    with ExitStack() as stack:
+        stack.enter_context(located(path))
+        named = file
+        if header:
+            named = Path(stack.enter_context(TemporaryDirectory())) / "volume.nhdr"
+            named.write_text(header, encoding="utf-8")
         reader = sitk.ImageFileReader()
         reader.SetImageIO(IMAGE_IOS.get(file.suffix.lower(), "NiftiImageIO"))
         reader.SetFileName(str(named))
-        grid, parts = _read_grid(reader, file, layers)
-        check_grid(grid, path)
+        grid, parts = _read_grid(reader, layers)
+        check_grid(grid)
         if reader.GetImageIO() == "NiftiImageIO":
             _check_length(reader, file, grid)  # its reader takes what is missing for zeros
         shape = (*grid.size[::-1], parts) if layers else grid.size[::-1]
@@ -64,37 +67,27 @@ def read_image(results: SandboxArrays, path: str, layers: bool = False, header: 
         try:
             image = reader.Execute()
         except RuntimeError as error:
-            raise truncated_voxels_error(file) from error
-    # SimpleITK's arrays are indexed k, j, i: the reverse of its sizes
-    values[...] = sitk.GetArrayViewFromImage(image).reshape(shape)
-    _check_finite(values, file)
+            raise missing_voxels() from error
+        # SimpleITK's arrays are indexed k, j, i: the reverse of its sizes
+        values[...] = sitk.GetArrayViewFromImage(image).reshape(shape)
+        if not np.isfinite([values.min(), values.max()]).all():
+            raise refusal(f"""holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number
+                expected: a number in every voxel
+                fix: give voxels outside the scan the value of air, e.g. -1000""")
     return grid_to_json(replace(grid, direction=orthogonalize(grid.direction)))
 
 
-@contextmanager
-def _open_readable(file: Path, header: str) -> Iterator[Path]:
-    """Yield what SimpleITK is to read: the file, or another header of it."""
-    if not header:
-        yield file
-        return
-    with TemporaryDirectory() as folder:
-        named = Path(folder) / "volume.nhdr"
-        named.write_text(header, encoding="utf-8")
-        yield named
-
-
 def write_image(volume: Volume, path: Path, description: str) -> None:
-    """Write a volume as NRRD, NIfTI or MetaImage, compressed unless it is .nii."""
+    """Write a volume as NRRD, NIfTI or MetaImage, compressed unless it is .nii; as int16 if that is exact."""
+    with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
+        whole = volume.values.astype(np.int16)
     key = "ITK_FileNotes" if ".nii" in path.name.lower() else "description"
-    _write(to_int16_if_exact(volume.values), volume.grid, {key: description} if description else {}, path)
+    values = whole if np.array_equal(whole, volume.values) else volume.values
+    write_labels(values, volume.grid, {key: description} if description else {}, path)
 
 
-def write_labels(values: NDArray[np.uint8], grid: VoxelGrid, entries: Mapping[str, str], path: Path) -> None:
-    """Write labels (K, J, I) as a compressed NRRD file, with entries in its header."""
-    _write(values, grid, entries, path)
-
-
-def _write(values: NDArray[Any], grid: VoxelGrid, entries: Mapping[str, str], path: Path) -> None:
+def write_labels(values: NDArray[Any], grid: VoxelGrid, entries: Mapping[str, str], path: Path) -> None:
+    """Write voxels (K, J, I), such as labels, as a compressed file, with entries in its header."""
     image = sitk.GetImageFromArray(values)
     image.SetOrigin(grid.origin.tolist())
     image.SetSpacing(grid.spacing.tolist())
@@ -105,14 +98,7 @@ def _write(values: NDArray[Any], grid: VoxelGrid, entries: Mapping[str, str], pa
         sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
 
 
-def to_int16_if_exact(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
-    """Return `values` as int16 if that is exact, which halves the file."""
-    with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
-        whole = values.astype(np.int16)
-    return whole if np.array_equal(whole, values) else values
-
-
-def _read_grid(reader: sitk.ImageFileReader, path: Path, layers: bool) -> tuple[VoxelGrid, int]:
+def _read_grid(reader: sitk.ImageFileReader, layers: bool) -> tuple[VoxelGrid, int]:
     """Return what the header says of the voxels, and how many numbers each has, one unless `layers`.
 
     No voxel is read, nothing of their size allocated.
@@ -120,59 +106,46 @@ def _read_grid(reader: sitk.ImageFileReader, path: Path, layers: bool) -> tuple[
     try:
         reader.ReadImageInformation()
     except RuntimeError as error:
-        raise _unreadable_header_error(path, str(error)) from error
+        raise _unreadable_header(str(error)) from error
     parts = 2 if reader.GetPixelID() in _COMPLEX else reader.GetNumberOfComponents()
     if reader.GetDimension() != 3 or (parts != 1 and not layers):
         size = " x ".join(map(str, reader.GetSize()))
-        raise _not_one_volume_error(path, f"{size} voxels of {parts} number{'s' * (parts > 1)}")
-    _check_space(reader, path)
+        raise _not_one_volume(f"{size} voxels of {parts} number{'s' * (parts > 1)}")
+    _check_space(reader)
     columns, rows, slices = reader.GetSize()
-    grid = VoxelGrid(
-        (columns, rows, slices),
-        np.array(reader.GetOrigin()),
-        np.array(reader.GetSpacing()),
-        np.array(reader.GetDirection()).reshape(3, 3),
+    origin, spacing, direction = map(
+        np.array, (reader.GetOrigin(), reader.GetSpacing(), reader.GetDirection())
     )
-    return grid, parts
+    return VoxelGrid((columns, rows, slices), origin, spacing, direction.reshape(3, 3)), parts
 
 
-def _check_space(reader: sitk.ImageFileReader, path: Path) -> None:
-    """See that the file itself says where the patient's left is (MetaImage: LPS by its definition)."""
+def _check_space(reader: sitk.ImageFileReader) -> None:
+    """See that the file itself says where the patient's left is, and one spacing: SimpleITK makes one up.
+
+    MetaImage is LPS by its definition.
+    """
     metadata = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
-    if reader.GetImageIO() == "NiftiImageIO":
-        _check_nifti(metadata, np.array(reader.GetSpacing()), path)
-    elif reader.GetImageIO() == "NrrdImageIO" and metadata.get("NRRD_space") != "left-posterior-superior":
-        space = metadata.get("NRRD_space")
-        raise DataError(
-            f"its space is {space}, which does not describe the patient"
-            if space
-            else "does not say its space",
-            where=str(path),
-            expected="`space: left-posterior-superior` or another anatomical one in the header",
-            fix="export it from a program that knows the patient's axes, such as 3D Slicer",
-        )
-
-
-def _check_nifti(metadata: dict[str, str], spacing: Floats, path: Path) -> None:
-    """See that the header has an orientation and one spacing; SimpleITK would make one up, mix the other."""
+    space = metadata.get("NRRD_space")
+    if reader.GetImageIO() == "NrrdImageIO" and space != "left-posterior-superior":
+        stated = f"its space is {space}, which does not describe the patient"
+        raise refusal(f"""{stated if space else "does not say its space"}
+            expected: `space: left-posterior-superior` or another anatomical one in the header
+            fix: export it from a program that knows the patient's axes, such as 3D Slicer""")
+    if reader.GetImageIO() != "NiftiImageIO":
+        return
     if metadata["qform_code"] == metadata["sform_code"] == "0":
-        raise DataError(
-            "does not say where it stands in the patient: qform_code and sform_code are 0",
-            where=str(path),
-            expected="a NIfTI header with a qform or an sform",
-            fix="convert the scan from its DICOM series again",
-        )
+        raise refusal("""does not say where it stands in the patient: qform_code and sform_code are 0
+            expected: a NIfTI header with a qform or an sform
+            fix: convert the scan from its DICOM series again""")
+    spacing = np.array(reader.GetSpacing())
     rows = np.array([metadata[f"srow_{axis}"].split()[:3] for axis in "xyz"], dtype=np.float64)
     steps = np.linalg.norm(rows, axis=0) * _MILLIMETRES.get(int(metadata["xyzt_units"]) % 8, 1.0)
-    if metadata["sform_code"] != "0" and not np.allclose(
-        steps, spacing, rtol=AXES_COSINE_TOLERANCE, atol=0.0
-    ):
-        raise DataError(
-            f"has two spacings: {spacing.tolist()} mm by pixdim, {steps.round(6).tolist()} mm by its sform",
-            where=str(path),
-            expected="the same spacing in both",
-            fix="convert the scan from its DICOM series again",
-        )
+    alike = np.allclose(steps, spacing, rtol=AXES_COSINE_TOLERANCE, atol=0.0)
+    if metadata["sform_code"] != "0" and not alike:
+        raise refusal(f"""has two spacings: {spacing.tolist()} mm by pixdim, {steps.round(6).tolist()} mm by
+                its sform
+            expected: the same spacing in both
+            fix: convert the scan from its DICOM series again""")
 
 
 def _check_length(reader: sitk.ImageFileReader, path: Path, grid: VoxelGrid) -> None:
@@ -182,45 +155,30 @@ def _check_length(reader: sitk.ImageFileReader, path: Path, grid: VoxelGrid) -> 
     try:
         found = _unpacked_size(path, needed) if path.suffix.lower() == ".gz" else path.stat().st_size
     except (EOFError, OSError, zlib.error) as error:
-        raise truncated_voxels_error(path) from error
+        raise missing_voxels() from error
     if found < needed:
-        raise truncated_voxels_error(path)
+        raise missing_voxels()
 
 
 def _unpacked_size(path: Path, enough: int) -> int:
     """Return how many bytes a gzip file unpacks to; counting stops beyond `enough`."""
     total = 0
-    with gzip.open(path) as file:
-        while total <= enough and (
-            block := file.read(_BLOCK_BYTES)
-        ):  # its end, too: there stands the checksum
+    with gzip.open(path) as file:  # its end is read, too: there stands the checksum
+        while total <= enough and (block := file.read(_BLOCK_BYTES)):
             total += len(block)
     return total
 
 
-def _check_finite(values: NDArray[np.float32], path: Path) -> None:
-    if not np.isfinite([values.min(), values.max()]).all():
-        raise DataError(
-            f"holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number",
-            where=str(path),
-            expected="a number in every voxel",
-            fix="give voxels outside the scan the value of air, e.g. -1000",
-        )
-
-
-def _unreadable_header_error(path: Path, reason: str) -> DataError:
+def _unreadable_header(reason: str) -> DataError:
     """Return the error for a header that SimpleITK cannot read."""
     if "orthonormal" in reason:
-        return DataError(SHEARED_AXES_FAULT, where=str(path), expected=EXPECTED_AXES, fix=SHEARED_AXES_FIX)
+        return sheared_axes()
     if "number of domain axes" in reason:
-        return _not_one_volume_error(path, "more than three dimensions")
-    return unreadable_image_error(path, "SimpleITK does not take its header")
+        return _not_one_volume("more than three dimensions")
+    return unreadable_image("SimpleITK does not take its header")
 
 
-def _not_one_volume_error(path: Path, what: str) -> DataError:
-    return DataError(
-        f"is no single volume: {what}",
-        where=str(path),
-        expected="three dimensions, one number a voxel",
-        fix="export one time point, or one segment, as a volume of its own",
-    )
+def _not_one_volume(what: str) -> DataError:
+    return refusal(f"""is no single volume: {what}
+        expected: three dimensions, one number a voxel
+        fix: export one time point, or one segment, as a volume of its own""")

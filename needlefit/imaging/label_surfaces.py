@@ -13,7 +13,7 @@ right-angled edge loses about 0.5 mm along its bisector, the corner of a box abo
 Segmentations: volumes in which every voxel holds the number of its layer.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,13 +29,14 @@ from needlefit.errors import DataError
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.image_headers import MAX_SEGMENTS, check_image_header, choose_segments, parse_count
-from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, require_same_frame, to_patient
-from needlefit.imaging.volume_files import open_member, read_planes, read_segments, read_volume
+from needlefit.imaging.refusals import located, refusal
+from needlefit.imaging.volume import Volume, require_same_frame, to_patient
+from needlefit.imaging.volume_files import is_image_file, open_member, read_planes, read_segments, read_volume
 from needlefit.project.input_files import path_exists
 
 MAX_NAME_CHARS = 200
 EXPECTED_LABELS = "a whole number of each voxel's layer, 0 outside the tissue, and no more than a few layers"
-OVERLAP_FIX = 'in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again'
+SAVE_AGAIN_FIX = "save the segmentation again from 3D Slicer"
 
 
 @dataclass(frozen=True)
@@ -70,124 +71,102 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     DataError if it is not a volume, its segments overlap, one is empty or missing, or its values are no
     labels.
     """
-    with open_member(path) as place:
-        if place.is_dir() or not place.name.lower().endswith(IMAGE_SUFFIXES):
+    with open_member(path) as place, located(place):
+        if not is_image_file(place):
             volume, found = read_segments(place, names)
-            return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)), place)
-        stated, axes = _read_segments(place) if path_exists(place) else ((), 3)
+            return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
+        stated, axes = _read_stated_segments(place) if path_exists(place) else ((), 3)
         if stated and axes > 3:
-            volume, stated = _merge_planes(read_planes(place), stated, place)
+            volume, stated = _merge_planes(read_planes(place), stated)
         else:
             volume = read_volume(place)
-        labels = _check_labels(volume, stated, place)
-        called = [one.name or str(one.value) for one in labels.segments]
-        chosen = choose_segments(called, names, place)
+        labels = _check_labels(volume, stated)
+        chosen = choose_segments([one.name or str(one.value) for one in labels.segments], names)
         return replace(labels, segments=tuple(labels.segments[n] for n in chosen))
 
 
-def _check_labels(volume: Volume, stated: tuple[Segment, ...], path: Path) -> Labels:
-    present = _list_labels(volume, path)
+def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
+    present = _list_labels(volume)
     if not stated:
         return Labels(volume, tuple(Segment(value, "") for value in present))
     empty = [f"{segment.name} (label {segment.value})" for segment in stated if segment.value not in present]
     if empty:
-        raise DataError(
-            f"no voxel belongs to segment {', '.join(empty)}",
-            where=str(path),
-            expected="voxels in every segment",
-            fix="remove the empty segments, or fill them",
-        )
+        raise refusal(f"""no voxel belongs to segment {", ".join(empty)}
+            expected: voxels in every segment
+            fix: remove the empty segments, or fill them""")
     unnamed = sorted(set(present) - {segment.value for segment in stated})
     if unnamed:
-        raise DataError(
-            f"voxels have the labels {', '.join(map(str, unnamed))}, which no segment has",
-            where=str(path),
-            expected=f"labels {', '.join(str(segment.value) for segment in stated)}",
-            fix="save the segmentation again from 3D Slicer",
-        )
+        raise refusal(f"""voxels have the labels {", ".join(map(str, unnamed))}, which no segment has
+            expected: labels {", ".join(str(segment.value) for segment in stated)}
+            fix: {SAVE_AGAIN_FIX}""")
     return Labels(volume, stated)
 
 
-def _read_segments(path: Path) -> tuple[tuple[Segment, ...], int]:
+def _read_stated_segments(path: Path) -> tuple[tuple[Segment, ...], int]:
     """Return the segments that a header names, in its order, and its axes; DataError if two are the same."""
     header = check_image_header(path)
-    segments = _parse_segments(header.texts, path)
+    texts, count = header.texts, 0
+    while f"Segment{count}_ID" in texts or f"Segment{count}_LabelValue" in texts:
+        count += 1
+    segments = tuple(
+        Segment(
+            parse_count(texts.get(f"Segment{n}_LabelValue", f"{n + 1}"), 0, 2**16),
+            texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
+            parse_count(texts.get(f"Segment{n}_Layer", "0"), 0, MAX_SEGMENTS),
+        )
+        for n in range(count)
+    )
     if len({(segment.plane, segment.value) for segment in segments}) < len(segments):
-        raise _overlap_error([segment.name for segment in segments], path)
+        raise _overlap_error([segment.name for segment in segments])
     return segments, len(header.size)
 
 
 def _merge_planes(
-    planes: Sequence[Volume], segments: Sequence[Segment], path: Path
+    planes: Sequence[Volume], segments: Sequence[Segment]
 ) -> tuple[Volume, tuple[Segment, ...]]:
     """Return one volume of the labels 1, 2, ... of segments in several; DataError if they overlap."""
     values, labelled = np.zeros_like(planes[0].values), 0
     for label, segment in enumerate(segments, 1):
         if segment.plane >= len(planes):
-            raise DataError(
-                f"segment {segment.name} is in layer {segment.plane}, of {len(planes)} in the file",
-                where=str(path),
-                expected="layers that are there",
-                fix="save the segmentation again from 3D Slicer",
-            )
+            raise refusal(f"""segment {segment.name} is in layer {segment.plane}, of {len(planes)} in the file
+                expected: layers that are there
+                fix: {SAVE_AGAIN_FIX}""")
         inside = planes[segment.plane].values == segment.value
         if met := int(values[inside].max(initial=0)):
-            raise _overlap_error([segments[met - 1].name, segment.name], path)
+            raise _overlap_error([segments[met - 1].name, segment.name])
         values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
     if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
-        raise DataError(
-            "voxels have labels that no segment has",
-            where=str(path),
-            expected="labels of the segments that the header names",
-            fix="save the segmentation again from 3D Slicer",
-        )
+        raise refusal(f"""voxels have labels that no segment has
+            expected: labels of the segments that the header names
+            fix: {SAVE_AGAIN_FIX}""")
     merged = tuple(Segment(label, segment.name) for label, segment in enumerate(segments, 1))
     return replace(planes[0], values=values), merged
 
 
-def _overlap_error(names: Sequence[str], path: Path) -> DataError:
-    return DataError(
-        f"its segments overlap: {', '.join(names)}",
-        where=str(path),
-        expected="every voxel in one layer",
-        fix=OVERLAP_FIX,
-    )
+def _overlap_error(names: Sequence[str]) -> DataError:
+    return refusal(f"""its segments overlap: {", ".join(names)}
+        expected: every voxel in one layer
+        fix: in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again""")
 
 
-def _parse_segments(texts: Mapping[str, str], path: Path) -> tuple[Segment, ...]:
-    count = 0
-    while f"Segment{count}_ID" in texts or f"Segment{count}_LabelValue" in texts:
-        count += 1
-    return tuple(
-        Segment(
-            parse_count(texts.get(f"Segment{n}_LabelValue", f"{n + 1}"), 0, 2**16, path),
-            texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
-            parse_count(texts.get(f"Segment{n}_Layer", "0"), 0, MAX_SEGMENTS, path),
-        )
-        for n in range(count)
-    )
-
-
-def _list_labels(volume: Volume, path: Path) -> list[int]:
+def _list_labels(volume: Volume) -> list[int]:
     """Return the labels of a volume, increasing, without 0."""
     low, high = float(volume.values.min()), float(volume.values.max())
     labels_only = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
     if low < 0 or high >= 2**16 or not labels_only:
-        fractions = "" if labels_only else ", with fractions"
-        raise DataError(
-            f"its voxels run from {low:g} to {high:g}{fractions}: this is a scan",
-            where=str(path),
-            expected=EXPECTED_LABELS,
-            fix="give the segmentation, not the scan that it was made from",
-        )
+        raise refusal(f"""its voxels run from {low:g} to {high:g}{", with fractions" * (not labels_only)}:
+                this is a scan
+            expected: {EXPECTED_LABELS}
+            fix: give the segmentation, not the scan that it was made from""")
     size = int(high) + 1
     counts = sum(np.bincount(s.ravel().astype(np.int64), minlength=size) for s in volume.values)
-    present: list[int] = np.flatnonzero(counts).tolist()
-    labels = [value for value in present if value]
+    labels: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
     if not 1 <= len(labels) <= MAX_SEGMENTS:
-        what = f"holds {len(labels)} labels: this is a scan" if labels else "holds no label: all voxels are 0"
+        none = "holds no label: all voxels are 0"
         fix = "give the segmentation of the layers" if labels else "segment the layers, and save it again"
-        raise DataError(what, where=str(path), expected=EXPECTED_LABELS, fix=fix)
+        raise refusal(f"""{f"holds {len(labels)} labels: this is a scan" if labels else none}
+            expected: {EXPECTED_LABELS}
+            fix: {fix}""")
     return labels
 
 
@@ -211,49 +190,34 @@ def extract_label_surfaces(
     DataError if the segmentation has a fault, or a layer and those beyond it fall apart.
     """
     labels = read_labels(path, names)
-    require_same_frame(labels.volume, frame_of_reference, str(path))
-    order = np.zeros(int(labels.volume.values.max()) + 1, dtype=np.uint8)
-    order[[segment.value for segment in labels.segments]] = np.arange(1, len(labels.segments) + 1)
-    low, layers = _crop(order[labels.volume.values.astype(np.uint16)])  # (K, J, I), 0 outside
-    return tuple(
-        _extract_surface(layers >= layer, low, layer, labels, path)
-        for layer in range(1, len(labels.segments) + 1)
-    )
+    with located(path):
+        require_same_frame(labels.volume, frame_of_reference)
+        order = np.zeros(int(labels.volume.values.max()) + 1, dtype=np.uint8)
+        order[[segment.value for segment in labels.segments]] = np.arange(1, len(labels.segments) + 1)
+        layers = order[labels.volume.values.astype(np.uint16)]  # (K, J, I), 0 outside
+        inside = [np.flatnonzero(layers.any(axis=(axis - 1, axis - 2))) for axis in range(3)]
+        low = np.array([where[0] for where in inside])  # the box around all labels
+        layers = layers[tuple(slice(int(where[0]), int(where[-1]) + 1) for where in inside)]
+        numbers = range(1, len(labels.segments) + 1)
+        return tuple(_extract_surface(layers >= layer, low, layer, labels) for layer in numbers)
 
 
-def _crop(layers: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Return the first voxel k, j, i of the box around all labels, and the box."""
-    inside = [np.flatnonzero(layers.any(axis=tuple(a for a in range(3) if a != axis))) for axis in range(3)]
-    box = tuple(slice(int(where[0]), int(where[-1]) + 1) for where in inside)
-    return np.array([where[0] for where in inside]), layers[box]
-
-
-def _extract_surface(
-    mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int, labels: Labels, path: Path
-) -> Surface:
+def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int, labels: Labels) -> Surface:
+    """Return the surface of a mask (K, J, I) that begins at voxel `low` (3,), k, j, i."""
     kji, faces = extract_boundary(mask, labels.volume.spacing[::-1])
     points = to_patient(labels.volume, (kji + low)[:, ::-1])
-    name = labels.segments[layer - 1].name
+    name, last = labels.segments[layer - 1].name, layer == len(labels.segments)
     surface, loose = extract_solid(make_id(f"layer {layer} {name}".strip(), ""), points, faces, layer)
-    place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (
-        layer < len(labels.segments)
-    )
+    place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (not last)
     if loose > MAX_LOOSE_FRACTION:
-        raise DataError(
-            f"{place} fall{'s' * (layer == len(labels.segments))} apart: islands or cavities of "
-            f"{100 * loose:.0f} % of the largest piece",
-            where=str(path),
-            expected="layers in one piece, one within or behind the other, in the order of the segments",
-            fix="label bubbles and the needle as the tissue around them, remove islands, sort the segments",
-        )
-    faults = [fault.what for fault in find_surface_faults(surface, path)]
-    if faults:
-        raise DataError(
-            f"the surface of {place} {faults[0]}",
-            where=str(path),
-            expected="a closed boundary",
-            fix="smooth the segmentation, and remove layers thinner than a voxel",
-        )
+        raise refusal(f"""{place} fall{"s" * last} apart: islands or cavities of {100 * loose:.0f} % of the
+                largest piece
+            expected: layers in one piece, one within or behind the other, in the order of the segments
+            fix: label bubbles and the needle as the tissue around them, remove islands, sort the segments""")
+    for fault in find_surface_faults(surface, Path()):
+        raise refusal(f"""the surface of {place} {fault.what}
+            expected: a closed boundary
+            fix: smooth the segmentation, and remove layers thinner than a voxel""")
     return surface
 
 

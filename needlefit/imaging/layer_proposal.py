@@ -217,8 +217,7 @@ def _fit_surface(data: tuple[Floats, Floats, Floats, Floats, Ints], start: Float
 
 def _height(theta: Floats, y: Floats, z: Floats) -> Floats:
     curved = theta[3] * y**2 + theta[4] * y * z + theta[5] * z**2
-    height: Floats = theta[0] + theta[1] * y + theta[2] * z + curved
-    return height
+    return np.asarray(theta[0] + theta[1] * y + theta[2] * z + curved)
 
 
 def _cross(theta: Floats, samples: TubeSamples, at: float) -> float:

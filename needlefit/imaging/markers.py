@@ -1,14 +1,8 @@
-"""Find bright components of a marker's size: candidates for the sphere fit.
+"""Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to spheres.
 
 A ball that hangs together with its neighbour at one level stands alone at a higher one, a dull one only
 shows at a low one. The bright voxels of the lowest level are listed once, with which of them touch; every
 higher level is a part of that list, so that no second array of the volume's size is needed.
-
-Compare the stated diameter of the marker balls with that of the scan's image of them.
-
-A few balls are fitted with other diameters. One that explains the image much better is the measured one.
-
-Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to spheres.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,10 +21,11 @@ from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.errors import DataError
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.register import check_axis_signs
 from needlefit.imaging.spheres import MAX_BLUR_MM, Blob, PointSpread, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, to_index, to_patient
-from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
 LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
@@ -86,14 +81,12 @@ def _list_bright_voxels(
         if len(flat) <= MAX_BRIGHT_VOXELS:
             values = volume.values.reshape(-1)[flat]
             return BrightVoxels(flat, values, _find_touching_pairs(flat, volume.values.shape)), levels[n:]
-    raise DataError(
-        f"{len(flat)} voxels exceed {level:.0f} HU",
-        where="markers in the volume",
-        expected=f"the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than "
-        f"{MAX_BRIGHT_VOXELS:.0g} in all",
-        fix="check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe, "
-        "or place the fiducials by hand",
-    )
+    raise refusal(f"""{len(flat)} voxels exceed {level:.0f} HU
+        expected: the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than
+            {MAX_BRIGHT_VOXELS:.0g} in all
+        fix: check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe, or
+            place the fiducials by hand
+        where: markers in the volume""")
 
 
 def _list_levels(volume: Volume) -> list[float]:
@@ -153,8 +146,7 @@ def _find_touching_pairs(flat: Ints, shape: tuple[int, ...]) -> Ints:
 
 def _flat_indices(volume: Volume, voxels: Ints) -> Ints:
     _, rows, columns = volume.values.shape
-    numbers: Ints = (voxels[:, 2] * rows + voxels[:, 1]) * columns + voxels[:, 0]
-    return numbers
+    return np.asarray((voxels[:, 2] * rows + voxels[:, 1]) * columns + voxels[:, 0])
 
 
 def _voxel_count(volume: Volume, diameter: float) -> float:
@@ -170,25 +162,17 @@ MIN_MISFIT = 0.02  # balls whose misfit is smaller, in parts of their brightness
 MAX_MISFIT_RATIO = 0.6
 
 
-def check_diameter(
+def _check_diameter(
     volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], diameter: float
 ) -> tuple[str, ...]:
-    """Return a warning if the balls found are of another diameter than stated, mm."""
-    factor = _measure_factor(volume, balls, diameter)
-    if factor is None:
-        return ()
-    return (
-        f"the balls in the scan are about {factor * diameter:.1f} mm wide, but {diameter:g} mm are stated: "
-        "check markers.diameter_mm",
-    )
+    """Return a warning if the balls found are of another diameter than stated, mm.
 
-
-def _measure_factor(volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], diameter: float) -> float | None:
-    """Return the diameter of the balls over the one stated; None if that one explains them."""
+    A few balls are fitted with other diameters: one that explains the image much better is the measured one.
+    """
     used = sorted(balls, key=lambda one: one[1].misfit)[:MAX_FITTED_BALLS]
     own = np.array([ball.misfit for _, ball in used])
     if not len(own) or np.median(own) < MIN_MISFIT:
-        return None
+        return ()
 
     def remain(factor: float) -> float:
         """Return the misfit that is left, the median part of the balls' own."""
@@ -198,10 +182,13 @@ def _measure_factor(volume: Volume, balls: Sequence[tuple[Blob, SphereFit]], dia
         return float(np.median(left / own))
 
     if min(remain(factor) for factor in FIRST_FACTORS) >= 1:
-        return None
+        return ()
     tried = {1.0: 1.0} | {factor: remain(factor) for factor in DIAMETER_FACTORS}
     best = min(tried, key=lambda factor: tried[factor])
-    return best if tried[best] < MAX_MISFIT_RATIO else None
+    if tried[best] >= MAX_MISFIT_RATIO:
+        return ()
+    seen = f"the balls in the scan are about {best * diameter:.1f} mm wide, but {diameter:g} mm are stated"
+    return (f"{seen}: check markers.diameter_mm",)
 
 
 # A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
@@ -210,50 +197,46 @@ MAX_FIDUCIAL_SD = 2.0  # a fiducial may be off by so many of its deviations
 
 
 def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> MarkerResult:
-    """Return the balls of `recipe.markers.diameter_mm` in a scan.
+    """Return the balls of `recipe.markers.diameter_mm` in a scan: as many as there are, be it none.
+
+    A ball is left out that hangs together with the needle however high the threshold, or that a face of the
+    volume cuts: its centre would be pulled aside.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
 
-    Returns
-    -------
-    Markers
-        As many as there are, be it none. A ball is left out that hangs together with the needle however
-        high the threshold, or that a face of the volume cuts: its centre would be pulled aside.
-
     DataError if nothing in the volume is bright enough.
     """
-    rules = recipe.markers
+    rules, radius = recipe.markers, recipe.markers.diameter_mm / 2
     tried: list[Floats] = []
     fitted: list[tuple[Blob, SphereFit]] = []
     rejected: list[RejectedMarker] = []
     for blob in find_blobs(volume, rules.diameter_mm, rules.threshold_hu, exclude):
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
         # the same ball appears at several levels: it is fitted once
-        if _is_near(middle, tried, rules.diameter_mm / 2):
+        if _is_near(middle, tried, radius):
             continue
         tried.append(middle)
-        ball = fit_sphere(volume, blob, rules.diameter_mm / 2)
-        reason = _find_fault(volume, ball, middle, rules)
+        ball = fit_sphere(volume, blob, radius)
+        # what the recipe allows, and what the noise around it leaves
+        limit = float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
+        reason = _find_fault(volume, ball, middle, (radius, limit))
         if reason is None:
             tried.append(ball.center)
             fitted.append((blob, ball))
         else:
-            limit = max_misfit(ball, rules)
             rejected.append(RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason))
     balls = [ball for _, ball in fitted]
-    centers = np.array([ball.center for ball in balls]).reshape(-1, 3)
-    sd, misfits = np.array([ball.sd for ball in balls]), np.array([ball.misfit for ball in balls])
-    others = tuple(_without_balls(rejected, balls, rules))
-    warnings = check_diameter(volume, fitted, rules.diameter_mm)
-    return MarkerResult(centers, sd, "volume", misfits, others, _median_spread(balls), warnings)
-
-
-def _median_spread(balls: list[SphereFit]) -> PointSpread | None:
-    """Return the point spread that balls show, the median of each quantity; None without balls."""
-    if not balls:
-        return None
-    values = np.array([(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls])
-    return PointSpread(*np.median(values, axis=0).tolist())
+    centers = [ball.center for ball in balls]
+    spreads = [(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls]
+    return MarkerResult(
+        centers=np.array(centers).reshape(-1, 3),
+        sd=np.array([ball.sd for ball in balls]),
+        source="volume",
+        misfits=np.array([ball.misfit for ball in balls]),
+        rejected=tuple(one for one in rejected if not _is_near(one.center, centers, radius)),
+        spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls else None,
+        warnings=_check_diameter(volume, fitted, rules.diameter_mm),
+    )
 
 
 def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
@@ -295,12 +278,10 @@ def read_markers(path: Path) -> Floats:
     """
     format_ = find_format(path)
     if format_ is None or format_.read_markers is None:
-        raise DataError(
-            f"has the ending {path.suffix.lower()!r}",
-            where=str(path),
-            expected=f"a list of points: {list_suffixes(markers=True)}",
-            fix="save it as that",
-        )
+        raise refusal(f"""has the ending {path.suffix.lower()!r}
+            expected: a list of points: {list_suffixes(markers=True)}
+            fix: save it as that
+            where: {path}""")
     return format_.read_markers(path).values
 
 
@@ -327,65 +308,42 @@ def refine_fiducials(
         balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
     if len(balls.centers):
         check_axis_signs(given.centers, balls.centers, rules.fiducial_sd_mm)
-    _refuse_outside(given, volume)
-    reach = rules.diameter_mm / 2 + MAX_FIDUCIAL_SD * rules.fiducial_sd_mm
-    return _move_to_balls(given, balls, reach)
-
-
-def _move_to_balls(given: MarkerResult, balls: MarkerResult, reach: float) -> MarkerResult:
-    """Return the fiducials, those within `reach` (mm) of a ball moved there: the nearest pair first."""
+    index, last = to_index(volume, given.centers), np.array(volume.values.shape[::-1]) - 1
+    outside = np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
+    if len(outside):
+        at = ", ".join(f"{x:.1f}" for x in given.centers[outside[0]])
+        raise refusal(f"""{len(outside)} of {len(given.centers)} fiducials lie outside the volume, one at
+                L, P, S = {at} mm
+            expected: places in the scan, LPS, mm
+            fix: take the fiducials of this scan; check that the file states its coordinate system (RAS or
+                LPS)
+            where: fiducials""")
     centers, sd = given.centers.copy(), given.sd.copy()
+    reach = rules.diameter_mm / 2 + MAX_FIDUCIAL_SD * rules.fiducial_sd_mm
     apart = cdist(given.centers, balls.centers)
-    while apart.size and apart.min() <= reach:
+    while apart.size and apart.min() <= reach:  # the nearest pair first
         mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)
         centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
         apart[mark], apart[:, ball] = np.inf, np.inf
     return MarkerResult(centers, sd, given.source, spread=balls.spread, warnings=balls.warnings)
 
 
-def _refuse_outside(given: MarkerResult, volume: Volume) -> None:
-    index = to_index(volume, given.centers)
-    last = np.array(volume.values.shape[::-1]) - 1
-    outside = np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
-    if not len(outside):
-        return
-    at = ", ".join(f"{x:.1f}" for x in given.centers[outside[0]])
-    raise DataError(
-        f"{len(outside)} of {len(given.centers)} fiducials lie outside the volume, one at L, P, S = {at} mm",
-        where="fiducials",
-        expected="places in the scan, LPS, mm",
-        fix="take the fiducials of this scan; check that the file states its coordinate system (RAS or LPS)",
-    )
-
-
-def max_misfit(ball: SphereFit, rules: MarkersRecord) -> float:
-    """Return the misfit up to which a fit shows a ball: the recipe's, and what the noise around it leaves."""
-    return float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
-
-
 def _find_fault(
-    volume: Volume, ball: SphereFit, middle: Floats, rules: MarkersRecord
+    volume: Volume, ball: SphereFit, middle: Floats, limits: tuple[float, float]
 ) -> Literal["misfit", "blur", "moved", "edge"] | None:
-    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; None if it does."""
-    index = to_index(volume, ball.center[None])[0]
-    last = np.array(volume.values.shape[::-1]) - 1
-    margin = float((np.minimum(index, last - index) * volume.spacing).min())
-    if margin < rules.diameter_mm / 2:
+    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; None if it does.
+
+    `limits`: the radius, mm, and the greatest misfit.
+    """
+    index, last = to_index(volume, ball.center[None])[0], np.array(volume.values.shape[::-1]) - 1
+    if float((np.minimum(index, last - index) * volume.spacing).min()) < limits[0]:
         return "edge"
-    if np.linalg.norm(ball.center - middle) >= rules.diameter_mm / 2:
+    if np.linalg.norm(ball.center - middle) >= limits[0]:
         return "moved"
     # a blur at its upper bound means that the fit did not find a ball
     if ball.spread.blur >= 0.99 * MAX_BLUR_MM:
         return "blur"
-    return "misfit" if ball.misfit > max_misfit(ball, rules) else None
-
-
-def _without_balls(
-    rejected: list[RejectedMarker], balls: list[SphereFit], rules: MarkersRecord
-) -> Iterator[RejectedMarker]:
-    """Yield those that are no other view of a ball that was found."""
-    centers = [ball.center for ball in balls]
-    yield from (one for one in rejected if not _is_near(one.center, centers, rules.diameter_mm / 2))
+    return "misfit" if ball.misfit > limits[1] else None
 
 
 def _is_near(point: Floats, others: list[Floats], reach: float) -> bool:

@@ -52,6 +52,7 @@ from needlefit.imaging.reconstruction_checks import (
     collect_warnings,
     refuse_tunnels,
 )
+from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.register import (
     Registration,
     predict_mean_target_error,
@@ -99,11 +100,11 @@ def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionReco
         return register(markers.centers, places, markers.sd, recipe.markers.reference_sd_mm)
     except DataError as error:
         if error.where == FOUND_SET:
-            seen = describe_candidates(markers, recipe)
-            fix = f"{error.fix}; {CANDIDATE_FIX}"
-            raise DataError(
-                f"{error.what}: {seen}", where=error.where, expected=error.expected, fix=fix
-            ) from None
+            what, fix = (
+                f"{error.what}: {describe_candidates(markers, recipe)}",
+                f"{error.fix}; {CANDIDATE_FIX}",
+            )
+            raise DataError(what, where=error.where, expected=error.expected, fix=fix) from None
         raise (error.at(str(known)) if error.where == KNOWN_SET else error) from None
 
 
@@ -161,16 +162,16 @@ def _select_outside_shaft(
     detections: Detections, scan: Scan, recipe: ReconstructionRecord, at: float
 ) -> OutsideShaft:
     """Return the needle before `at` (mm along it), where it enters the tissue."""
-    world = detections.world
+    world, rules = detections.world, recipe.entry
     s = arc_length(world)
-    base = recipe.needle.length_mm - (s[-1] - at)
+    before, base = s < at, recipe.needle.length_mm - (s[-1] - at)
     return OutsideShaft(
-        points=world[s < at],
-        sd=detections.needle_axis.sd[s < at],
-        s=s[s < at] - at,
+        points=world[before],
+        sd=detections.needle_axis.sd[before],
+        s=s[before] - at,
         free=base if scan.guide_distance is None else scan.guide_distance,
-        bend=recipe.entry.entry_shift_sd_mm,
-        turn=np.radians(recipe.entry.entry_tilt_sd_deg),
+        bend=rules.entry_shift_sd_mm,
+        turn=np.radians(rules.entry_tilt_sd_deg),
     )
 
 
@@ -187,19 +188,16 @@ def _locate_tissue(
     own = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into == 1])
     if len(own):
         at = float(own.min())
-        _refuse_distant_surface(at, detections, scan)
+        _refuse_distant_surface(at, detections)
         return at, recipe.layers.surface_sd_mm, ()
     crossed = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into > 1])
     known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance, crossed)
     choice = choose_entry(detections.profile, float(arc_length(detections.world)[-1]), known)
     if choice is None:
-        raise DataError(
-            "the scan does not show where the needle enters the tissue",
-            where=str(scan.volume),
-            expected="air before the tissue along the needle, the tissue's surface (into = 1), or the stage",
-            fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the "
-            "layers, as FILE=sheet:1 or FILE=solid:1",
-        )
+        raise refusal("""the scan does not show where the needle enters the tissue
+            expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
+            fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
+                layers, as FILE=sheet:1 or FILE=solid:1""")
     return choice.chosen.at, choice.chosen.sd, choice.warnings
 
 
@@ -214,12 +212,10 @@ def _project_contact(detections: Detections, contact: Floats) -> float:
     if away.min() > MAX_ENTRY_DISTANCE_MM:
         found = f"{away.min():.1f} mm beside the needle"
     if found:
-        raise DataError(
-            f"the first contact that was placed lies {found}",
-            where=", ".join(CONTACT_COLUMNS),
-            expected=f"a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS",
-            fix="place it on the needle; RAS has x and y of the other sign",
-        )
+        raise refusal(f"""the first contact that was placed lies {found}
+            expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
+            fix: place it on the needle; RAS has x and y of the other sign
+            where: {", ".join(CONTACT_COLUMNS)}""")
     return float(fine[np.argmin(away)])
 
 
@@ -228,7 +224,7 @@ def _hit_surfaces(needle: Floats, surfaces: Sequence[Surface]) -> Floats:
     return np.concatenate([np.empty(0), *(find_surface_hits(needle, surface) for surface in surfaces)])
 
 
-def _refuse_distant_surface(at: float, detections: Detections, scan: Scan) -> None:
+def _refuse_distant_surface(at: float, detections: Detections) -> None:
     """Refuse a tissue whose own surface the needle meets (`at`) far from where the scan shows it to begin."""
     rises = find_rises(detections.profile)
     if not rises:
@@ -237,14 +233,11 @@ def _refuse_distant_surface(at: float, detections: Detections, scan: Scan) -> No
     if abs(at - edge) <= MAX_ENTRY_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
         return
     side = "behind" if at > edge else "before"
-    raise DataError(
-        f"the needle crosses the tissue's own surface {abs(at - edge):.1f} mm {side} the place where the "
-        "scan shows tissue to begin",
-        where=str(scan.volume),
-        expected=f"within {MAX_ENTRY_DISTANCE_MM:g} mm of it",
-        fix="see both in 3D Slicer: label the needle's voxels as the tissue around them, check the frame of "
-        "the surfaces; if they are right, state the stage (entry_x_mm ... pose_angle_sd_deg)",
-    )
+    raise refusal(f"""the needle crosses the tissue's own surface {abs(at - edge):.1f} mm {side} the place
+            where the scan shows tissue to begin
+        expected: within {MAX_ENTRY_DISTANCE_MM:g} mm of it
+        fix: see both in 3D Slicer: label the needle's voxels as the tissue around them, check the frame of
+            the surfaces; if they are right, state the stage (entry_x_mm ... pose_angle_sd_deg)""")
 
 
 PlaneSource = Literal["stated", "bevel", "shape"]
@@ -260,22 +253,25 @@ def derive_reconstruction(
     DataError: whatever keeps the scan from being reconstructed; nothing is guessed.
     """
     surfaces = read_layers(scan, detections.patient, grid, detections.frame_of_reference)
-    refuse_tunnels(scan, surfaces, detections.world)
+    refuse_tunnels(surfaces, detections.world)
     pose, shaft, doubts = estimate_first_contact(detections, scan, surfaces, recipe)
     begin = find_entry_arc_length(detections.world, pose)
-    points, sd = _sample_inserted(detections, begin, recipe.centerline.station_spacing_mm, scan)
+    points, sd = _sample_inserted(detections, begin, recipe.centerline.station_spacing_mm)
     frame, plane = _find_bending_frame(detections, scan, pose, points, recipe)
-    layers = find_crossed_layers(
-        points, frame, surfaces, estimate_layer_errors(scan, recipe, sd, pose, detections.registration)
-    )
-    drawn = detections.needle_axis.sections
+    errors = estimate_layer_errors(scan, recipe, sd, pose, detections.registration)
+    layers = find_crossed_layers(points, frame, surfaces, errors)
+    drawn, registration = detections.needle_axis.sections, detections.registration
+    target_error = np.zeros(2)  # at the entry and at the tip
+    if registration is not None:
+        ends = detections.patient.to_local(points[[0, -1]])
+        target_error = predict_mean_target_error(registration, ends)
     notes = check_layer_count(scan, layers, points, detections.patient)
     found = Reconstruction(
         scan=scan,
         spacing=grid.spacing,
         needle_axis=detections.needle_axis,
         markers=detections.markers,
-        registration=detections.registration,
+        registration=registration,
         patient=detections.patient,
         pose=pose,
         shaft=shaft,
@@ -286,7 +282,7 @@ def derive_reconstruction(
         sections=None if drawn is None else drawn.seen_from(detections.patient, begin),
         depth=float(arc_length(points)[-1]),
         depth_sd=float(np.hypot(detections.needle_axis.tip_sd[0], pose.along_sd)),
-        target_error=_predict_target_error(detections, points),
+        target_error=target_error,
         layers=layers,
         profile=replace(detections.profile, s=detections.profile.s - begin),
         views=(),
@@ -295,28 +291,16 @@ def derive_reconstruction(
     return replace(found, warnings=(*collect_warnings(found, (*doubts, *detections.warnings)), *notes))
 
 
-def _sample_inserted(
-    detections: Detections, begin: float, station: float, scan: Scan
-) -> tuple[Floats, Floats]:
+def _sample_inserted(detections: Detections, begin: float, station: float) -> tuple[Floats, Floats]:
     """Return the needle from `begin` (mm along it) to its tip: points (N, 3), world, and deviations (N,)."""
     along = arc_length(detections.world)
     if along[-1] - begin < MIN_DEPTH_MM:
-        raise DataError(
-            f"the needle enters the tissue {along[-1] - begin:.2f} mm before its tip",
-            where=str(scan.volume),
-            expected=f"at least {MIN_DEPTH_MM:g} mm of it in the tissue",
-            fix="look at entry and tip (needlefit view SCAN), and place the one that is wrong",
-        )
+        raise refusal(f"""the needle enters the tissue {along[-1] - begin:.2f} mm before its tip
+            expected: at least {MIN_DEPTH_MM:g} mm of it in the tissue
+            fix: look at entry and tip (needlefit view SCAN), and place the one that is wrong""")
     count = int(np.ceil((along[-1] - begin) / station)) + 1
     s = np.linspace(begin, along[-1], count)
     return interpolate_at_arc(detections.world, s), np.interp(s, along, detections.needle_axis.sd)
-
-
-def _predict_target_error(detections: Detections, points: Floats) -> Floats:
-    """Return the mean error (2,) that the registration leaves at the entry and at the tip, predicted, mm."""
-    if detections.registration is None:
-        return np.zeros(2)
-    return predict_mean_target_error(detections.registration, detections.patient.to_local(points[[0, -1]]))
 
 
 def _find_bending_frame(
@@ -325,12 +309,10 @@ def _find_bending_frame(
     """Return the constraint frame, and what fixes its plane."""
     plane: PlaneSource
     if scan.bevel is None and scan.side < 0:
-        raise DataError(
-            "bevel_side is -1, but no bevel direction is stated",
-            where=f"scan {scan.id}",
-            expected="bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went",
-            fix="state the bevel's direction, or leave bevel_side empty",
-        )
+        raise refusal(f"""bevel_side is -1, but no bevel direction is stated
+            expected: bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went
+            fix: state the bevel's direction, or leave bevel_side empty
+            where: scan {scan.id}""")
     bevel = detections.patient.rotation @ detections.needle_axis.bevel
     if scan.bevel is not None:
         toward, plane = scan.bevel, "stated"
@@ -341,7 +323,7 @@ def _find_bending_frame(
     try:
         return make_entry_frame(pose.origin, pose.direction, toward), plane
     except DataError as error:
-        raise DataError(error.what, where=str(scan.volume), expected=error.expected, fix=BEVEL_FIX) from None
+        raise DataError(error.what, expected=error.expected, fix=BEVEL_FIX) from None
 
 
 T = TypeVar("T")
@@ -427,11 +409,10 @@ def _complete(found: Examination, volume: Volume, recipe: ReconstructionRecord) 
     """Return the reconstruction that follows from what was found."""
     axis, profile, selection, scan = found.needle_axis, found.profile, found.selection, found.scan
     assert axis is not None and profile is not None and selection is not None
-    frame_of_reference = volume.frame_of_reference
-    detections = Detections(
-        axis, found.markers, found.registration, profile, selection.warnings, frame_of_reference
-    )
-    one = derive_reconstruction(detections, scan, recipe, volume.grid)
+    frame, warnings = volume.frame_of_reference, selection.warnings
+    detections = Detections(axis, found.markers, found.registration, profile, warnings, frame)
+    with located(scan.volume):
+        one = derive_reconstruction(detections, scan, recipe, volume.grid)
     proposals = None
     if scan.propose_layers:
         proposals = propose_layers(volume, axis.points, float(arc_length(axis.points)[-1]) - one.depth)

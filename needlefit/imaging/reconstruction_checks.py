@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits, measure_enclosed_length
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.geometry.surfaces import Surface, find_nearest, transform_surface
@@ -13,6 +12,7 @@ from needlefit.imaging.entry import compare_poses
 from needlefit.imaging.materials import find_tissue_edge
 from needlefit.imaging.needle.tip import END_LENGTH_MM
 from needlefit.imaging.reconstruction import Layers, Reconstruction
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.scans import Scan
 
 MIN_P_VALUE = 0.01  # residuals of markers that the stated noise leaves less often are spoken of
@@ -35,54 +35,43 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
 
     DataError if the inserted length is not known to `MAX_DEPTH_SD_MM`.
     """
-    _refuse_unknown_depth(one)
-    found = () if one.registration is None else one.registration.warnings
+    if one.depth_sd > MAX_DEPTH_SD_MM:
+        tip, entry = float(one.needle_axis.tip_sd[0]), one.pose.along_sd
+        raise refusal(f"""the inserted length is known to +- {one.depth_sd:.2g} mm only (tip {tip:.2g}, entry
+                {entry:.2g})
+            expected: +- {MAX_DEPTH_SD_MM:g} mm or less
+            fix: state the stage or the tissue's own surface (into = 1) if the entry is not known; if the tip
+                is not, scan it away from other metal, or with thinner slices""")
     return (
         *list_tip_warnings(one),
         *earlier,
         *(() if one.markers is None else one.markers.warnings),
-        *found,
-        *_registration_warnings(one),
-        *_placed_warnings(one),
+        *(() if one.registration is None else one.registration.warnings),
+        *_input_warnings(one),
         *_entry_warnings(one),
         *_plane_warnings(one),
-        *_layer_warnings(one),
-        *_bevel_warnings(one),
-    )
-
-
-def _refuse_unknown_depth(one: Reconstruction) -> None:
-    if one.depth_sd <= MAX_DEPTH_SD_MM:
-        return
-    tip, entry = float(one.needle_axis.tip_sd[0]), one.pose.along_sd
-    raise DataError(
-        f"the inserted length is known to +- {one.depth_sd:.2g} mm only (tip {tip:.2g}, entry {entry:.2g})",
-        where=str(one.scan.volume),
-        expected=f"+- {MAX_DEPTH_SD_MM:g} mm or less",
-        fix="state the stage or the tissue's own surface (into = 1) if the entry is not known; if the tip is "
-        "not, scan it away from other metal, or with thinner slices",
+        *_doubt_warnings(one),
     )
 
 
 def list_tip_warnings(one: Reconstruction) -> list[str]:
     """Return what a person should know of the needle's end."""
     needle, notes = one.needle_axis, []
-    sd = float(needle.tip_sd[0])
+    sd = f"+- {float(needle.tip_sd[0]):.2f} mm"
     if needle.tip_source == "threshold":
         notes.append(
             "the model of the needle's end does not explain the scan: the tip is taken where a threshold "
-            f"sees it, {needle.tip_disagreement:+.2f} mm from there, +- {sd:.2f} mm along the needle"
+            f"sees it, {needle.tip_disagreement:+.2f} mm from there, {sd} along the needle"
         )
     elif needle.hidden_length > MAX_HIDDEN_LENGTH_MM:
         notes.append(
             f"rays run along {needle.hidden_length:.0f} mm of the needle, which lies in the slices, and may "
-            f"hide its end: +- {sd:.2f} mm along the needle, and some are 2 mm off and more; look at it, or "
+            f"hide its end: {sd} along the needle, and some are 2 mm off and more; look at it, or "
             "scan the needle across the slices"
         )
-    elif sd > MAX_TIP_SD_MM:
-        notes.append(f"the tip is known to +- {sd:.2f} mm only along the needle")
-    further = _find_metal_beyond(one)
-    if further is not None:
+    elif needle.tip_sd[0] > MAX_TIP_SD_MM:
+        notes.append(f"the tip is known to {sd} only along the needle")
+    if (further := _find_metal_beyond(one)) is not None:
         notes.append(
             f"{further:.1f} mm beyond the tip found, on the needle's axis, something is as bright as the "
             "needle: rays may hide a part of it, and the tip lie further on; look at it"
@@ -102,18 +91,14 @@ def _find_metal_beyond(one: Reconstruction) -> float | None:
     return float(profile.s[bright[0]] - one.depth) if len(bright) else None
 
 
-def _registration_warnings(one: Reconstruction) -> list[str]:
-    known = one.registration
-    if known is None or known.p_value > MIN_P_VALUE:
-        return []
-    return [
-        f"the markers miss their places by {known.fre:.2f} mm, {known.expected_fre:.2f} were expected "
-        f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
-    ]
-
-
-def _placed_warnings(one: Reconstruction) -> list[str]:
-    scan = one.scan
+def _input_warnings(one: Reconstruction) -> Iterator[str]:
+    """Yield what there is to say of the markers' deviations, and of what a person placed."""
+    known, scan = one.registration, one.scan
+    if known is not None and known.p_value <= MIN_P_VALUE:
+        yield (
+            f"the markers miss their places by {known.fre:.2f} mm, {known.expected_fre:.2f} were expected "
+            f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
+        )
     placed = {
         "the needle": scan.needle_at,
         "the markers": scan.fiducials,
@@ -121,28 +106,28 @@ def _placed_warnings(one: Reconstruction) -> list[str]:
         "the tip": scan.tip,
     }
     by_hand = [name for name, given in placed.items() if given is not None]
-    return [f"placed by hand in the scan: {', '.join(by_hand)}"] if by_hand else []
+    if by_hand:
+        yield f"placed by hand in the scan: {', '.join(by_hand)}"
 
 
-def _entry_warnings(one: Reconstruction) -> list[str]:
-    notes = []
+def _entry_warnings(one: Reconstruction) -> Iterator[str]:
     at_tip = float(np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth))
     if one.pose.source == "shaft":
-        notes.append(
+        yield (
             f"the entry axis is drawn through the shaft outside the tissue: +- {at_tip:.2f} mm at the tip's "
             "depth; the stage's axis is more accurate, where it is known"
         )
-    if one.pose.source == "stage" and one.shaft is not None:
+    elif one.shaft is not None:
         apart = compare_poses(one.pose, one.shaft)
-        notes += [apart.sentence] if apart.worst > MAX_DISAGREEMENT_SD else []
+        if apart.worst > MAX_DISAGREEMENT_SD:
+            yield apart.sentence
     edge, source = find_tissue_edge(one.profile), _describe_entry_source(one)
     if edge is None or source is None:
-        return notes
+        return
     off, sd = edge[0], float(np.hypot(edge[1], one.pose.along_sd))
     if abs(off) > MAX_DISAGREEMENT_SD * sd:
         side = "after" if off > 0 else "before"
-        notes.append(f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}")
-    return notes
+        yield f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
 
 
 def _describe_entry_source(one: Reconstruction) -> str | None:
@@ -153,18 +138,17 @@ def _describe_entry_source(one: Reconstruction) -> str | None:
     return "its own surface (into = 1)" if own else None
 
 
-def _plane_warnings(one: Reconstruction) -> list[str]:
-    notes = []
+def _plane_warnings(one: Reconstruction) -> Iterator[str]:
     local = one.local
     deflection, aside = float(local[-1, 1]), float(np.abs(local[:, 2]).max())
     error = float(np.hypot(one.sd[-1], np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth)))
     if one.plane == "shape" and np.degrees(error) > MAX_PLANE_SD_DEG * abs(deflection):
-        notes.append(
+        yield (
             f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: so straight, "
             "it determines no bending plane, and its deflection is biased upward; state the bevel's direction"
         )
     elif one.plane != "shape" and aside > MAX_DISAGREEMENT_SD * error and aside > abs(deflection) / 3:
-        notes.append(
+        yield (
             f"the needle leaves the bending plane by {aside:.2f} mm, and bends {abs(deflection):.2f} in it: "
             "check the bevel's direction"
         )
@@ -174,36 +158,26 @@ def _plane_warnings(one: Reconstruction) -> list[str]:
         across = visible_bevel - (visible_bevel @ one.frame.rotation[:, 0]) * one.frame.rotation[:, 0]
         angle = np.degrees(np.arccos(np.clip(facing @ across / np.linalg.norm(across), -1, 1)))
         if angle > MAX_BEVEL_ANGLE_DEG:
-            notes.append(f"the bevel seen at the tip points {angle:.0f} degrees away from the one stated")
-    return notes
+            yield f"the bevel seen at the tip points {angle:.0f} degrees away from the one stated"
 
 
-def _bevel_warnings(one: Reconstruction) -> list[str]:
-    needle = one.needle_axis
-    probability = needle.bevel_probability
-    if not np.isfinite(probability) or np.isfinite(needle.bevel).all() or one.plane == "stated":
-        return []
-    return [f"the scan does not show the bevel's side (probability {probability:.2f}): it is left open"]
+def _doubt_warnings(one: Reconstruction) -> Iterator[str]:
+    """Yield which layers are poorly known, and that the bevel's side is."""
+    depths = zip(one.layers.boundaries, one.layers.sd, strict=True)
+    steep = [f"{depth:.2f} +- {sd:.2f} mm" for depth, sd in depths if sd > MAX_LAYER_SD_MM]
+    if steep:
+        yield f"layer depths that are poorly known: {', '.join(steep)}"
+    probability, seen = one.needle_axis.bevel_probability, np.isfinite(one.needle_axis.bevel).all()
+    if np.isfinite(probability) and not seen and one.plane != "stated":
+        yield f"the scan does not show the bevel's side (probability {probability:.2f}): it is left open"
 
 
-def _layer_warnings(one: Reconstruction) -> list[str]:
-    steep = [
-        f"{depth:.2f} +- {sd:.2f} mm"
-        for depth, sd in zip(one.layers.boundaries, one.layers.sd, strict=True)
-        if sd > MAX_LAYER_SD_MM
-    ]
-    if not steep:
-        return []
-    return [f"layer depths that are poorly known: {', '.join(steep)}"]
-
-
-# Nearer than this, mm, nothing in the tissue runs around a needle but what was drawn around it.
 TUNNEL_RADIUS_MM = 2.0
 # A surface runs along a needle from this length on, mm: no ball of that radius is passed through so long.
 MIN_TUNNEL_LENGTH_MM = 2 * TUNNEL_RADIUS_MM
 
 
-def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> None:
+def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
     """Refuse layers that were drawn around a needle (N, 3), world, from base to tip.
 
     Where metal was left out of a segmentation, the needle lies in a tunnel of each layer, and crosses their
@@ -216,13 +190,11 @@ def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> N
     ]
     around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= MIN_TUNNEL_LENGTH_MM]
     if around:
-        raise DataError(
-            f"the layers run around the needle, so that it does not cross them: {', '.join(around)}",
-            where=str(scan.volume),
-            expected="surfaces that the needle passes through",
-            fix="label the needle's voxels as the tissue around them, e.g. in 3D Slicer's Segment "
-            "Editor by Smoothing, Closing (fill holes), with a kernel wider than the needle, for each layer",
-        )
+        raise refusal(f"""the layers run around the needle, so that it does not cross them:
+                {", ".join(around)}
+            expected: surfaces that the needle passes through
+            fix: label the needle's voxels as the tissue around them, e.g. in 3D Slicer's Segment Editor by
+                Smoothing, Closing (fill holes), with a kernel wider than the needle, for each layer""")
 
 
 def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame) -> tuple[str, ...]:
@@ -244,13 +216,10 @@ def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame
     where = f"; interfaces at {depths} mm" if depths else ""
     order = " > ".join(map(str, layers.sequence))
     expected = " or ".join(map(str, sorted(counted)))
-    raise DataError(
-        f"{scan.id} meets {len(layers.sequence)} layer{'s' * bool(depths)} ({order}{where}), "
-        f"but {expected} were counted" + "".join(f"; {one}" for one in notes),
-        where=str(scan.volume),
-        expected=f"{expected} layers",
-        fix="correct the count or the surfaces; look at both together in 3D Slicer",
-    )
+    raise refusal(f"""{scan.id} meets {len(layers.sequence)} layer{"s" * bool(depths)} ({order}{where}), but
+            {expected} were counted{"".join(f"; {one}" for one in notes)}
+        expected: {expected} layers
+        fix: correct the count or the surfaces; look at both together in 3D Slicer""")
 
 
 def _crossing_warnings(layers: Layers, points: Floats, patient: Frame) -> Iterator[str]:

@@ -8,8 +8,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -109,24 +110,27 @@ class Scan:
 
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
-COUNT_COLUMNS = ("layers", "layers_alternative")
-NEEDLE_COLUMNS = ("needle_x_mm", "needle_y_mm", "needle_z_mm")
 CONTACT_COLUMNS = ("contact_x_mm", "contact_y_mm", "contact_z_mm")
-TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
-PLACED_COLUMNS = (*NEEDLE_COLUMNS, *CONTACT_COLUMNS, *TIP_COLUMNS)  # points placed by hand in the scan, LPS
-LENGTH_COLUMNS = ("guide_distance_mm", "expected_depth_mm")
-# Columns of numbers.
+# By the field of `Scan`: the columns of vectors (the points are placed by hand in the scan, LPS), of counts
+# and of lengths, and of files.
+VECTORS = {
+    "bevel": BEVEL_COLUMNS,
+    "needle_at": ("needle_x_mm", "needle_y_mm", "needle_z_mm"),
+    "contact": CONTACT_COLUMNS,
+    "tip": ("tip_x_mm", "tip_y_mm", "tip_z_mm"),
+}
+COUNTS = ("layers", "layers_alternative")
+LENGTHS = {"guide_distance": "guide_distance_mm", "expected_depth": "expected_depth_mm"}
+FILES = ("mask", "markers", "fiducials")
 NUMBER_COLUMNS = (
-    *(*STAGE_COLUMNS, *BEVEL_COLUMNS, "bevel_side", *COUNT_COLUMNS),
-    *(*LENGTH_COLUMNS, *PLACED_COLUMNS),
+    *(*STAGE_COLUMNS, *VECTORS["bevel"], "bevel_side", *COUNTS, *LENGTHS.values()),
+    *(*VECTORS["needle_at"], *VECTORS["contact"], *VECTORS["tip"]),
 )
-
 # Every column of a table of scans; those of `insertions.csv` mean the same here.
 SCAN_COLUMNS = (
-    *("id", "scan", "series", "medium", "specimen", "mask", "markers", "fiducials"),
+    *("id", "scan", "series", "medium", "specimen", *FILES),
     *("surfaces", "surfaces_in", *NUMBER_COLUMNS, "origin"),
 )
-
 SCANS_DOCUMENT = "docs/reconstruction.md"  # where the columns, and the files that they name, are explained
 # What fixes a bevel that fixes no plane.
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
@@ -147,7 +151,7 @@ class ScanRow:
     text: Mapping[str, str]
     number: Mapping[str, float]
 
-    def vector(self, names: tuple[str, ...]) -> Floats:
+    def vector(self, names: Sequence[str]) -> Floats:
         """Return the numbers of some columns, (len(names),)."""
         return np.array([self.number[name] for name in names])
 
@@ -157,15 +161,12 @@ class ScanRow:
 
     def layers(self) -> list[LayerSource | Fault]:
         """Return the files of the layers, or the fault of each."""
-        parts = [part for part in self._parts() if part != PROPOSE_LAYERS]
-        return [parse_layer_source(part, self.folder, self.where) for part in parts]
+        files = [part for part in self.surfaces if part != PROPOSE_LAYERS]
+        return [parse_layer_source(part, self.folder, self.where) for part in files]
 
     @property
-    def proposes_layers(self) -> bool:
-        """Whether layers are to be proposed."""
-        return PROPOSE_LAYERS in self._parts()
-
-    def _parts(self) -> list[str]:
+    def surfaces(self) -> list[str]:
+        """What the cell of the surfaces lists."""
         return [part.strip() for part in self.text["surfaces"].split(";") if part.strip()]
 
 
@@ -177,34 +178,31 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     match, chosen = _LAYER_PATTERN.fullmatch(text), _SEGMENTS_PATTERN.fullmatch(text)
     stated = match or chosen
     file = stated["file"].strip() if stated else text
-    path, place = folder / file, where or str(folder / file)
+    path = folder / file
+    fault = partial(Fault, where or str(path))
     if not is_file(path) and "=" in file:
-        what = f"the layer {text!r} is not understood"
         expected = "file, file=sheet:2, file=solid:3 or file=segments:NAME,NAME"
-        return Fault(
-            place, what, expected, "say the kind and the layer that it leads into, or leave both out"
-        )
+        fix = "say the kind and the layer that it leads into, or leave both out"
+        return fault(f"the layer {text!r} is not understood", expected, fix)
     if not is_file(path):
-        return Fault(
-            place, f"there is no file {path}", "a surface or segmentation of layers", "check the path"
-        )
+        return fault(f"there is no file {path}", "a surface or segmentation of layers", "check the path")
     mesh = path.suffix.lower() in MESH_SUFFIXES
     if not mesh and not _may_be_segmentation(path):
         endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
         expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, DICOM-SEG, RTSTRUCT"
         fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
-        return Fault(place, f"{path} has the ending {path.suffix!r}", expected, fix)
+        return fault(f"{path} has the ending {path.suffix!r}", expected, fix)
     if chosen and mesh:
         fix = f"write {file}, {file}=sheet:2 or {file}=solid:3"
-        return Fault(place, f"{path} is a mesh, of which segments are named", "one surface", fix)
+        return fault(f"{path} is a mesh, of which segments are named", "one surface", fix)
+    if match and not mesh:
+        fix = f"write {file}, or {file}=segments:NAME,NAME: its labels say which layer is which"
+        return fault(f"{path} is a segmentation of all layers, listed as one {match['kind']}", "", fix)
     if chosen:
         names = tuple(name for part in chosen["names"].split(",") if (name := part.strip()))
         return LayerSource(path, segments=names)
     if match is None:
         return LayerSource(path)
-    if not mesh:
-        fix = f"write {file}, or {file}=segments:NAME,NAME: its labels say which layer is which"
-        return Fault(place, f"{path} is a segmentation of all layers, listed as one {match['kind']}", "", fix)
     return LayerSource(path, "sheet" if match["kind"] == "sheet" else "solid", int(match["into"]))
 
 
@@ -219,53 +217,32 @@ def _may_be_segmentation(path: Path) -> bool:
 
 def build_scan(row: ScanRow, id_: str) -> Scan:
     """Return the scan of a row without faults."""
-    text, number, bevel = row.text, row.number, row.vector(BEVEL_COLUMNS)
+    text, number = row.text, row.number
+    parts: dict[str, Any] = {name: row.path(name) for name in FILES}
+    for name, columns in VECTORS.items():
+        vector = row.vector(columns)
+        parts[name] = None if np.isnan(vector).any() else normalize(vector) if name == "bevel" else vector
+    for name in COUNTS:
+        parts[name] = None if math.isnan(number[name]) else int(number[name])
+    for name, column in LENGTHS.items():
+        parts[name] = None if math.isnan(number[column]) else number[column]
+    if not np.isnan(row.vector(STAGE_COLUMNS)).any():
+        shift, angle = number["pose_shift_sd_mm"], math.radians(number["pose_angle_sd_deg"])
+        direction = normalize(row.vector(DIRECTION_COLUMNS))
+        parts["stage"] = StagePose(row.vector(ENTRY_COLUMNS), direction, shift, angle)
     return Scan(
         id=id_,
         volume=row.folder / text["scan"],
         medium=text["medium"] or "medium",
         specimen=text["specimen"],
         series=text["series"] or None,
-        mask=row.path("mask"),
-        markers=row.path("markers"),
-        fiducials=row.path("fiducials"),
         surfaces=tuple(layer for layer in row.layers() if isinstance(layer, LayerSource)),
         surfaces_in="scan" if text["surfaces_in"] == "scan" else "world",
-        stage=_parse_stage(row),
-        bevel=None if np.isnan(bevel).any() else normalize(bevel),
         side=-1 if number["bevel_side"] == -1 else 1,
-        layers=_parse_count(number["layers"]),
-        layers_alternative=_parse_count(number["layers_alternative"]),
-        guide_distance=_parse_length(number["guide_distance_mm"]),
-        expected_depth=_parse_length(number["expected_depth_mm"]),
-        needle_at=_parse_point(row, NEEDLE_COLUMNS),
-        contact=_parse_point(row, CONTACT_COLUMNS),
-        tip=_parse_point(row, TIP_COLUMNS),
-        propose_layers=row.proposes_layers,
+        propose_layers=PROPOSE_LAYERS in row.surfaces,
         origin="synthetic" if text["origin"] == "synthetic" else "measured",
+        **parts,
     )
-
-
-def _parse_point(row: ScanRow, names: tuple[str, ...]) -> Floats | None:
-    point = row.vector(names)
-    return None if np.isnan(point).any() else point
-
-
-def _parse_stage(row: ScanRow) -> StagePose | None:
-    if np.isnan(row.vector(STAGE_COLUMNS)).any():
-        return None
-    shift, angle = row.number["pose_shift_sd_mm"], row.number["pose_angle_sd_deg"]
-    return StagePose(
-        row.vector(ENTRY_COLUMNS), normalize(row.vector(DIRECTION_COLUMNS)), shift, math.radians(angle)
-    )
-
-
-def _parse_count(value: float) -> int | None:
-    return None if math.isnan(value) else int(value)
-
-
-def _parse_length(value: float) -> float | None:
-    return None if math.isnan(value) else value
 
 
 def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
@@ -274,14 +251,10 @@ def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
         yield from name_faults(name, row.text[name], row.where)
     for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
         yield from label_faults(name, given, row.where)
-    for name, words in CHOICE_COLUMNS.items():
-        if row.text[name] and row.text[name] not in words:
-            expected = f"{' or '.join(words)}, or an empty cell: {words[0]}"
-            yield Fault(row.where, f"{name} is {row.text[name]!r}", expected, "correct the cell")
-    yield from _file_faults(row)
+    yield from (Fault(row.where, *fault) for fault in _word_faults(row))
+    yield from (layer for layer in row.layers() if isinstance(layer, Fault))
     if numbers_read:
-        yield from _stage_faults(row)
-        yield from _number_faults(row)
+        yield from (Fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
 
 
 def name_faults(name: str, given: str, where: str) -> Iterator[Fault]:
@@ -293,8 +266,7 @@ def name_faults(name: str, given: str, where: str) -> Iterator[Fault]:
 
 def label_faults(name: str, given: str, where: str) -> Iterator[Fault]:
     """Yield a fault if a name cannot be used in tables."""
-    fault = name_fault(given)
-    if fault:
+    if fault := name_fault(given):
         yield Fault(where, f"{name} is {given!r}: {fault}", EXPECTED_NAME, "rename it")
 
 
@@ -304,83 +276,71 @@ def unmatched_fiducials_fault(where: str, fix: str) -> Fault:
     return Fault(where, what, "the known places of the markers, too", fix)
 
 
+_PLACED_CONTACT = (
+    "the entry is stated by the stage (entry_x_mm ...) and placed by hand (contact_x_mm ...)",
+    "one of both",
+    "take the placed entry back, or empty entry_x_mm ... pose_angle_sd_deg",
+)
+
+
 def placed_contact_fault(where: str) -> Fault:
     """Return the fault of a first contact that was placed in a scan whose stage states it."""
-    what = "the entry is stated by the stage (entry_x_mm ...) and placed by hand (contact_x_mm ...)"
-    fix = "take the placed entry back, or empty entry_x_mm ... pose_angle_sd_deg"
-    return Fault(where, what, "one of both", fix)
+    return Fault(where, *_PLACED_CONTACT)
 
 
-def _file_faults(row: ScanRow) -> Iterator[Fault]:
-    volume = row.path("scan")
+def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
+    """Yield what is wrong with words and files of a row, what is expected, and the fix."""
+    for name, words in CHOICE_COLUMNS.items():
+        if row.text[name] and row.text[name] not in words:
+            expected = f"{' or '.join(words)}, or an empty cell: {words[0]}"
+            yield f"{name} is {row.text[name]!r}", expected, "correct the cell"
+    volume, fix = row.path("scan"), f"correct the path: it counts from {row.folder.resolve()}"
     if volume is None:
-        yield Fault(row.where, "scan is empty", READABLE_VOLUMES, "give the path of the volume")
+        yield "scan is empty", READABLE_VOLUMES, "give the path of the volume"
     elif not path_exists(volume):
-        yield Fault(row.where, f"there is no scan {volume}", READABLE_VOLUMES, _relative_path_fix(row))
-    for name in ("mask", "markers", "fiducials"):
+        yield f"there is no scan {volume}", READABLE_VOLUMES, fix
+    for name in FILES:
         path = row.path(name)
         if path is not None and not is_file(path):
-            yield Fault(
-                row.where, f"there is no file {path}", f"the {name} of this scan", _relative_path_fix(row)
-            )
+            yield f"there is no file {path}", f"the {name} of this scan", fix
     if row.text["fiducials"] and not row.text["markers"]:
-        yield unmatched_fiducials_fault(row.where, "fill the cell under markers")
-    yield from (layer for layer in row.layers() if isinstance(layer, Fault))
+        fault = unmatched_fiducials_fault(row.where, "fill the cell under markers")
+        yield fault.what, fault.expected, fault.fix
 
 
-def _relative_path_fix(row: ScanRow) -> str:
-    return f"correct the path: it counts from {row.folder.resolve()}"
-
-
-def _stage_faults(row: ScanRow) -> Iterator[Fault]:
-    for names in (STAGE_COLUMNS, BEVEL_COLUMNS, NEEDLE_COLUMNS, CONTACT_COLUMNS, TIP_COLUMNS):
-        empty = [name for name in names if math.isnan(row.number[name])]
-        if empty and len(empty) < len(names):
-            fix = "fill these, or empty the others"
-            yield Fault(row.where, f"{', '.join(empty)} are empty", "all of them, or none", fix)
-    if not np.isnan(row.vector((*STAGE_COLUMNS, *CONTACT_COLUMNS))).any():
-        yield placed_contact_fault(row.where)
-    length = float(np.linalg.norm(row.vector(DIRECTION_COLUMNS)))
-    if abs(length - 1) > UNIT_VECTOR_TOLERANCE:
-        what = f"entry direction has length {length:.4g}"
-        fix = "divide the three numbers by their length" if length else "give the direction of insertion"
-        yield Fault(row.where, what, "a unit vector (entry_dx, _dy, _dz)", fix)
-    turned = np.linalg.norm(
-        np.cross(row.vector(DIRECTION_COLUMNS), row.vector(BEVEL_COLUMNS))
-    )  # empty cells are nan
-    if row.vector(BEVEL_COLUMNS).any() and turned < PARALLEL_SINE * np.linalg.norm(row.vector(BEVEL_COLUMNS)):
-        what = "the bevel is parallel to the entry direction"
-        yield Fault(row.where, what, "a direction across the needle", BEVEL_FIX)
-    if not row.vector(BEVEL_COLUMNS).any():  # three empty cells are nan
-        yield Fault(
-            row.where, f"{', '.join(BEVEL_COLUMNS)} are all 0", "a direction", "give it, or empty the cells"
-        )
-
-
-def _number_faults(row: ScanRow) -> Iterator[Fault]:
-    number = row.number
+def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
+    """Yield the checks of the numbers of a row: whether one fails, what then is wrong, expected, the fix."""
+    number, direction, bevel = row.number, row.vector(DIRECTION_COLUMNS), row.vector(BEVEL_COLUMNS)
+    for names in (STAGE_COLUMNS, *VECTORS.values()):
+        empty = [name for name in names if math.isnan(number[name])]
+        what = f"{', '.join(empty)} are empty"
+        yield 0 < len(empty) < len(names), what, "all of them, or none", "fill these, or empty the others"
+    yield not np.isnan(row.vector((*STAGE_COLUMNS, *CONTACT_COLUMNS))).any(), *_PLACED_CONTACT
+    length = float(np.linalg.norm(direction))  # nan, which no check finds wrong, where cells are empty
+    what, expected = f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)"
+    fix = "divide the three numbers by their length" if length else "give the direction of insertion"
+    yield abs(length - 1) > UNIT_VECTOR_TOLERANCE, what, expected, fix
+    turned, zero = np.linalg.norm(np.cross(direction, bevel)), not bevel.any()
+    along = not zero and bool(turned < PARALLEL_SINE * np.linalg.norm(bevel))
+    yield along, "the bevel is parallel to the entry direction", "a direction across the needle", BEVEL_FIX
+    yield zero, f"{', '.join(BEVEL_COLUMNS)} are all 0", "a direction", "give it, or empty the cells"
     for name in ("pose_shift_sd_mm", "pose_angle_sd_deg"):
-        if number[name] < 0:
-            yield Fault(
-                row.where, f"{name} is negative", "a standard deviation, 0 or more", "remove the sign"
-            )
-    if not math.isnan(number["bevel_side"]) and number["bevel_side"] not in (1, -1):
-        what, expected = f"bevel_side is {number['bevel_side']:g}", "1 or -1, or an empty cell: 1"
-        yield Fault(row.where, what, expected, "correct the cell")
-    for name in COUNT_COLUMNS:
-        if number[name] < 1 or number[name] % 1 > 0:
-            what, fix = f"{name} is {number[name]:g}", "count the layers, or leave the cell empty"
-            yield Fault(row.where, what, "a whole number from 1", fix)
-    if math.isnan(number["layers"]) and not math.isnan(number["layers_alternative"]):
-        what, fix = "layers_alternative is given without layers", "fill the cell under layers, too"
-        yield Fault(row.where, what, "both counts, or none", fix)
-    for name, meaning in zip(LENGTH_COLUMNS, ("held at its base", "the last change from air"), strict=True):
-        if number[name] <= 0:
-            what, fix = f"{name} is {number[name]:g}", f"leave it empty: {meaning}"
-            yield Fault(row.where, what, "a length above 0", fix)
+        expected = "a standard deviation, 0 or more"
+        yield number[name] < 0, f"{name} is negative", expected, "remove the sign"
+    side, expected = number["bevel_side"], "1 or -1, or an empty cell: 1"
+    wrong = not math.isnan(side) and side not in (1, -1)
+    yield wrong, f"bevel_side is {side:g}", expected, "correct the cell"
+    for name in COUNTS:
+        wrong, fix = number[name] < 1 or number[name] % 1 > 0, "count the layers, or leave the cell empty"
+        yield wrong, f"{name} is {number[name]:g}", "a whole number from 1", fix
+    alone = math.isnan(number["layers"]) and not math.isnan(number["layers_alternative"])
+    what, fix = "layers_alternative is given without layers", "fill the cell under layers, too"
+    yield alone, what, "both counts, or none", fix
+    for name, meaning in zip(LENGTHS.values(), ("held at its base", "the last change from air"), strict=True):
+        what, fix = f"{name} is {number[name]:g}", f"leave it empty: {meaning}"
+        yield number[name] <= 0, what, "a length above 0", fix
 
 
-MISSING_VOLUME = Fault("", "there is no such file or folder", READABLE_VOLUMES, "check the path")
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
 
 
@@ -399,7 +359,11 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     unread = {fault.where for fault in found}
     for row in rows:
         found += row_faults(row, numbers_read=row.where not in unread)
-    found += _mixed_marker_faults(rows)
+    if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
+        what = "`markers` is empty, but other scans have some"
+        expected = "one world for all: markers for every scan, or for none"
+        fix = "add the markers' places, or put this scan into a table of its own"
+        found += [Fault(row.where, what, expected, fix) for row in rows if not row.text["markers"]]
     ids = [row.text["id"] or scan_id(Path(row.text["scan"])) for row in rows]
     found += _repeated_id_faults(ids, [row.where for row in rows])
     if found:
@@ -426,7 +390,8 @@ def make_scans(
     DataError: listing every file that is missing, every layer that is not understood, names that are alike or
     name no file, and fiducials without markers.
     """
-    found = [replace(MISSING_VOLUME, where=str(volume)) for volume in volumes if not path_exists(volume)]
+    missing = partial(Fault, what="there is no such file or folder", fix="check the path")
+    found = [missing(str(path), expected=READABLE_VOLUMES) for path in volumes if not path_exists(path)]
     given = {
         "the known places of the markers": markers,
         "the markers as placed in the scan": fiducials,
@@ -434,11 +399,10 @@ def make_scans(
     }
     for expected, path in given.items():
         if path is not None and not is_file(path):
-            found.append(Fault(str(path), "there is no such file", expected, "check the path"))
+            found.append(missing(str(path), what="there is no such file", expected=expected))
     if fiducials and not markers:
-        found.append(
-            unmatched_fiducials_fault(str(fiducials), "name the file of their known places, too: --markers")
-        )
+        fix = "name the file of their known places, too: --markers"
+        found.append(unmatched_fiducials_fault(str(fiducials), fix))
     once = fiducials or mask or series
     if len(volumes) > 1 and once:
         found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
@@ -451,31 +415,26 @@ def make_scans(
     found += _repeated_id_faults(ids, [str(volume) for volume in volumes])
     if found:
         raise as_error(found, Path(found[0].where))
-    surfaces = tuple(source for source in sources if not isinstance(source, Fault))
-    return tuple(
-        Scan(
-            id_,
-            volume,
-            medium,
-            series=series,
-            mask=mask,
-            markers=markers,
-            fiducials=fiducials,
-            surfaces=surfaces,
-            surfaces_in=surfaces_in,
-            propose_layers=PROPOSE_LAYERS in layers,
-        )
-        for id_, volume in zip(ids, volumes, strict=True)
+    shared = Scan(
+        "",
+        Path(),
+        medium,
+        series=series,
+        mask=mask,
+        markers=markers,
+        fiducials=fiducials,
+        surfaces=tuple(source for source in sources if not isinstance(source, Fault)),
+        surfaces_in=surfaces_in,
+        propose_layers=PROPOSE_LAYERS in layers,
     )
+    return tuple(replace(shared, id=id_, volume=volume) for id_, volume in zip(ids, volumes, strict=True))
 
 
 def scan_id(volume: Path) -> str:
     """Return the id of a volume from its file name: without the ending, and with allowed characters only."""
     name = volume.resolve().name if volume.name in ("", "..") else volume.name
-    ending = next(
-        (end for end in (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm", ARCHIVE_SUFFIX) if name.lower().endswith(end)),
-        "",
-    )
+    endings = (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm", ARCHIVE_SUFFIX)
+    ending = next((end for end in endings if name.lower().endswith(end)), "")
     return make_id(name[: len(name) - len(ending)], "scan")
 
 
@@ -483,9 +442,8 @@ def _column_faults(table: CsvTable) -> Iterator[Fault]:
     """Yield columns that nothing is known of: a name mistyped would silently leave its cells out."""
     where = f"{table.path}:1"
     if "scan" not in table.cells:
-        expected = (
-            f"the path of each volume: {READABLE_VOLUMES}; there are {list_columns(table.cells.columns)}"
-        )
+        listed = list_columns(table.cells.columns)
+        expected = f"the path of each volume: {READABLE_VOLUMES}; there are {listed}"
         yield Fault(where, "column `scan` is missing", expected, "add the column")
         return
     for name in table.cells:
@@ -495,26 +453,12 @@ def _column_faults(table: CsvTable) -> Iterator[Fault]:
             yield Fault(where, f"column `{name}` is unknown", f"one of {', '.join(SCAN_COLUMNS)}", fix)
 
 
-def _mixed_marker_faults(rows: Sequence[ScanRow]) -> Iterator[Fault]:
-    """Yield the rows without markers of a table that has some: their worlds would be others."""
-    if any(row.text["markers"] for row in rows):
-        for row in rows:
-            if not row.text["markers"]:
-                yield Fault(
-                    row.where,
-                    "`markers` is empty, but other scans have some",
-                    "one world for all: markers for every scan, or for none",
-                    "add the markers' places, or put this scan into a table of its own",
-                )
-
-
 def _parse_rows(table: CsvTable, found: list[Fault]) -> list[ScanRow]:
     blank = [""] * len(table.lines)
     text = {name: table.cells[name].tolist() if name in table.cells else blank for name in SCAN_COLUMNS}
+    unknown = np.full(len(blank), np.nan)
     number = {
-        name: parse_numbers(table, name, found, optional=True)
-        if name in table.cells
-        else np.full(len(blank), np.nan)
+        name: parse_numbers(table, name, found, optional=True) if name in table.cells else unknown
         for name in NUMBER_COLUMNS
     }
     return [
@@ -532,12 +476,9 @@ def _repeated_id_faults(ids: Iterable[str], places: Iterable[str]) -> Iterator[F
     first: dict[str, str] = {}
     for id_, place in zip(ids, places, strict=True):
         if id_ in first:
-            yield Fault(
-                place,
-                f"has the id {id_}, as {first[id_]} has",
-                "a different id for every scan: it names files of the dataset",
-                "give each an id of its own in a table of scans",
-            )
+            expected = "a different id for every scan: it names files of the dataset"
+            fix = "give each an id of its own in a table of scans"
+            yield Fault(place, f"has the id {id_}, as {first[id_]} has", expected, fix)
         first.setdefault(id_, place)
 
 
@@ -557,30 +498,19 @@ def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None
 def _to_row(scan: Scan, folder: Path) -> dict[str, str]:
     row = {"id": scan.id, "scan": _relative(scan.volume, folder), "medium": scan.medium}
     row |= {"specimen": scan.specimen, "series": scan.series or "", "surfaces_in": scan.surfaces_in}
-    for name, named in (("mask", scan.mask), ("markers", scan.markers), ("fiducials", scan.fiducials)):
-        row[name] = "" if named is None else _relative(named, folder)
+    row |= {"bevel_side": str(scan.side), "origin": scan.origin}
+    row |= {name: _relative(path, folder) for name in FILES if (path := getattr(scan, name)) is not None}
     layers = [layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces]
     row["surfaces"] = ";".join([*layers, *([PROPOSE_LAYERS] if scan.propose_layers else [])])
-    stage = scan.stage
-    if stage is not None:
-        values = [*stage.entry, *stage.direction, stage.shift_sd, np.degrees(stage.angle_sd)]
-        row |= _format_numbers(STAGE_COLUMNS, values)
-    for names, point in (
-        (BEVEL_COLUMNS, scan.bevel),
-        (NEEDLE_COLUMNS, scan.needle_at),
-        (CONTACT_COLUMNS, scan.contact),
-        (TIP_COLUMNS, scan.tip),
-    ):
-        row |= {} if point is None else _format_numbers(names, point)
-    row |= {"bevel_side": str(scan.side), "origin": scan.origin}
-    counts = {"layers": scan.layers, "layers_alternative": scan.layers_alternative}
-    row |= {name: "" if count is None else str(count) for name, count in counts.items()}
-    lengths = {"guide_distance_mm": scan.guide_distance, "expected_depth_mm": scan.expected_depth}
-    return row | {name: "" if length is None else f"{length:.10g}" for name, length in lengths.items()}
-
-
-def _format_numbers(names: Sequence[str], values: Sequence[float] | Floats) -> dict[str, str]:
-    return {name: f"{float(value):.10g}" for name, value in zip(names, values, strict=True)}
+    numbers: dict[tuple[str, ...], Any] = {columns: getattr(scan, name) for name, columns in VECTORS.items()}
+    numbers |= {(column,): getattr(scan, name) for name, column in LENGTHS.items()}
+    numbers |= {(name,): getattr(scan, name) for name in COUNTS}
+    if (stage := scan.stage) is not None:
+        numbers[STAGE_COLUMNS] = [*stage.entry, *stage.direction, stage.shift_sd, np.degrees(stage.angle_sd)]
+    for names, values in numbers.items():
+        if values is not None:
+            row |= {name: f"{value:.10g}" for name, value in zip(names, np.atleast_1d(values), strict=True)}
+    return row
 
 
 def _relative(path: Path, folder: Path) -> str:

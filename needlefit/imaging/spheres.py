@@ -204,8 +204,7 @@ def _pixel_points(spacing: Floats) -> Floats:
     if abs(spacing[0] / spacing[1] - 1) < SQUARE_PIXELS:
         return np.zeros((1, 3))
     corners = np.array([[i, j, 0] for i in (-1, 1) for j in (-1, 1)])
-    points: Floats = corners * spacing / np.sqrt(12)
-    return points
+    return np.asarray(corners * spacing / np.sqrt(12))
 
 
 def _render_background(places: Floats, theta: Floats) -> tuple[Floats, Floats]:

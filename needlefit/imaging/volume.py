@@ -1,7 +1,4 @@
-"""Define a CT volume: its voxel grid in patient coordinates (LPS, mm), its values, and checks of the grid.
-
-Refuse volumes whose values cannot be Hounsfield units (HU).
-"""
+"""Define a CT volume: its voxel grid in patient coordinates (LPS, mm) and its values, both checked."""
 
 import math
 import sys
@@ -14,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
+from needlefit.imaging.refusals import refusal
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.sandbox import MEMORY_VARIABLE, stated_memory_bytes
 
@@ -23,9 +21,6 @@ DEFAULT_MAX_VOXELS = 2**30
 MIN_SPACING_MM, MAX_SPACING_MM = 1e-3, 50.0
 # Axes may miss right angles and unit length by this much, as cosines printed with four decimals do.
 AXES_COSINE_TOLERANCE = 2e-4
-SHEARED_AXES_FAULT = "the axes of the voxels are not perpendicular unit vectors"
-EXPECTED_AXES = "three directions at right angles, without shear"
-SHEARED_AXES_FIX = "a tilted gantry shears a volume: resample it onto a straight grid and export it again"
 
 
 @dataclass(frozen=True)
@@ -38,21 +33,31 @@ class VoxelGrid:
     direction: Floats  # (3, 3); its columns are the LPS unit vectors of i, j, k; either handedness
 
 
-def check_grid(grid: VoxelGrid, where: str = "") -> None:
+def check_grid(grid: VoxelGrid) -> None:
     """Refuse an impossible grid, before any voxel of it is read.
 
     DataError if the size is absurd, the spacing is not that of a scan in mm, a number is not finite, or the
     axes are not perpendicular.
     """
-    check_size(grid.size, where)
-    _check_numbers(grid, where)
+    check_size(grid.size)
+    if not all(map(are_bounded, (grid.origin, grid.spacing, grid.direction))):
+        raise refusal("""its origin, spacing or axes are not finite, or too large
+            expected: positions of voxels in mm
+            fix: export the volume again""")
+    if grid.spacing.min() < MIN_SPACING_MM or grid.spacing.max() > MAX_SPACING_MM:
+        raise refusal(f"""the spacing of the voxels is {" x ".join(f"{step:g}" for step in grid.spacing)} mm
+            expected: {MIN_SPACING_MM:g} to {MAX_SPACING_MM:g} mm
+            fix: check in which unit the spacing was written; it must be mm""")
     if not (np.abs(grid.direction.T @ grid.direction - np.eye(3)) <= AXES_COSINE_TOLERANCE).all():
-        raise DataError(
-            f"{SHEARED_AXES_FAULT}: {_round_rows(grid.direction.T)}",
-            where=where,
-            expected=EXPECTED_AXES,
-            fix=SHEARED_AXES_FIX,
-        )
+        rows = [[round(float(value), 4) + 0.0 for value in row] for row in grid.direction.T]
+        raise sheared_axes(f": {rows}")
+
+
+def sheared_axes(found: str = "") -> DataError:
+    """Return the error of axes that are no grid's; `found` says which."""
+    return refusal(f"""the axes of the voxels are not perpendicular unit vectors{found}
+        expected: three directions at right angles, without shear
+        fix: a tilted gantry shears a volume: resample it onto a straight grid and export it again""")
 
 
 def grid_to_json(grid: VoxelGrid) -> dict[str, list[Any]]:
@@ -64,8 +69,7 @@ def grid_to_json(grid: VoxelGrid) -> dict[str, list[Any]]:
 def orthogonalize(direction: Floats) -> Floats:
     """Return exactly perpendicular axes (3, 3), the nearest to `direction` (3, 3)."""
     u, _, vt = np.linalg.svd(direction)
-    nearest: Floats = u @ vt
-    return nearest
+    return np.asarray(u @ vt)
 
 
 def max_voxels() -> int:
@@ -74,45 +78,18 @@ def max_voxels() -> int:
     return DEFAULT_MAX_VOXELS if stated is None else stated // 4
 
 
-def check_size(size: tuple[int, int, int], where: str) -> None:
+def check_size(size: tuple[int, int, int]) -> None:
     """Refuse an empty volume, or one with more voxels than are read. Raises DataError."""
     shown, count = " x ".join(map(str, size)), math.prod(size)
     if min(size) < 2:
-        raise DataError(
-            f"holds {shown} voxels, no volume",
-            where=where,
-            expected="at least two voxels along each axis",
-            fix="export the whole volume, not one image of it",
-        )
+        raise refusal(f"""holds {shown} voxels, no volume
+            expected: at least two voxels along each axis
+            fix: export the whole volume, not one image of it""")
     if count > max_voxels():
-        raise DataError(
-            f"its header claims {shown} voxels, {4 * count / 1e9:.3g} GB in memory",
-            where=where,
-            expected=f"at most {max_voxels():.3g} voxels",
-            fix="crop the volume to the needle and its markers, or check where the file comes from; if it "
-            f"is right and memory allows, set {MEMORY_VARIABLE} to the GiB that it may take",
-        )
-
-
-def _check_numbers(grid: VoxelGrid, where: str) -> None:
-    if not all(map(are_bounded, (grid.origin, grid.spacing, grid.direction))):
-        raise DataError(
-            "its origin, spacing or axes are not finite, or too large",
-            where=where,
-            expected="positions of voxels in mm",
-            fix="export the volume again",
-        )
-    if grid.spacing.min() < MIN_SPACING_MM or grid.spacing.max() > MAX_SPACING_MM:
-        raise DataError(
-            f"the spacing of the voxels is {' x '.join(f'{step:g}' for step in grid.spacing)} mm",
-            where=where,
-            expected=f"{MIN_SPACING_MM:g} to {MAX_SPACING_MM:g} mm",
-            fix="check in which unit the spacing was written; it must be mm",
-        )
-
-
-def _round_rows(rows: Floats) -> list[list[float]]:
-    return [[round(float(value), 4) + 0.0 for value in row] for row in rows]
+        raise refusal(f"""its header claims {shown} voxels, {4 * count / 1e9:.3g} GB in memory
+            expected: at most {max_voxels():.3g} voxels
+            fix: crop the volume to the needle and its markers, or check where the file comes from; if it is
+                right and memory allows, set {MEMORY_VARIABLE} to the GiB that it may take""")
 
 
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
@@ -164,9 +141,8 @@ class Volume:
     def __post_init__(self) -> None:
         """Refuse what no file could hold."""
         if self.values.ndim != 3:
-            raise DataError(
-                f"the values of a volume have {self.values.ndim} axes", expected="slices, rows, columns"
-            )
+            raise refusal(f"""the values of a volume have {self.values.ndim} axes
+                expected: slices, rows, columns""")
         check_grid(self.grid)
 
     @property
@@ -176,70 +152,50 @@ class Volume:
         return VoxelGrid((columns, rows, slices), self.origin, self.spacing, self.direction)
 
 
-def require_same_frame(part: Volume, frame_of_reference: str, where: str) -> None:
-    """Refuse what was drawn in another DICOM frame of reference than that of its scan, where both are stated.
-
-    Raises DataError.
-    """
+def require_same_frame(part: Volume, frame_of_reference: str) -> None:
+    """Refuse what was drawn in another DICOM frame of reference than its scan's, where both are stated."""
     own = part.frame_of_reference
     if own and frame_of_reference and own != frame_of_reference:
-        raise DataError(
-            f"stands in another frame of reference than the scan: {own}, not {frame_of_reference}",
-            where=where,
-            expected="a segmentation that was drawn in this scan",
-            fix="name the one that belongs to the scan; if both are in one place, though the identifiers "
-            "differ, save it as .seg.nrrd or NIfTI, which have none",
-        )
+        raise refusal(f"""stands in another frame of reference than the scan: {own}, not {frame_of_reference}
+            expected: a segmentation that was drawn in this scan
+            fix: name the one that belongs to the scan; if both are in one place, though the identifiers
+                differ, save it as .seg.nrrd or NIfTI, which have none""")
 
 
 def to_patient(volume: Volume, ijk: ArrayLike) -> Floats:
     """Return the LPS points (N, 3), mm, of fractional voxel indices i, j, k (N, 3)."""
     steps = np.asarray(ijk, dtype=np.float64) * volume.spacing
-    points: Floats = steps @ volume.direction.T + volume.origin
-    return points
+    return np.asarray(steps @ volume.direction.T + volume.origin)
 
 
 def to_index(volume: Volume, points: ArrayLike) -> Floats:
     """Return the fractional indices i, j, k (N, 3) of LPS points (N, 3), mm; whole at voxel centres."""
     steps = (np.asarray(points, dtype=np.float64) - volume.origin) @ volume.direction
-    index: Floats = steps / volume.spacing
-    return index
+    return np.asarray(steps / volume.spacing)
 
 
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
-STORED_AIR, STORED_WATER = 0.0, 1024.0  # what air and water read where a CT was saved without its rescale
-RESCALE_FIX = (
-    "export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the values: "
-    "HU = 1000 (mu / mu of water - 1)"
-)
+STORED_WATER = 1024.0  # what water reads where a CT was saved without its rescale
 
 
 def require_hounsfield(volume: Volume, where: str) -> None:
     """Refuse values that cannot be HU: files without a modality hold MR, stored or attenuation values, too.
 
     HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
-
-    Raises DataError.
     """
     low, high = float(volume.values.min()), float(volume.values.max())
     if low < 0 and high - low >= MIN_RANGE_HU:
         return
-    raise DataError(
-        f"its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}, "
-        + _guess(volume, high),
-        where=where,
-        expected="a CT volume in HU",
-        fix=RESCALE_FIX,
-    )
-
-
-def _guess(volume: Volume, high: float) -> str:
-    """Return what the values may be, in words."""
-    if high < MIN_RANGE_HU:
-        return "as attenuation per length does (micro-CT)"
     some = volume.values[::3, ::3, ::3]
     dense = some[some > STORED_WATER / 2]
     water = float(np.median(dense)) if dense.size else 0.0
-    if abs(water - STORED_WATER) < STORED_WATER / 4:
-        return f"with {water:.0f} as the commonest above air: stored values, perhaps, without their rescale"
-    return "as those of MR, ultrasound or unscaled micro-CT do"
+    guess = "as those of MR, ultrasound or unscaled micro-CT do"
+    if high < MIN_RANGE_HU:
+        guess = "as attenuation per length does (micro-CT)"
+    elif abs(water - STORED_WATER) < STORED_WATER / 4:
+        guess = f"with {water:.0f} as the commonest above air: stored values, perhaps, without their rescale"
+    raise refusal(f"""its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}, {guess}
+        expected: a CT volume in HU
+        fix: export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the
+            values: HU = 1000 (mu / mu of water - 1)
+        where: {where}""")

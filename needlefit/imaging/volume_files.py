@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.image_headers import EXEMPT_BYTES, MAX_EXPANSION
+from needlefit.imaging.image_headers import (
+    EXEMPT_BYTES,
+    MAX_EXPANSION,
+    check_image_header,
+    single_volume_header,
+)
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
     IMAGE_SUFFIXES,
@@ -58,24 +64,20 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
     """
     path = Path(path)
     if not path_exists(path):
-        raise DataError(
-            "there is no such file or folder",
-            where=str(path),
-            expected=READABLE_VOLUMES,
-            fix="check the path",
-        )
+        raise refusal(f"""there is no such file or folder
+            expected: {READABLE_VOLUMES}
+            fix: check the path
+            where: {path}""")
     if any("\ud800" <= letter <= "\udfff" for letter in str(path)):  # SimpleITK takes names in UTF-8 only
-        raise DataError(
-            "its name is not valid UTF-8", where=str(path), expected="a name in UTF-8", fix="rename it"
-        )
-    with explain_missing_packages():
-        _require_packages()
-        with unpacked(path) as place:
-            if place != path:
-                place, series = _choose_member(place, series)
-            if not place.is_dir() and place.name.lower().endswith(IMAGE_SUFFIXES):
-                return _build_volume(*_read_arrays(place, layers=False), place)
-            return _read_series(place, series)
+        raise refusal(f"""its name is not valid UTF-8
+            expected: a name in UTF-8
+            fix: rename it
+            where: {path}""")
+    with explain_missing_packages(*CT_PACKAGES), unpacked(path) as place:
+        if place != path:
+            place, series = _choose_member(place, series)
+        found = _read_arrays(place, layers=False) if is_image_file(place) else _read_series(place, series)
+        return _build_volume(*found, place)
 
 
 @contextmanager
@@ -128,20 +130,17 @@ def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
     with_dicom = any(begins_as_dicom(one) for one in files)
     if len(images) > 1 or with_dicom:
         listed = ", ".join([*images][:MAX_LISTED]) + ", ..." * (len(images) > MAX_LISTED)
-        raise DataError(
-            f"holds {len(images)} image files{' beside DICOM' * with_dicom}: {listed}",
-            where=str(folder),
-            expected="one scan, or the name of the one that is meant",
-            fix="give its name in the archive, or the number of a DICOM series, with --series or under "
-            "`series` in a table of scans",
-        )
+        raise refusal(f"""holds {len(images)} image files{" beside DICOM" * with_dicom}: {listed}
+            expected: one scan, or the name of the one that is meant
+            fix: give its name in the archive, or the number of a DICOM series, with --series or under
+                `series` in a table of scans
+            where: {folder}""")
     return next(iter(images.values())), None
 
 
 def read_planes(path: Path) -> tuple[Volume, ...]:
     """Read an image file with several numbers per voxel: one volume for each; see `read_volume`."""
-    with explain_missing_packages():
-        _require_packages()
+    with explain_missing_packages(*CT_PACKAGES):
         parts, arrays = _read_arrays(path, layers=True)
     values = arrays["values"]
     return tuple(_build_volume(parts, {"values": values[..., n]}, path) for n in range(values.shape[-1]))
@@ -156,14 +155,12 @@ def read_segments(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[
     DataError, ConfigError: as `read_volume`; if a name is missing, segments overlap, or contours are open or
     uneven.
     """
-    with explain_missing_packages():
-        _require_packages("highdicom")
+    with explain_missing_packages(*CT_PACKAGES, "highdicom"):
         size = sum(file.stat().st_size for file in ([path] if is_file(path) else list_files(path)))
         seconds = SEGMENT_SECONDS + size / UNPACKED_BYTES_PER_SECOND
         allowed = limits_for(SEGMENTATION_BYTES + 4 * size, 4 * max_voxels(), seconds)
-        arguments = {"path": str(path), "names": list(names)}
         reader = "needlefit.imaging.dicom.segmentation:read_segmentation"
-        parts, arrays = read_in_sandbox(reader, path, allowed, arguments)
+        parts, arrays = read_in_sandbox(reader, path, allowed, {"path": str(path), "names": list(names)})
     return _build_volume(parts, arrays, path), tuple(map(str, parts.get("names", ())))
 
 
@@ -173,19 +170,19 @@ def read_mask(path: Path) -> Volume:
     DataError, ConfigError: as `read_volume`.
     """
     with open_member(path) as place:
-        if place.is_dir() or not place.name.lower().endswith(IMAGE_SUFFIXES):
-            return read_segments(place)[0]
-        return read_volume(place)
+        return read_volume(place) if is_image_file(place) else read_segments(place)[0]
+
+
+def is_image_file(place: Path) -> bool:
+    """Return whether a path is, by its name, an image file rather than DICOM."""
+    return not place.is_dir() and place.name.lower().endswith(IMAGE_SUFFIXES)
 
 
 def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Return the grid of an image file, and its voxels as "values"."""
-    from needlefit.imaging.image_headers import check_image_header, single_volume_header
-
     header = check_image_header(path)
-    native = (
-        2 * header.content_bytes + header.float_bytes + header.packed_bytes
-    )  # a buffer, one to convert into
+    # a buffer, one to convert into
+    native = 2 * header.content_bytes + header.float_bytes + header.packed_bytes
     seconds = (header.content_bytes + header.packed_bytes) / READ_BYTES_PER_SECOND
     allowed = limits_for(native, header.float_bytes, seconds)
     one_volume = len(header.size) > 3 and path.name.lower().endswith((".nrrd", ".nhdr"))
@@ -194,50 +191,34 @@ def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]
     return read_in_sandbox("needlefit.imaging.image_files:read_image", path, allowed, arguments)
 
 
-def _read_series(path: Path, series: str | None) -> Volume:
-    folder = path
+def _read_series(path: Path, series: str | None) -> tuple[Any, dict[str, NDArray[Any]]]:
+    """Return the grid of a DICOM series, and its voxels as "values"."""
     if not path.is_dir():
-        folder = path.parent
         with open_regular(path, sys.maxsize):  # a regular file
             pass
     try:
-        files = list_series_files(path)
-        sizes = [file.stat().st_size for file in files]
+        sizes = [file.stat().st_size for file in list_series_files(path)]
     except OSError as fault:
-        raise unreadable_error(fault, DataError, str(folder)) from None
+        raise unreadable_error(fault, DataError, str(path if path.is_dir() else path.parent)) from None
     seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
     allowed = limits_for(max(sizes, default=0), 4 * max_voxels(), seconds)
     arguments = {"path": str(path), "series": series}
-    return _build_volume(
-        *read_in_sandbox("needlefit.imaging.dicom.series:read_series", path, allowed, arguments), path
-    )
+    return read_in_sandbox("needlefit.imaging.dicom.series:read_series", path, allowed, arguments)
 
 
 def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> Volume:  # noqa: ANN401 - JSON
     """Return the volume that a reader described and filled; DataError if the two do not agree."""
     try:
-        origin, spacing, direction = (
-            np.array(parts[name], np.float64) for name in ("origin", "spacing", "direction")
-        )
+        geometry = [np.array(parts[name], np.float64) for name in ("origin", "spacing", "direction")]
         values, warnings = arrays["values"], tuple(map(str, parts.get("warnings", ())))
-        frame = str(parts.get("frame_of_reference", ""))
-        if values.shape != tuple(parts["size"])[::-1] or direction.shape != (3, 3):
+        if values.shape != tuple(parts["size"])[::-1] or geometry[2].shape != (3, 3):
             raise ValueError
+        return Volume(values, *geometry, warnings, str(parts.get("frame_of_reference", "")))
     except (AttributeError, KeyError, TypeError, ValueError):
-        raise DataError(
-            "the process that read it gave no volume",
-            where=str(path),
-            expected=READABLE_VOLUMES,
-            fix="read it again",
-        ) from None
-    return Volume(values, origin, spacing, direction, warnings, frame)
-
-
-def _require_packages(*more: str) -> None:
-    """See that what reads scans is there, before a process is started for it."""
-    for name in (*CT_PACKAGES, *more):
-        if find_spec(name) is None:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        raise refusal(f"""the process that read it gave no volume
+            expected: {READABLE_VOLUMES}
+            fix: read it again
+            where: {path}""") from None
 
 
 def write_volume(volume: Volume, path: Path, description: str = "") -> None:
@@ -256,18 +237,17 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     """
     path = Path(path)
     if not np.isfinite(volume.values.min() + volume.values.max()):
-        raise DataError("the volume holds values that are not finite", expected="numbers everywhere")
+        raise refusal("""the volume holds values that are not finite
+            expected: numbers everywhere""")
     with explain_missing_packages():
         if path.name.lower().endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
             from needlefit.imaging.image_files import write_image
 
             write_image(volume, path, description)
         elif path.suffix:
-            raise DataError(
-                f"{path.suffix} is no kind of volume that is written",
-                where=str(path),
-                expected=".nrrd, .nii, .nii.gz, .mha, or a folder for a DICOM series",
-            )
+            raise refusal(f"""{path.suffix} is no kind of volume that is written
+                expected: .nrrd, .nii, .nii.gz, .mha, or a folder for a DICOM series
+                where: {path}""")
         else:
             from needlefit.imaging.dicom.series import write_series
 
@@ -280,9 +260,15 @@ def ct_packages_installed() -> bool:
 
 
 @contextmanager
-def explain_missing_packages() -> Iterator[None]:
-    """Replace the error of a missing package by one that says how to install it."""
+def explain_missing_packages(*needed: str) -> Iterator[None]:
+    """Replace the error of a missing package by one that says how to install it.
+
+    `needed`: packages that must be there, before a process is started for what uses them.
+    """
     try:
+        for name in needed:
+            if find_spec(name) is None:
+                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         yield
     except ModuleNotFoundError as error:
         raise ConfigError(

@@ -6,7 +6,7 @@ Read DICOM segmentations (SEG by highdicom, RTSTRUCT by pydicom) as label volume
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.meshes import fill_outline
 from needlefit.imaging.image_headers import SEGMENTS_FIX, choose_segments
+from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json, orthogonalize
 from needlefit.project.input_files import is_file, list_files, open_regular
 from needlefit.project.sandbox import SandboxArrays, allow_memory
@@ -34,7 +35,6 @@ PLANE_TOLERANCE_MM = 0.1
 MAX_SHARED_FRACTION = 0.02
 AXIS_COSINE = 1 - 1e-6  # a normal nearer than this to an axis of the patient is that axis
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR")
-_EXPORT_FIX = "export the structures again as closed planar contours, or as a segmentation (DICOM-SEG, NRRD)"
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class ContouredRegion:
     """A region of interest: its name, its closed contours (N, 3), LPS, mm, and whether it has others."""
 
     name: str
-    contours: list[Floats] = field(default_factory=list)
-    others: bool = False
+    contours: list[Floats]
+    others: bool
 
 
 def find_frame_of_reference(data: pydicom.Dataset) -> str:
@@ -59,31 +59,27 @@ def find_frame_of_reference(data: pydicom.Dataset) -> str:
     return stated.pop() if len(stated) == 1 else ""
 
 
-def parse_regions(data: pydicom.Dataset, where: str) -> list[ContouredRegion]:
+def parse_regions(data: pydicom.Dataset, file: Path) -> list[ContouredRegion]:
     """Return the regions of a structure set, in its order."""
     listed = list(data.StructureSetROISequence)
     drawn = {int(one.ReferencedROINumber): one for one in data.get("ROIContourSequence") or ()}
     if len(listed) > MAX_ROIS or len({int(one.ROINumber) for one in listed}) < len(listed):
-        raise _contour_error("lists too many regions, or two of one number", where)
+        raise _contour_error("lists too many regions, or two of one number")
     found, count = [], 0
     for one in listed:
         name = str(one.get("ROIName") or f"region {one.ROINumber}").strip()
-        region = ContouredRegion(name)
-        others = False
-        contours = drawn.get(int(one.ROINumber), pydicom.Dataset()).get("ContourSequence")
-        for contour in contours or ():
-            count += 1
-            if contour.get("ContourGeometricType") in _CLOSED:
-                region.contours.append(_parse_points(contour, f"{where}, region {name}"))
-            else:
-                others = True
-        found.append(ContouredRegion(name, region.contours, others))
+        contours = drawn.get(int(one.ROINumber), pydicom.Dataset()).get("ContourSequence") or ()
+        closed = [contour for contour in contours if contour.get("ContourGeometricType") in _CLOSED]
+        with located(f"{file}, region {name}"):
+            points = [_parse_points(contour) for contour in closed]
+        found.append(ContouredRegion(name, points, len(closed) < len(contours)))
+        count += len(contours)
     if count > MAX_CONTOURS:
-        raise _contour_error(f"holds {count} contours", where)
+        raise _contour_error(f"holds {count} contours")
     return found
 
 
-def _parse_points(contour: pydicom.Dataset, where: str) -> Floats:
+def _parse_points(contour: pydicom.Dataset) -> Floats:
     """Return the points (N, 3) of a contour from its text at once: pydicom takes a second for a MB."""
     raw = contour.get_item("ContourData")
     value = b"" if raw is None else raw.value
@@ -91,30 +87,25 @@ def _parse_points(contour: pydicom.Dataset, where: str) -> Floats:
         numbers = value.split(b"\\") if isinstance(value, bytes) else list(value or ())
         points = np.array(numbers, dtype=np.float64).reshape(-1, 3)
     except (TypeError, ValueError):
-        raise _contour_error("has a contour whose points are no triples of numbers", where) from None
+        raise _contour_error("has a contour whose points are no triples of numbers") from None
     if len(points) < 3 or not np.isfinite(points).all() or np.abs(points).max() > 1e5:
-        raise _contour_error("has a contour with fewer than three points, or one that is not finite", where)
+        raise _contour_error("has a contour with fewer than three points, or one that is not finite")
     return points
 
 
-@dataclass(frozen=True)
-class ContourPlanes:
-    """The planes of contours as a grid of voxels, and the labels 1, 2, ... of the regions (K, J, I)."""
+def mark_regions(regions: Sequence[ContouredRegion]) -> tuple[VoxelGrid, NDArray[np.uint8]]:
+    """Return the planes of contours as a grid, and the labels 1, 2, ... of the regions (K, J, I).
 
-    grid: VoxelGrid
-    values: NDArray[np.uint8]
+    Of two that share voxels the later one has them.
 
-
-def mark_regions(regions: Sequence[ContouredRegion], where: str) -> ContourPlanes:
-    """Return the labels 1, 2, ... of regions; of two that share voxels the later one has them.
 
     DataError if contours are not parallel, flat and in even steps, or regions overlap without one in the
     other.
     """
-    normal = _find_normal([one for region in regions for one in region.contours], where)
+    normal = _find_normal([one for region in regions for one in region.contours])
     axes = _make_axes(normal)
     turned = [[one @ axes for one in region.contours] for region in regions]
-    grid = _make_grid(turned, axes, where)
+    grid = _make_grid(turned, axes)
     values = np.zeros(grid.size[::-1], dtype=np.uint8)
     counts: list[int] = []
     for label, (region, contours) in enumerate(zip(regions, turned, strict=True), 1):
@@ -123,14 +114,14 @@ def mark_regions(regions: Sequence[ContouredRegion], where: str) -> ContourPlane
         pairs = zip(values, inside, strict=True)
         shared = np.sum([np.bincount(one[mask], minlength=label) for one, mask in pairs], axis=0)
         counts.append(int(np.count_nonzero(inside)))
-        _check_shared(shared, counts, [one.name for one in regions], where)
+        _check_shared(shared, counts, [one.name for one in regions])
         values[inside] = label
         if not counts[-1]:
-            raise _contour_error(f"region {region.name} holds no voxel of {grid.spacing.tolist()} mm", where)
-    return ContourPlanes(grid, values)
+            raise _contour_error(f"region {region.name} holds no voxel of {grid.spacing.tolist()} mm")
+    return grid, values
 
 
-def _find_normal(contours: Sequence[Floats], where: str) -> Floats:
+def _find_normal(contours: Sequence[Floats]) -> Floats:
     """Return the unit normal of the contour that is largest; see that all others are flat and parallel."""
     areas = [np.cross(one - one[0], np.roll(one, -1, axis=0) - one[0]).sum(axis=0) / 2 for one in contours]
     largest = max(areas, key=lambda area: float(np.linalg.norm(area)))
@@ -141,7 +132,7 @@ def _find_normal(contours: Sequence[Floats], where: str) -> Floats:
         normal = np.eye(3)[main]
     thickness = max(float(np.ptp(one @ normal)) for one in contours)
     if not normal.any() or thickness > 2 * PLANE_TOLERANCE_MM:
-        raise _contour_error("has contours that are not flat, or not parallel to each other", where)
+        raise _contour_error("has contours that are not flat, or not parallel to each other")
     return normal
 
 
@@ -151,20 +142,20 @@ def _make_axes(normal: Floats) -> Floats:
     return np.column_stack([first, np.cross(normal, first), normal])
 
 
-def _make_grid(turned: Sequence[Sequence[Floats]], axes: Floats, where: str) -> VoxelGrid:
+def _make_grid(turned: Sequence[Sequence[Floats]], axes: Floats) -> VoxelGrid:
     """Return a grid whose slices are the planes of contours, given along the axes (N, 3)."""
     contours = [one for region in turned for one in region]
     heights = np.unique(np.round([one[:, 2].mean() for one in contours], 2))
     steps = np.diff(heights)
     steps = steps[steps > 2 * PLANE_TOLERANCE_MM]
     if not len(steps):
-        raise _contour_error("has contours in one plane only", where)
+        raise _contour_error("has contours in one plane only")
     # the mean of many steps: rounding of single heights must not add up over the stack
     step = float(steps.min())
     step = float(heights[-1] - heights[0]) / max(round(float(heights[-1] - heights[0]) / step), 1)
     places = (heights - heights[0]) / step
     if np.abs(places - np.rint(places)).max() * step > PLANE_TOLERANCE_MM:
-        raise _contour_error(f"has contours in uneven steps; the smallest is {steps.min():.3g} mm", where)
+        raise _contour_error(f"has contours in uneven steps; the smallest is {steps.min():.3g} mm")
     points = np.concatenate(contours)[:, :2]
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
     slices = round(float(places[-1])) + 1
@@ -172,7 +163,7 @@ def _make_grid(turned: Sequence[Sequence[Floats]], axes: Floats, where: str) -> 
     columns, rows = (int(n) + 3 for n in np.ceil(extent / pixel))
     origin = axes @ np.array([*(low - pixel), heights[0]])
     grid = VoxelGrid((columns, rows, slices), origin, np.array([pixel, pixel, step]), axes)
-    check_grid(grid, where)
+    check_grid(grid)
     return grid
 
 
@@ -190,7 +181,7 @@ def _fill_region(contours: Sequence[Floats], axes: Floats, grid: VoxelGrid) -> N
     return inside
 
 
-def _check_shared(shared: NDArray[np.int64], counts: Sequence[int], names: Sequence[str], where: str) -> None:
+def _check_shared(shared: NDArray[np.int64], counts: Sequence[int], names: Sequence[str]) -> None:
     """Refuse a region that shares voxels with an earlier one, unless it lies in it.
 
     `shared`: its voxels by the labels that they have; `counts`: voxels of the regions, its own the last.
@@ -199,32 +190,26 @@ def _check_shared(shared: NDArray[np.int64], counts: Sequence[int], names: Seque
     for earlier, count in enumerate(counts[:-1], 1):
         own, its = shared[earlier] / max(counts[-1], 1), shared[earlier] / count
         if its >= 1 - MAX_SHARED_FRACTION:
-            raise DataError(
-                f"region {names[earlier - 1]} lies inside {names[label - 1]}, which comes after it",
-                where=where,
-                expected="outer layers before inner ones: of two regions the later one has the shared voxels",
-                fix=SEGMENTS_FIX,
-            )
+            raise refusal(f"""region {names[earlier - 1]} lies inside {names[label - 1]}, which comes after it
+                expected: outer layers before inner ones: of two regions the later one has the shared voxels
+                fix: {SEGMENTS_FIX}""")
         if own < 1 - MAX_SHARED_FRACTION and max(own, its) > MAX_SHARED_FRACTION:
-            raise DataError(
-                f"regions {names[earlier - 1]} and {names[label - 1]} overlap: they share "
-                f"{100 * max(own, its):.0f} % of the smaller one",
-                where=where,
-                expected="regions beside each other, or one inside the other",
-                fix=SEGMENTS_FIX,
-            )
+            raise refusal(f"""regions {names[earlier - 1]} and {names[label - 1]} overlap: they share
+                    {100 * max(own, its):.0f} % of the smaller one
+                expected: regions beside each other, or one inside the other
+                fix: {SEGMENTS_FIX}""")
 
 
-def _contour_error(what: str, where: str) -> DataError:
-    expected = "closed, flat, parallel contours in even steps"
-    return DataError(what, where=where, expected=expected, fix=_EXPORT_FIX)
+def _contour_error(what: str) -> DataError:
+    return refusal(f"""{what}
+        expected: closed, flat, parallel contours in even steps
+        fix: export the structures again as closed planar contours, or as a segmentation (DICOM-SEG, NRRD)""")
 
 
 if TYPE_CHECKING:
     from highdicom.seg import Segmentation
 
 MIN_FRACTION = 0.5  # a voxel of a fractional segment belongs to it from this fraction on
-EXPECTED_SEGMENTATION = "one segmentation: a DICOM-SEG or RTSTRUCT file, .seg.nrrd, or a volume of labels"
 BYTES_PER_VOXEL = 24  # memory of a voxel while its segments are read, one after another
 
 Answer = dict[str, Any]
@@ -239,21 +224,17 @@ def read_segmentation(results: SandboxArrays, path: str, names: Sequence[str] = 
     DataError if there is no segmentation or several, a name is not in it, or its segments overlap.
     """
     file = _find_segmentation(Path(path))
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), located(file):
         warnings.simplefilter("ignore")
         try:
-            if _storage(file) == RTStructureSetStorage:
-                return _read_contours(results, file, names)
-            return _read_segments(results, file, names)
+            contours = _storage(file) == RTStructureSetStorage
+            return (_read_contours if contours else _read_segments)(results, file, names)
         except (DataError, MemoryError):
             raise
         except Exception as error:  # whatever the bytes provoke
-            raise DataError(
-                f"cannot be read as a segmentation ({type(error).__name__})",
-                where=str(file),
-                expected="a whole DICOM-SEG or RTSTRUCT file",
-                fix="copy the file again, or export the segmentation again",
-            ) from error
+            raise refusal(f"""cannot be read as a segmentation ({type(error).__name__})
+                expected: a whole DICOM-SEG or RTSTRUCT file
+                fix: copy the file again, or export the segmentation again""") from error
 
 
 def _find_segmentation(path: Path) -> Path:
@@ -262,12 +243,10 @@ def _find_segmentation(path: Path) -> Path:
     if len(found) == 1:
         return found[0]
     listed = ": " + ", ".join(one.name for one in found[:10]) if found else ""
-    raise DataError(
-        f"holds {len(found) or 'no'} DICOM segmentation{'s' * (len(found) > 1)}{listed}",
-        where=str(path),
-        expected=EXPECTED_SEGMENTATION,
-        fix="name the file of the segmentation" if found else "export the segmentation, not the scan",
-    )
+    raise refusal(f"""holds {len(found) or "no"} DICOM segmentation{"s" * (len(found) > 1)}{listed}
+        expected: one segmentation: a DICOM-SEG or RTSTRUCT file, .seg.nrrd, or a volume of labels
+        fix: {"name the file of the segmentation" if found else "export the segmentation, not the scan"}
+        where: {path}""")
 
 
 _LABEL_MAP_STORAGE = "1.2.840.10008.5.1.4.1.1.66.7"
@@ -289,26 +268,19 @@ def _storage(file: Path) -> str:
 def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
     with open_regular(file, sys.maxsize) as content:
         data = pydicom.dcmread(content)
-    regions = parse_regions(data, str(file))
+    regions = parse_regions(data, file)
     if not names:  # points and lines mark places, such as the isocentre
         regions = [one for one in regions if one.contours]
-    regions = [regions[n] for n in choose_segments([one.name for one in regions], names, file)]
+    regions = [regions[n] for n in choose_segments([one.name for one in regions], names)]
     empty = [one.name for one in regions if not one.contours or one.others]
     if empty:
-        raise DataError(
-            f"region {empty[0]} has no contours, or open ones",
-            where=str(file),
-            expected="closed planar contours",
-            fix="leave it out, or export it again as closed contours",
-        )
-    planes = mark_regions(regions, str(file))
-    results.new("values", planes.values.shape, "float32")[...] = planes.values
-    frame = find_frame_of_reference(data)
-    return {
-        **grid_to_json(planes.grid),
-        "names": [one.name for one in regions],
-        "frame_of_reference": frame,
-    }
+        raise refusal(f"""region {empty[0]} has no contours, or open ones
+            expected: closed planar contours
+            fix: leave it out, or export it again as closed contours""")
+    grid, values = mark_regions(regions)
+    results.new("values", values.shape, "float32")[...] = values
+    chosen = [one.name for one in regions]
+    return {**grid_to_json(grid), "names": chosen, "frame_of_reference": find_frame_of_reference(data)}
 
 
 def _read_segments(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
@@ -318,46 +290,39 @@ def _read_segments(results: SandboxArrays, file: Path, names: Sequence[str]) -> 
         segmentation = highdicom.seg.segread(content)
     numbers = list(segmentation.segment_numbers)
     labels = [str(segmentation.get_segment_description(n).segment_label).strip() for n in numbers]
-    chosen = choose_segments(labels, names, file)
-    grid = _find_grid(segmentation, file)
+    chosen = choose_segments(labels, names)
+    grid = _find_grid(segmentation)
     values = results.new("values", grid.size[::-1], "float32")
     allow_memory(values.size * BYTES_PER_VOXEL)
     for label, n in enumerate(chosen, 1):
         inside = _read_segment(segmentation, numbers[n])
         met = int(values[inside].max(initial=0))
         if met:
-            raise DataError(
-                f"its segments overlap: {labels[chosen[met - 1]]}, {labels[n]}",
-                where=str(file),
-                expected="every voxel in one layer",
-                fix="draw them without overlap, or name those that do not overlap: FILE=segments:NAME,NAME",
-            )
+            raise refusal(f"""its segments overlap: {labels[chosen[met - 1]]}, {labels[n]}
+                expected: every voxel in one layer
+                fix: draw them without overlap, or name those that do not overlap: FILE=segments:NAME,NAME""")
         values[inside] = label
     grid_parts = grid_to_json(VoxelGrid(grid.size, grid.origin, grid.spacing, orthogonalize(grid.direction)))
     frame = str(segmentation.get("FrameOfReferenceUID", ""))
     return {**grid_parts, "names": [labels[n] for n in chosen], "frame_of_reference": frame}
 
 
-def _find_grid(segmentation: "Segmentation", file: Path) -> VoxelGrid:
+def _find_grid(segmentation: "Segmentation") -> VoxelGrid:
     geometry = segmentation.get_volume_geometry()
     if geometry is None:
-        raise DataError(
-            "its frames are no even stack of slices",
-            where=str(file),
-            expected="segments on the slices of one volume",
-            fix="resample the scan to even steps, and segment it again",
-        )
+        raise refusal("""its frames are no even stack of slices
+            expected: segments on the slices of one volume
+            fix: resample the scan to even steps, and segment it again""")
     slices, rows, columns = geometry.spatial_shape
     affine = np.asarray(geometry.affine, dtype=np.float64)  # of slice, row, column
     steps = affine[:3, 2::-1]
     spacing = np.linalg.norm(steps, axis=0)
     grid = VoxelGrid((columns, rows, slices), affine[:3, 3].copy(), spacing, steps / spacing)
-    check_grid(grid, str(file))
+    check_grid(grid)
     return grid
 
 
 def _read_segment(segmentation: "Segmentation", number: int) -> NDArray[np.bool_]:
     """Return the voxels (K, J, I) of one segment."""
     volume = segmentation.get_volume(segment_numbers=[number], dtype=np.float32)
-    inside: NDArray[np.bool_] = volume.array[..., 0] >= MIN_FRACTION
-    return inside
+    return np.asarray(volume.array[..., 0] >= MIN_FRACTION)

@@ -9,18 +9,13 @@ from pathlib import Path
 import highdicom
 import numpy as np
 import pydicom
-from highdicom.seg import (
-    SegmentAlgorithmTypeValues,
-    Segmentation,
-    SegmentationTypeValues,
-    SegmentDescription,
-)
+from highdicom.seg import SegmentAlgorithmTypeValues, Segmentation, SegmentationTypeValues, SegmentDescription
 from pydicom.sr.codedict import codes
 from pydicom.sr.coding import Code
 
-from needlefit.errors import DataError
 from needlefit.imaging.dicom.series import find_series, make_uid
 from needlefit.imaging.dicom.stack import DicomSlice, stack_slices
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.project.input_files import open_regular
 from needlefit.project.sandbox import SandboxArrays
@@ -63,12 +58,10 @@ def write_segmentation(
             _fix_identity(found, sources[0], digest)
             found.save_as(out)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise DataError(
-                f"its headers do not suffice for a DICOM segmentation: {str(error)[:200]}",
-                where=path,
-                expected="slices with StudyInstanceUID, FrameOfReferenceUID and SOPInstanceUID",
-                fix="export the series from the archive again, or use --export scene",
-            ) from error
+            raise refusal(f"""its headers do not suffice for a DICOM segmentation: {str(error)[:200]}
+                expected: slices with StudyInstanceUID, FrameOfReferenceUID and SOPInstanceUID
+                fix: export the series from the archive again, or use --export scene
+                where: {path}""") from error
 
 
 _SERIES_NUMBER = 9000

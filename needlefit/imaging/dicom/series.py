@@ -22,12 +22,12 @@ from needlefit.imaging.dicom.stack import (
     XRAY_MODALITIES,
     DicomSlice,
     damaged_file_error,
-    describe_tilt,
-    describe_units,
+    describe_headers,
     list_directory_files,
     read_headers,
     stack_slices,
 )
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import (
     Volume,
     begins_as_dicom,
@@ -54,39 +54,43 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
     if is_dicomdir(path):
         path = path.parent
     if is_file(path):
-        return _find_series_of_file(path)
+        headers = read_headers(path)
+        if not headers:
+            raise refusal(f"""is not a volume that can be read
+                expected: a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha, which states the
+                    spacing of its voxels and where they stand; values in HU
+                fix: export the scan in one of these formats; a stack of pictures (a micro-CT's TIFF) states
+                    neither spacing nor HU: import it into 3D Slicer with its spacing, turn its values to HU
+                    (air -1000, water 0), and save it as NRRD
+                where: {path}""")
+        return _group_slices(list_series_files(path))[headers[0].series]
     groups = _group_slices(list_series_files(path))
     if not groups:
-        raise _no_series_error(path)
+        inside = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
+        shown = ", ".join(inside[:_MAX_LISTED]) + (", ..." if len(inside) > _MAX_LISTED else "")
+        raise refusal(f"""{f"holds no DICOM image; there is {shown}" if inside else "is an empty folder"}
+            expected: the files of a DICOM series, in the folder or below it
+            fix: name the folder in which the slices lie, or the .nrrd or .nii.gz file itself
+            where: {path}""")
     if series is not None:
-        return _select_series(path, groups, series)
+        named = [one for uid, one in groups.items() if series == uid or series.strip() == one[0].number]
+        if len(named) != 1:
+            called = f"{len(named) or 'no'} series {'are' if named else 'is'} called {series}"
+            raise refusal(f"""{called}; it holds {_list_series(groups, path)}
+                expected: the number or the UID of one of them
+                fix: {"give the UID" if named else "give one of the numbers listed"}
+                where: {path}""")
+        return named[0]
     stacks = {uid: slices for uid, slices in groups.items() if _may_be_volume(slices)} or groups
     if len(stacks) > 1:  # what is no CT is refused only where it is all there is
         stacks = {uid: one for uid, one in stacks.items() if one[0].modality in XRAY_MODALITIES} or stacks
     if len(stacks) > 1:
-        raise DataError(
-            f"holds {len(stacks)} series: {_list_series(stacks, path)}",
-            where=str(path),
-            expected="one series, or the name of the one that is meant",
-            fix="give the number or the UID of the one that is meant with --series, or under `series` in a "
-            "table of scans",
-        )
+        raise refusal(f"""holds {len(stacks)} series: {_list_series(stacks, path)}
+            expected: one series, or the name of the one that is meant
+            fix: give the number or the UID of the one that is meant with --series, or under `series` in a
+                table of scans
+            where: {path}""")
     return next(iter(stacks.values()))
-
-
-def _find_series_of_file(path: Path) -> list[DicomSlice]:
-    headers = read_headers(path)
-    if not headers:
-        raise DataError(
-            "is not a volume that can be read",
-            where=str(path),
-            expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha, which states the "
-            "spacing of its voxels and where they stand; values in HU",
-            fix="export the scan in one of these formats; a stack of pictures (a micro-CT's TIFF) states "
-            "neither spacing nor HU: import it into 3D Slicer with its spacing, turn its values to HU (air "
-            "-1000, water 0), and save it as NRRD",
-        )
-    return _group_slices(list_series_files(path))[headers[0].series]
 
 
 def _group_slices(files: Sequence[Path]) -> dict[str, list[DicomSlice]]:
@@ -117,52 +121,22 @@ def _name_pattern(file: Path) -> tuple[Path, str]:
 
 def _may_be_volume(slices: list[DicomSlice]) -> bool:
     """Tell a stack of slices from overviews, single images and pictures of reports."""
-    if any(item.frames > 1 for item in slices):
-        return True
     positioned = [item for item in slices if item.position is not None and LOCALIZER not in item.kind]
-    return len(positioned) > 1
-
-
-def _select_series(path: Path, groups: dict[str, list[DicomSlice]], series: str) -> list[DicomSlice]:
-    found = {
-        uid: slices for uid, slices in groups.items() if series == uid or series.strip() == slices[0].number
-    }
-    if len(found) != 1:
-        called = f"{len(found) or 'no'} series {'are' if found else 'is'} called {series}"
-        raise DataError(
-            f"{called}; it holds {_list_series(groups, path)}",
-            where=str(path),
-            expected="the number or the UID of one of them",
-            fix="give the UID" if found else "give one of the numbers listed",
-        )
-    return next(iter(found.values()))
+    return len(positioned) > 1 or any(item.frames > 1 for item in slices)
 
 
 def _list_series(groups: dict[str, list[DicomSlice]], path: Path) -> str:
-    lines = [
-        f"number {one[0].number or '(none)'} {one[0].description!r}, {one[0].modality or 'no modality'}, "
-        f"{len(one)} images{_describe_folder(one, path)}, UID {uid}"
-        for uid, one in groups.items()
-    ]
+    """Return the series in words: those in a subfolder with its name."""
+    lines = []
+    for uid, slices in groups.items():
+        one, folder = slices[0], slices[0].file.parent
+        inside = "" if folder == path else f" in {folder.relative_to(path)}/"
+        lines.append(
+            f"number {one.number or '(none)'} {one.description!r}, {one.modality or 'no modality'}, "
+            f"{len(slices)} images{inside}, UID {uid}"
+        )
     more = [f"and {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
     return "; ".join(lines[:_MAX_LISTED] + more)
-
-
-def _describe_folder(slices: list[DicomSlice], path: Path) -> str:
-    """Return in which subfolder a series lies; nothing where it lies in the folder itself."""
-    folder = slices[0].file.parent
-    return "" if folder == path else f" in {folder.relative_to(path)}/"
-
-
-def _no_series_error(path: Path) -> DataError:
-    inside = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
-    shown = ", ".join(inside[:_MAX_LISTED]) + (", ..." if len(inside) > _MAX_LISTED else "")
-    return DataError(
-        f"holds no DICOM image; there is {shown}" if inside else "is an empty folder",
-        where=str(path),
-        expected="the files of a DICOM series, in the folder or below it",
-        fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself",
-    )
 
 
 SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
@@ -179,8 +153,8 @@ def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[s
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
     slices, grid = stack_slices(find_series(Path(path), series))
-    notes = (*describe_tilt(slices), *describe_units(slices), *describe_missing_files(Path(path), slices))
-    _allow_slice_memory(slices)
+    notes = (*describe_headers(slices), *describe_missing_files(Path(path), slices))
+    allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
     columns, rows, count = grid.size
     values = results.new("values", (count, rows, columns), "float32")
     reader = sitk.ImageFileReader()
@@ -189,7 +163,15 @@ def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[s
     for item, plane in zip(slices, values, strict=True):
         stored = _read_voxels(reader, item) if item.frame is None else next(frames)
         plane[...] = _blank_padding(stored, item)
-    _fill_padding(values, slices)
+    if any(item.padding is not None for item in slices):
+        least = np.fmin.reduce(values, axis=None)
+        if np.isnan(least):
+            raise refusal(f"""holds nothing but padding
+                expected: measured values; padding is what PixelPaddingValue states
+                fix: check PixelPaddingValue, or export the series again
+                where: {slices[0].file.parent}""")
+        for plane in values:
+            plane[np.isnan(plane)] = least
     frame = slices[0].frame_of_reference
     return {**grid_to_json(grid), "warnings": notes, "frame_of_reference": frame}
 
@@ -204,17 +186,8 @@ def describe_missing_files(path: Path, slices: Sequence[DicomSlice]) -> tuple[st
     for file in filter(is_dicomdir, files):
         listed += list_directory_files(file, slices[0].series)
     missing = [one for one in listed if not {str(one).lower(), f"{one}.dcm".lower()} & here]
-    if not missing:
-        return ()
-    return (
-        f"DICOMDIR lists {len(missing)} images of this series that are not there, such as {missing[0]}: the "
-        "scan may be cut short",
-    )
-
-
-def _allow_slice_memory(slices: Sequence[DicomSlice]) -> None:
-    """Grant the memory of one slice, unpacked, to the readers that turn it over."""
-    allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
+    note = "DICOMDIR lists {} images of this series that are not there, such as {}: the scan may be cut short"
+    return (note.format(len(missing), missing[0]),) if missing else ()
 
 
 def _read_voxels(reader: sitk.ImageFileReader, item: DicomSlice) -> NDArray[np.float64]:
@@ -244,13 +217,11 @@ def _read_frames(frames: Sequence[DicomSlice]) -> Iterator[NDArray[np.float64]]:
 
 def _unreadable_voxels_error(item: DicomSlice) -> DataError:
     packed = f"; it is compressed as {item.syntax.name}" if item.syntax.is_compressed else ""
-    return DataError(
-        f"its voxels cannot be read{packed}",
-        where=str(item.file),
-        expected="a whole DICOM file",
-        fix="it is cut short or damaged: copy it again, or export the series again"
-        + (", uncompressed" if packed else ""),
-    )
+    return refusal(f"""its voxels cannot be read{packed}
+        expected: a whole DICOM file
+        fix: it is cut short or damaged: copy it again, or export the series
+            again{", uncompressed" if packed else ""}
+        where: {item.file}""")
 
 
 def _blank_padding(voxels: NDArray[np.float64], item: DicomSlice) -> NDArray[np.float64]:
@@ -262,22 +233,6 @@ def _blank_padding(voxels: NDArray[np.float64], item: DicomSlice) -> NDArray[np.
         kept = (voxels - intercept) / slope
         voxels[(kept > item.padding[0] - 0.5) & (kept < item.padding[1] + 0.5)] = np.nan
     return voxels
-
-
-def _fill_padding(values: NDArray[np.float32], slices: Sequence[DicomSlice]) -> None:
-    """Give padding the least measured value of the volume."""
-    if all(item.padding is None for item in slices):
-        return
-    least = np.fmin.reduce(values, axis=None)
-    if np.isnan(least):
-        raise DataError(
-            "holds nothing but padding",
-            where=str(slices[0].file.parent),
-            expected="measured values; padding is what PixelPaddingValue states",
-            fix="check PixelPaddingValue, or export the series again",
-        )
-    for plane in values:
-        plane[np.isnan(plane)] = least
 
 
 _INT16_LEVELS = 2**16 - 1

@@ -117,8 +117,7 @@ def correlation_factor(residuals: Floats, parameters: int) -> float:
 def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
     """Return the standard deviation in one direction across (N,) at `s` (N,), mm."""
     matrix = design_matrix(s, axis.spline.t)
-    sd: Floats = np.sqrt(np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2)
-    return sd
+    return np.asarray(np.sqrt(np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2))
 
 
 def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
@@ -178,8 +177,7 @@ def disc_points(radius: float) -> Floats:
         * PLANE_SPACING_MM
     )
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    points: Floats = grid[np.hypot(*grid.T) <= radius]
-    return points
+    return np.asarray(grid[np.hypot(*grid.T) <= radius])
 
 
 def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
@@ -193,14 +191,12 @@ def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
     # to_index gives i, j, k; the array is indexed k, j, i
     index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T
     values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
-    sampled: Floats = values.reshape(points.shape[:2])
-    return sampled
+    return np.asarray(values.reshape(points.shape[:2]))
 
 
 def in_volume(values: Floats) -> NDArray[np.bool_]:
     """Return for each plane (S, P) whether nearly all of it lies in the volume."""
-    enough: NDArray[np.bool_] = np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME
-    return enough
+    return np.asarray(np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME)
 
 
 def find_centroids(values: Floats, plane: Floats, reach: float) -> CrossSections:

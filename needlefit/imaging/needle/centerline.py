@@ -28,6 +28,7 @@ from needlefit.imaging.needle.axis_spline import (
 )
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
 from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.spheres import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -131,12 +132,10 @@ def _project_tip(axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) ->
     along = float(away @ frame.tangents[0])
     beside = float(np.linalg.norm(away - along * frame.tangents[0]))
     if beside > MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2:
-        raise DataError(
-            f"the tip that was placed lies {beside:.1f} mm beside the needle",
-            where="tip_x_mm, tip_y_mm, tip_z_mm",
-            expected="a point on the needle, LPS, mm",
-            fix="place it on the needle; RAS has x and y of the other sign",
-        )
+        raise refusal(f"""the tip that was placed lies {beside:.1f} mm beside the needle
+            expected: a point on the needle, LPS, mm
+            fix: place it on the needle; RAS has x and y of the other sign
+            where: tip_x_mm, tip_y_mm, tip_z_mm""")
     return at + along
 
 
@@ -214,29 +213,23 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
         forward = bool((ends[1] - ends[0]) @ np.asarray(direction) > 0)
     elif cut[0] != cut[1]:
         if clear and cut[1 if forward else 0]:
-            raise DataError(
-                "the end of the needle that leaves the volume lies in soft material over "
-                f"{max(soft):.0f} mm, the other end over {min(soft):.0f} mm",
-                where=f"ends at L, P, S = {where} mm",
-                expected="the tip, in tissue, within the scan",
-                fix="scan with the tip in view; or, if the end in view is the tip, set "
-                "centerline.entry_direction (LPS, from base to tip) in the recipe",
-            )
+            raise refusal(f"""the end of the needle that leaves the volume lies in soft material over
+                    {max(soft):.0f} mm, the other end over {min(soft):.0f} mm
+                expected: the tip, in tissue, within the scan
+                fix: scan with the tip in view; or, if the end in view is the tip, set
+                    centerline.entry_direction (LPS, from base to tip) in the recipe
+                where: ends at L, P, S = {where} mm""")
         forward = cut[0]
     elif not clear and not all(cut):
-        raise DataError(
-            "both ends of the needle lie in " + ("air" if max(soft) == 0 else "tissue"),
-            where=f"ends at L, P, S = {where} mm",
-            expected="one end in tissue or the other beyond the volume",
-            fix="set centerline.entry_direction (LPS, from base to tip) in the recipe",
-        )
+        raise refusal(f"""both ends of the needle lie in {"air" if max(soft) == 0 else "tissue"}
+            expected: one end in tissue or the other beyond the volume
+            fix: set centerline.entry_direction (LPS, from base to tip) in the recipe
+            where: ends at L, P, S = {where} mm""")
     if cut[1 if forward else 0]:
-        raise DataError(
-            "the needle leaves the volume with its tip",
-            where=f"ends at L, P, S = {where} mm",
-            expected="the tip and some tissue beyond it in the scan",
-            fix="scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction",
-        )
+        raise refusal(f"""the needle leaves the volume with its tip
+            expected: the tip and some tissue beyond it in the scan
+            fix: scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction
+            where: ends at L, P, S = {where} mm""")
     return axis if forward else reverse_axis(axis)
 
 
@@ -316,11 +309,9 @@ def _sample_centerline(
 
 
 def _too_few_sections_error(count: int) -> DataError:
-    return DataError(
-        f"the needle shows in {count} cross-sections only",
-        expected=f"{MIN_SECTIONS} or more",
-        fix="check the mask or the thresholds, or lower centerline.station_spacing_mm",
-    )
+    return refusal(f"""the needle shows in {count} cross-sections only
+        expected: {MIN_SECTIONS} or more
+        fix: check the mask or the thresholds, or lower centerline.station_spacing_mm""")
 
 
 def _is_at_edge(volume: Volume, point: Floats) -> bool:

@@ -1,13 +1,6 @@
-"""Cut what is wider than the needle off it: a hub, a holder, a guide of metal, a ball that touches it.
+"""Find the needle's voxels: tubes above thresholds, cut off from what is wider, or a mask made elsewhere."""
 
-Find what may be the needle: thresholds with hysteresis, then tubes, cut off from what is wider.
-
-Select the needle among the tubes of a scan, and name the others.
-
-Read a segmentation of the needle made elsewhere, resampled to the voxels of the scan.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
+from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_patient
 from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -45,17 +39,19 @@ def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]
     if not core.any():
         return [voxels]
     thin = mask & (_distance(~core, volume.spacing) > 1.5 * radius + step)
-    labels, _ = label(thin, structure=np.ones((3, 3, 3), dtype=np.bool_))
-    return [
-        np.argwhere(labels[box] == number) + np.array([side.start for side in box]) + low
-        for number, box in enumerate(find_objects(labels), start=1)
-    ]
+    return [part + low for part in _list_parts(thin)]
+
+
+def _list_parts(mask: NDArray[np.bool_]) -> Iterator[Ints]:
+    """Yield the voxels (n, 3) of each part of a mask that hangs together, corners included."""
+    labels, _ = label(mask, structure=np.ones((3, 3, 3), dtype=np.bool_))
+    for number, box in enumerate(find_objects(labels), start=1):
+        yield np.argwhere(labels[box] == number) + np.array([side.start for side in box])
 
 
 def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
     """Return the distance (mm) of every voxel of a mask to the nearest outside it."""
-    found: NDArray[np.float32] = distance_transform_edt(mask, sampling=spacing).astype(np.float32)
-    return found
+    return np.asarray(distance_transform_edt(mask, sampling=spacing).astype(np.float32))
 
 
 # Low thresholds to try, as parts of the way from tissue to metal; the high one lies a quarter higher.
@@ -103,7 +99,12 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
             floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * tissue_noise_hu(volume)
             lower = [low for low, _ in levels[n + 1 :] if low > floor]
             return [_grow_tube(volume, joined[0], lower, recipe), *joined[1:]]
-    raise _no_tube_error(parts, recipe)
+    largest, rules = max(parts, key=lambda part: part.length), recipe.segmentation
+    raise refusal(f"""none of {len(parts)} bright components is a tube; the longest is {largest.length:.1f}
+            mm long, {largest.width:.1f} mm wide and strays {largest.bend:.1f} mm from a parabola
+        expected: {rules.min_length_mm:g} mm or longer, at most
+            {rules.max_widening * recipe.needle.diameter_mm:.1f} mm wide
+        fix: set the thresholds, needle.diameter_mm or min_length_mm in the recipe, or give a mask""")
 
 
 def _grow_tube(
@@ -115,11 +116,7 @@ def _grow_tube(
     own = {tuple(voxel) for voxel in tube.voxels[:: max(1, len(tube.voxels) // 1000)].tolist()}
     grown = tube
     for level in levels:
-        labels, _ = label(volume.values[box] > level, structure=np.ones((3, 3, 3), dtype=bool))
-        found = [
-            np.argwhere(labels[part] == number)[:, ::-1] + [side.start for side in part[::-1]] + low
-            for number, part in enumerate(find_objects(labels), start=1)
-        ]
+        found = [part[:, ::-1] + low for part in _list_parts(volume.values[box] > level)]
         whole = [measure_component(volume, one) for one in found if len(one) >= MIN_COMPONENT_VOXELS]
         parts = cut_components(volume, whole, recipe)
         same = [part for part in parts if own & {tuple(voxel) for voxel in part.voxels.tolist()}]
@@ -205,23 +202,16 @@ def find_components(volume: Volume, low: float, high: float) -> list[Component]:
 
     DataError if no voxel exceeds `high`.
     """
-    mask = volume.values > low
-    labels, _ = label(mask, structure=np.ones((3, 3, 3), dtype=bool))
-    del mask
-    parts = []
-    for number, box in enumerate(find_objects(labels), start=1):
-        inside = labels[box] == number
-        if np.count_nonzero(inside) < MIN_COMPONENT_VOXELS or not np.any(volume.values[box][inside] > high):
-            continue
-        start = np.array([s.start for s in box])
-        parts.append(measure_component(volume, (np.argwhere(inside) + start)[:, ::-1]))
+    parts = [
+        measure_component(volume, kji[:, ::-1])
+        for kji in _list_parts(volume.values > low)
+        if len(kji) >= MIN_COMPONENT_VOXELS and np.any(volume.values[tuple(kji.T)] > high)
+    ]
     if not parts:
-        raise DataError(
-            f"no voxels exceed {high:.0f} HU",
-            where="segmentation.threshold_high_hu",
-            expected="a needle brighter than that",
-            fix="lower segmentation.threshold_high_hu, or give a mask",
-        )
+        raise refusal(f"""no voxels exceed {high:.0f} HU
+            expected: a needle brighter than that
+            fix: lower segmentation.threshold_high_hu, or give a mask
+            where: segmentation.threshold_high_hu""")
     return parts
 
 
@@ -271,16 +261,19 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
 
 def median_tissue_hu(volume: Volume) -> float:
     """Return the median of all voxels that are not air (HU), from every third voxel along each axis."""
-    some = volume.values[::3, ::3, ::3]
-    dense = some[some > MAX_AIR_HU]
+    some, dense = _sample_dense(volume)
     return float(np.median(dense if dense.size > some.size / 100 else some))
 
 
 def tissue_noise_hu(volume: Volume) -> float:
     """Return the standard deviation of what is neither air nor metal (HU), by its median deviation."""
-    some = volume.values[::3, ::3, ::3]
-    dense = some[some > MAX_AIR_HU]
+    _, dense = _sample_dense(volume)
     return 0.0 if not dense.size else 1.4826 * float(np.median(np.abs(dense - np.median(dense))))
+
+
+def _sample_dense(volume: Volume) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    some = volume.values[::3, ::3, ::3]
+    return some, some[some > MAX_AIR_HU]
 
 
 def _metal_hu(volume: Volume, tissue: float, recipe: ReconstructionRecord) -> float:
@@ -289,11 +282,10 @@ def _metal_hu(volume: Volume, tissue: float, recipe: ReconstructionRecord) -> fl
     rod = np.pi / 4 * recipe.needle.diameter_mm**2 * recipe.segmentation.min_length_mm
     wanted = max(MIN_COMPONENT_VOXELS, int(rod / float(np.prod(volume.spacing)) / 2))
     if len(bright) < wanted:
-        raise DataError(
-            f"{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by {MIN_METAL_CONTRAST_HU:.0f} HU",
-            expected=f"the {wanted} and more of a metal needle",
-            fix="check that the scan holds the needle and is in HU; or give both thresholds, or a mask",
-        )
+        raise refusal(f"""{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by
+                {MIN_METAL_CONTRAST_HU:.0f} HU
+            expected: the {wanted} and more of a metal needle
+            fix: check that the scan holds the needle and is in HU; or give both thresholds, or a mask""")
     return float(np.partition(bright, -wanted)[-wanted])
 
 
@@ -302,15 +294,9 @@ def _join_pieces(
 ) -> Component:
     """Return the needle together with the pieces that lie on its curve, beyond gaps that rays have cut."""
     waiting = [p for p in others if p.width <= recipe.segmentation.max_widening * recipe.needle.diameter_mm]
-    found = True
-    while found:
-        found = False
-        for part in waiting:
-            if _continues(volume, needle, part, recipe):
-                needle = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
-                waiting = [p for p in waiting if p is not part]
-                found = True
-                break
+    while part := next((one for one in waiting if _continues(volume, needle, one, recipe)), None):
+        needle = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
+        waiting = [p for p in waiting if p is not part]
     return needle
 
 
@@ -336,27 +322,11 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     return both.bend <= max(needle.bend, recipe.segmentation.max_widening * recipe.needle.diameter_mm / 2)
 
 
-def _no_tube_error(parts: Sequence[Component], recipe: ReconstructionRecord) -> DataError:
-    largest = max(parts, key=lambda part: part.length)
-    rules = recipe.segmentation
-    return DataError(
-        f"none of {len(parts)} bright components is a tube; the longest is {largest.length:.1f} mm long, "
-        f"{largest.width:.1f} mm wide and strays {largest.bend:.1f} mm from a parabola",
-        expected=f"{rules.min_length_mm:g} mm or longer, at most "
-        f"{rules.max_widening * recipe.needle.diameter_mm:.1f} mm wide",
-        fix="set the thresholds, needle.diameter_mm or min_length_mm in the recipe, or give a mask",
-    )
-
-
 # A second tube of at least this part of the needle's length and brightness may be the needle, too.
 MIN_SECOND_NEEDLE_RATIO = 0.6
 # Of two such tubes that of the stated diameter is the needle if the other misses it by so much more.
 CLEAR_WIDTH_RATIO = 1.5
 MAX_PICK_DISTANCE_MM = 5.0  # a point stated on the needle lies at most so far from it, mm
-PICK_FIX = (
-    "state a point on the needle that is meant (LPS) in a table of scans: needle_x_mm, needle_y_mm, "
-    "needle_z_mm; or crop the scan, or give a mask"
-)
 
 
 @dataclass(frozen=True)
@@ -414,12 +384,10 @@ def _choose_at(volume: Volume, tubes: Sequence[Component], point: Floats) -> Com
     nearest = int(np.argmin(distances))
     if distances[nearest] > MAX_PICK_DISTANCE_MM:
         listed = "; ".join(describe_tube(volume, part) for part in tubes)
-        raise DataError(
-            f"no tube passes the stated point of the needle; there is {listed}",
-            where="needle_x_mm, needle_y_mm, needle_z_mm",
-            expected=f"a tube within {MAX_PICK_DISTANCE_MM:g} mm of it",
-            fix="correct the point (LPS of the scan, mm), or leave the three cells empty",
-        )
+        raise refusal(f"""no tube passes the stated point of the needle; there is {listed}
+            expected: a tube within {MAX_PICK_DISTANCE_MM:g} mm of it
+            fix: correct the point (LPS of the scan, mm), or leave the three cells empty
+            where: needle_x_mm, needle_y_mm, needle_z_mm""")
     return tubes[nearest]
 
 
@@ -427,26 +395,19 @@ def _choose_longest(volume: Volume, tubes: Sequence[Component], diameter: float)
     """Return the longest tube, unless another one of nearly its length is nearer to the diameter."""
     first = tubes[0]
     level = MIN_SECOND_NEEDLE_RATIO * _mean_hu(volume, first)
-    alternatives = [
-        part
-        for part in tubes
-        if part.length >= MIN_SECOND_NEEDLE_RATIO * first.length and _mean_hu(volume, part) >= level
-    ]
+    length = MIN_SECOND_NEEDLE_RATIO * first.length
+    alternatives = [part for part in tubes if part.length >= length and _mean_hu(volume, part) >= level]
     alternatives.sort(key=lambda part: abs(np.log(part.width / diameter)))
     if len(alternatives) == 1:
         return first
-    if _miss(alternatives[1], diameter) >= CLEAR_WIDTH_RATIO * _miss(alternatives[0], diameter):
+    misses = [float(np.exp(abs(np.log(part.width / diameter)))) for part in alternatives]  # factors
+    if misses[1] >= CLEAR_WIDTH_RATIO * misses[0]:
         return alternatives[0]
-    raise DataError(
-        f"{len(alternatives)} needles: {'; '.join(describe_tube(volume, part) for part in alternatives)}",
-        expected="one needle",
-        fix=PICK_FIX,
-    )
-
-
-def _miss(part: Component, diameter: float) -> float:
-    """Return by what factor the width of a tube misses the diameter."""
-    return float(np.exp(abs(np.log(part.width / diameter))))
+    raise refusal(f"""{len(alternatives)} needles:
+            {"; ".join(describe_tube(volume, part) for part in alternatives)}
+        expected: one needle
+        fix: state a point on the needle that is meant (LPS) in a table of scans: needle_x_mm, needle_y_mm,
+            needle_z_mm; or crop the scan, or give a mask""")
 
 
 def _mean_hu(volume: Volume, part: Component) -> float:
@@ -454,14 +415,11 @@ def _mean_hu(volume: Volume, part: Component) -> float:
     return float(np.mean(volume.values[k, j, i]))
 
 
-Mask = NDArray[np.bool_]
-
 # Part of a mask that may lie beyond the scan, as that of a needle does that leaves it.
 MAX_OUTSIDE_FRACTION = 0.02
 MARGIN_VOXELS = 2  # width in voxels of the gap between a mask and its surroundings, and of these
 # Metal stands out from the median of its surroundings so many times as far as their 95th percentile does.
 MIN_CONTRAST_RATIO = 2.0
-MASK_FIX = "segment the needle in this scan, and save the segmentation as NRRD or NIfTI"
 
 
 def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord) -> Component:
@@ -473,89 +431,72 @@ def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord
     DataError if the mask marks nothing, lies elsewhere than the scan's needle, or cannot be a needle.
     """
     mask = read_mask(path)
-    require_same_frame(mask, volume.frame_of_reference, str(path))
-    _require_marked(int(np.count_nonzero(mask.values > 0)), path)
-    marked = _resample_mask(volume, mask, path)
-    _require_marked(int(np.count_nonzero(marked)), path)
-    _require_metal(volume, marked, path)
-    part = measure_component(volume, np.argwhere(marked)[:, ::-1])
-    if part.length < recipe.segmentation.min_length_mm:
-        raise DataError(
-            f"the mask is {part.length:.1f} mm long",
-            where=str(path),
-            expected=f"at least segmentation.min_length_mm = {recipe.segmentation.min_length_mm:g}",
-            fix="give the mask of the whole needle, or lower min_length_mm",
-        )
+    with located(path):
+        require_same_frame(mask, volume.frame_of_reference)
+        _require_marked(int(np.count_nonzero(mask.values > 0)))
+        marked = _resample_mask(volume, mask)
+        _require_marked(int(np.count_nonzero(marked)))
+        _require_metal(volume, marked)
+        part = measure_component(volume, np.argwhere(marked)[:, ::-1])
+        if part.length < recipe.segmentation.min_length_mm:
+            raise refusal(f"""the mask is {part.length:.1f} mm long
+                expected: at least segmentation.min_length_mm = {recipe.segmentation.min_length_mm:g}
+                fix: give the mask of the whole needle, or lower min_length_mm""")
     return part
 
 
-def _require_marked(count: int, path: Path) -> None:
+def _require_marked(count: int) -> None:
     if count < MIN_COMPONENT_VOXELS:
-        raise DataError(
-            f"the mask marks {count} voxels",
-            where=str(path),
-            expected="the needle's voxels above 0, all others 0",
-            fix=MASK_FIX,
-        )
+        raise refusal(f"""the mask marks {count} voxels
+            expected: the needle's voxels above 0, all others 0
+            fix: segment the needle in this scan, and save the segmentation as NRRD or NIfTI""")
 
 
-def _resample_mask(volume: Volume, mask: Volume, path: Path) -> Mask:
+def _resample_mask(volume: Volume, mask: Volume) -> NDArray[np.bool_]:
     """Return the voxels of `volume` (K, J, I) whose centres lie in marked voxels of `mask`."""
     marked = to_patient(mask, np.argwhere(mask.values > 0)[:, ::-1])
     size = np.array(volume.grid.size)
     index = to_index(volume, marked)
     outside = ((index < -0.5) | (index > size - 0.5)).any(axis=1)
     if outside.mean() > MAX_OUTSIDE_FRACTION:
-        raise _misplaced_mask_error(
-            f"{100 * outside.mean():.0f} % of what it marks lies outside the scan", path
-        )
+        raise _misplaced_mask(f"{100 * outside.mean():.0f} % of what it marks lies outside the scan")
     reach = np.ceil(mask.spacing.max() / volume.spacing).astype(np.int64)
     low = np.clip(np.floor(index.min(axis=0)).astype(np.int64) - reach, 0, size - 1)
     high = np.clip(np.ceil(index.max(axis=0)).astype(np.int64) + reach, 0, size - 1)
     found = np.zeros(volume.values.shape, dtype=np.bool_)
+    j, i = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
     for k in range(low[2], high[2] + 1):  # a slice at a time: the box of an oblique needle is most of a scan
-        found[k, low[1] : high[1] + 1, low[0] : high[0] + 1] = _resample_slice(volume, mask, (low, high), k)
+        ijk = np.stack([i, j, np.full_like(i, k)], axis=-1).reshape(-1, 3)
+        near = np.rint(to_index(mask, to_patient(volume, ijk))).astype(np.int64)
+        within = ((near >= 0) & (near < mask.grid.size)).all(axis=1)
+        inside = np.zeros(len(ijk), dtype=np.bool_)
+        inside[within] = mask.values[tuple(near[within, ::-1].T)] > 0
+        found[k, low[1] : high[1] + 1, low[0] : high[0] + 1] = inside.reshape(i.shape)
     return found
 
 
-def _resample_slice(volume: Volume, mask: Volume, box: tuple[Ints, Ints], k: int) -> Mask:
-    """Return which voxels (J, I) of a slice of the box, first and last i, j, k, lie in marked voxels."""
-    low, high = box
-    j, i = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    ijk = np.stack([i, j, np.full_like(i, k)], axis=-1).reshape(-1, 3)
-    near = np.rint(to_index(mask, to_patient(volume, ijk))).astype(np.int64)
-    within = ((near >= 0) & (near < mask.grid.size)).all(axis=1)
-    marked = np.zeros(len(ijk), dtype=np.bool_)
-    marked[within] = mask.values[tuple(near[within, ::-1].T)] > 0
-    return marked.reshape(i.shape)
-
-
-def _require_metal(volume: Volume, marked: Mask, path: Path) -> None:
+def _require_metal(volume: Volume, marked: NDArray[np.bool_]) -> None:
     """Raise DataError unless what is marked stands out from what is around it, as metal does in any unit."""
     where = np.argwhere(marked)
-    low, high = where.min(axis=0), where.max(axis=0) + 1
-    box = tuple(
-        slice(max(0, a - 2 * MARGIN_VOXELS), b + 2 * MARGIN_VOXELS)
-        for a, b in zip(low.tolist(), high.tolist(), strict=True)
+    low, high = (
+        np.maximum(where.min(axis=0) - 2 * MARGIN_VOXELS, 0),
+        where.max(axis=0) + 1 + 2 * MARGIN_VOXELS,
     )
+    box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
     inside, values = marked[box], volume.values[box]
     near = binary_dilation(inside, iterations=MARGIN_VOXELS)
     around = values[binary_dilation(near, iterations=MARGIN_VOXELS) & ~near]
     if not len(around):
-        raise _misplaced_mask_error("it marks the whole scan", path)
+        raise _misplaced_mask("it marks the whole scan")
     middle, bright = np.percentile(around, [50, 95])
     metal = float(np.percentile(values[inside], 95))
     if metal - middle <= MIN_CONTRAST_RATIO * (bright - middle):
-        raise _misplaced_mask_error(
-            f"what it marks is no brighter ({metal:.0f}) than what lies around it ({middle:.0f})", path
-        )
+        levels = f"no brighter ({metal:.0f}) than what lies around it ({middle:.0f})"
+        raise _misplaced_mask(f"what it marks is {levels}")
 
 
-def _misplaced_mask_error(why: str, path: Path) -> DataError:
-    return DataError(
-        f"the mask does not lie on the needle of this scan: {why}",
-        where=str(path),
-        expected="a mask that stands where the scan does: its origin, spacing and axes count",
-        fix="see whether it belongs to this scan, and whether its header was lost on the way (LPS, mm); "
-        "show both in 3D Slicer",
-    )
+def _misplaced_mask(why: str) -> DataError:
+    return refusal(f"""the mask does not lie on the needle of this scan: {why}
+        expected: a mask that stands where the scan does: its origin, spacing and axes count
+        fix: see whether it belongs to this scan, and whether its header was lost on the way (LPS, mm); show
+            both in 3D Slicer""")

@@ -26,14 +26,8 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
-from needlefit.errors import DataError
-from needlefit.imaging.needle.axis_spline import (
-    AxisSpline,
-    axis_frames,
-    axis_sd,
-    disc_points,
-    sample_planes,
-)
+from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd, disc_points, sample_planes
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.spheres import BOX_PART, PointSpread, expected_slice_blur
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
@@ -338,8 +332,7 @@ class TipProblem:
         total = np.vstack([total, jacobian[count:]])
         normal = jacobian.T @ jacobian
         inverse = np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-9)))
-        covariance: Floats = inverse @ (total.T @ total) @ inverse
-        return covariance
+        return np.asarray(inverse @ (total.T @ total) @ inverse)
 
     def bevel_probability(self, best: OptimizeResult, covariance: Floats) -> float:
         """Return the probability that the bevel's point lies on the fitted side, within 90 degrees.
@@ -429,8 +422,7 @@ def _assign_blocks(near: AxisVoxels) -> NDArray[np.int64]:
     """Return the block (N,) of each voxel: quadrant round the axis, inner or outer half, length along it."""
     piece = np.floor((near.s - near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
     quadrant = 2 * (near.u > 0) + (near.v > 0)
-    block: NDArray[np.int64] = 8 * piece + 2 * quadrant + (np.hypot(near.u, near.v) > RADIAL_REACH_MM / 2)
-    return block
+    return np.asarray(8 * piece + 2 * quadrant + (np.hypot(near.u, near.v) > RADIAL_REACH_MM / 2))
 
 
 def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:
@@ -538,12 +530,11 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
     DataError if a threshold sees no end either.
     """
     if not np.isfinite(away):
-        raise DataError(
-            "the end of the needle does not show: no section near it is as bright as half the shaft",
-            where="tip of the needle",
-            expected="a needle that ends in the tissue, in the volume",
-            fix="check that the scan holds the tip, away from other metal; or give a mask of the needle",
-        )
+        raise refusal("""the end of the needle does not show: no section near it is as bright as half the
+                shaft
+            expected: a needle that ends in the tissue, in the volume
+            fix: check that the scan holds the tip, away from other metal; or give a mask of the needle
+            where: tip of the needle""")
     sd = np.linalg.norm([MAX_MODEL_SD_MM, DISAGREEMENT_SD * away, float(volume.spacing.max()) / 2])
     return at + away, float(sd), "threshold"
 

@@ -30,6 +30,7 @@ from scipy.special import chdtri, ndtri
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.rigid import (
     MIN_MARKERS,
     Alignment,
@@ -178,13 +179,11 @@ def search_pairings(
         rows = rows[_distances_agree(rows, found[order], known, variance[order], bound)]
         rows = rows[_rows_fit(rows, found[order[:depth]], known, variance[order[:depth]], bound)]
         if len(rows) > MAX_PARTIAL_PAIRINGS:
-            raise DataError(
-                f"more than {MAX_PARTIAL_PAIRINGS} partial pairings of {len(found)} and {len(known)} markers "
-                f"fit",
-                where="markers",
-                expected="markers whose mutual distances differ by more than their noise",
-                fix="give the pairs, or leave out spurious markers, or state smaller deviations if they are",
-            )
+            raise refusal(f"""more than {MAX_PARTIAL_PAIRINGS} partial pairings of {len(found)} and
+                    {len(known)} markers fit
+                expected: markers whose mutual distances differ by more than their noise
+                fix: give the pairs, or leave out spurious markers, or state smaller deviations if they are
+                where: markers""")
     pairing = np.empty_like(rows)
     pairing[:, order] = rows
     return pairing
@@ -216,8 +215,7 @@ def _extend_rows(rows: NDArray[np.int64], known: int, spare: int, count: int) ->
     last = wide[:, -1:]
     twice = ((wide[:, :-1] == last) & (last >= 0)).any(axis=1)
     alone = (wide < 0).sum(axis=1)
-    kept: NDArray[np.int64] = wide[~twice & (alone <= spare) & (depth + 1 - alone <= count)]
-    return kept
+    return np.asarray(wide[~twice & (alone <= spare) & (depth + 1 - alone <= count)])
 
 
 def _distances_agree(
@@ -230,8 +228,7 @@ def _distances_agree(
     there = np.linalg.norm(known[others] - known[partner][:, None], axis=2)  # (L, n - 1)
     both = variance[np.arange(last), others] + variance[last, partner][:, None]
     kept = (there - here) ** 2 <= bound * both
-    agree: NDArray[np.bool_] = (kept | (others < 0)).all(axis=1) | (partner < 0)
-    return agree
+    return np.asarray((kept | (others < 0)).all(axis=1) | (partner < 0))
 
 
 def _rows_fit(
@@ -267,8 +264,7 @@ def find_symmetries(known: ArrayLike, sd: ArrayLike) -> NDArray[np.int64]:
     pair = np.maximum(variance, variance.T)  # the noisier of the two: no symmetry is missed
     rows = search_pairings(points, points, pair, len(points), MIN_SQUARED_MISFIT)
     moved = np.count_nonzero(rows != np.arange(len(points)), axis=1)
-    ordered: NDArray[np.int64] = rows[np.argsort(moved, kind="stable")]
-    return ordered
+    return np.asarray(rows[np.argsort(moved, kind="stable")])
 
 
 def group_interchangeable(permutations: NDArray[np.int64]) -> tuple[tuple[int, ...], ...]:

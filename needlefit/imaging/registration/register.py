@@ -1,25 +1,16 @@
-"""Explain why markers do not fit: a mirrored scan, wrong voxel spacing, RAS read as LPS, or too small a
-stated SD.
-
-RAS and LPS differ by the signs of x and y. That is a turn by half a circle about z, not a reflection, so no
-layout of markers can tell it from a scan that lies the other way round: only a rough pose can
-(`sign_change_error`), or another set of markers in the same frame (`check_axis_signs`).
-
-Whether the scan's distances are too long or too short: voxel spacings stated wrongly.
-
-Scale is estimated and reported, never applied: a wrong spacing is corrected in the scan, where the needle has
-it too.
-
-Select the most likely pairing of markers, or explain why there is none.
-
-Register a scan to the world by its radiopaque markers, with the remaining error.
+"""Register a scan to the world by its radiopaque markers, with the remaining error, or say why that fails.
 
 All pairings are tried (`pairing`); the likeliest is kept if it fits the stated noise and no other is nearly
 as likely. A rough pose only settles what the markers leave open, or starts ICP (`rigid`) where they are too
 many. The motion is a rotation and a translation. Scale and reflection are estimated for error messages, and
-never applied (`mirror_check`).
+never applied: a wrong spacing is corrected in the scan, where the needle has it too.
+
+RAS and LPS differ by the signs of x and y. That is a turn by half a circle about z, not a reflection, so no
+layout of markers can tell it from a scan that lies the other way round: only a rough pose can
+(`_sign_change_error`), or another set of markers in the same frame (`check_axis_signs`).
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +24,7 @@ from scipy.special import chdtrc
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import (
     MAX_WRONG_PAIRING_PROBABILITY,
     MIN_CHI2_GAP,
@@ -134,27 +126,21 @@ def find_better_scale(sets: MarkerSets, count: int) -> tuple[ScaleEstimate, int]
             # the vote is good to its window; what that leaves at the layout's ends counts as noise
             spread = VOTE_WINDOW / 2 * sets.extent * np.eye(3)
             wide = stretch(sets, _axis_factors(axes, rough))
-            loose = MarkerSets(
-                wide.found, wide.known, wide.found_covariance + spread**2, wide.known_covariance
-            )
+            loose = replace(wide, found_covariance=wide.found_covariance + spread**2)
             candidates = try_find_largest_pairings(loose)
             if not candidates or len(candidates[0].pairs) < max(reached, 4):
                 continue
             for candidate in candidates[:20]:
                 factor, left = _refine_factor(sets, candidate.pairs, axes, rough)
                 pairs = len(candidate.pairs)
-                if left <= chi2_limit(pairs) and (
-                    pairs > reached or (pairs == reached > count and left < best)
-                ):
+                better = pairs > reached or (pairs == reached > count and left < best)
+                if left <= chi2_limit(pairs) and better:
                     scaled = stretch(sets, _axis_factors(axes, factor))
-                    sd = {
-                        one.along: one.sd
-                        for one in estimate_scales(
-                            scaled, candidate.pairs, align_pairs(scaled, candidate.pairs)
-                        )
-                    }
+                    aligned = align_pairs(scaled, candidate.pairs)
+                    estimates = estimate_scales(scaled, candidate.pairs, aligned)
+                    sd = next((one.sd for one in estimates if one.along == name), np.inf)
                     reached, best = pairs, left
-                    found_scale = ScaleEstimate(name, factor, sd.get(name, np.inf) * factor)
+                    found_scale = ScaleEstimate(name, factor, sd * factor)
     return (found_scale, reached) if found_scale and found_scale.significance > MIN_SIGNIFICANCE_SD else None
 
 
@@ -192,8 +178,7 @@ def _refine_factor(
 
 
 def _axis_factors(axes: tuple[float, float, float], factor: float) -> Floats:
-    factors: Floats = 1 + (factor - 1) * np.array(axes)
-    return factors
+    return np.asarray(1 + (factor - 1) * np.array(axes))
 
 
 # Signs that readers confuse.
@@ -215,25 +200,22 @@ def misfit_error(sets: MarkerSets, reached: int) -> DataError | None:
     """Return the error that explains a misfit of more than the `reached` pairs; None if none does."""
     reflected = try_find_largest_pairings(mirror(sets))
     if reflected and len(reflected[0].pairs) > reached:
-        return DataError(
-            f"the markers are mirrored: {len(reflected[0].pairs)} fit reflected, {reached} as they are",
-            where="markers",
-            expected="a scan of the same handedness as the world",
-            fix="one axis of the scan or of the known markers has the wrong sign (x alone, y alone or z "
-            "alone): look at the direction of the slices and at the coordinate system of the markers' file",
-        )
+        return refusal(f"""the markers are mirrored: {len(reflected[0].pairs)} fit reflected, {reached} as
+                they are
+            expected: a scan of the same handedness as the world
+            fix: one axis of the scan or of the known markers has the wrong sign (x alone, y alone or z
+                alone): look at the direction of the slices and at the coordinate system of the markers' file
+            where: markers""")
     scaled = find_better_scale(sets, reached)
     if scaled:
         scale, count = scaled
         long = "short" if scale.factor > 1 else "long"
         by = max(scale.factor, 1 / scale.factor)
-        return DataError(
-            f"distances in the scan are {by:.4f} times too {long} {scale.along}: with the factor "
-            f"{scale.factor:.4f} +- {scale.sd:.4f}, {count} markers fit, without it {reached}",
-            where="voxel spacing of the scan",
-            expected="distances between markers as in the world; no scale is ever fitted",
-            fix="correct the voxel spacing or slice distance of the scan, or the known markers' units",
-        )
+        return refusal(f"""distances in the scan are {by:.4f} times too {long} {scale.along}: with the factor
+                {scale.factor:.4f} +- {scale.sd:.4f}, {count} markers fit, without it {reached}
+            expected: distances between markers as in the world; no scale is ever fitted
+            fix: correct the voxel spacing or slice distance of the scan, or the known markers' units
+            where: voxel spacing of the scan""")
     return None
 
 
@@ -248,13 +230,11 @@ def unit_error(sets: MarkerSets) -> DataError | None:
         alike = 1 / MAX_EXTENT_RATIO < scaled.extent / pdist(sets.found).max() < MAX_EXTENT_RATIO
         fitting = try_find_largest_pairings(scaled) if alike else []
         if fitting and not may_be_chance(scaled, len(fitting[0].pairs)):
-            return DataError(
-                f"multiplied by {factor:g}, {len(fitting[0].pairs)} of the {len(sets.known)} known markers "
-                f"fit: this looks like {unit}",
-                where=KNOWN_SET,
-                expected="places in mm",
-                fix=f"multiply the known places by {factor:g}",
-            )
+            return refusal(f"""multiplied by {factor:g}, {len(fitting[0].pairs)} of the {len(sets.known)}
+                    known markers fit: this looks like {unit}
+                expected: places in mm
+                fix: multiply the known places by {factor:g}
+                where: {KNOWN_SET}""")
     return None
 
 
@@ -263,14 +243,12 @@ def no_fit_error(sets: MarkerSets) -> DataError:
     few = _few_pairs_error(sets)
     if few:
         return few
-    return DataError(
-        f"no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers fits within "
-        f"{sets.typical_sd:.2f} mm{_describe_noisier_fit(sets)}",
-        where="markers",
-        expected="three or more markers at distances as in the world, more if some are missing and others "
-        "spurious",
-        fix="look at the markers found in the scan; measure the known ones again; state larger deviations",
-    )
+    return refusal(f"""no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers fits
+            within {sets.typical_sd:.2f} mm{_describe_noisier_fit(sets)}
+        expected: three or more markers at distances as in the world, more if some are missing and others
+            spurious
+        fix: look at the markers found in the scan; measure the known ones again; state larger deviations
+        where: markers""")
 
 
 def _few_pairs_error(sets: MarkerSets) -> DataError | None:
@@ -279,17 +257,14 @@ def _few_pairs_error(sets: MarkerSets) -> DataError | None:
     few = [] if count is None else find_pairings(sets, count)
     if count is None or not few or few[0].alignment.chi2 > chi2_limit(count):
         return None
-    return DataError(
-        f"only {count} of the {len(sets.found)} found and {len(sets.known)} known markers fit "
-        f"(found -> known, from 0: {format_pairs(few[0].pairs)}), too few to believe: of as many unrelated "
-        f"markers "
-        f"{expected_chance_pairings(sets, count):.1g} sets of pairs would fit by chance",
-        where="markers",
-        expected=f"pairs that chance brings about less than {MAX_WRONG_PAIRING_PROBABILITY:g} times: "
-        "more of them, or none left over",
-        fix="scan with more of the markers in view; list only those known that the scan can show; place the "
-        "markers by hand; state smaller deviations if they are",
-    )
+    return refusal(f"""only {count} of the {len(sets.found)} found and {len(sets.known)} known markers fit
+            (found -> known, from 0: {format_pairs(few[0].pairs)}), too few to believe: of as many unrelated
+            markers {expected_chance_pairings(sets, count):.1g} sets of pairs would fit by chance
+        expected: pairs that chance brings about less than {MAX_WRONG_PAIRING_PROBABILITY:g} times: more of
+            them, or none left over
+        fix: scan with more of the markers in view; list only those known that the scan can show; place the
+            markers by hand; state smaller deviations if they are
+        where: markers""")
 
 
 def _describe_noisier_fit(sets: MarkerSets) -> str:
@@ -297,33 +272,26 @@ def _describe_noisier_fit(sets: MarkerSets) -> str:
     for factor in NOISE_FACTORS:
         noisier = try_find_largest_pairings(scale_noise(sets, factor))
         if noisier and len(noisier[0].pairs) == sets.smaller_count:
-            text = format_pairs(noisier[0].pairs)
-            return (
-                f"; with {factor:g} times that, {sets.smaller_count} would (found -> known, from 0: {text})"
-            )
+            pairs = f"(found -> known, from 0: {format_pairs(noisier[0].pairs)})"
+            return f"; with {factor:g} times that, {sets.smaller_count} would {pairs}"
     return ""
 
 
-def sign_change_error(frame: Frame, rough: Frame, found: Floats) -> DataError | None:
+def _sign_change_error(frame: Frame, rough: Frame, found: Floats) -> DataError | None:
     """Return the error if markers fit the rough pose only with the signs of x and y changed."""
     here, signs = frame.to_world(found), SIGN_CHANGES["x and y"]
     as_is = _root_mean_square(rough.to_world(found) - here)
     flipped = _root_mean_square(rough.to_world(found * signs) - here)
     # turning by half a circle about z undoes the signs
-    nearer = (
-        _angle(rough.rotation.T @ frame.rotation * signs)
-        < MAX_ROUGH_ANGLE_RAD
-        < _angle(rough.rotation.T @ frame.rotation)
-    )
+    turn = rough.rotation.T @ frame.rotation
+    nearer = _angle(turn * signs) < MAX_ROUGH_ANGLE_RAD < _angle(turn)
     if not nearer or flipped >= as_is:
         return None
-    return DataError(
-        f"RAS seems to have been read as LPS: the rough pose is {as_is:.1f} mm off, with the signs of x and "
-        f"y changed {flipped:.1f} mm",
-        where="markers found in the scan",
-        expected="scan coordinates in LPS, or a file that states RAS",
-        fix="state the coordinate system of the file (RAS or LPS), or correct the rough pose",
-    )
+    return refusal(f"""RAS seems to have been read as LPS: the rough pose is {as_is:.1f} mm off, with the
+            signs of x and y changed {flipped:.1f} mm
+        expected: scan coordinates in LPS, or a file that states RAS
+        fix: state the coordinate system of the file (RAS or LPS), or correct the rough pose
+        where: markers found in the scan""")
 
 
 def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
@@ -340,13 +308,11 @@ def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
     if as_is <= MIN_DISTANCE_RATIO * max(off[name], sd) or off[name] > MIN_DISTANCE_RATIO * sd:
         return
     what = "RAS was read as LPS" if name == "x and y" else f"the sign of {name} is wrong"
-    raise DataError(
-        f"{what}: the markers given lie {as_is:.1f} mm from those in the volume, with the sign of {name} "
-        f"changed {off[name]:.1f} mm",
-        where="markers given in the frame of the scan",
-        expected="the coordinate system that the file states, turned to LPS at the reader",
-        fix="state the coordinate system of the file (RAS or LPS)",
-    )
+    raise refusal(f"""{what}: the markers given lie {as_is:.1f} mm from those in the volume, with the sign of
+            {name} changed {off[name]:.1f} mm
+        expected: the coordinate system that the file states, turned to LPS at the reader
+        fix: state the coordinate system of the file (RAS or LPS)
+        where: markers given in the frame of the scan""")
 
 
 def format_pairs(pairs: ArrayLike) -> str:
@@ -359,6 +325,7 @@ def _angle(rotation: Floats) -> float:
 
 
 def _root_mean_square(difference: Floats) -> float:
+    """Return the root mean square length of vectors (N, 3)."""
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
 
@@ -384,13 +351,16 @@ def select_pairing(sets: MarkerSets, rough: Frame | None) -> Pairing:
 def check_given_pairs(sets: MarkerSets, pairs: Pairs) -> Pairing:
     """Return the given pairing if it fits and no other contradicts it; else DataError with the better."""
     _check_pairs(sets, pairs)
+
+    def whole(one: MarkerPairingCandidate) -> MarkerPairingCandidate:
+        """Return a candidate of the used markers as one of all."""
+        pairs = np.column_stack([used[one.pairs[:, 0]], one.pairs[:, 1]])
+        return MarkerPairingCandidate(pairs, one.alignment)
+
     own = MarkerPairingCandidate(pairs, align_pairs(sets, pairs))
     used = np.unique(pairs[:, 0])
     part = MarkerSets(sets.found[used], sets.known, sets.found_covariance[used], sets.known_covariance)
-    alternatives = [
-        MarkerPairingCandidate(np.column_stack([used[one.pairs[:, 0]], one.pairs[:, 1]]), one.alignment)
-        for one in find_pairings(part, len(pairs))
-    ]
+    alternatives = [whole(one) for one in find_pairings(part, len(pairs))]
     alternatives = [one for one in alternatives if pairings_contradict(own.pairs, one.pairs)]
     fits = own.alignment.chi2 <= chi2_limit(len(pairs))
     if fits and not (alternatives and alternatives[0].alignment.chi2 < own.alignment.chi2 - MIN_CHI2_GAP):
@@ -401,20 +371,13 @@ def check_given_pairs(sets: MarkerSets, pairs: Pairs) -> Pairing:
     error = misfit_error(part, reached) if reached < part.smaller_count else None
     if error or not candidates:
         raise error or no_fit_error(part)
-    better = candidates[0]
-    if not fits:
-        better = MarkerPairingCandidate(
-            np.column_stack([used[better.pairs[:, 0]], better.pairs[:, 1]]), better.alignment
-        )
-    raise _disproved_error(own, better)
+    raise _disproved_error(own, candidates[0] if fits else whole(candidates[0]))
 
 
 def _pair_closest_points(sets: MarkerSets, rough: Frame) -> Pairing:
     pairs = pair_by_icp(sets, rough)
-    if len(pairs) < MIN_MARKERS:
-        raise no_fit_error(sets)
-    alignment = align_pairs(sets, pairs)
-    if alignment.chi2 > chi2_limit(len(pairs)):
+    alignment = align_pairs(sets, pairs) if len(pairs) >= MIN_MARKERS else None
+    if alignment is None or alignment.chi2 > chi2_limit(len(pairs)):
         raise no_fit_error(sets)
     return Pairing(MarkerPairingCandidate(pairs, alignment), (), float("nan"))
 
@@ -426,25 +389,22 @@ def _check_pairs(sets: MarkerSets, pairs: Pairs) -> None:
         once = all(len(np.unique(column)) == len(pairs) for column in pairs.T)
         if once and (pairs >= 0).all() and (pairs < sizes).all():
             return
-    raise DataError(
-        "the pairs given are no pairing of these markers",
-        where="pairs of markers",
-        expected=f"three or more rows (found below {len(sets.found)}, known below {len(sets.known)}), "
-        "counted from 0, none twice",
-        fix="list each marker once",
-    )
+    raise refusal(f"""the pairs given are no pairing of these markers
+        expected: three or more rows (found below {len(sets.found)}, known below {len(sets.known)}), counted
+            from 0, none twice
+        fix: list each marker once
+        where: pairs of markers""")
 
 
-def _disproved_error(own: MarkerPairingCandidate, alternative: MarkerPairingCandidate) -> DataError:
-    right = dict(map(tuple, alternative.pairs.tolist()))
+def _disproved_error(own: MarkerPairingCandidate, other: MarkerPairingCandidate) -> DataError:
+    right = dict(map(tuple, other.pairs.tolist()))
     wrong = [(i, j) for i, j in own.pairs.tolist() if right.get(i) != j]
-    return DataError(
-        f"the pairs given do not fit: they leave {_fre(own):.2f} mm, {len(alternative.pairs)} others "
-        f"{_fre(alternative):.2f} mm; at fault are (found -> known, counted from 0) {format_pairs(wrong)}",
-        where="pairs of markers",
-        expected=format_pairs(alternative.pairs),
-        fix="correct the pairs, or give none: all pairings are tried",
-    )
+    left, others = (_root_mean_square(one.alignment.residuals) for one in (own, other))
+    return refusal(f"""the pairs given do not fit: they leave {left:.2f} mm, {len(other.pairs)} others
+            {others:.2f} mm; at fault are (found -> known, counted from 0) {format_pairs(wrong)}
+        expected: {format_pairs(other.pairs)}
+        fix: correct the pairs, or give none: all pairings are tried
+        where: pairs of markers""")
 
 
 def _ambiguous_error(sets: MarkerSets, chosen: Pairing) -> DataError:
@@ -458,102 +418,66 @@ def _ambiguous_error(sets: MarkerSets, chosen: Pairing) -> DataError:
             f"; interchangeable are (counted from 0) {groups}"
         )
     else:
-        alternative = chosen.alternatives[0]
+        two = (chosen.best, chosen.alternatives[0])
+        left, other = (_root_mean_square(one.alignment.residuals) for one in two)
+        pairs, others = (format_pairs(one.pairs) for one in two)
         what = (
-            f"{1 + len(chosen.alternatives)} pairings of {len(alternative.pairs)} markers are likely, the "
-            f"best two leave "
-            f"{_fre(chosen.best):.2f} and {_fre(alternative):.2f} mm: {format_pairs(chosen.best.pairs)} or "
-            f"{format_pairs(alternative.pairs)}"
+            f"{1 + len(chosen.alternatives)} pairings of {len(two[1].pairs)} markers are likely, the best "
+            f"two leave {left:.2f} and {other:.2f} mm: {pairs} or {others}"
         )
-    return DataError(
-        what,
-        where="markers",
-        expected="one pairing that is at least 1000 times as likely as all others together",
-        fix="move or add a marker so that no two distances are alike, give the pairs, or give a rough pose",
-    )
-
-
-def _fre(candidate: MarkerPairingCandidate) -> float:
-    return float(np.sqrt(np.mean(np.sum(candidate.alignment.residuals**2, axis=1))))
+    return refusal(f"""{what}
+        expected: one pairing that is at least 1000 times as likely as all others together
+        fix: move or add a marker so that no two distances are alike, give the pairs, or give a rough pose
+        where: markers""")
 
 
 MAX_ROUGH_ANGLE_DEG = 30.0  # degrees by which a pose may differ from the rough one without a word
 
 
-def collect_warnings(
-    sets: MarkerSets, chosen: Pairing, suggested: tuple[ScaleEstimate, ...], rough: Frame | None
-) -> tuple[str, ...]:
-    """Return the warnings about a pairing, the most important first."""
-    return (
-        *_unpaired_warnings(sets, chosen),
-        *_scale_warnings(suggested),
-        *_flat_warnings(sets, chosen),
-        *_ambiguity_warnings(chosen),
-        *(_rough_pose_warnings(sets, chosen, rough) if rough is not None else ()),
-    )
+def _list_warnings(
+    sets: MarkerSets, chosen: Pairing, suggested: Sequence[ScaleEstimate], rough: Frame | None
+) -> Iterator[str]:
+    """Yield the warnings about a pairing, the most important first."""
+    best = chosen.best
+    yield from _unpaired_warnings(sets, best)
+    worst = max(suggested, key=lambda one: one.significance, default=None)
+    if worst is not None and worst.significance > MIN_SIGNIFICANCE_SD:
+        yield (
+            f"the scan would have to be stretched {worst.along} by {worst.factor:.4f} +- {worst.sd:.4f}, "
+            "which was not done: check the voxel spacing"
+        )
+    # flat layouts always fit a mirrored scan nearly as well
+    if align_pairs(mirror(sets), best.pairs).chi2 - best.alignment.chi2 <= MIN_CHI2_GAP:
+        yield "the paired markers are flat within the noise: a mirrored scan would pass unseen"
+    if np.isnan(chosen.wrong_pairing_probability):
+        yield "too many pairings to try them all: the pairs come from closest points and the rough pose"
+    elif chosen.alternatives and chosen.wrong_pairing_probability > 1e-2:
+        yield "other pairings fit as well; the one given was taken"
+    if rough is None:
+        return
+    angle = np.degrees(_angle(best.alignment.frame.rotation @ rough.rotation.T))
+    if angle > MAX_ROUGH_ANGLE_DEG:
+        yield f"the pose found is turned by {angle:.0f} degrees against the rough one"
+    if not np.array_equal(pair_by_icp(sets, rough), best.pairs[np.argsort(best.pairs[:, 0])]):
+        yield "closest points from the rough pose end in another, worse pairing"
 
 
-def _unpaired_warnings(sets: MarkerSets, chosen: Pairing) -> list[str]:
-    found = np.setdiff1d(np.arange(len(sets.found)), chosen.best.pairs[:, 0])
-    known = np.setdiff1d(np.arange(len(sets.known)), chosen.best.pairs[:, 1])
-    notes = []
+def _unpaired_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterator[str]:
+    found = np.setdiff1d(np.arange(len(sets.found)), best.pairs[:, 0])
+    known = np.setdiff1d(np.arange(len(sets.known)), best.pairs[:, 1])
+    listed, missing = (", ".join(map(str, numbers.tolist())) for numbers in (found, known))
     if found.size:
-        notes.append(f"found markers {_list_numbers(found)} (counted from 0) belong to no known one")
+        yield f"found markers {listed} (counted from 0) belong to no known one"
     if known.size:
-        notes.append(f"known markers {_list_numbers(known)} (counted from 0) were not found")
-    here = chosen.best.alignment.frame.to_world(sets.found[found])
+        yield f"known markers {missing} (counted from 0) were not found"
+    here = best.alignment.frame.to_world(sets.found[found])
     for i, place in zip(found, here, strict=True):
         away = np.linalg.norm(sets.known[known] - place, axis=1)
         if away.size and away.min() < 0.1 * sets.extent:
-            notes.append(
+            yield (
                 f"found marker {i} lies {away.min():.2f} mm from known marker {known[np.argmin(away)]}: "
                 "one of them has moved, or is measured wrongly"
             )
-    return notes
-
-
-def _scale_warnings(suggested: tuple[ScaleEstimate, ...]) -> list[str]:
-    worst = max(suggested, key=lambda one: one.significance, default=None)
-    if worst is None or worst.significance <= MIN_SIGNIFICANCE_SD:
-        return []
-    return [
-        f"the scan would have to be stretched {worst.along} by {worst.factor:.4f} +- {worst.sd:.4f}, which "
-        "was not done: check the voxel spacing"
-    ]
-
-
-def _flat_warnings(sets: MarkerSets, chosen: Pairing) -> list[str]:
-    """Say if the paired markers would fit a mirrored scan nearly as well, as flat layouts always do."""
-    reflected = align_pairs(mirror(sets), chosen.best.pairs)
-    if reflected.chi2 - chosen.best.alignment.chi2 > MIN_CHI2_GAP:
-        return []
-    return ["the paired markers are flat within the noise: a mirrored scan would pass unseen"]
-
-
-def _ambiguity_warnings(chosen: Pairing) -> list[str]:
-    if np.isnan(chosen.wrong_pairing_probability):
-        return ["too many pairings to try them all: the pairs come from closest points and the rough pose"]
-    if chosen.alternatives and chosen.wrong_pairing_probability > 1e-2:
-        return ["other pairings fit as well; the one given was taken"]
-    return []
-
-
-def _rough_pose_warnings(sets: MarkerSets, chosen: Pairing, rough: Frame) -> list[str]:
-    notes = []
-    rotation = chosen.best.alignment.frame.rotation @ rough.rotation.T
-    angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
-    if angle > MAX_ROUGH_ANGLE_DEG:
-        notes.append(f"the pose found is turned by {angle:.0f} degrees against the rough one")
-    closest = pair_by_icp(sets, rough)
-    pairs = chosen.best.pairs
-    order = np.argsort(pairs[:, 0])
-    if not np.array_equal(closest, pairs[order]):
-        notes.append("closest points from the rough pose end in another, worse pairing")
-    return notes
-
-
-def _list_numbers(numbers: np.ndarray) -> str:
-    return ", ".join(map(str, numbers.tolist()))
 
 
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
@@ -614,18 +538,15 @@ def register(
     sets = make_marker_sets(found, known, found_sd, known_sd)
     try:
         _refuse_collinear(sets.known, sets.typical_sd)  # before pairing, which would try them all
-        chosen = (
-            select_pairing(sets, rough)
-            if pairs is None
-            else check_given_pairs(sets, np.asarray(pairs, dtype=np.int64))
-        )
+        given = None if pairs is None else np.asarray(pairs, dtype=np.int64)
+        chosen = select_pairing(sets, rough) if given is None else check_given_pairs(sets, given)
     except DataError as refused:
         raise unit_error(sets) or refused from None
     alignment, paired = chosen.best.alignment, chosen.best.pairs
     # the residuals of markers on a line say nothing of the turn about it
     _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(alignment.noise.max())))
     if rough is not None:
-        error = sign_change_error(alignment.frame, rough, sets.found[paired[:, 0]])
+        error = _sign_change_error(alignment.frame, rough, sets.found[paired[:, 0]])
         if error:
             raise error
     return _build_registration(sets, chosen, rough)
@@ -662,7 +583,7 @@ def _build_registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) 
         translation=alignment.frame.origin,
         pairs=pairs,
         residuals=alignment.residuals,
-        fre=float(np.sqrt(np.mean(np.sum(alignment.residuals**2, axis=1)))),
+        fre=_root_mean_square(alignment.residuals),
         expected_fre=expected_fre(alignment, found),
         p_value=float(chdtrc(3 * len(pairs) - 6, alignment.chi2)),
         wrong_pairing_probability=chosen.wrong_pairing_probability,
@@ -672,7 +593,7 @@ def _build_registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) 
         centre=alignment.centre,
         covariance=alignment.covariance,
         scale=suggested,
-        warnings=collect_warnings(sets, chosen, suggested, rough),
+        warnings=tuple(_list_warnings(sets, chosen, suggested, rough)),
     )
 
 
@@ -680,14 +601,10 @@ def _leave_one_out(sets: MarkerSets, pairs: Pairs) -> Floats:
     away = np.full(len(pairs), np.nan)
     for n in range(len(pairs)):
         others = np.delete(pairs, n, axis=0)
-        if (
-            len(others) < MIN_MARKERS
-            or _worst_turn_sd(sets.known[others[:, 1]], sets.typical_sd) > MAX_TURN_SD_RAD
-        ):
+        found, known = sets.found[others[:, 0]], sets.known[others[:, 1]]
+        if len(others) < MIN_MARKERS or _worst_turn_sd(known, sets.typical_sd) > MAX_TURN_SD_RAD:
             continue
-        frame = fit_kabsch(
-            sets.found[others[:, 0]], sets.known[others[:, 1]], 1 / sets.variance_bound[tuple(others.T)]
-        )
+        frame = fit_kabsch(found, known, 1 / sets.variance_bound[tuple(others.T)])
         left_out, own = pairs[n]
         away[n] = np.linalg.norm(frame.to_world(sets.found[left_out]) - sets.known[own])
     return away
@@ -705,17 +622,13 @@ def _refuse_collinear(points: Floats, sd: float) -> None:
     sure = f"+- {np.degrees(turn):.0f} degrees" if np.isfinite(turn) else "nothing"
     along, beside = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(points))
     if beside > MIN_SPREAD_RATIO * along:
-        raise DataError(
-            f"{len(points)} markers spread {along:.3g} mm along and {beside:.3g} mm beside a line (root mean "
-            f"square); known to {sd:.3g} mm, they determine {sure} of the turn about it",
-            where="deviations of the markers",
-            expected="a deviation that is small against the layout",
-            fix="correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, per direction), or spread the "
-            "markers further",
-        )
-    raise DataError(
-        f"{len(points)} markers lie on a line: of the turn about it they determine {sure}",
-        where="markers",
-        expected="three or more markers, one of them well beside the line through the others",
-        fix="use markers off that line; the further apart they are, the smaller the error at the needle",
-    )
+        raise refusal(f"""{len(points)} markers spread {along:.3g} mm along and {beside:.3g} mm beside a line
+                (root mean square); known to {sd:.3g} mm, they determine {sure} of the turn about it
+            expected: a deviation that is small against the layout
+            fix: correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, per direction), or spread the
+                markers further
+            where: deviations of the markers""")
+    raise refusal(f"""{len(points)} markers lie on a line: of the turn about it they determine {sure}
+        expected: three or more markers, one of them well beside the line through the others
+        fix: use markers off that line; the further apart they are, the smaller the error at the needle
+        where: markers""")

@@ -36,8 +36,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import elliprg
 
 from needlefit.arrays import Floats, are_bounded
-from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging.refusals import refusal
 
 MIN_MARKERS = 3  # markers that fix a rigid motion
 # Location named in errors of a single set.
@@ -68,8 +68,7 @@ class MarkerSets:
         """A variance (M, N), mm^2, that no pair exceeds in any direction, whatever the rotation."""
         found = np.linalg.eigvalsh(self.found_covariance)[:, -1]
         known = np.linalg.eigvalsh(self.known_covariance)[:, -1]
-        both: Floats = found[:, None] + known[None, :]
-        return both
+        return np.asarray(found[:, None] + known[None, :])
 
     @property
     def typical_sd(self) -> float:
@@ -103,19 +102,15 @@ def make_marker_sets(
     if not (
         all(map(are_bounded, covariances)) and np.linalg.eigvalsh(np.concatenate(covariances)).min() >= -1e-12
     ):
-        raise DataError(
-            "a deviation of a marker is negative or not finite",
-            where="deviations of the markers",
-            expected="one number, one per marker, one per marker and axis, or covariances",
-            fix="state the deviation of a marker's centre per direction, mm",
-        )
+        raise refusal("""a deviation of a marker is negative or not finite
+            expected: one number, one per marker, one per marker and axis, or covariances
+            fix: state the deviation of a marker's centre per direction, mm
+            where: deviations of the markers""")
     if sets.variance_bound.min() <= 0:
-        raise DataError(
-            "the deviations of the markers are zero",
-            where="deviations of the markers",
-            expected="a positive deviation in the scan or in the world: it decides which pairing is believed",
-            fix="state what finding a marker's centre leaves, about a tenth to a fifth of a voxel",
-        )
+        raise refusal("""the deviations of the markers are zero
+            expected: a positive deviation in the scan or in the world: it decides which pairing is believed
+            fix: state what finding a marker's centre leaves, about a tenth to a fifth of a voxel
+            where: deviations of the markers""")
     return sets
 
 
@@ -143,19 +138,15 @@ def _check_points(given: ArrayLike, name: str) -> Floats:
     if points.size == 0:
         points = points.reshape(0, 3)
     if points.ndim != 2 or points.shape[1] != 3 or not are_bounded(points):
-        raise DataError(
-            f"the array of shape {points.shape} is no list of finite points",
-            where=name,
-            expected="three finite coordinates per marker, mm",
-            fix="look for empty cells and for columns that are no coordinates",
-        )
+        raise refusal(f"""the array of shape {points.shape} is no list of finite points
+            expected: three finite coordinates per marker, mm
+            fix: look for empty cells and for columns that are no coordinates
+            where: {name}""")
     if len(points) < MIN_MARKERS:
-        raise DataError(
-            f"{len(points)} markers are too few",
-            where=name,
-            expected="at least three markers that are not on a line",
-            fix=TOO_FEW_FIXES[name],
-        )
+        raise refusal(f"""{len(points)} markers are too few
+            expected: at least three markers that are not on a line
+            fix: {TOO_FEW_FIXES[name]}
+            where: {name}""")
     return points
 
 
@@ -164,15 +155,13 @@ def _to_covariances(given: ArrayLike, count: int) -> Floats:
     if sd.shape == (count, 3, 3):
         return sd
     if sd.shape not in ((), (count,), (count, 3)) or not (are_bounded(sd) and (sd >= 0).all()):
-        raise DataError(
-            f"deviations of shape {sd.shape} are not those of {count} markers, or negative or not finite",
-            where="deviations of the markers",
-            expected=f"a number, or an array of shape ({count},), ({count}, 3) or ({count}, 3, 3)",
-            fix="state the deviation of a marker's centre per direction, mm",
-        )
+        raise refusal(f"""deviations of shape {sd.shape} are not those of {count} markers, or negative or not
+                finite
+            expected: a number, or an array of shape ({count},), ({count}, 3) or ({count}, 3, 3)
+            fix: state the deviation of a marker's centre per direction, mm
+            where: deviations of the markers""")
     per_axis = np.broadcast_to(sd[..., None] if sd.ndim == 1 else sd, (count, 3))
-    covariances: Floats = per_axis[:, :, None] ** 2 * np.eye(3)
-    return covariances
+    return np.asarray(per_axis[:, :, None] ** 2 * np.eye(3))
 
 
 def motion_jacobian(arms: ArrayLike) -> Floats:
@@ -189,8 +178,7 @@ def motion_jacobian(arms: ArrayLike) -> Floats:
 def information_matrix(arms: ArrayLike, weights: Floats) -> Floats:
     """Return A (6, 6) of markers at `arms` (P, 3) with `weights` (P, 3, 3), 1/mm^2."""
     moved = motion_jacobian(arms)
-    total: Floats = np.einsum("nia,nij,njb->ab", moved, weights, moved)
-    return total
+    return np.asarray(np.einsum("nia,nij,njb->ab", moved, weights, moved))
 
 
 def pose_covariance(arms: ArrayLike, covariances: Floats) -> Floats:
@@ -207,8 +195,7 @@ def pose_covariance(arms: ArrayLike, covariances: Floats) -> Floats:
 def propagate_to_targets(arms: ArrayLike, pose: Floats) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of targets at `arms` (N, 3) from the centre."""
     moved = motion_jacobian(arms)
-    covariance: Floats = moved @ pose @ np.swapaxes(moved, -1, -2)
-    return covariance
+    return np.asarray(moved @ pose @ np.swapaxes(moved, -1, -2))
 
 
 def mean_error_length(covariance: Floats) -> Floats:
@@ -218,8 +205,7 @@ def mean_error_length(covariance: Floats) -> Floats:
     quadratic form is Carlson's R_G of its eigenvalues.
     """
     a, b, c = np.maximum(np.linalg.eigvalsh(covariance), 0.0).T
-    length: Floats = np.sqrt(8 / np.pi) * elliprg(a, b, c)
-    return length
+    return np.asarray(np.sqrt(8 / np.pi) * elliprg(a, b, c))
 
 
 def invert_covariances(covariances: Floats) -> Floats:
@@ -280,8 +266,7 @@ def sum_squared_residuals(moving: Floats, fixed: Floats, weights: Floats) -> Flo
     values = np.linalg.svd(product, compute_uv=False)
     values[:, 2] *= np.sign(np.linalg.det(product))
     spread = np.einsum("lp,lpi->l", weights, a**2 + b**2)
-    left: Floats = np.maximum(spread - 2 * values.sum(axis=1), 0.0)
-    return left
+    return np.asarray(np.maximum(spread - 2 * values.sum(axis=1), 0.0))
 
 
 def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
@@ -328,15 +313,13 @@ def expected_left_out(alignment: Alignment, found: Floats) -> Floats:
     # Markers on a line leave an eigenvalue 0, which rounding may turn negative; the default 1e-15 keeps it.
     left = np.linalg.pinv(_residual_covariance(alignment, found), rcond=1e-12, hermitian=True)
     missed = alignment.noise @ left @ alignment.noise
-    expected: Floats = np.sqrt(np.trace(missed, axis1=1, axis2=2))
-    return expected
+    return np.asarray(np.sqrt(np.trace(missed, axis1=1, axis2=2)))
 
 
 def _residual_covariance(alignment: Alignment, found: Floats) -> Floats:
     moved = motion_jacobian(alignment.frame.to_world(found) - alignment.centre)
     followed = moved @ alignment.covariance @ np.swapaxes(moved, -1, -2)
-    left: Floats = alignment.noise - followed
-    return left
+    return np.asarray(alignment.noise - followed)
 
 
 def _newton_step(arms: Floats, residuals: Floats, weights: Floats) -> Floats:
@@ -344,8 +327,7 @@ def _newton_step(arms: Floats, residuals: Floats, weights: Floats) -> Floats:
     pull = np.einsum("nia,nij,nj->a", moved, weights, residuals)
     normal = np.einsum("nia,nij,njb->ab", moved, weights, moved)
     # on a line, one turn is free: the least step leaves it alone
-    step: Floats = pinvh(normal, rtol=1e-13) @ pull
-    return step
+    return np.asarray(pinvh(normal, rtol=1e-13) @ pull)
 
 
 MAX_ICP_ITERATIONS = 100  # rounds at most; a handful is taken
