@@ -483,7 +483,7 @@ def test_layers_drawn_around_the_needle_are_refused(end, tmp_path):
     tunnel = without(lambda p: (np.hypot(p[:, 1], p[:, 2]) < 1.5) & (p[:, 0] < end))
     source = scan(save(tmp_path / "tunnel.nrrd", labelled(tunnel)), layers=2)
     with pytest.raises(DataError, match=r"around the needle.*layer_1 \(along (19|20) mm\), layer_2") as error:
-        refuse_tunnels(source, read_layers(source, HOME), AXIS)
+        refuse_tunnels(read_layers(source, HOME), AXIS)
     assert "voxels" in error.value.fix
 
 
@@ -494,7 +494,7 @@ def test_layers_that_the_needle_crosses_are_no_tunnel(tmp_path):
     ball = Surface("ball", trimesh.creation.icosphere(3, 3.0), "solid", 3)
     box = Surface("box", trimesh.creation.box((60, 20, 20), np.eye(4)), "solid", 3)
     beside = transform_surface(box, Frame(np.array([0.0, 11.0, 11.0]), np.eye(3)))
-    refuse_tunnels(scan(), (*whole, vessel, ball, beside), AXIS)
+    refuse_tunnels((*whole, vessel, ball, beside), AXIS)
 
 
 # ---- what becomes of them

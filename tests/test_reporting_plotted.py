@@ -133,8 +133,7 @@ def test_no_figure_is_drawn_but_from_a_table():
         "reporting/dataset_import.py",
         "reporting/figures/moments.py",
         "reporting/figures/scene.py",
-        "studies/kinds/reconstruction/figures.py",
-        "studies/kinds/reconstruction/refused.py",
+        "studies/kinds/reconstruction/pages.py",
     }
 
 

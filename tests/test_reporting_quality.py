@@ -19,7 +19,7 @@ from needlefit.reporting.figures.scan_views import outline_surface
 from needlefit.reporting.figures.style import LETTER_WIDTH_MM, MIN_LABEL_GAP_MM, spread_labels
 from needlefit.studies.kinds.reconstruction import KIND
 from needlefit.studies.kinds.reconstruction.figures import choose_spans
-from needlefit.studies.kinds.reconstruction.quality import list_facts, write_quality
+from needlefit.studies.kinds.reconstruction.pages import list_facts, write_quality
 from needlefit.studies.kinds.reconstruction.report import lay_out_reconstructions
 from needlefit.studies.kinds.reconstruction.run import (
     tabulate_batch,

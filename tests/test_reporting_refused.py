@@ -18,8 +18,8 @@ from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume
 from needlefit.project.progress import no_progress
-from needlefit.studies.kinds.reconstruction.refused import list_finding_facts, write_refused
-from needlefit.studies.kinds.reconstruction.report import write_reconstruction
+from needlefit.studies.kinds.reconstruction.pages import list_finding_facts
+from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
 
 SCAN = Scan("one", Path("scans/one.nrrd"), "gel", origin="synthetic")
 ERROR = DataError("no markers", where="here", expected="some", fix="add them")

@@ -200,8 +200,8 @@ def _show(
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
     from needlefit.studies.kinds.reconstruction.report import (
+        REPORT,
         describe_proposals,
-        lay_out_first,
         summarize,
     )
 
@@ -217,7 +217,7 @@ def _show(
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()
-        for table in lay_out_first(found):
+        for table in REPORT.lay_out_first(found):
             screen.show_display(table, notes=False)
         for remark in summarize(found)[1:]:
             screen.print_text(remark)
@@ -235,7 +235,7 @@ def _write_refused(
     """
     if not failed:
         return None
-    from needlefit.studies.kinds.reconstruction.refused import write_refused
+    from needlefit.studies.kinds.reconstruction.report import write_refused
 
     write_refused(failed, recipe, _refused_folder(out))
     return _refused_folder(out)

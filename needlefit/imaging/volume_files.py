@@ -209,11 +209,12 @@ def _read_series(path: Path, series: str | None) -> tuple[Any, dict[str, NDArray
 def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> Volume:  # noqa: ANN401 - JSON
     """Return the volume that a reader described and filled; DataError if the two do not agree."""
     try:
-        geometry = [np.array(parts[name], np.float64) for name in ("origin", "spacing", "direction")]
+        names = ("origin", "spacing", "direction")
+        origin, spacing, direction = (np.array(parts[name], np.float64) for name in names)
         values, warnings = arrays["values"], tuple(map(str, parts.get("warnings", ())))
-        if values.shape != tuple(parts["size"])[::-1] or geometry[2].shape != (3, 3):
+        if values.shape != tuple(parts["size"])[::-1] or direction.shape != (3, 3):
             raise ValueError
-        return Volume(values, *geometry, warnings, str(parts.get("frame_of_reference", "")))
+        return Volume(values, origin, spacing, direction, warnings, str(parts.get("frame_of_reference", "")))
     except (AttributeError, KeyError, TypeError, ValueError):
         raise refusal(f"""the process that read it gave no volume
             expected: {READABLE_VOLUMES}

@@ -31,7 +31,7 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracker import TrackerRecord
 from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.kind import KINDS
-from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
+from needlefit.studies.kinds.reconstruction import ReconstructionBatchRecord
 
 EXAMPLES = "docs/examples"
 

@@ -1,7 +1,20 @@
-"""Report what was reconstructed from scans: tables, quality pages, files for 3D Slicer."""
+"""What `needlefit reconstruct` writes: tables and report, pages of scans, files for 3D Slicer."""
 
+from typing import Literal
+
+from needlefit.schemas.analyses import AnalysisRecord
+from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
+
+
+class ReconstructionBatchRecord(AnalysisRecord):
+    """The scans of a batch, by their ids, and the recipe. Only `needlefit reconstruct` makes one."""
+
+    kind: Literal["reconstruction"]
+    scans: tuple[str, ...]
+    """Ids of the scans."""
+    recipe: ReconstructionRecord
+    """The recipe of the reconstruction."""
+
 
 KIND = StudyKind("reconstruction", ReconstructionBatchRecord, __name__)
-"""What `needlefit reconstruct` writes beside the dataset."""

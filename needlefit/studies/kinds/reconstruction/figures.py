@@ -1,7 +1,6 @@
-"""Figures of a scan along the needle, and across it near its tip, with the reconstruction."""
+"""Figures of a scan with the reconstruction, and of a refused scan with all that was found in it."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,8 +9,10 @@ from matplotlib.ticker import MaxNLocator
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
+from needlefit.imaging.findings import Findings
 from needlefit.imaging.reconstruction import Reconstruction, ScanView
 from needlefit.imaging.views import TIP_SECTION_OFFSET_MM
+from needlefit.imaging.volume import VoxelGrid
 from needlefit.reporting.figures.scan_views import (
     ENTRY_COLOUR,
     LAYER_COLOUR,
@@ -21,7 +22,7 @@ from needlefit.reporting.figures.scan_views import (
     join_needle,
     show_view,
 )
-from needlefit.reporting.figures.style import add_panel_mm, draw, draw_grid, make_figure_mm, spread_labels
+from needlefit.reporting.figures.style import add_panel_mm, draw_grid, make_figure_mm, spread_labels
 from needlefit.reporting.labels import GREY, INK
 
 Span = tuple[float, float]
@@ -31,34 +32,21 @@ NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM = 180.0, 175.0
 
 OUT_OF_PLANE_COLOUR = "#D55E00"
 
-_LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = (
-    17.0,
-    1.0,
-    4.0,
-    8.0,
-    2.5,
-)  # mm around and between the panels
+# mm around and between the panels
+_LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = 17.0, 1.0, 4.0, 8.0, 2.5
 _PLOT_HEIGHTS_MM = {"core": 9.0, "around": 24.0, "deflection": 24.0, "residuals": 20.0}  # heights, mm
 _NORMAL_95_HALF_WIDTH_SD = 1.96
 
 
-def draw_needle_section(reconstruction: Reconstruction, path: Path) -> Path:
+def paint_needle_section(reconstruction: Reconstruction) -> Figure:
     """Draw image, brightness, deflection and residuals over the same axis, x of the constraint frame."""
-    return draw(path, lambda: _paint_needle_section(reconstruction))
-
-
-def _paint_needle_section(reconstruction: Reconstruction) -> Figure:
     figure = make_figure_mm(NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM)
     pictures = [view for view in reconstruction.views if view.axes[0] == "x"]
     width = NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM
     left, right = pictures[0].extent[:2]
     scale = width / (right - left)  # mm on paper per mm
-    taken = (
-        _TOP_MM
-        + _BOTTOM_MM
-        + sum(_PLOT_HEIGHTS_MM.values())
-        + _PANEL_GAP_MM * (len(_PLOT_HEIGHTS_MM) + len(pictures) - 1)
-    )
+    gaps = _PANEL_GAP_MM * (len(_PLOT_HEIGHTS_MM) + len(pictures) - 1)
+    taken = _TOP_MM + _BOTTOM_MM + sum(_PLOT_HEIGHTS_MM.values()) + gaps
     shown = choose_spans(pictures, join_needle(reconstruction), (NEEDLE_SECTION_HEIGHT_MM - taken) / scale)
     top = NEEDLE_SECTION_HEIGHT_MM - _TOP_MM
     panels: list[Axes] = []
@@ -182,14 +170,8 @@ def _marked_depths(reconstruction: Reconstruction) -> list[tuple[float, float, s
 
 def _mark_depths(axes: Axes, reconstruction: Reconstruction) -> None:
     for at, sd, colour, _ in _marked_depths(reconstruction):
-        axes.axvspan(
-            at - _NORMAL_95_HALF_WIDTH_SD * sd,
-            at + _NORMAL_95_HALF_WIDTH_SD * sd,
-            color=colour,
-            alpha=0.3,
-            lw=0,
-            zorder=0,
-        )
+        half = _NORMAL_95_HALF_WIDTH_SD * sd
+        axes.axvspan(at - half, at + half, color=colour, alpha=0.3, lw=0, zorder=0)
         axes.axvline(at, color=colour, lw=0.7, zorder=1)
 
 
@@ -220,8 +202,7 @@ def _arc_to_x(reconstruction: Reconstruction, s: Floats) -> Floats:
     along = arc_length(points)
     along += reconstruction.depth - along[-1]
     beyond = np.clip(s - along[-1], 0, None) + np.clip(s - along[0], None, 0)
-    x: Floats = np.interp(s, along, points[:, 0]) + beyond
-    return x
+    return np.asarray(np.interp(s, along, points[:, 0]) + beyond)
 
 
 TIP_SECTION_WIDTH_MM = 86.0
@@ -230,12 +211,8 @@ TIP_SECTION_WIDTH_MM = 86.0
 _MAX_MARKER_PANEL_MM = 40.0  # mm: height of the markers' panel at most
 
 
-def draw_tip_section(reconstruction: Reconstruction, path: Path) -> Path:
+def paint_tip_section(reconstruction: Reconstruction) -> Figure:
     """Draw the image across the needle near its tip, and the markers' distances from known positions."""
-    return draw(path, lambda: _paint_tip_section(reconstruction))
-
-
-def _paint_tip_section(reconstruction: Reconstruction) -> Figure:
     view = next(view for view in reconstruction.views if view.axes == ("y", "z"))
     left, right, bottom, top = view.extent
     width = 52.0
@@ -258,22 +235,15 @@ def _paint_tip_section(reconstruction: Reconstruction) -> Figure:
 
 def _point_bevel(axes: Axes, reconstruction: Reconstruction) -> None:
     """Draw an arrow from the tip to the side of the bevel's point, where the scan shows it."""
-    bevel = (
-        reconstruction.frame.rotation.T @ reconstruction.patient.rotation @ reconstruction.needle_axis.bevel
-    )
+    seen = reconstruction.patient.rotation @ reconstruction.needle_axis.bevel
+    bevel = reconstruction.frame.rotation.T @ seen
     if not np.isfinite(bevel).all():
         return
     tip, side = reconstruction.local[-1, 1:], bevel[1:]
     (y, z), (far_y, far_z), (text_y, text_z) = tip, tip + 4.0 * side, tip + 4.4 * side
     at = "left" if side[0] >= 0 else "right"
-    style = {
-        "arrowstyle": "-|>",
-        "color": TIP_COLOUR,
-        "lw": 0.9,
-        "mutation_scale": 6,
-        "shrinkA": 2,
-        "shrinkB": 0,
-    }
+    style = {"arrowstyle": "-|>", "color": TIP_COLOUR, "lw": 0.9, "mutation_scale": 6}
+    style |= {"shrinkA": 2, "shrinkB": 0}
     axes.annotate("", (far_y, far_z), (y, z), arrowprops=style, zorder=6)
     axes.annotate("bevel", (text_y, text_z), color=TIP_COLOUR, fontsize=7, ha=at, va="center")
 
@@ -297,3 +267,108 @@ def _paint_markers(axes: Axes, reconstruction: Reconstruction) -> None:
         fontsize=7, borderaxespad=0.1,
     )  # fmt: skip
     draw_grid(axes, "x")
+
+
+_WINDOW_HU = (-700.0, 3000.0)
+_ACROSS_MM, _VIEW_GAP_MM, _VIEW_LEFT_MM, _VIEW_BOTTOM_MM = 86.0, 10.0, 15.0, 9.0
+_PROFILE_MM = 26.0
+_MAX_VIEW_MM = 92.0
+_AXES = "ijk"
+_VIEWS: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
+"""To the right and upwards, axes of the voxels, in each projection: along k, along j, along i."""
+
+
+def paint_along(found: Findings | None) -> Figure:
+    """Draw projections of a refused scan with all candidates, and the brightness along the needle."""
+    figure = make_figure_mm(180.0, 175.0)
+    if found is None:
+        return figure
+    width = (180.0 - 2 * _VIEW_LEFT_MM - _VIEW_GAP_MM) / 2
+    extent = np.array(found.grid.size) * found.grid.spacing
+    scale = min(width / extent[0], width / extent[1], _MAX_VIEW_MM / extent[2])
+    for n, view in enumerate((1, 2)):
+        right, up = _VIEWS[view]
+        box = (
+            _VIEW_LEFT_MM + n * (width + _VIEW_LEFT_MM + _VIEW_GAP_MM),
+            172.0 - scale * extent[up],
+        )
+        _paint_view(add_panel_mm(figure, (*box, scale * extent[right], scale * extent[up])), found, view)
+    if found.profile is not None:
+        _paint_profile(figure, found)
+    return figure
+
+
+def paint_across(found: Findings | None) -> Figure:
+    """Draw the projection of a refused scan along the slices' normal, with all candidates."""
+    if found is None:
+        return make_figure_mm(_ACROSS_MM, 20.0)
+    extent = np.array(found.grid.size) * found.grid.spacing
+    scale = min((_ACROSS_MM - _VIEW_LEFT_MM) / extent[0], 70.0 / extent[1])
+    figure = make_figure_mm(_ACROSS_MM, scale * extent[1] + _VIEW_BOTTOM_MM + 2)
+    _paint_view(
+        add_panel_mm(figure, (_VIEW_LEFT_MM, _VIEW_BOTTOM_MM, scale * extent[0], scale * extent[1])),
+        found,
+        0,
+    )
+    return figure
+
+
+def _paint_view(axes: Axes, found: Findings, view: int) -> None:
+    """Draw a projection in mm from the first voxel, with all candidates."""
+    right, up = _VIEWS[view]
+    extent = np.array(found.grid.size) * found.grid.spacing
+    axes.imshow(
+        found.projections[view], cmap="gray", vmin=_WINDOW_HU[0], vmax=_WINDOW_HU[1], origin="lower",
+        extent=(0.0, extent[right], 0.0, extent[up]), aspect="equal", interpolation="nearest",
+    )  # fmt: skip
+    for n, tube in enumerate(found.tubes, start=1):
+        ends = _to_voxel_mm(found.grid, tube.ends)[:, [right, up]]
+        axes.plot(*ends.T, color=NEEDLE_COLOUR, lw=1.4 if tube.chosen else 0.7)
+        axes.annotate(str(n), ends[0], color=NEEDLE_COLOUR, fontsize=7, fontweight="bold")
+    for n, ball in enumerate(found.balls, start=1):
+        at = tuple(_to_voxel_mm(found.grid, ball.center)[0, [right, up]].tolist())
+        fill = MARKER_COLOUR if ball.marker else "none"
+        axes.plot(*at, "o", mec=MARKER_COLOUR, mfc=fill, ms=4, mew=0.9)
+        axes.annotate(str(n), at, (3, 2), textcoords="offset points", color=MARKER_COLOUR, fontsize=7)
+    if found.needle is not None:
+        tip = _to_voxel_mm(found.grid, found.needle[-1:])[0, [right, up]]
+        axes.plot(*tip, "o", color=TIP_COLOUR, ms=3, mew=0)
+    entries = _to_voxel_mm(found.grid, found.entry_points)[:, [right, up]]
+    for n, at in enumerate(entries, start=1):
+        axes.plot(*at, "D", mec=ENTRY_COLOUR, mfc="none", ms=4, mew=0.9)
+        axes.annotate(str(n), at, (3, -7), textcoords="offset points", color=ENTRY_COLOUR, fontsize=7)
+    axes.set(xlim=(0, extent[right]), ylim=(0, extent[up]))
+    axes.set(xlabel=f"along {_AXES[right]} (mm)", ylabel=f"along {_AXES[up]} (mm)")
+
+
+def _to_voxel_mm(grid: VoxelGrid, points: Floats) -> Floats:
+    """Return points (N, 3), LPS, along the voxels' axes, mm from the first voxel's outer corner."""
+    return np.asarray((np.atleast_2d(points) - grid.origin) @ grid.direction + grid.spacing / 2)
+
+
+def _paint_profile(figure: Figure, found: Findings) -> None:
+    profile, needle = found.profile, found.needle
+    assert profile is not None and needle is not None
+    tip = float(arc_length(needle)[-1])
+    for n, (values, name) in enumerate(((profile.around, "surroundings"), (profile.core, "needle"))):
+        bottom = _VIEW_BOTTOM_MM + n * (_PROFILE_MM + 3.0)
+        axes = add_panel_mm(figure, (_VIEW_LEFT_MM, bottom, 180.0 - _VIEW_LEFT_MM - 1.0, _PROFILE_MM))
+        axes.plot(profile.s - tip, values, color=INK, lw=0.9)
+        axes.axvline(0.0, color=TIP_COLOUR, lw=0.7)
+        for number, one in enumerate(found.entries, start=1):
+            axes.axvline(-one.depth, color=ENTRY_COLOUR, lw=0.8, ls="-" if one.change == "rise" else ":")
+            if n:
+                at = (-one.depth, 1.0)
+                axes.annotate(
+                    str(number), at, (0, 1), xycoords=("data", "axes fraction"), ha="center",
+                    textcoords="offset points", fontsize=7, color=ENTRY_COLOUR,
+                )  # fmt: skip
+        axes.set_ylabel(f"{name}\n(HU)")
+        axes.yaxis.set_label_coords(-9.0 / (180.0 - _VIEW_LEFT_MM), 0.5)
+        axes.yaxis.set_major_locator(MaxNLocator(3))
+        draw_grid(axes, "y")
+        if n:
+            axes.tick_params(labelbottom=False)
+        else:
+            axes.set_xlabel("along the needle from its tip (mm)")
+            axes.axhline(0.0, color=GREY, lw=0.4)

@@ -3,103 +3,92 @@
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal
 
 from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
+from needlefit.errors import DataError
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import ReconstructionFailure, add_findings
+from needlefit.imaging.label_export import mark_voxels, write_dicom_segmentation, write_slicer_segmentation
 from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.scans import write_scan_table
+from needlefit.imaging.volume_files import read_volume
 from needlefit.project.atomic_write import replace_folder
 from needlefit.project.progress import Progress
-from needlefit.reporting import document
+from needlefit.project.toml_text import dumps
 from needlefit.reporting.document import Block
 from needlefit.reporting.table import Table
-from needlefit.reporting.table_files import Row, to_records
-from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.table_files import Row, to_records, write_csv
+from needlefit.reporting.table_layout import TableLayout, drop_empty_columns
+from needlefit.reporting.text import KindText
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.studies.kinds.reconstruction import KIND
-from needlefit.studies.kinds.reconstruction.exports import ExportKind, export_scan
-from needlefit.studies.kinds.reconstruction.quality import write_quality
-from needlefit.studies.kinds.reconstruction.refused import (
-    tabulate_failures,
-    write_refused_pages,
-)
-from needlefit.studies.kinds.reconstruction.run import tabulate_batch
-from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
+from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
+from needlefit.studies.kinds.reconstruction.pages import write_quality, write_refused_pages
+from needlefit.studies.kinds.reconstruction.run import tabulate_batch, tabulate_failures
 from needlefit.studies.report import FigurePaths, StudyReport, write_files
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
-from needlefit.studies.verdict import Status
+from needlefit.studies.slicer_scene import write_slicer_scene
 
-_COLUMNS = (
-    *(
-        "scan",
-        "medium",
-        "depth_mm",
-        "depth_sd_mm",
-        "deflection_mm",
-        "out_of_plane_max_mm",
-        "markers",
-        "fre_mm",
-    ),
-    *("expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths", "remark_count"),
-)
+ExportKind = Literal["scene", "seg"]
 
+SCANS_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
 POOR_DEPTH_SD_MM = 0.5
 """Deviation of the inserted length, mm, that the first line names."""
 
 MAX_NAMED_SCANS = 5
 
+_COLUMNS = (
+    *("scan", "medium", "depth_mm", "depth_sd_mm", "deflection_mm", "out_of_plane_max_mm", "markers"),
+    *("fre_mm", "expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths"),
+    "remark_count",
+)
 _SCREEN_COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
     *("crossing_depths", "remark_count"),
 )
+_TEXT = KindText("reconstruction")
 
 
-def lay_out_first(found: Run) -> list[TableLayout]:
-    """Return the columns of `lay_out_reconstructions` that a terminal has room for."""
-    return [lay_out_reconstructions(found, _SCREEN_COLUMNS)]
+def describe(found: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    rows, remarks = to_records(found.frames["reconstruction"]), to_records(found.frames["remarks"])
+    poor = [{"id": row["id"], "sd_mm": row["depth_sd_mm"]} for row in rows]
+    return {
+        "scans": len(rows),
+        "remarked": len({row["id"] for row in remarks}),
+        "remarks": remarks,
+        "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
+        "named": MAX_NAMED_SCANS,
+        "synthetic": found.synthetic,
+    }
 
 
 def lay_out_reconstructions(found: Run, columns: Sequence[str] = _COLUMNS) -> TableLayout:
     """Return the main results of each scan."""
-    caption = "Reconstructed scans" + (" (synthetic data)" if found.synthetic else "")
-    notes = ("Out of plane: largest distance. Target error: predicted, at the tip. Remarks: see quality/.",)
     rows = [_describe_scan(found, row) for row in to_records(found.frames["reconstruction"])]
-    return Table("reconstruction", caption, rows, columns, notes=notes).lay_out(drop_empty=True)
+    return drop_empty_columns(_TEXT.lay_out(Table("reconstruction", "", rows, columns), describe(found)))
 
 
 def _describe_scan(found: Run, row: Row) -> Row:
-    crossings, remarks = (_select_scan(found, name, row["id"]) for name in ("crossings", "remarks"))
-    depths = ", ".join(f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in crossings)
-    about = {"scan": row["id"], "crossing_depths": depths or None, "remark_count": len(remarks) or ""}
+    frames = [found.frames[name] for name in ("crossings", "remarks")]
+    crossings, remarks = (to_records(rows[rows["id"] == row["id"]]) for rows in frames)
+    about = {"crossing_depths": _list_depths(crossings) or None, "remark_count": len(remarks) or ""}
     unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
-    return {**row, **about, **unregistered}
+    return {**row, "scan": row["id"], **about, **unregistered}
 
 
-def _select_scan(found: Run, name: str, id_: object) -> list[Row]:
-    rows = found.frames[name]
-    return to_records(rows[rows["id"] == id_])
+def _list_depths(rows: Sequence[Row]) -> str:
+    return ", ".join(f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in rows)
 
 
 def summarize(found: Run) -> list[str]:
     """Return how many scans were reconstructed, and of how many quality checks remark something."""
-    count, remarks = len(found.frames["reconstruction"]), to_records(found.frames["remarks"])
-    remarked = len({row["id"] for row in remarks})
-    outcome = f"{remarked} with remarks" if remarked else "no remarks"
-    listed = [f"{row['id']}: {row['note']}." for row in remarks]
-    first = f"Reconstructed {count} scan{'' if count == 1 else 's'}, {outcome}{_name_poor_lengths(found)}."
-    return [first, *listed]
-
-
-def _name_poor_lengths(found: Run) -> str:
-    """Return the scans whose inserted length is poorly known, in words; empty if there is none."""
-    rows = to_records(found.frames["reconstruction"])
-    poor = [row for row in rows if row["depth_sd_mm"] > POOR_DEPTH_SD_MM]
-    words = [f"{row['id']} ± {row['depth_sd_mm']:.1f} mm" for row in poor[:MAX_NAMED_SCANS]]
-    more = f" and {len(poor) - MAX_NAMED_SCANS} more" if len(poor) > MAX_NAMED_SCANS else ""
-    return f"; inserted length poorly known: {', '.join(words)}{more}" if poor else ""
+    return [
+        sentence for block in ("verdict", "summary") for sentence in _TEXT.sentences(block, describe(found))
+    ]
 
 
 def describe_proposals(found: Run, folder: Path) -> list[str]:
@@ -107,35 +96,19 @@ def describe_proposals(found: Run, folder: Path) -> list[str]:
     if "proposed_layers" not in found.frames:
         return []
     rows = to_records(found.frames["proposed_layers"])
-    if not rows:
-        return ["proposed layers: none; the scans show no interface"]
-    lines = [f"proposed layers: {len(rows)}, which nothing uses: {folder}/proposed/"]
-    for id_ in dict.fromkeys(row["id"] for row in rows):
-        own = [row for row in rows if row["id"] == id_]
-        depths = ", ".join(f"{row['depth_mm']:.2f} ± {row['depth_sd_mm']:.2f}" for row in own)
-        lines.append(f"{id_}: proposed at a depth of {depths} mm")
-    return lines
-
-
-def rate(found: Run) -> Status:
-    """Return "warn" if a quality check remarks something."""
-    return "warn" if len(found.frames["remarks"]) else "pass"
+    ids = dict.fromkeys(row["id"] for row in rows)
+    depths = {id_: _list_depths([row for row in rows if row["id"] == id_]) for id_ in ids}
+    return _TEXT.sentences("proposals", {"count": len(rows), "folder": str(folder), "proposals": depths})
 
 
 def compose_sections(found: Run, figures: FigurePaths) -> list[Block]:
     """Return the report's sections: the table; each scan has a page of its own."""
-    return [
-        document.heading("Scans"),
-        document.table(lay_out_reconstructions(found)),
-        *([document.table(lay_out_refused(found))] if "refused" in found.frames else []),
-        document.text("The folder quality/ has a page of figures for every scan."),
-    ]
-
-
-def lay_out_refused(found: Run) -> TableLayout:
-    """Return why scans were refused."""
-    rows = [{**row, "scan": row["id"]} for row in to_records(found.frames["refused"])]
-    return Table("refused", "Refused scans", rows, ("scan", "note")).lay_out(drop_empty=True)
+    tables = [lay_out_reconstructions(found)]
+    if "refused" in found.frames:
+        rows = [{**row, "scan": row["id"]} for row in to_records(found.frames["refused"])]
+        table = _TEXT.lay_out(Table("refused", "", rows, ("scan", "note")), {})
+        tables.append(drop_empty_columns(table))
+    return _TEXT.compose("report", describe(found), tables)
 
 
 REPORT = StudyReport(
@@ -144,8 +117,9 @@ REPORT = StudyReport(
     lambda found, folder: {},
     compose_sections,
     keeps_files=True,
-    rate=rate,
-    lay_out_first=lay_out_first,
+    rate=lambda found: "warn" if len(found.frames["remarks"]) else "pass",
+    # the columns that a terminal has room for
+    lay_out_first=lambda found: [lay_out_reconstructions(found, _SCREEN_COLUMNS)],
 )
 
 
@@ -185,25 +159,65 @@ def write_reconstruction(
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
-            notes = export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
+            notes = _export_scan(one, exports, fresh / "slicer", recipe.needle.diameter_mm)
             written.append(replace(one, warnings=(*one.warnings, *notes)))
             write_quality(written[-1], fresh / "quality" / f"{one.scan.id}.pdf")
-            _write_proposals(one, fresh / "proposed")
+            for found in (
+                one.proposals or ()
+            ):  # in the frame of the scan: Slicer reads it from the stated name
+                named = replace(found.surface, name=f"{found.surface.name} SPACE=LPS")
+                write_surface(named, fresh / "proposed" / f"{one.scan.id}_{found.surface.name}.stl")
         title = f"Reconstruction: {description.title or description.name}"
-        options = {"title": title, "scans": [one.scan.id for one in kept], "recipe": recipe}
-        record = KIND.make_record(**options)
+        record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
-        found = tabulate_batch(description.name, record, written, check_all(fresh)[1])
+        result = tabulate_batch(description.name, record, written, check_all(fresh)[1])
         if refused:
-            found = replace(found, frames={**found.frames, **tabulate_failures(refused)})
+            result = replace(result, frames={**result.frames, **tabulate_failures(refused)})
             write_refused_pages(refused, fresh / "quality")
-        write_files(found, fresh)
-    return found, failures
+        write_files(result, fresh)
+    return result, failures
 
 
-def _write_proposals(one: Reconstruction, folder: Path) -> None:
-    """Write the proposed layers of a scan as `<id>_proposed<layer>.stl`, in its frame (LPS)."""
-    for found in one.proposals or ():
-        # 3D Slicer reads the frame from the name that the file states
-        named = replace(found.surface, name=f"{found.surface.name} SPACE=LPS")
-        write_surface(named, folder / f"{one.scan.id}_{found.surface.name}.stl")
+def _export_scan(
+    one: Reconstruction, exports: Collection[ExportKind], folder: Path, diameter: float
+) -> tuple[str, ...]:
+    """Write what is exported of a scan; return warnings.
+
+    `<id>.mrb`, a scene of 3D Slicer; `<id>.seg.dcm`, a DICOM segmentation. Where the scan allows none, it is
+    `<id>.seg.nrrd`, a segmentation of 3D Slicer.
+    """
+    if not exports:
+        return ()
+    volume = read_volume(one.scan.volume, one.scan.series)
+    if "scene" in exports:
+        write_slicer_scene(one, volume, diameter, folder / f"{one.scan.id}.mrb")
+    if "seg" in exports:
+        marked = mark_voxels(one, volume.grid, diameter)
+        try:
+            write_dicom_segmentation(one.scan, marked, folder / f"{one.scan.id}.seg.dcm")
+        except DataError as error:
+            instead = folder / f"{one.scan.id}.seg.nrrd"
+            write_slicer_segmentation(marked, volume.grid, instead)
+            return (f"no DICOM segmentation is written, {instead.name} instead: {error.what}",)
+    return ()
+
+
+def write_refused(
+    failures: Sequence[ReconstructionFailure], recipe: ReconstructionRecord, folder: Path
+) -> None:
+    """Write a folder of refused scans alone: `quality/<id>.pdf`, `refused.csv` and `candidates.csv`.
+
+    Their table and their recipe are written beside these, from which the scans are opened again.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` holds anything that needlefit did not write, or that was changed since.
+    """
+    with replace_folder(folder) as fresh:
+        write_refused_pages(failures, fresh / "quality")
+        for name, frame in tabulate_failures(failures).items():
+            write_csv(frame, fresh / f"{name}.csv")
+        write_scan_table([one.scan for one in failures], fresh / SCANS_FILE, folder)
+        plain = recipe.model_dump(mode="json", by_alias=True)
+        (fresh / RECIPE_FILE).write_text(dumps(plain), encoding="utf-8")

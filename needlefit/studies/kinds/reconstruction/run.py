@@ -1,4 +1,4 @@
-"""Tabulate a batch of reconstructed scans."""
+"""Tabulate a batch of reconstructed scans, and those that were refused."""
 
 from collections.abc import Iterable, Sequence
 
@@ -6,13 +6,14 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.geometry.curves import interpolate_at_arc
-from needlefit.imaging.batch import VERSIONED_PACKAGES
-from needlefit.imaging.reconstruction import ProposedInterface, Reconstruction
+from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
+from needlefit.imaging.findings import Findings
+from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.studies.job import Settings
-from needlefit.studies.kinds.reconstruction.schema import ReconstructionBatchRecord
+from needlefit.studies.kinds.reconstruction import ReconstructionBatchRecord
 from needlefit.studies.provenance import package_versions
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
@@ -31,6 +32,10 @@ _MARKER_COLUMNS = (
     *("residual_y_mm", "residual_z_mm", "residual_mm", "left_out_mm", "expected_left_out_mm"),
 )
 _CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm")
+_REFUSED_COLUMNS = ("id", "scan", "note")
+_CANDIDATE_COLUMNS = (
+    *("id", "kind", "number", "x_mm", "y_mm", "z_mm", "width_mm", "depth_mm", "depth_sd_mm", "note"),
+)
 
 
 def run(name: str, record: ReconstructionBatchRecord, settings: Settings) -> Run:
@@ -71,11 +76,7 @@ def tabulate_batch(
 
 def tabulate_reconstructions(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return one row per scan; cells without a value (no markers) are empty."""
-    rows = [
-        _scan_values(one) | _registration_values(one) | _placement_values(one) | _needle_values(one)
-        for one in reconstructions
-    ]
-    return pd.DataFrame(rows, columns=list(_SCAN_COLUMNS))
+    return pd.DataFrame([_describe(one) for one in reconstructions], columns=list(_SCAN_COLUMNS))
 
 
 def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
@@ -84,53 +85,60 @@ def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     Residuals are known minus registered place, in the axes of the world; `left_out_mm` is the distance when
     the marker takes no part in the fit, `expected_left_out_mm` what the stated noise leads one to expect.
     """
-    rows = [row for one in reconstructions for row in _marker_rows(one)]
+    rows = [
+        (
+            *(one.scan.id, found, known, *one.markers.centers[found], one.markers.sd[found]),
+            *(*fit.residuals[n], np.linalg.norm(fit.residuals[n])),
+            *(fit.leave_one_out[n], fit.expected_leave_one_out[n]),
+        )
+        for one in reconstructions
+        if one.markers is not None and (fit := one.registration) is not None
+        for n, (found, known) in enumerate(fit.pairs)
+    ]
     return pd.DataFrame(rows, columns=list(_MARKER_COLUMNS))
 
 
 def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return a row per crossing: depth along C's x and its deviation, layers, position in the world."""
-    rows = [row for one in reconstructions for row in _crossing_rows(one)]
+    rows = [
+        (one.scan.id, n + 1, *layers.sequence[n : n + 2], depth, sd, *layers.points[n])
+        for one in reconstructions
+        for layers in [one.layers]
+        for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
+    ]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
 
 
 def tabulate_proposals(reconstructions: Sequence[Reconstruction]) -> dict[str, pd.DataFrame]:
     """Return a table of proposed interfaces, as `tabulate_crossings`; none where nobody asked for any."""
     asked = [one for one in reconstructions if one.proposals is not None]
-    rows = [row for one in asked for row in _proposal_rows(one)]
+    rows = []
+    for one in asked:
+        for n, found in enumerate(one.proposals or (), start=1):
+            point = interpolate_at_arc(one.points, np.array([found.at]))[0]
+            depth = float(one.frame.to_local(point[None])[0, 0])
+            tilt = f"{found.step:+.0f} HU, tilted by {np.degrees(found.tilt):.0f} degrees"
+            note = f"{tilt}; {_find_own(one, depth)}"
+            rows.append((one.scan.id, n, n, n + 1, depth, found.sd, *point, note))
     columns = [*_CROSSING_COLUMNS, "note"]
     return {"proposed_layers": pd.DataFrame(rows, columns=columns)} if asked else {}
 
 
-def _scan_values(one: Reconstruction) -> Row:
-    scan = one.scan
-    i, j, k = one.spacing
-    named = {"id": scan.id, "origin": scan.origin, "medium": scan.medium, "specimen": scan.specimen}
-    voxel = {"voxel_i_mm": i, "voxel_j_mm": j, "voxel_k_mm": k}
-    return named | {"scan": scan.volume.name} | voxel | {"warnings": "; ".join(one.warnings)}
+def _find_own(one: Reconstruction, depth: float) -> str:
+    """Return in words how far the nearest stated layer lies from a depth (mm)."""
+    own = one.layers.boundaries
+    if not len(own):
+        return "no layer is stated"
+    away = own[np.argmin(np.abs(own - depth))] - depth
+    return f"the nearest stated layer is crossed {away:+.2f} mm from it"
 
 
-def _registration_values(one: Reconstruction) -> Row:
-    markers, registration = one.markers, one.registration
-    if markers is None or registration is None:
-        return {}
-    return {
-        "markers_from": markers.source,
-        "markers_found": len(markers.centers),
-        "markers_known": registration.known,
-        "markers_paired": len(registration.pairs),
-        "fre_mm": registration.fre,
-        "expected_fre_mm": registration.expected_fre,
-        "fre_p_value": registration.p_value,
-        "wrong_pairing_probability": registration.wrong_pairing_probability,
-        "target_error_entry_mm": one.target_error[0],
-        "target_error_tip_mm": one.target_error[1],
-    }
-
-
-def _placement_values(one: Reconstruction) -> Row:
-    off = one.local[:, 2]
-    return {
+def _describe(one: Reconstruction) -> Row:
+    scan, markers, fit, off = one.scan, one.markers, one.registration, one.local[:, 2]
+    row: Row = {
+        **{name: getattr(scan, name) for name in ("id", "origin", "medium", "specimen")},
+        "scan": scan.volume.name,
+        **dict(zip(("voxel_i_mm", "voxel_j_mm", "voxel_k_mm"), one.spacing, strict=True)),
         "entry_pose_from": one.pose.source,
         "entry_along_sd_mm": one.pose.along_sd,
         "entry_shift_sd_mm": one.pose.shift_sd,
@@ -138,69 +146,63 @@ def _placement_values(one: Reconstruction) -> Row:
         "bending_plane_from": one.plane,
         "out_of_plane_rms_mm": np.sqrt(np.mean(off**2)),
         "out_of_plane_max_mm": np.abs(off).max(),
-    }
-
-
-def _needle_values(one: Reconstruction) -> Row:
-    along_sd, across_sd = one.needle_axis.tip_sd
-    return {
         "depth_mm": one.depth,
         "depth_sd_mm": one.depth_sd,
-        "deflection_mm": one.scan.side * one.local[-1, 1],
-        "tip_along_sd_mm": along_sd,
-        "tip_across_sd_mm": across_sd,
+        "deflection_mm": scan.side * one.local[-1, 1],
+        **dict(zip(("tip_along_sd_mm", "tip_across_sd_mm"), one.needle_axis.tip_sd, strict=True)),
         "bevel_probability": one.needle_axis.bevel_probability,
         "centerline_sd_rms_mm": np.sqrt(np.mean(one.sd**2)),
         "layers": " ".join(map(str, one.layers.sequence)),
+        "warnings": "; ".join(one.warnings),
+    }
+    if markers is None or fit is None:
+        return row
+    return row | {
+        "markers_from": markers.source,
+        "markers_found": len(markers.centers),
+        "markers_known": fit.known,
+        "markers_paired": len(fit.pairs),
+        "fre_mm": fit.fre,
+        "expected_fre_mm": fit.expected_fre,
+        "fre_p_value": fit.p_value,
+        "wrong_pairing_probability": fit.wrong_pairing_probability,
+        **dict(zip(("target_error_entry_mm", "target_error_tip_mm"), one.target_error, strict=True)),
     }
 
 
-def _marker_rows(one: Reconstruction) -> list[Row]:
-    markers, registration = one.markers, one.registration
-    if markers is None or registration is None:
-        return []
-    rows = []
-    for n, (found, known) in enumerate(registration.pairs):
-        values = (
-            *(one.scan.id, found, known, *markers.centers[found], markers.sd[found]),
-            *(*registration.residuals[n], np.linalg.norm(registration.residuals[n])),
-            *(registration.leave_one_out[n], registration.expected_leave_one_out[n]),
-        )
-        rows.append(dict(zip(_MARKER_COLUMNS, values, strict=True)))
+def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> dict[str, pd.DataFrame]:
+    """Return the tables of refused scans: why, and what would fix it; what was found, LPS, mm.
+
+    Tubes have a row for each end; balls and places of entry one each.
+    """
+    why = [(one.scan.id, one.scan.volume.name, ". ".join(list_reasons(one.error))) for one in failures]
+    rows = [row for one in failures if one.findings for row in _list_rows(one.scan.id, one.findings)]
+    return {
+        "refused": pd.DataFrame(why, columns=list(_REFUSED_COLUMNS)),
+        "candidates": pd.DataFrame(rows, columns=list(_CANDIDATE_COLUMNS)),
+    }
+
+
+def list_reasons(error: NeedlefitError) -> list[str]:
+    """Return the parts of an error, each in words."""
+    named = {"where": error.where, "expected": error.expected, "fix": error.fix}
+    return [f"refused: {error.what}", *(f"{name}: {text}" for name, text in named.items() if text)]
+
+
+def _list_rows(id_: str, found: Findings) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = []
+
+    def add(kind: str, number: int, at: Floats, **more: object) -> None:
+        place = dict(zip(("x_mm", "y_mm", "z_mm"), at.tolist(), strict=True))
+        rows.append({"id": id_, "kind": kind, "number": number, **place, **more})
+
+    for n, tube in enumerate(found.tubes, start=1):
+        note = f"{tube.length:.1f} mm long" + (", taken as the needle" if tube.chosen else "")
+        for end in tube.ends:
+            add("tube", n, end, width_mm=tube.width, note=note)
+    for n, ball in enumerate(found.balls, start=1):
+        add("ball", n, ball.center, width_mm=ball.diameter, note="marker" if ball.marker else "")
+    for n, (one, at) in enumerate(zip(found.entries, found.entry_points, strict=True), start=1):
+        note = "air before it" if one.change == "rise" else "another soft material before it"
+        add("entry", n, at, depth_mm=one.depth, depth_sd_mm=one.sd, note=note)
     return rows
-
-
-def _crossing_rows(one: Reconstruction) -> list[Row]:
-    layers = one.layers
-    rows = []
-    for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True)):
-        values = (one.scan.id, n + 1, *layers.sequence[n : n + 2], depth, sd, *layers.points[n])
-        rows.append(dict(zip(_CROSSING_COLUMNS, values, strict=True)))
-    return rows
-
-
-def _proposal_rows(one: Reconstruction) -> list[Row]:
-    rows = []
-    for n, found in enumerate(one.proposals or (), start=1):
-        point = locate_proposal(one, found)
-        depth = float(one.frame.to_local(point[None])[0, 0])
-        note = f"{found.step:+.0f} HU, tilted by {np.degrees(found.tilt):.0f} degrees; {find_own(one, depth)}"
-        values = (one.scan.id, n, n, n + 1, depth, found.sd, *point, note)
-        rows.append(dict(zip((*_CROSSING_COLUMNS, "note"), values, strict=True)))
-    return rows
-
-
-def locate_proposal(one: Reconstruction, found: ProposedInterface) -> Floats:
-    """Return where the needle crosses a proposed interface (3,), world, mm."""
-    point: Floats = interpolate_at_arc(one.points, np.array([found.at]))[0]
-    return point
-
-
-def find_own(one: Reconstruction, depth: float) -> str:
-    """Return in words how far the nearest stated layer lies from a depth (mm)."""
-    own = one.layers.boundaries
-    if not len(own):
-        return "no layer is stated"
-    return (
-        f"the nearest stated layer is crossed {own[np.argmin(np.abs(own - depth))] - depth:+.2f} mm from it"
-    )
