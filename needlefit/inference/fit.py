@@ -31,41 +31,26 @@ class StartPoint:
 
 @dataclass(frozen=True)
 class Start:
-    """The result of one local search.
+    """The result of one local search."""
 
-    Attributes
-    ----------
-    index : int
-        Which of the recipe's starts, from 0.
-    theta0, theta : tuple of float
-        Where it began, and the best point that it evaluated.
-    objective : float
-        At `theta`: the negative log posterior, or mm of the metric objective; infinite if no evaluation
-        succeeded.
-    evaluations, failures : int
-        What was evaluated, and what of it failed.
-    stopped : str
-        Why it ended: "tolerance" at a minimum, and nothing else is a success: "stalled" (a further step would
-        gain), "flat" (a parameter has no effect), "bound" (a minimum of the box alone), "budget", "roundoff",
-        "interrupted", "no finite value", "profile" (no search: a better point that a profile met), ...
-    failed : tuple of theta
-        The first evaluations that failed, to be simulated again; not all where there are many.
-    gradients : int
-        Evaluations with derivatives among all; one costs about two without.
-    joined : int or None
-        The start that it met on the way, whose end is its own.
-    """
-
-    index: int
+    index: int  #: which of the recipe's starts, from 0
+    #: theta0, theta: where it began, and the best point that it evaluated
     theta0: tuple[float, ...]
     theta: tuple[float, ...]
+    #: at `theta`: the negative log posterior, or mm of the metric objective; infinite if no evaluation
+    #: succeeded
     objective: float
+    #: evaluations, failures: what was evaluated, and what of it failed
     evaluations: int
     failures: int
+    #: why it ended: "tolerance" at a minimum, and nothing else is a success: "stalled" (a further step would
+    #: gain), "flat" (a parameter has no effect), "bound" (a minimum of the box alone), "budget", "roundoff",
+    #: "interrupted", "no finite value", "profile" (no search: a better point that a profile met), ...
     stopped: str
+    #: the first evaluations that failed, to be simulated again; not all where there are many
     failed: tuple[tuple[float, ...], ...] = ()
-    gradients: int = 0
-    joined: int | None = None
+    gradients: int = 0  #: evaluations with derivatives among all; one costs about two without
+    joined: int | None = None  #: the start that it met on the way, whose end is its own
 
     @property
     def succeeded(self) -> bool:
@@ -75,34 +60,18 @@ class Start:
 
 @dataclass(frozen=True)
 class Fit:
-    """The best of all local searches, and all of them.
-
-    Attributes
-    ----------
-    values : mapping
-        Every parameter at `theta` (Pa, mm).
-    objective : float
-        The negative log posterior, or mm of the metric objective, at `theta`.
-    starts : tuple of Start
-        In the order of their index; one that was interrupted says so.
-    evaluations, failures : int
-        Over all starts.
-    interrupted : bool
-        Whether the search was stopped before all starts had ended.
-    minimized : "posterior" or "metric"
-    gradients : int
-        Over all starts.
-    """
+    """The best of all local searches, and all of them."""
 
     theta: tuple[float, ...]
-    values: Mapping[str, float]
-    objective: float
-    starts: tuple[Start, ...]
+    values: Mapping[str, float]  #: every parameter at `theta` (Pa, mm)
+    objective: float  #: the negative log posterior, or mm of the metric objective, at `theta`
+    starts: tuple[Start, ...]  #: in the order of their index; one that was interrupted says so
+    #: evaluations, failures: over all starts
     evaluations: int
     failures: int
-    interrupted: bool
+    interrupted: bool  #: whether the search was stopped before all starts had ended
     minimized: ObjectiveName = "posterior"
-    gradients: int = 0
+    gradients: int = 0  #: over all starts
 
     @property
     def fault(self) -> str:

@@ -6,7 +6,6 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,6 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import (
-    Advance,
     BevelRecord,
     ControlsRecord,
     LayerRecord,
@@ -46,8 +44,6 @@ from needlefit.schemas.scene import (
     SceneRecord,
     StepRecord,
 )
-
-MAX_ELEMENT_MM = 1.0  #: mesh size aimed at, mm; the mesh size used divides the constraint spacing
 
 
 def predict(
@@ -328,23 +324,16 @@ def _make_controls(guide_distance: float | None) -> Controls:
 
 def make_options(medium: MediumRecord, tolerance: float = ModelOptions.tolerance) -> ModelOptions:
     """Return a medium's model options, with a mesh size of at most 1 mm that divides its spacing."""
-    spacing, switch, tangent = medium.constraint_spacing_mm, medium.constraint_switch, medium.tangent_part
-    return _make_options(spacing, tolerance, switch, tangent, medium.first_cell_mm, medium.advance)
+    return replace(ModelOptions.from_record(_make_rules(medium)), tolerance=tolerance)
 
 
-@lru_cache(maxsize=64)  # a fit asks for the same ones over and over
-def _make_options(
-    spacing: float,
-    tolerance: float,
-    switch: float,
-    tangent: float,
-    first_cell: float | None,
-    advance: Advance,
-) -> ModelOptions:
-    # 1e-9: a spacing that is a whole number of mm must not get one more element by rounding
-    element = spacing / math.ceil(spacing / MAX_ELEMENT_MM - 1e-9)
-    return ModelOptions(
-        spacing, element, tolerance, switch=switch, tangent=tangent, first_cell=first_cell, advance=advance
+def _make_rules(medium: MediumRecord) -> RulesRecord:
+    return RulesRecord(
+        constraint_spacing_mm=medium.constraint_spacing_mm,
+        constraint_switch=medium.constraint_switch,
+        tangent_part=medium.tangent_part,
+        first_cell_mm=medium.first_cell_mm,
+        advance=medium.advance,
     )
 
 
@@ -419,13 +408,7 @@ def make_scene_record(
                 "side": 1 if insertion.side > 0 else -1,
             }
         ),
-        rules=RulesRecord(
-            constraint_spacing_mm=medium.constraint_spacing_mm,
-            constraint_switch=medium.constraint_switch,
-            tangent_part=medium.tangent_part,
-            first_cell_mm=medium.first_cell_mm,
-            advance=medium.advance,
-        ),
+        rules=_make_rules(medium),
         controls=ControlsRecord(guide_distance_mm=guide),
         steps=(
             StepRecord(depth_mm=insertion.depth),

@@ -79,34 +79,17 @@ UNIFORM_NOISE = Noise(point_sd=0.1)
 
 @dataclass(frozen=True)
 class Problem:
-    """Some insertions of one dataset, the model of a medium, and the parameters that are searched.
+    """Some insertions of one dataset, the model of a medium, and the parameters that are searched."""
 
-    Attributes
-    ----------
-    dataset : Dataset
-        For its needle, its noise and how its shapes are compared.
-    insertions : tuple of Insertion
-        The ones fitted to.
-    weights : WeightsRecord
-        Of the objective.
-    noise : Noise or None
-        Replaces what the dataset states, where it states none.
-    likelihood : LikelihoodRecord
-        What is made of noise and uncertain depths.
-    model_error : Discrepancy or None
-        A misfit of the model that is allowed for beside the noise.
-    centred_bevels : bool
-        Whether b is the mean of these insertions' own; else of others, from which all may differ.
-    """
-
-    dataset: Dataset
-    insertions: tuple[Insertion, ...]
+    dataset: Dataset  #: for its needle, its noise and how its shapes are compared
+    insertions: tuple[Insertion, ...]  #: the ones fitted to
     medium: MediumRecord
     parameters: Parameters
-    weights: WeightsRecord
-    noise: Noise | None = None
-    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD
-    model_error: Discrepancy | None = None
+    weights: WeightsRecord  #: of the objective
+    noise: Noise | None = None  #: replaces what the dataset states, where it states none
+    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD  #: what is made of noise and uncertain depths
+    model_error: Discrepancy | None = None  #: a misfit of the model that is allowed for beside the noise
+    #: whether b is the mean of these insertions' own; else of others, from which all may differ
     centred_bevels: bool = True
 
     def __post_init__(self) -> None:

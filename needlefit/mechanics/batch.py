@@ -38,42 +38,25 @@ from needlefit.schemas.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES, 
 class Batch:
     """One insertion with B parameter sets; what is None has the value of `needle`, `tissue` and `steps` in
     all sets.
-
-    Attributes
-    ----------
-    needle, tissue, steps, rules
-        The insertion, as `simulate.simulate_steps` takes it.
-    mu : (B, n) array
-        Of the n layers of `tissue`, MPa.
-    shape : (B, p, n) array
-        Shape parameters of the law of `tissue`, in its order.
-    offset, cut_angle : (B,) arrays
-        Of every bevel, mm and rad; sides stay.
-    rigidity : (B,) array
-        EI, N mm^2.
-    base_y, base_slope : (B,) arrays
-        Of the base in every step, mm and 1.
-    guide_x : (B,) array
-        Where the one guide before the tissue stands, mm; there must be one.
-    alpha : (B, n) array
-        In place of `shape`, of a law whose one parameter is alpha.
-    prepared : mapping
-        The insertion as the kernel reads it, by kinds of derivatives; filled when it is first used.
     """
 
+    #: needle, tissue, steps, rules: the insertion, as `simulate.simulate_steps` takes it
     needle: Needle
     tissue: Tissue
     steps: tuple[Step, ...]
     rules: ModelOptions = ModelOptions()
-    mu: Floats | None = None
-    shape: Floats | None = None
+    mu: Floats | None = None  #: (B, n) of the n layers of `tissue`, MPa
+    shape: Floats | None = None  #: (B, p, n) shape parameters of the law of `tissue`, in its order
+    #: offset, cut_angle: (B,) of every bevel, mm and rad; sides stay
     offset: Floats | None = None
     cut_angle: Floats | None = None
-    rigidity: Floats | None = None
+    rigidity: Floats | None = None  #: (B,) EI, N mm^2
+    #: base_y, base_slope: (B,) of the base in every step, mm and 1
     base_y: Floats | None = None
     base_slope: Floats | None = None
-    guide_x: Floats | None = None
-    alpha: InitVar[Floats | None] = None
+    guide_x: Floats | None = None  #: (B,) where the one guide before the tissue stands, mm; there must be one
+    alpha: InitVar[Floats | None] = None  #: (B, n) in place of `shape`, of a law whose one parameter is alpha
+    #: the insertion as the kernel reads it, by kinds of derivatives; filled when it is first used
     prepared: dict[tuple[str, ...] | None, PreparedInsertion] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -182,27 +165,17 @@ VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]  #: wh
 
 @dataclass(frozen=True)
 class NeedleShapes:
-    """The shapes of a batch: the fields of `NeedleShape` with a leading axis of B sets.
+    """The shapes of a batch: the fields of `NeedleShape` with a leading axis of B sets."""
 
-    Attributes
-    ----------
-    x, u, slope : (B, N) arrays
-    constraints : (B, M + 1, 2) array
-    tip_track : (B, M + 1, 2) array
-    status : (B,) array of int
-        Into `simulate.STATUS_NAMES`; 0: converged.
-    iterations : (B,) array of int
-    scales : (B, 2) array
-    """
-
+    #: x, u, slope: (B, N)
     x: Floats
     u: Floats
     slope: Floats
-    constraints: Floats
-    tip_track: Floats
-    status: Ints
-    iterations: Ints
-    scales: Floats
+    constraints: Floats  #: (B, M + 1, 2)
+    tip_track: Floats  #: (B, M + 1, 2)
+    status: Ints  #: (B,) into `simulate.STATUS_NAMES`; 0: converged
+    iterations: Ints  #: (B,)
+    scales: Floats  #: (B, 2)
 
     def __len__(self) -> int:
         return len(self.u)
@@ -261,51 +234,32 @@ class Jacobian:
 
     Bevel and base are shifted alike in all steps; guides of several steps at the same x are one guide,
     numbered by x. Where a node itself moves along the needle, its deflection is followed along with it.
-
-    Attributes
-    ----------
-    names : tuple of str
-        mu1, ..., the law's shape parameters (alpha1, ...), friction1, ..., boundary1, ..., rigidity, offset,
-        cut_angle, base_y, base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ...
-    x : (N, P) array
-        Of the nodes' beam coordinates: 1 for a guide's node and its own x, else 0.
-    u, slope : (N, P) arrays
-        Of the nodes' deflection and slope.
-    constraints : (M + 1, P) array
-        Of the y of the constraint points.
-    tip_track : (M + 1, P) array
-        Of the tip's deflection as it stood at each constraint point.
     """
 
+    #: mu1, ..., the law's shape parameters (alpha1, ...), friction1, ..., boundary1, ..., rigidity, offset,
+    #: cut_angle, base_y, base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ...
     names: tuple[str, ...]
-    x: Floats
+    x: Floats  #: (N, P) of the nodes' beam coordinates: 1 for a guide's node and its own x, else 0
+    #: u, slope: (N, P) of the nodes' deflection and slope
     u: Floats
     slope: Floats
-    constraints: Floats
-    tip_track: Floats
+    constraints: Floats  #: (M + 1, P) of the y of the constraint points
+    tip_track: Floats  #: (M + 1, P) of the tip's deflection as it stood at each constraint point
 
 
 @dataclass(frozen=True)
 class Jacobians:
-    """Derivatives of `NeedleShapes`: the fields of `Jacobian` with a leading axis of B sets, but for `x`.
-
-    Attributes
-    ----------
-    x : (N, P) array
-        The same for all sets.
-    u, slope : (B, N, P) arrays
-    constraints, tip_track : (B, M + 1, P) arrays
-    converged : (B,) array of bool
-        All derivatives of other sets are NaN.
-    """
+    """Derivatives of `NeedleShapes`: the fields of `Jacobian` with a leading axis of B sets, but for `x`."""
 
     names: tuple[str, ...]
-    x: Floats
+    x: Floats  #: (N, P) the same for all sets
+    #: u, slope: (B, N, P)
     u: Floats
     slope: Floats
+    #: constraints, tip_track: (B, M + 1, P)
     constraints: Floats
     tip_track: Floats
-    converged: Bools
+    converged: Bools  #: (B,) all derivatives of other sets are NaN
 
     def __getitem__(self, i: int) -> Jacobian:
         u, points, track = self.u[i], self.constraints[i], self.tip_track[i]

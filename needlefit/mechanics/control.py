@@ -20,19 +20,11 @@ from needlefit.schemas.scene import Advance, BevelRecord, RulesRecord
 
 @dataclass(frozen=True)
 class Bevel:
-    """The needle's bevel, which turns the cut toward `side` (+1: y > 0).
+    """The needle's bevel, which turns the cut toward `side` (+1: y > 0)."""
 
-    Attributes
-    ----------
-    offset : float
-        b of the advance along the tangent, mm per constraint spacing.
-    cut_angle : float
-        theta of the advance by the path angle, rad: of the cut to the needle's tangent.
-    """
-
-    offset: float = 0.0
+    offset: float = 0.0  #: b of the advance along the tangent, mm per constraint spacing
     side: int = 1
-    cut_angle: float = 0.0
+    cut_angle: float = 0.0  #: theta of the advance by the path angle, rad: of the cut to the needle's tangent
 
     def __post_init__(self) -> None:
         if not is_bounded(self.offset, self.cut_angle) or self.side not in (1, -1):
@@ -49,24 +41,16 @@ class Bevel:
 
 @dataclass(frozen=True)
 class Guide:
-    """A guide or template at a fixed position, through which the needle slides.
+    """A guide or template at a fixed position, through which the needle slides."""
 
-    Attributes
-    ----------
-    x, y : float
-        Its place in C, mm: x < 0 before the tissue.
-    slope : float or None
-        Slope of its axis in C, which the needle takes on there; None: the needle turns freely in it.
-    in_tissue : bool
-        Whether it stands in the tissue, x >= 0; it then holds the needle once the tip has passed.
-    name : str
-        What pictures call it; guides that differ in nothing else are the same.
-    """
-
+    #: x, y: its place in C, mm: x < 0 before the tissue
     x: float
     y: float = 0.0
+    #: slope of its axis in C, which the needle takes on there; None: the needle turns freely in it
     slope: float | None = 0.0
+    #: whether it stands in the tissue, x >= 0; it then holds the needle once the tip has passed
     in_tissue: bool = False
+    #: what pictures call it; guides that differ in nothing else are the same
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
@@ -96,19 +80,13 @@ class TrackedTip:
 
 @dataclass(frozen=True)
 class Controls:
-    """Boundary conditions on the needle ("V-inputs" of the paper), constant over one step.
+    """Boundary conditions on the needle ("V-inputs" of the paper), constant over one step."""
 
-    Attributes
-    ----------
-    base_y, base_slope : float
-        Deflection (mm) and slope of the base in C, apart from what the stage axis adds.
-    stage_slope : float
-        Slope in C of the axis along which the stage carries the base: at depth D the base stands at
-        y = base_y + stage_slope D.
-    """
-
+    #: base_y, base_slope: deflection (mm) and slope of the base in C, apart from what the stage axis adds
     base_y: float = 0.0
     base_slope: float = 0.0
+    #: slope in C of the axis along which the stage carries the base: at depth D the base stands at y = base_y
+    #: + stage_slope D
     stage_slope: float = 0.0
     guides: tuple[Guide, ...] = ()
     tip: TrackedTip | None = None
@@ -165,38 +143,23 @@ class Step:
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """Options of the model and the solver: discretisation, tolerances, variants of the rule of advance.
+    """Options of the model and the solver: discretisation, tolerances, variants of the rule of advance."""
 
-    Attributes
-    ----------
-    spacing : float
-        Constraint spacing C_int, mm: part of the model, fits with different values are never compared.
-    element : float
-        Mesh size h, mm, a divisor of `spacing`: purely numerical.
-    tolerance : float
-        Newton stops when no node moves by more than this, mm.
-    max_iterations : int
-        A step that takes more has not converged.
-    switch : float
-        Where between two constraint points, in parts of the way from the one behind to the one ahead, the
-        tissue changes from the one to the other. 0.5: each point of the needle belongs to the nearest; 0 and
-        1: every cell to the one ahead, or behind.
-    tangent : float
-        Part of its slope that the tip takes on when it advances: 1 along its tangent, 0 a mere shift in x.
-    first_cell : float or None
-        Depth of the first constraint point, mm; None: the last cell is whole. A `Session` has its own.
-    advance : str
-        "tangent", the paper's rule: along the tip's tangent, turned by `Bevel.offset` per constraint spacing.
-        "path_angle": at `Bevel.cut_angle` to the needle's tangent; `switch` and `tangent` are then not used.
-    """
-
+    #: constraint spacing C_int, mm: part of the model, fits with different values are never compared
     spacing: float = 1.0
-    element: float = 1.0
-    tolerance: float = 1e-7
-    max_iterations: int = 40
+    element: float = 1.0  #: mesh size h, mm, a divisor of `spacing`: purely numerical
+    tolerance: float = 1e-7  #: Newton stops when no node moves by more than this, mm
+    max_iterations: int = 40  #: a step that takes more has not converged
+    #: where between two constraint points, in parts of the way from the one behind to the one ahead, the
+    #: tissue changes from the one to the other. 0.5: each point of the needle belongs to the nearest; 0 and
+    #: 1: every cell to the one ahead, or behind.
     switch: float = 0.5
+    #: part of its slope that the tip takes on when it advances: 1 along its tangent, 0 a mere shift in x
     tangent: float = 1.0
+    #: depth of the first constraint point, mm; None: the last cell is whole. A `Session` has its own.
     first_cell: float | None = None
+    #: "tangent", the paper's rule: along the tip's tangent, turned by `Bevel.offset` per constraint spacing.
+    #: "path_angle": at `Bevel.cut_angle` to the needle's tangent; `switch` and `tangent` are then not used.
     advance: Advance = "tangent"
 
     def __post_init__(self) -> None:

@@ -18,50 +18,28 @@ _DEFAULT_OPTIONS = ModelOptions()
 
 @dataclass(frozen=True)
 class SupportReaction:
-    """Force and moment of one support (base, guide or tracked tip) on the needle.
+    """Force and moment of one support (base, guide or tracked tip) on the needle."""
 
-    Attributes
-    ----------
-    x : float
-        Beam coordinate, mm.
-    force : float
-        N, toward +y.
-    moment : float
-        N mm, turning x toward y; 0 where the needle turns freely.
-    """
-
-    x: float
-    force: float = 0.0
-    moment: float = 0.0
+    x: float  #: beam coordinate, mm
+    force: float = 0.0  #: N, toward +y
+    moment: float = 0.0  #: N mm, turning x toward y; 0 where the needle turns freely
 
 
 @dataclass(frozen=True)
 class Loads:
-    """All loads across the needle's axis, in the constraint frame C; positive toward +y.
+    """All loads across the needle's axis, in the constraint frame C; positive toward +y."""
 
-    Attributes
-    ----------
-    s : (K,) array
-        Beam coordinates in the tissue at which the model integrates the load, increasing, mm.
-    load : (K,) array
-        Lateral load of the tissue there, N/mm; it jumps where constraint point or layer change.
-    weight : (K,) array
-        Length of shaft that each of them stands for, mm: the tissue's force is `weight @ load`.
-    tip_region_force : float
-        Force of the tissue on the stretch that belongs to the last constraint point, N.
-    guides : tuple of SupportReaction
-        One for each of the controls' guides, in their order; all 0 for one that does not hold yet.
-    tip : SupportReaction
-        What holds a tracked tip where it is; all 0 where the tip is free.
-    """
-
-    s: Floats
+    s: Floats  #: (K,) beam coordinates in the tissue at which the model integrates the load, increasing, mm
+    #: (K,) lateral load of the tissue there, N/mm; it jumps where constraint point or layer change
     load: Floats
+    #: (K,) length of shaft that each of them stands for, mm: the tissue's force is `weight @ load`
     weight: Floats
+    #: force of the tissue on the stretch that belongs to the last constraint point, N
     tip_region_force: float
     base: SupportReaction
+    #: one for each of the controls' guides, in their order; all 0 for one that does not hold yet
     guides: tuple[SupportReaction, ...]
-    tip: SupportReaction
+    tip: SupportReaction  #: what holds a tracked tip where it is; all 0 where the tip is free
 
     @property
     def tip_force(self) -> float:

@@ -19,18 +19,10 @@ def is_bounded(*values: float) -> bool:
 
 @dataclass(frozen=True)
 class Needle:
-    """A needle: a straight beam, free of load when straight.
+    """A needle: a straight beam, free of load when straight."""
 
-    Attributes
-    ----------
-    length : float
-        From base to tip, mm.
-    flexural_rigidity : float
-        EI, N mm^2.
-    """
-
-    length: float
-    flexural_rigidity: float
+    length: float  #: from base to tip, mm
+    flexural_rigidity: float  #: EI, N mm^2
 
     def __post_init__(self) -> None:
         for name in ("length", "flexural_rigidity"):

@@ -80,23 +80,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Scene:
-    """One insertion to simulate: the arguments of `simulate_steps`, and the pose of the entry.
-
-    Attributes
-    ----------
-    steps : tuple of Step
-        From first contact on; guides and stage in C.
-    entry : Entry
-        C in the world.
-    layer_names : tuple of str
-        What pictures call the layers; none, or one each, empty where a layer has no name.
-    """
+    """One insertion to simulate: the arguments of `simulate_steps`, and the pose of the entry."""
 
     needle: Needle
     tissue: Tissue
-    steps: tuple[Step, ...]
+    steps: tuple[Step, ...]  #: from first contact on; guides and stage in C
     rules: ModelOptions = ModelOptions()
-    entry: Entry = Entry()
+    entry: Entry = Entry()  #: C in the world
+    #: what pictures call the layers; none, or one each, empty where a layer has no name
     layer_names: tuple[str, ...] = ()
 
     @property

@@ -176,30 +176,18 @@ class NeedleShape:
 
     `x` is the beam coordinate (arc length, 0 at the entry) and u the deflection that the equations know, not
     the place in space: see `compute_positions`.
-
-    Attributes
-    ----------
-    x, u, slope : (N,) arrays
-        Node, deflection (mm) and slope u'.
-    constraints : (M + 1, 2) array
-        Depth and y of the constraint points, mm; point 0 is first contact.
-    tip_track : (M + 1, 2) array
-        Deflection (mm) and slope of the tip as it stood at each constraint point.
-    status : str
-        "converged", or why it is not; then what was not reached is NaN, the whole shape with it.
-    iterations : int
-        Newton iterations over all steps.
-    scales : (2,) array
-        What validity is measured by: see `compute_scales`; infinite where there is no tissue.
     """
 
+    #: x, u, slope: (N,) node, deflection (mm) and slope u'
     x: Floats
     u: Floats
     slope: Floats
-    constraints: Floats
-    tip_track: Floats
+    constraints: Floats  #: (M + 1, 2) depth and y of the constraint points, mm; point 0 is first contact
+    tip_track: Floats  #: (M + 1, 2) deflection (mm) and slope of the tip as it stood at each constraint point
+    #: "converged", or why it is not; then what was not reached is NaN, the whole shape with it
     status: Status
-    iterations: int
+    iterations: int  #: Newton iterations over all steps
+    #: (2,) what validity is measured by: see `compute_scales`; infinite where there is no tissue
     scales: Floats = field(default_factory=lambda: np.full(2, np.inf))
 
     @cached_property

@@ -19,31 +19,17 @@ from needlefit.schemas.scene import LayerRecord
 
 @dataclass(frozen=True, init=False)
 class Tissue:
-    """The layers of a tissue, from the entry inwards; their number n is the length of `mu`.
+    """The layers of a tissue, from the entry inwards; their number n is the length of `mu`."""
 
-    Attributes
-    ----------
-    mu : (n,) array
-        Effective foundation modulus of each layer, MPa; not a material constant.
-    shape : (p, n) array
-        Shape parameters of the law, in the order of its `parameters`. They may be given by name, each (n,) or
-        one number for all layers: `shape={"jm": [2.0, 5.0]}`; `alpha=` is short for `shape={"alpha": ...}`.
-    boundaries : (n - 1,) array
-        Depths of the interfaces along C's x axis, mm, increasing.
-    thickness : (n,) array
-        Tissue compressed by the deflection, mm.
-    friction : (n,) array
-        Friction coefficient gamma between shaft and tissue.
-    law : str
-        A file of `mechanics/laws`.
-    """
-
-    mu: Floats
+    mu: Floats  #: (n,) effective foundation modulus of each layer, MPa; not a material constant
+    #: (p, n) shape parameters of the law, in the order of its `parameters`. They may be given by name, each
+    #: (n,) or one number for all layers: `shape={"jm": [2.0, 5.0]}`; `alpha=` is short for `shape={"alpha":
+    #: ...}`.
     shape: Floats
-    boundaries: Floats
-    thickness: Floats
-    friction: Floats
-    law: str
+    boundaries: Floats  #: (n - 1,) depths of the interfaces along C's x axis, mm, increasing
+    thickness: Floats  #: (n,) tissue compressed by the deflection, mm
+    friction: Floats  #: (n,) friction coefficient gamma between shaft and tissue
+    law: str  #: a file of `mechanics/laws`
 
     def __init__(
         self,

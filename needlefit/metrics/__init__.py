@@ -13,47 +13,26 @@ from needlefit.registry import Registry
 
 @dataclass(frozen=True)
 class Metric:
-    """An error of a simulated curve against a measured one; smaller is better.
+    """An error of a simulated curve against a measured one; smaller is better."""
 
-    Attributes
-    ----------
-    name : str
-        Its name in files: the value of the column `metric`. It ends in its unit, `_mm` or `_percent`.
-    label : str
-        Its heading in tables.
-    unit : "mm" or "%"
-    explanation : str
-        One sentence for the glossary.
-    compute : callable
-        Compared curves of one insertion -> the error. Over insertions its mean is taken.
-    pool : callable or None
-        Compared curves of several insertions -> one error of all their points together; None: the mean.
-    has_floor : bool
-        Whether its noise floor is given: the mean of `compute` over draws of the stated noise.
-    headline : bool
-        Whether it stands in sentences and comparisons of methods too, and not in tables of errors alone.
-    relative : bool
-        Whether it is relative to the measured deflection, and so means little where that is within the noise.
-    spread_of : str
-        The metric behind which it is printed as "± value"; empty: in a column of its own.
-    macro : str
-        Its name in LaTeX macros; empty: `name` without unit.
-    order : int
-        Its place in tables, from the left.
-    """
-
+    #: its name in files: the value of the column `metric`. It ends in its unit, `_mm` or `_percent`.
     name: str
-    label: str
+    label: str  #: its heading in tables
     unit: Literal["mm", "%"]
-    explanation: str
+    explanation: str  #: one sentence for the glossary
+    #: compared curves of one insertion -> the error. Over insertions its mean is taken.
     compute: Callable[[ComparedCurves], float]
+    #: compared curves of several insertions -> one error of all their points together; None: the mean
     pool: Callable[[Sequence[ComparedCurves]], float] | None = None
+    #: whether its noise floor is given: the mean of `compute` over draws of the stated noise
     has_floor: bool = True
+    #: whether it stands in sentences and comparisons of methods too, and not in tables of errors alone
     headline: bool = False
+    #: whether it is relative to the measured deflection, and so means little where that is within the noise
     relative: bool = False
-    spread_of: str = ""
-    macro: str = ""
-    order: int = 100
+    spread_of: str = ""  #: the metric behind which it is printed as "± value"; empty: in a column of its own
+    macro: str = ""  #: its name in LaTeX macros; empty: `name` without unit
+    order: int = 100  #: its place in tables, from the left
 
     @property
     def macro_name(self) -> str:

@@ -22,49 +22,26 @@ COEFFICIENT_LENGTH_MM = 100.0  #: scale of the coefficients of a curvature: c_k 
 
 @dataclass(frozen=True)
 class Baseline:
-    """An empirical curve.
+    """An empirical curve."""
 
-    Attributes
-    ----------
-    name : str
-        The method's name in files.
-    label : str
-        Its name in tables and figures.
-    description : str
-        The curve in words, with an article.
-    colour : str
-        "#rrggbb", of its lines and marks.
-    curve : callable
-        Coefficients (P,) and an insertion -> its curve: arc lengths (K,) from the entry -> points (K, 2), mm.
-    scales : tuple of float
-        The size of each of the P coefficients; the least-squares search begins at 0.
-    fit : callable or None
-        Pose, dropped proximal length (mm) and insertions -> coefficients (P,), instead of least squares.
-    track_basis : callable or None
-        A tip track -> deflection of its n readings by unit coefficients (n, P); None: it predicts no tracks.
-    track_label : str
-        Its name where tip tracks are predicted; empty: `label`.
-    track_slope : "run", "alike" or "session"
-        The slope of a track in the tracker's frame: each run has its own, and a further one's follows from
-        that of all of them, or of those alone whose guide moved, or rested, as in it; or all have the same.
-    tracks_only : bool
-        Whether it predicts no shapes.
-    order : int
-        Its place in tables, from the top.
-    """
-
-    name: str
-    label: str
-    description: str
-    colour: str
+    name: str  #: the method's name in files
+    label: str  #: its name in tables and figures
+    description: str  #: the curve in words, with an article
+    colour: str  #: "#rrggbb", of its lines and marks
+    #: coefficients (P,) and an insertion -> its curve: arc lengths (K,) from the entry -> points (K, 2), mm
     curve: "Callable[[Sequence[float], Insertion], Curve]"
+    #: the size of each of the P coefficients; the least-squares search begins at 0
     scales: tuple[float, ...] = ()
+    #: pose, dropped proximal length (mm) and insertions -> coefficients (P,), instead of least squares
     fit: "Callable[[Pose, float, Sequence[Insertion]], Sequence[float]] | None" = None
+    #: a tip track -> deflection of its n readings by unit coefficients (n, P); None: it predicts no tracks
     track_basis: "Callable[[Insertion], Floats] | None" = None
-    track_label: str = ""
+    track_label: str = ""  #: its name where tip tracks are predicted; empty: `label`
+    #: the slope of a track in the tracker's frame: each run has its own, and a further one's follows from
+    #: that of all of them, or of those alone whose guide moved, or rested, as in it; or all have the same
     track_slope: Literal["run", "alike", "session"] = "run"
-    tracks_only: bool = False
-    order: int = 100
+    tracks_only: bool = False  #: whether it predicts no shapes
+    order: int = 100  #: its place in tables, from the top
 
     @property
     def has_posterior(self) -> bool:

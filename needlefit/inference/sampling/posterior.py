@@ -27,42 +27,21 @@ NETCDF_ENGINE: Literal["h5netcdf"] = "h5netcdf"
 
 @dataclass(frozen=True)
 class Posterior:
-    """A sampled posterior: draws of the free parameters; a chain is one independent ensemble of walkers.
+    """A sampled posterior: draws of the free parameters; a chain is one independent ensemble of walkers."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Free parameters, P of them.
-    draws : (E, N, P) array
-        Values (Pa, mm), not theta; within a chain the walkers of one step follow each other.
-    log_posterior : (E, N) array
-        Log density in theta of each draw, not normalised.
-    walkers : int
-        Per ensemble; N = steps kept * walkers.
-    moves : str
-        As the recipe names them.
-    acceptance : (E,) array
-        Accepted part of each ensemble's proposals, burn-in included.
-    convergence : Convergence
-        R-hat, autocorrelation times and independent draws, of the parameters and more.
-    burn_in : int
-        Steps thrown away before.
-    failures : int
-        Evaluations that were not a number, or raised, and were given density 0.
-    failed : tuple of tuples of theta
-        By ensemble the first of these, theta and not values, to be simulated again.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: free parameters, P of them
+    #: (E, N, P) values (Pa, mm), not theta; within a chain the walkers of one step follow each other
     draws: Floats
-    log_posterior: Floats
-    walkers: int
-    moves: str
-    acceptance: Floats
+    log_posterior: Floats  #: (E, N) log density in theta of each draw, not normalised
+    walkers: int  #: per ensemble; N = steps kept * walkers
+    moves: str  #: as the recipe names them
+    acceptance: Floats  #: (E,) accepted part of each ensemble's proposals, burn-in included
+    #: R-hat, autocorrelation times and independent draws, of the parameters and more
     convergence: Convergence
-    burn_in: int
-    failures: int
+    burn_in: int  #: steps thrown away before
+    failures: int  #: evaluations that were not a number, or raised, and were given density 0
     interrupted: bool
+    #: by ensemble the first of these, theta and not values, to be simulated again
     failed: tuple[tuple[tuple[float, ...], ...], ...] = ()
 
     @property

@@ -30,34 +30,17 @@ _TAKEN = ("mu", "friction", "boundary", "top_mm", "mu_pa", "thickness_mm")  # ot
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """A number of a law, one for each layer, on which the form of k(lambda) depends.
+    """A number of a law, one for each layer, on which the form of k(lambda) depends."""
 
-    Attributes
-    ----------
-    name : str
-        Small letters and single underscores. With the number of a layer it is that of a column or of a fit's
-        parameter: `alpha2`.
-    symbol : str
-        In figures and tables.
-    explanation : str
-        What it is, in a few words.
-    bounds : tuple of two floats
-        What the law is meant for, in `unit`.
-    usual : tuple of two floats
-        Bounds of a fit that states none.
-    default : float
-        Where nothing is known of it.
-    unit : str
-        Empty for a number without one. If there is one, `name` ends with it: `_mm`, `_pa`.
-    """
-
+    #: small letters and single underscores. With the number of a layer it is that of a column or of a fit's
+    #: parameter: `alpha2`.
     name: str
-    symbol: str
-    explanation: str
-    usual: tuple[float, float]
-    default: float
-    bounds: tuple[float, float] = (-math.inf, math.inf)
-    unit: str = ""
+    symbol: str  #: in figures and tables
+    explanation: str  #: what it is, in a few words
+    usual: tuple[float, float]  #: bounds of a fit that states none
+    default: float  #: where nothing is known of it
+    bounds: tuple[float, float] = (-math.inf, math.inf)  #: what the law is meant for, in `unit`
+    unit: str = ""  #: empty for a number without one. If there is one, `name` ends with it: `_mm`, `_pa`.
 
     def __post_init__(self) -> None:
         if not re.fullmatch("[a-z]+(_[a-z]+)*", self.name) or self.name in _TAKEN:
