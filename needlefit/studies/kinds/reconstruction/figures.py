@@ -1,6 +1,6 @@
 """Figures of a scan with the reconstruction, and of a refused scan with all that was found in it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,6 +26,7 @@ from needlefit.reporting.figures.style import add_panel_mm, draw_grid, make_figu
 from needlefit.reporting.labels import GREY, INK
 
 Span = tuple[float, float]
+Paint = Callable[[], Figure]
 
 NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM = 180.0, 175.0
 """Of the figure, mm."""

@@ -1,12 +1,11 @@
 """Pages of a scan, for a quick visual check: of a reconstructed one, and of one that was refused."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from needlefit.arrays import Floats
 from needlefit.imaging.batch import ReconstructionFailure
@@ -23,7 +22,6 @@ from needlefit.studies.kinds.reconstruction.run import list_reasons
 
 Fact = tuple[str, str]
 Words = tuple[str, list[list[Fact]], list[str], tuple[str, str]]
-Pictures = tuple[Callable[[], Figure], Callable[[], Figure]]
 
 MAX_LISTED_WARNINGS = 10
 """Number of warnings on a page; the table of the batch has all of them."""
@@ -86,7 +84,7 @@ def _write_page(
     path: Path,
     scan: Scan,
     words: tuple[str, list[list[Fact]], list[str], tuple[str, str]],
-    pictures: Pictures,
+    pictures: Sequence[figures.Paint],
 ) -> Path:
     """Write a page with two pictures of a scan (A4, PDF), completely or not at all.
 
