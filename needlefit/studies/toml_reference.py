@@ -31,7 +31,6 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracker import TrackerRecord
 from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.kind import KINDS
-from needlefit.studies.kinds.reconstruction import ReconstructionBatchRecord
 
 EXAMPLES = "docs/examples"
 
@@ -70,7 +69,7 @@ def list_files() -> tuple[FileKind, ...]:
     analyses = {
         name: (KINDS[name].record, f"Study of kind `{name}`", _shipped_studies(name))
         for name in KINDS.names()
-        if KINDS[name].record not in (*known, *WRITTEN_BY_COMMANDS)
+        if KINDS[name].record not in known and name not in WRITTEN_BY_COMMANDS
     }
     return tuple(
         FileKind(f"{key}.toml", title, record, (*shipped, *_own_examples(key)))
@@ -78,7 +77,7 @@ def list_files() -> tuple[FileKind, ...]:
     )
 
 
-WRITTEN_BY_COMMANDS = (ReconstructionBatchRecord,)
+WRITTEN_BY_COMMANDS = ("reconstruction",)
 """Kinds of study that only a command makes."""
 
 
