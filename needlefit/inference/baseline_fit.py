@@ -40,10 +40,7 @@ class FittedBaseline:
 def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insertion]) -> FittedBaseline:
     """Return the baseline `name` that lies closest (least squares) to the scored points of `insertions`.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such baseline, or no insertion, or one of a plugin fails.
+    Raises ConfigError if there is no such baseline, or no insertion, or one of a plugin fails.
     """
     baseline = BASELINES[name]
     if not insertions:

@@ -120,10 +120,7 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
     Runs into the same layers under a guide at rest are one insertion read at different depths: the deepest.
     Everything else is simulated for itself.
 
-    Raises
-    ------
-    DataError
-        If a moved guide's readings are too close: the tip is known at constraint points only.
+    Raises DataError if a moved guide's readings are too close: the tip is known at constraint points only.
     """
     deepest: dict[tuple[object, ...], TipTrack] = {}
     for one in insertions:

@@ -56,6 +56,8 @@ def predict(
 ) -> NeedleShape:
     """Return the needle shape that the model predicts for one insertion.
 
+    Raises ModelError if the needle does not reach the depth; a solve that fails is a value, `converged`.
+
     Parameters
     ----------
     values : mapping
@@ -66,11 +68,6 @@ def predict(
         Its depth, bevel side and guide; nothing of its measured shape but the boundaries is used.
     boundaries, sequence : (n - 1,) array and n layer numbers, optional
         The layers met instead of the measured ones, e.g. along the planned path.
-
-    Raises
-    ------
-    ModelError
-        If the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
     return simulate_steps(*make_simulation_inputs(values, medium, needle, insertion, boundaries, sequence))
 
@@ -152,10 +149,7 @@ class PreparedModel:
     What B sets of values give does not depend on their number, nor on the number of threads. Insertions that
     are read from the same simulation are simulated once, and those that differ in their bevel alone together.
 
-    Raises
-    ------
-    DataError
-        If a moved guide's readings are too close: see `share_simulations`.
+    Raises DataError if a moved guide's readings are too close: see `share_simulations`.
     """
 
     def __init__(self, medium: MediumRecord, needle: Needle, insertions: Sequence[Insertion]) -> None:

@@ -130,10 +130,7 @@ class SpecimenFit:
 def fit_specimen(specimen: SpecimenLoading, measure: StressMeasure) -> SpecimenFit:
     """Fit mu and alpha to the loading of one specimen.
 
-    Raises
-    ------
-    FitError
-        If no alpha gives a positive mu.
+    Raises FitError if no alpha gives a positive mu.
     """
     minima = sorted(
         (_refine_minimum(specimen, measure, start) for start in _find_starts(specimen, measure)),
@@ -309,10 +306,7 @@ class MaterialEstimate:
 def fit_material(test: CompressionTest) -> MaterialEstimate:
     """Fit every specimen of a test, and pool those that identify alpha.
 
-    Raises
-    ------
-    FitError
-        If some specimen cannot be fitted at all.
+    Raises FitError if some specimen cannot be fitted at all.
     """
     fits = tuple(fit_specimen(specimen, test.measure) for specimen in test.specimens)
     identified_fits = [fit for fit in fits if fit.identified]
@@ -404,10 +398,8 @@ def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecor
     An alpha that the medium fixes becomes free within `ALPHA_REACH_SD` standard deviations of its prior's
     mean.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such layer, the medium's law is another one, or the layer's parameter is tied or fixed.
+    Raises ConfigError if there is no such layer, the medium's law is another one, or the layer's parameter is
+    tied or fixed.
     """
     if layer not in {str(number) for number in range(1, medium.layers + 1)}:
         raise ConfigError(f"there is no layer `{layer}`", expected=f"a number from 1 to {medium.layers}")

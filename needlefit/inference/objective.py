@@ -139,11 +139,8 @@ class EvaluationRecorder:
     def value(self, theta: Floats) -> float:
         """Return the objective, infinite where it failed.
 
-        Raises
-        ------
-        SearchEnded
-            Instead of evaluating, once the budget is spent or a stop is requested; so do all other
-            methods.
+        Raises SearchEnded instead of evaluating, once the budget is spent or a stop is requested; so do all
+        other methods.
         """
         point = self._begin_evaluation(theta)
         return self._record(point, self._evaluate(self.objective_function.value, point))

@@ -58,10 +58,7 @@ def dimension(name: str) -> str:
 
     Of a shape parameter of a law it is the name without the number of the layer, such as "alpha".
 
-    Raises
-    ------
-    ConfigError
-        If it is no parameter's name.
+    Raises ConfigError if it is no parameter's name.
     """
     match = _NAME.fullmatch(name)
     if match is None or (match[1] is not None and (match[1] == "mu") != (match[2] is not None)):
@@ -98,10 +95,7 @@ def to_value(name: str, coordinate: float) -> float:
 def parse_tie(name: str, tie: str) -> tuple[float, str]:
     """Return (factor, source) of the tie that the parameter `name` states.
 
-    Raises
-    ------
-    ConfigError
-        If the tie cannot be read, joins different quantities, or its factor cannot be.
+    Raises ConfigError if the tie cannot be read, joins different quantities, or its factor cannot be.
     """
     match = _TIE.fullmatch(tie)
     if match is None:
@@ -125,10 +119,7 @@ def resolve_ties(
 ) -> dict[str, tuple[float, str]]:
     """Return each tied parameter's (factor, source) with a source that is itself not tied.
 
-    Raises
-    ------
-    ConfigError
-        If a tie leads to no parameter of the medium, or in a circle.
+    Raises ConfigError if a tie leads to no parameter of the medium, or in a circle.
     """
     return {name: _resolve_tie(name, ties, known) for name in ties}
 
@@ -262,10 +253,8 @@ def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:
 def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = ()) -> Prior:
     """Return the prior that the parameters of a medium state, `ties` with a spread among it.
 
-    Raises
-    ------
-    ConfigError
-        If a prior is of the wrong kind, peaks outside the bounds, or its correlation has no partner.
+    Raises ConfigError if a prior is of the wrong kind, peaks outside the bounds, or its correlation has no
+    partner.
     """
     stated = {name: record.prior for name, record in table.items() if record.prior is not None}
     for name, one in stated.items():
@@ -336,10 +325,8 @@ class Parameters:
     def from_record(cls, record: MediumRecord) -> Self:
         """Return the parameters of a checked medium.
 
-        Raises
-        ------
-        ConfigError
-            If a name is unknown or missing, a tie leads nowhere, or a bound, value or prior cannot be.
+        Raises ConfigError if a name is unknown or missing, a tie leads nowhere, or a bound, value or prior
+        cannot be.
         """
         if record.law not in LAWS:
             raise LAWS.unknown_name_error(record.law, key="law")

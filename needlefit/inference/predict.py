@@ -175,10 +175,7 @@ def thin_posterior(
 
     `pareto_k` is that of the importance sampling that failed before.
 
-    Raises
-    ------
-    KeyError
-        If the posterior is of other parameters.
+    Raises KeyError if the posterior is of other parameters.
     """
     flat = posterior.draws.reshape(-1, len(posterior.names))
     chosen = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(np.int64)]

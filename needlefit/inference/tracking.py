@@ -261,10 +261,7 @@ def estimate_slopes(
 
     Where runs alike tell it, their scatter is taken from both kinds, each about its own mean.
 
-    Raises
-    ------
-    ConfigError
-        If there are too few runs to take a scatter from.
+    Raises ConfigError if there are too few runs to take a scatter from.
     """
     k = len(tuned)
     if k < MIN_TUNED_RUNS:
@@ -332,10 +329,7 @@ def draw_baseline(
 ) -> TrackDraws:
     """Return `count` draws of a baseline given the runs `tuned`: Student's t about least squares.
 
-    Raises
-    ------
-    ValueError
-        If the baseline has no `track_basis`.
+    Raises ValueError if the baseline has no `track_basis`.
     """
     if baseline.track_basis is None:
         raise ValueError(f"the baseline {baseline.name} predicts no tip tracks")

@@ -40,6 +40,8 @@ def widen_posterior(
 ) -> Prior:
     """Return the prior of the free parameters of `new` that the old medium also has; the others stay flat.
 
+    Raises ConfigError if no parameter is common to both, or the old fit lies outside the new bounds.
+
     Parameters
     ----------
     fit : mapping
@@ -48,11 +50,6 @@ def widen_posterior(
         Draws of the old medium's posterior.
     spread : mapping
         Standard deviation between media of each parameter's coordinate, by name; 0 where none is given.
-
-    Raises
-    ------
-    ConfigError
-        If no parameter is common to both, or the old fit lies outside the new bounds.
     """
     names = _find_common(old, new)
     if not names:

@@ -112,10 +112,7 @@ class Batch:
     def with_sets(self, **values: Floats) -> Self:
         """Return the same insertion with other sets of the same parameters; both share what is prepared.
 
-        Raises
-        ------
-        ModelError
-            If these are not the parameters that this batch varies.
+        Raises ModelError if these are not the parameters that this batch varies.
         """
         given = {name for name in VARYING_FIELDS if getattr(self, name) is not None}
         if values.keys() != given:
@@ -278,6 +275,9 @@ def linearize(
 ) -> tuple[NeedleShape, Jacobian]:
     """Insert the needle as `simulate` does; return its shape and the derivatives of that shape.
 
+    Raises ModelError if the needle is too short for the depth or the guides, or there is no such kind of
+    parameter.
+
     Parameters
     ----------
     wrt : sequence of str
@@ -288,11 +288,6 @@ def linearize(
     NeedleShape
     Jacobian
         NaN where the solution failed.
-
-    Raises
-    ------
-    ModelError
-        If the needle is too short for the depth or the guides, or there is no such kind of parameter.
     """
     if not (math.isfinite(depth) and depth > 0):
         raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
@@ -365,10 +360,7 @@ def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s:
 def find_columns(wrt: tuple[str, ...], tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> Columns:
     """Return the columns of the derivatives of an insertion by kinds of parameters, of `DERIVATIVE_KINDS`.
 
-    Raises
-    ------
-    ModelError
-        If there is no such kind of parameter.
+    Raises ModelError if there is no such kind of parameter.
     """
     guide_depths = sorted({guide.x for step in steps for guide in step.controls.guides})  # from the base on
     return _make_columns(wrt, tissue.law, tissue.layers, tuple(guide_depths), rules.path_angle)
@@ -434,6 +426,8 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
 
     What a set gives does not depend on the sets beside it, on their order, or on the number of threads.
 
+    Raises ModelError if a needle is too short for its steps.
+
     Parameters
     ----------
     threads : int, optional
@@ -444,11 +438,6 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     tuple of NeedleShapes
         In the order of `batches`; sets that failed are NaN and say why in `status`. Numbers that are no
         parameters (not finite, mu not above 0, a guide out of the needle's reach) count as "non-finite".
-
-    Raises
-    ------
-    ModelError
-        If a needle is too short for its steps.
     """
     return tuple(_read_shapes(*pair) for pair in _run(batches, None, threads))
 
@@ -457,6 +446,8 @@ def linearize_batches(
     batches: Sequence[Batch], wrt: Sequence[str], threads: int | None = None
 ) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
     """Simulate as `simulate_batches` does, and differentiate every shape.
+
+    Raises ModelError if a needle is too short for its steps, or there is no such kind of parameter.
 
     Parameters
     ----------
@@ -467,11 +458,6 @@ def linearize_batches(
     -------
     tuple of (NeedleShapes, Jacobians)
         Solved to `MAX_TOLERANCE_MM` at least; what a set gives is what `linearize_steps` gives.
-
-    Raises
-    ------
-    ModelError
-        If a needle is too short for its steps, or there is no such kind of parameter.
     """
     pairs = [(*pair, _read_shapes(*pair)) for pair in _run(batches, tuple(wrt), threads)]
     return tuple((shapes, read_jacobians(one, shapes.converged)) for _, one, shapes in pairs)

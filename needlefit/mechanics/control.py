@@ -215,10 +215,7 @@ class ModelOptions:
     def bevel_strength(self, bevel: Bevel) -> tuple[float, float]:
         """Return how strongly a bevel turns the cut: b (mm) over C_int (mm), or theta (rad) over 1.
 
-        Raises
-        ------
-        ModelError
-            If the bevel's strength is that of the other rule.
+        Raises ModelError if the bevel's strength is that of the other rule.
         """
         if (bevel.offset if self.path_angle else bevel.cut_angle) != 0:
             raise ModelError(

@@ -44,12 +44,8 @@ def compile_law(name: str, shape: Floats) -> tuple[Floats, Floats]:
     Those are (..., n, P) each. A table is (..., n, 2 + TABLE_PIECES TABLE_TERMS), with exponents (..., n, 0):
     see `native/law.hpp`.
 
-    Raises
-    ------
-    ConfigError
-        If there is no law of that name.
-    ModelError
-        If the law cannot be interpolated in one of the layers.
+    Raises ConfigError if there is no law of that name; ModelError if the law cannot be interpolated in one of
+    the layers.
     """
     law, by_layer = LAWS[name], np.swapaxes(shape, -1, -2)
     if isinstance(law, PowerLaw):

@@ -123,11 +123,8 @@ class Problem(ctypes.Structure):
     def make(cls, numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> "Problem":
         """Return the structure of these numbers and arrays, which it keeps alive.
 
-        Raises
-        ------
-        TypeError
-            If an array is missing, has not the type, shape or layout that the kernel reads, or refers to a
-            place outside of another one.
+        Raises TypeError if an array is missing, has not the type, shape or layout that the kernel reads, or
+        refers to a place outside of another one.
         """
         problem = cls(**numbers)
         if problem.shapes > MAX_SHAPES:
@@ -159,10 +156,7 @@ class Problem(ctypes.Structure):
     def with_sets(self, sets: int, arrays: Mapping[str, np.ndarray]) -> "Problem":
         """Return the same insertion with other parameter sets; `arrays` are those with an axis of sets.
 
-        Raises
-        ------
-        TypeError
-            If one of them is missing, or is not as `make` asks for.
+        Raises TypeError if one of them is missing, or is not as `make` asks for.
         """
         if arrays.keys() != self.arrays.keys() & _SET_ARRAYS:
             raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
@@ -236,10 +230,7 @@ def make_memory(size: int) -> Floats:
 def load_library() -> ctypes.CDLL:
     """Return the kernel's library for this processor.
 
-    Raises
-    ------
-    NeedlefitError
-        If it is missing, damaged, of another version, or older than the sources beside it.
+    Raises NeedlefitError if it is missing, damaged, of another version, or older than the sources beside it.
     """
     given = os.environ.get(LIBRARY_VARIABLE)
     try:
@@ -296,10 +287,8 @@ def count_lanes() -> int:
 def simulate(problem: Problem, shapes: Shapes, first: int, lanes: int, memory: Floats | None = None) -> None:
     """Insert the needles of the sets from `first` on, `lanes` (as `count_lanes`, or 1) of them.
 
-    Raises
-    ------
-    TypeError
-        If there are no such sets or lanes, or `shapes` or `memory` (`measure_memory`) are too small.
+    Raises TypeError if there are no such sets or lanes, or `shapes` or `memory` (`measure_memory`) are too
+    small.
     """
     library, needed = load_library(), measure_memory(problem, lanes)
     if memory is None:
@@ -370,17 +359,13 @@ class SessionMemory:
 
         The needle stays where it was until `accept`.
 
+        Raises TypeError if the problem has other sizes than that with which the session began, or the depth
+        lies outside; RayRoomError if the problem has room for fewer rays than there would be.
+
         Returns
         -------
         stops, points : int
             Of the tip on its way; behind the tip and under it. Without a stop there is no new shape.
-
-        Raises
-        ------
-        TypeError
-            If the problem has other sizes than that with which the session began, or the depth lies outside.
-        RayRoomError
-            If the problem has room for fewer rays than there would be.
         """
         if problem is not self._fits:
             if problem.sets != 1 or self._measure(problem) != self._sizes:
@@ -452,6 +437,8 @@ def find_equilibrium(
 ) -> tuple[Floats, Floats, int, int]:
     """Solve for one equilibrium against given constraint points.
 
+    Raises TypeError if an array is none that the kernel can read, or depths do not increase.
+
     Parameters
     ----------
     depths, y : (M + 1,) arrays
@@ -466,11 +453,6 @@ def find_equilibrium(
     x : (N,) array
     state : (N, 2) array
     status, passes : int
-
-    Raises
-    ------
-    TypeError
-        If an array is none that the kernel can read, or depths do not increase.
     """
     library, room = load_library(), problem.room
     found, x, ended = np.zeros((room, 2)), np.empty(room), np.zeros(2, np.int64)

@@ -50,10 +50,8 @@ def plan_insertion(
 ) -> tuple[Lattice, PackedStops]:
     """Return the lattice of constraint points, by default the usual one, and the stops of a needle (mm long).
 
-    Raises
-    ------
-    ModelError
-        If there are no steps, they are too many or too deep, or the needle is too short for one of them.
+    Raises ModelError if there are no steps, they are too many or too deep, or the needle is too short for one
+    of them.
     """
     moves = make_moves(steps, length)
     check_size(tuple(step.depth for step in steps), rules)
@@ -152,6 +150,8 @@ def pack_problem(
 ) -> native.Problem:
     """Return an insertion as the kernel reads it.
 
+    Raises ModelError if a law cannot be interpolated at its shape parameters.
+
     Parameters
     ----------
     packed : PackedStops
@@ -163,11 +163,6 @@ def pack_problem(
         Of the derivatives that are asked for.
     **sizes : float
         Fields of `native.Problem` that are to have other values than the insertion gives them.
-
-    Raises
-    ------
-    ModelError
-        If a law cannot be interpolated at its shape parameters.
     """
     counts, arrays = _pack_shared(tissue, steps, packed, columns)
     more, of_sets = pack_sets(needle, tissue, steps, rules, packed, sets=sets, values=values, columns=columns)
@@ -265,17 +260,14 @@ MAX_TOLERANCE_MM = 1e-9
 class PreparedInsertion:
     """An insertion in the form that the kernel reads; plan, stops and guides are packed once.
 
+    Raises ModelError if there are no steps, or the needle is too short for one of them.
+
     Parameters
     ----------
     lattice : Lattice, optional
         Where constraint points lie; by default so that the last step ends on one.
     columns : Columns, optional
         Of derivatives; the insertion is then solved to `MAX_TOLERANCE_MM` at least.
-
-    Raises
-    ------
-    ModelError
-        If there are no steps, or the needle is too short for one of them.
     """
 
     def __init__(

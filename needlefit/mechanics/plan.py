@@ -246,10 +246,7 @@ def plan_stops(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[
     Their `bevel_id` and `controls_id` are numbers: of the first step with that bevel, and with those
     controls.
 
-    Raises
-    ------
-    ModelError
-        If there are no steps, or the needle is too short for one of them.
+    Raises ModelError if there are no steps, or the needle is too short for one of them.
     """
     return make_stops(make_moves(steps, length), lattice)
 

@@ -62,10 +62,8 @@ class Entry:
     def slope_of(self, angle: float) -> float:
         """Return the slope in C of an axis with direction `angle` (rad) in the world.
 
-        Raises
-        ------
-        ModelError
-            If the axis lies 45 degrees or more off C's x: the needle need not meet its normal line.
+        Raises ModelError if the axis lies 45 degrees or more off C's x: the needle need not meet its normal
+        line.
         """
         turn = math.remainder(angle - self.angle, math.pi)  # an axis has no front
         if abs(turn) >= MAX_AXIS_ANGLE_RAD:
@@ -104,10 +102,7 @@ class Scene:
     def from_record(cls, record: SceneRecord, where: str = "") -> Self:
         """Return the scene that a validated record describes; `where` is named in errors.
 
-        Raises
-        ------
-        ConfigError
-            If the model does not take one of its values; the key is named where there is one.
+        Raises ConfigError if the model does not take one of its values; the key is named where there is one.
         """
         entry = Entry.from_record(record.entry)
         with _name_keys(where, "law"):

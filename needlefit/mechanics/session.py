@@ -118,6 +118,9 @@ class Session:
     ) -> NeedleShape:
         """Change some inputs, then insert or retract; inputs that are not given stay as they are.
 
+        Raises ModelError if the needle does not reach that far, would leave the tissue backwards, or has cut
+        more rays than `MAX_STEPS` and `MAX_ELEMENTS` allow.
+
         Parameters
         ----------
         insert : float
@@ -134,12 +137,6 @@ class Session:
         -------
         NeedleShape
             Where `converged` is False the needle has stayed as it was before.
-
-        Raises
-        ------
-        ModelError
-            If the needle does not reach that far, would leave the tissue backwards, or has cut more rays than
-            `MAX_STEPS` and `MAX_ELEMENTS` allow.
         """
         depth, controls = self.last.depth + insert, self.last.controls
         if base is not None:

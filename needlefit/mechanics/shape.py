@@ -228,6 +228,8 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     base, which stands at its own beam coordinate and deflection. The needle keeps its length, and the tip
     lags a little behind its depth.
 
+    Raises ModelError if a coordinate lies outside the needle.
+
     Parameters
     ----------
     s : (K,) array
@@ -237,11 +239,6 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     -------
     (K, 2) array
         x and y, mm.
-
-    Raises
-    ------
-    ModelError
-        If a coordinate lies outside the needle.
     """
     wanted = np.ascontiguousarray(s, dtype=np.float64)
     # The last of a row of equidistant coordinates may lie beyond the tip by rounding.

@@ -32,15 +32,12 @@ def simulate(
 
     The same model as `mechanics.reference.simulate`, by the kernel.
 
+    Raises ModelError if the needle is too short for the depth or the guides.
+
     Returns
     -------
     NeedleShape
         With `converged` False and a reason in `status` where the solution failed.
-
-    Raises
-    ------
-    ModelError
-        If the needle is too short for the depth or the guides.
     """
     if not (math.isfinite(depth) and depth > 0):
         raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
@@ -56,15 +53,12 @@ def simulate_steps(
 ) -> NeedleShape:
     """Move the needle through `steps`, insertions and retractions, and return its last shape in C.
 
+    Raises ModelError if there are no steps, or the needle is too short for one of them.
+
     Parameters
     ----------
     lattice : Lattice, optional
         Where constraint points lie; by default so that the last step ends on one.
-
-    Raises
-    ------
-    ModelError
-        If there are no steps, or the needle is too short for one of them.
     """
     lattice, packed = plan_insertion(steps, needle.length, rules, lattice)
     problem = pack_problem(needle, tissue, steps, lattice, rules, packed)

@@ -56,10 +56,7 @@ def headline_metrics() -> tuple[Metric, ...]:
 def compute_metrics(curves: ComparedCurves) -> dict[str, float]:
     """Return all errors of one insertion, by metric.
 
-    Raises
-    ------
-    ConfigError
-        If a metric of a plugin fails.
+    Raises ConfigError if a metric of a plugin fails.
     """
     found = {}
     for metric in list_metrics():

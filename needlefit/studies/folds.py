@@ -26,10 +26,8 @@ class Fold:
 def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
     """Return the folds of a study, or the single fold of a fit, which scores nothing.
 
-    Raises
-    ------
-    ConfigError
-        If a selection matches nothing, an insertion stands on both sides, or there is nothing to leave out.
+    Raises ConfigError if a selection matches nothing, an insertion stands on both sides, or there is nothing
+    to leave out.
     """
     tune = select_insertions(dataset, record.tune, record.layer_count_rule)
     if not isinstance(record, StudyRecord):
@@ -80,10 +78,7 @@ def specimen_warning(name: str, specimens: list[str], where: str = "") -> Result
 def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
     """Return one fold for each "insertion" or "specimen", which it leaves out.
 
-    Raises
-    ------
-    ConfigError
-        If there is only one.
+    Raises ConfigError if there is only one.
     """
     held = group_insertions(insertions, what)
     if len(held) < 2:

@@ -51,6 +51,8 @@ def fit_posterior(
 ) -> PosteriorFit:
     """Fit the free parameters of a problem, and draw from their posterior, by the recipe of the job.
 
+    Raises FitError if the search finds no point that can be solved.
+
     Parameters
     ----------
     job : Job
@@ -63,11 +65,6 @@ def fit_posterior(
         For `jobs` and `stop`; after a stop the answer means nothing.
     draws : int
         How many; their `faults` say so if they are not certified, nor the sampler converged.
-
-    Raises
-    ------
-    FitError
-        If the search finds no point that can be solved.
     """
     fit = find_fit(job, problem, key, settings)
     if not len(fit.theta) or settings.stop():

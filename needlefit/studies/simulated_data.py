@@ -191,10 +191,7 @@ DATASET_MEDIUM = "made"
 def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecord, seed: int) -> Dataset:
     """Return the dataset that a record describes, of a medium of one layer.
 
-    Raises
-    ------
-    ConfigError
-        If a needle has no solution.
+    Raises ConfigError if a needle has no solution.
     """
     planned = [_plan_insertion(number, one, record) for number, one in enumerate(record.insertions, start=1)]
     empty = _assemble_dataset(name, record, ())

@@ -82,10 +82,7 @@ class Nodes:
     def share_bevel(self, insertion: tuple[str, int]) -> "Nodes":
         """Return the nodes with the bevel as an axis: that of an insertion, by specimen and number in it.
 
-        Raises
-        ------
-        ConfigError
-            If the depths are integrated over by quadrature.
+        Raises ConfigError if the depths are integrated over by quadrature.
         """
         if self.rule is not None:
             raise ConfigError(
@@ -121,6 +118,8 @@ def make_nodes(
 ) -> Nodes:
     """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
 
+    Raises ConfigError if the insertion has more uncertain depths than quadrature is right for.
+
     Parameters
     ----------
     bevel : bool
@@ -130,11 +129,6 @@ def make_nodes(
     shared : tuple of ErrorAxis
         Of the last constant curves: the axes along which they are, since other insertions share them. Not
         with depths by quadrature.
-
-    Raises
-    ------
-    ConfigError
-        If the insertion has more uncertain depths than quadrature is right for.
     """
     places = NODE_POSITIONS_SD[depths]
     moves = _list_depth_errors(insertion) if places else []
@@ -272,10 +266,7 @@ def group_nodes(
 
     With `centred`, the deviations of all bevels sum to zero, so that all that have one are in one group.
 
-    Raises
-    ------
-    ConfigError
-        If they share more errors than quadrature, where that is asked for, is right for.
+    Raises ConfigError if they share more errors than quadrature, where that is asked for, is right for.
     """
     crossed = [{axis.surface for axis in one.axes if axis.surface} for one in nodes]
     bevels = {axis.surface for one in nodes for axis in one.axes if axis.of_bevel and centred}

@@ -240,6 +240,8 @@ def make_observation(
 ) -> Observation:
     """Return the observation of one insertion.
 
+    Raises DataError if no noise is stated: without any, a likelihood has no width.
+
     Parameters
     ----------
     noise : Noise, optional
@@ -248,11 +250,6 @@ def make_observation(
         How many are fitted together: they share the bias of an unknown measurement.
     model_error : Discrepancy, optional
         Added to the errors of the measurement.
-
-    Raises
-    ------
-    DataError
-        If no noise is stated: without any, a likelihood has no width.
     """
     smoothed = noise is None and likelihood.measurement == "stored" and likelihood.noise == "correlated"
     if isinstance(insertion, TipTrack):

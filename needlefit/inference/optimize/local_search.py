@@ -201,10 +201,7 @@ ALGORITHMS = {
 def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple[Algorithm, ...]:
     """Return the algorithms that a recipe's `algorithm` names, e.g. `crs2+leastsquares`.
 
-    Raises
-    ------
-    ConfigError
-        If one of them is unknown, or needs a derivative that the objective function lacks.
+    Raises ConfigError if one of them is unknown, or needs a derivative that the objective function lacks.
     """
     parts = [part.strip() for part in name.split("+")]
     unknown = [part for part in parts if part not in ALGORITHMS]

@@ -89,12 +89,8 @@ def minimize(
     The result depends on the problem, the recipe and `rng` alone: not on the number of threads, and not
     on whether some starts were computed by an earlier, interrupted run.
 
-    Raises
-    ------
-    ConfigError
-        If the recipe asks for an unknown algorithm.
-    FitError
-        If no evaluation of any start succeeded, or finished starts belong to another fit.
+    Raises ConfigError if the recipe asks for an unknown algorithm; FitError if no evaluation of any start
+    succeeded, or finished starts belong to another fit.
     """
     callbacks = Callbacks() if callbacks is None else callbacks
     whole = _SearchTask(problem, recipe)

@@ -122,10 +122,7 @@ _MOVE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[a-z]+)\s*")
 def parse_moves(moves: str) -> dict[str, float]:
     """Return the share of the steps of each move in `moves`: `"stretch"`, `"0.9*de+0.1*snooker"`.
 
-    Raises
-    ------
-    ConfigError
-        If a move is not known or its factor is not above 0.
+    Raises ConfigError if a move is not known or its factor is not above 0.
     """
     found: dict[str, float] = {}
     for term in moves.split("+"):

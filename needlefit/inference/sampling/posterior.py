@@ -81,10 +81,8 @@ class Posterior:
     def to_inference_data(self) -> "arviz.InferenceData":
         """Return the same groups for ArviZ.
 
-        Raises
-        ------
-        ConfigError
-            If ArviZ is not installed, or its version is 1 or later, which takes `to_xarray()` as it is.
+        Raises ConfigError if ArviZ is not installed, or its version is 1 or later, which takes `to_xarray()`
+        as it is.
         """
         try:
             with warnings.catch_warnings():

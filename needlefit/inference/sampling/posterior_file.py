@@ -27,10 +27,8 @@ def read_numbers(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float
 
     Among the attributes is `convergence/quantity`, a list of texts.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, is not HDF5, states more than it holds, or its reader crashes or does not end.
+    Raises DataError if the file is missing, is not HDF5, states more than it holds, or its reader crashes or
+    does not end.
     """
     with open_regular(path, MAX_POSTERIOR_BYTES):
         size = path.stat().st_size

@@ -154,10 +154,7 @@ def initialize_walkers(
 ) -> WalkerState:
     """Return the initial walkers: each ensemble about one of the points `ends` (M, P), the best first.
 
-    Raises
-    ------
-    FitError
-        If no starting point of positive density is found.
+    Raises FitError if no starting point of positive density is found.
     """
     points = _select_plausible(evaluator, ends)
     legacy = np.random.RandomState(int(rng.integers(2**32)))  # all that emcee takes
@@ -266,12 +263,9 @@ def sample(
     `callbacks.jobs`, nor on where a run was interrupted that resumes from its `snapshots`. A stop ends it
     after the present step.
 
-    Raises
-    ------
-    ConfigError
-        If nothing is free, a move is not known, or the walkers are fewer than twice the free parameters.
-    FitError
-        If no starting point of positive density is found, or the stop came before the second step.
+    Raises ConfigError if nothing is free, a move is not known, or the walkers are fewer than twice the free
+    parameters; FitError if no starting point of positive density is found, or the stop came before the second
+    step.
     """
     _check_settings(problem, settings)
     callbacks, snapshots = callbacks or Callbacks(), snapshots or Snapshots()
