@@ -129,12 +129,9 @@ class Registry(Generic[T]):
     def unknown_name_error(self, name: str, key: str = "") -> ConfigError:
         """Return the error about a name that is not registered; `key` is the one it was read from."""
         similar = difflib.get_close_matches(name, self.names(), 1)
-        return ConfigError(
-            f"there is no {self._noun} called `{name}`",
-            expected=f"one of {', '.join(self.names())}",
-            fix=f"write {similar[0]}" if similar else "use one of these, or name the plugin with --plugins",
-            key=key,
-        )
+        what = f"there is no {self._noun} called `{name}`"
+        fix = f"write {similar[0]}" if similar else "use one of these, or name the plugin with --plugins"
+        return ConfigError(what, expected=f"one of {', '.join(self.names())}", fix=fix, key=key)
 
     def _builtin_names(self) -> frozenset[str]:
         path = import_module(self._package).__path__
@@ -146,11 +143,9 @@ class Registry(Generic[T]):
         module = import_module(f"{self._package}.{name}")
         found = [entry for entry in self._instances(module) if entry.name == name]
         if len(found) != 1:
-            raise ConfigError(
-                f"{len(found)} {self._type.__name__} called `{name}` in it",
-                where=str(module.__file__),
-                expected=f"one module-level {self._type.__name__} whose name is that of the file",
-            )
+            what = f"{len(found)} {self._type.__name__} called `{name}` in it"
+            expected = f"one module-level {self._type.__name__} whose name is that of the file"
+            raise ConfigError(what, where=str(module.__file__), expected=expected)
         return found[0]
 
     def _instances(self, module: ModuleType) -> Iterator[T]:
@@ -182,11 +177,9 @@ class Registry(Generic[T]):
         else:
             return True
         if other is not entry:
-            raise ConfigError(
-                f"the {self._noun} `{entry.name}` of the plugin {plugin.name} exists already, in {place}",
-                expected="every name once",
-                fix="rename it, or leave one of the two plugins out",
-            )
+            what = f"the {self._noun} `{entry.name}` of the plugin {plugin.name} exists already, in {place}"
+            expected = "every name once"
+            raise ConfigError(what, expected=expected, fix="rename it, or leave one of the two plugins out")
         return False
 
 
@@ -272,20 +265,16 @@ def _load(name: str, version: str) -> Plugin:
     try:
         spec = importlib.util.find_spec(name.partition(".")[0])
         if spec is None or any(_is_untrusted(place) for place in _folders(spec)):
-            raise ConfigError(
-                f"there is no installed plugin module `{name}`",
-                expected="an installed module; none in the working folder or in a folder of data is used",
-                fix="install it with pip, or put a folder other than the working folder on PYTHONPATH",
-            )
+            expected = "an installed module; none in the working folder or in a folder of data is used"
+            fix = "install it with pip, or put a folder other than the working folder on PYTHONPATH"
+            raise ConfigError(f"there is no installed plugin module `{name}`", expected=expected, fix=fix)
         module = import_module(name)
     except ConfigError:
         raise
     except Exception as error:  # a plugin is code of others
-        raise ConfigError(
-            f"the plugin module `{name}` cannot be imported: {type(error).__name__}: {error}",
-            expected="a module that can be imported by its name",
-            fix="repair, update or uninstall it",
-        ) from error
+        what = f"the plugin module `{name}` cannot be imported: {type(error).__name__}: {error}"
+        expected = "a module that can be imported by its name"
+        raise ConfigError(what, expected=expected, fix="repair, update or uninstall it")from error
     return Plugin(module, version or _stated_version(module))
 
 

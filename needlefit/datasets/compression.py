@@ -326,12 +326,9 @@ def _find_stress_faults(rows: SpecimenRows) -> Iterator[Fault]:
     if low == high == 0:
         yield Fault(rows.where[0], f"{here} is 0 throughout", "a measured stress", "check the column")
     elif low < 0 < high and min(-low, high) > MAX_OPPOSITE_FRACTION * max(-low, high):
-        yield Fault(
-            rows.where[0],
-            f"{here} goes from {low:.3g} to {high:.3g} MPa, through zero",
-            "one sign: all positive or all negative in compression",
-            "remove the offset of the load cell, or the rows in which the specimen is pulled",
-        )
+        what = f"{here} goes from {low:.3g} to {high:.3g} MPa, through zero"
+        fix = "remove the offset of the load cell, or the rows in which the specimen is pulled"
+        yield Fault(rows.where[0], what, "one sign: all positive or all negative in compression", fix)
 
 
 def extract_loading(rows: SpecimenRows) -> SpecimenLoading:

@@ -52,12 +52,8 @@ def find_curve_faults(
     """Yield the faults of finite points as the centreline of `row`; `place` is used in messages."""
     curve = points.values
     if len(curve) < MIN_POINTS:
-        yield Fault(
-            points.where(),
-            f"has only {len(curve)} points",
-            f"at least {MIN_POINTS}",
-            "sample the needle more densely",
-        )
+        what = f"has only {len(curve)} points"
+        yield Fault(points.where(), what, f"at least {MIN_POINTS}", "sample the needle more densely")
         return
     depth_mm = describe_column(record, "depth_mm")
     unit = _find_unit_fault(points, row, depth_mm, place)
@@ -67,12 +63,10 @@ def find_curve_faults(
     yield from _find_order_faults(points)
     length, tolerance = arc_length(curve)[-1], LENGTH_TOLERANCE[record.frame.pose]
     if abs(length - row.depth) > max(LENGTH_TOLERANCE_MM, tolerance * row.depth):
-        yield Fault(
-            points.where(),
-            f"is {length:.2f} mm long, but {depth_mm} is {row.depth:.2f}",
-            f"the inserted length, within {max(LENGTH_TOLERANCE_MM, tolerance * row.depth):.1f} mm",
-            f"keep exactly the points from the entry to the tip, or correct {depth_mm}",
-        )
+        where = points.where()
+        expected = f"the inserted length, within {max(LENGTH_TOLERANCE_MM, tolerance * row.depth):.1f} mm"
+        fix = f"keep exactly the points from the entry to the tip, or correct {depth_mm}"
+        yield Fault(where, f"is {length:.2f} mm long, but {depth_mm} is {row.depth:.2f}", expected, fix)
     if row.entry is not None and row.direction is not None:
         yield from _find_entry_faults(points, row.entry, row.direction)
 
@@ -82,12 +76,8 @@ def _find_unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: st
     span = _measure_span(points.values)
     for name, factor in LENGTH_UNITS.items():
         if abs(span * factor / row.depth - 1) < UNIT_TOLERANCE:
-            return Fault(
-                points.where(),
-                f"spans {span:.4g} where {depth_mm} is {row.depth:.4g}: this looks like {name}",
-                "millimetres",
-                f"multiply the coordinates by {factor:g}",
-            )
+            what = f"spans {span:.4g} where {depth_mm} is {row.depth:.4g}: this looks like {name}"
+            return Fault(points.where(), what, "millimetres", f"multiply the coordinates by {factor:g}")
         if factor > 1 and abs(factor * row.depth / max(span, SAME_POINT_MM) - 1) < UNIT_TOLERANCE:
             return Fault(
                 place,
@@ -112,20 +102,14 @@ def _find_order_faults(points: Points) -> Iterator[Fault]:
     lengths = np.linalg.norm(steps, axis=1)
     repeated = np.flatnonzero(lengths < SAME_POINT_MM)
     if len(repeated):
-        yield Fault(
-            points.where(int(repeated[0]) + 1),
-            f"repeats the point before it{_describe_more(len(repeated))}",
-            "points that differ",
-            "remove the repeated points",
-        )
+        where = points.where(int(repeated[0]) + 1)
+        what = f"repeats the point before it{_describe_more(len(repeated))}"
+        yield Fault(where, what, "points that differ", "remove the repeated points")
     back = _find_backward_points(points.values)
     if len(back):
-        yield Fault(
-            points.where(int(back[0])),
-            f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}",
-            "points in order from the entry to the tip",
-            "sort the points along the needle, and remove branches and loops",
-        )
+        what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
+        fix = "sort the points along the needle, and remove branches and loops"
+        yield Fault(points.where(int(back[0])), what, "points in order from the entry to the tip", fix)
 
 
 def _find_backward_points(curve: Floats) -> np.ndarray:
@@ -162,12 +146,9 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
     chord = last - first
     cosine = float(chord @ direction / max(float(np.linalg.norm(chord)), SAME_POINT_MM))
     if cosine < np.cos(np.radians(MAX_HEADING_DEG)):
-        yield Fault(
-            points.where(),
-            f"runs {np.degrees(np.arccos(np.clip(cosine, -1, 1))):.0f} degrees off the entry direction",
-            f"at most {MAX_HEADING_DEG:g} degrees",
-            "point entry_dx, _dy, _dz into the tissue, in the frame of the centreline (LPS, RAS?)",
-        )
+        what = f"runs {np.degrees(np.arccos(np.clip(cosine, -1, 1))):.0f} degrees off the entry direction"
+        fix = "point entry_dx, _dy, _dz into the tissue, in the frame of the centreline (LPS, RAS?)"
+        yield Fault(points.where(), what, f"at most {MAX_HEADING_DEG:g} degrees", fix)
 
 
 @dataclass(frozen=True)
@@ -185,12 +166,10 @@ def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
         skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
         if skipped:
             listed = ", ".join(map(str, sorted(numbers)))
-            yield Fault(
-                locate_key(file, f"media.{name}.surfaces"),
-                f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}",
-                "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
-                "correct `into`, or add the surface that is missing",
-            )
+            where = locate_key(file, f"media.{name}.surfaces")
+            what = f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}"
+            expected = "layers numbered without a gap: 1, where needles begin, then 2, 3, ..."
+            yield Fault(where, what, expected, "correct `into`, or add the surface that is missing")
 
 
 def find_layer_faults(

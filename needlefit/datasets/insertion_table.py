@@ -164,19 +164,11 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
         fix = "correct it, or add a table [media.NAME] to dataset.toml"
         yield Fault(where, f"medium {row.medium!r} is unknown", f"one of {listed}", fix)
     if row.layers < 1 or (row.layers_alternative or 0) < 1:
-        yield Fault(
-            where,
-            "layers or layers_alternative is not a count",
-            "a whole number from 1",
-            "count the layers that the needle went through",
-        )
+        what = "layers or layers_alternative is not a count"
+        yield Fault(where, what, "a whole number from 1", "count the layers that the needle went through")
     if row.side not in (1, -1):
-        yield Fault(
-            where,
-            "bevel_side is unknown",
-            "+1 (toward +y of C) or -1",
-            "write 1 or -1, or leave the cell empty: +1",
-        )
+        what = "bevel_side is unknown"
+        yield Fault(where, what, "+1 (toward +y of C) or -1", "write 1 or -1, or leave the cell empty: +1")
     for name, (field, default) in NUMBER_COLUMNS.items():
         if "_sd_" in name and default is not None and (getattr(row, field) or 0.0) < 0:
             expected, fix = "a standard deviation, 0 or more", "remove the sign, or leave the cell empty: 0"
@@ -199,27 +191,17 @@ def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> 
         fix = "give the length from the entry to the tip, without a sign"
         yield Fault(where, f"{depth_mm} is {row.depth:g}", "an inserted length above 0", fix)
     elif row.depth < MIN_DEPTH_MM:
-        yield Fault(
-            where,
-            f"{depth_mm} is {row.depth:g}: this looks like metres",
-            "millimetres",
-            "multiply the column by 1000",
-        )
+        what = f"{depth_mm} is {row.depth:g}: this looks like metres"
+        yield Fault(where, what, "millimetres", "multiply the column by 1000")
     if row.depth >= length:
         looks = _guess_unit(row.depth, length)
-        yield Fault(
-            where,
-            f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long{looks}",
-            "a depth smaller than the needle's length",
-            f"correct needle.length_mm in dataset.toml, or {depth_mm}",
-        )
+        what = f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long{looks}"
+        expected = "a depth smaller than the needle's length"
+        yield Fault(where, what, expected, f"correct needle.length_mm in dataset.toml, or {depth_mm}")
     if guide is not None and not 0 < guide <= length - row.depth:
-        yield Fault(
-            where,
-            f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle",
-            "above 0, and within the needle outside the tissue",
-            "correct it, or leave the cell empty: held at its base",
-        )
+        what = f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle"
+        expected = "above 0, and within the needle outside the tissue"
+        yield Fault(where, what, expected, "correct it, or leave the cell empty: held at its base")
 
 
 def describe_column(record: DatasetRecord, column: str) -> str:
@@ -241,20 +223,12 @@ def _guess_unit(depth: float, length: float) -> str:
 
 def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     if row.bevel is not None and (np.isnan(row.bevel).any() or not np.linalg.norm(row.bevel) > 0):
-        yield Fault(
-            where,
-            f"{', '.join(BEVEL_COLUMNS)} are {row.bevel.tolist()}",
-            "a direction, or three empty cells",
-            "fill all three, or none",
-        )
+        what = f"{', '.join(BEVEL_COLUMNS)} are {row.bevel.tolist()}"
+        yield Fault(where, what, "a direction, or three empty cells", "fill all three, or none")
     if row.patient is not None and np.isnan(row.patient.origin).any():
         expected = "six numbers, or six empty cells: as [frame] lps_to_world states"
-        yield Fault(
-            where,
-            f"{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part",
-            expected,
-            "fill all six, or none",
-        )
+        what = f"{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part"
+        yield Fault(where, what, expected, "fill all six, or none")
     if record.frame.pose == "free" or row.direction is None:
         return
     if row.pose_source not in POSE_SOURCES[:-1]:
@@ -273,10 +247,7 @@ def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
     first: dict[str, int] = {}
     for n, name in enumerate(table.cells["id"]):
         if name in first:
-            yield Fault(
-                table.where(n),
-                f"id {name!r} stands on line {first[name]} already",
-                "a different id for every insertion",
-                "rename one of the two, and its centreline with it, or remove the row that is there twice",
-            )
+            what = f"id {name!r} stands on line {first[name]} already"
+            fix = "rename one of the two, and its centreline with it, or remove the row that is there twice"
+            yield Fault(table.where(n), what, "a different id for every insertion", fix)
         first.setdefault(name, int(table.lines[n]))

@@ -114,14 +114,9 @@ def _make_group_names(keys: pd.DataFrame, template: str | None, path: Path, foun
         # not str.format, whose attributes and widths a dataset from elsewhere could misuse
         return [_FIELD.sub(lambda field, row=row: row[field[1]], template) for row in cells]  # type: ignore[misc]
     except KeyError:
-        found.append(
-            Fault(
-                f"{path}:1",
-                f"insertions.id_template is {template!r}",
-                f"text with {{...}} around columns of group_by: {', '.join(map(str, keys))}",
-                "use only these names in it",
-            )
-        )
+        what = f"insertions.id_template is {template!r}"
+        expected = f"text with {{...}} around columns of group_by: {', '.join(map(str, keys))}"
+        found.append(Fault(f"{path}:1", what, expected, "use only these names in it"))
         return []
 
 
@@ -137,14 +132,9 @@ def _check_constant(long: LongTable, record: InsertionsRecord, found: list[Fault
             other = np.flatnonzero((text.iloc[rows] != text.iloc[rows[0]]).to_numpy())
             if len(other):
                 where = long.table.where(int(rows[other[0]]))
-                found.append(
-                    Fault(
-                        where,
-                        f"column `{column}` changes within insertion {name}",
-                        "one value",
-                        "fix the cells, or distinguish the insertions by this column too (group_by)",
-                    )
-                )
+                what = f"column `{column}` changes within insertion {name}"
+                fix = "fix the cells, or distinguish the insertions by this column too (group_by)"
+                found.append(Fault(where, what, "one value", fix))
 
 
 def find_points(
@@ -190,14 +180,8 @@ def _require_finite(points: Points, found: list[Fault]) -> Points | None:
     bad = points.unusable()
     if len(bad) == 0:
         return points
-    found.append(
-        Fault(
-            points.where(int(bad[0])),
-            f"has {len(bad)} points that are NaN, infinite or too far away",
-            "finite numbers, mm",
-            "remove or fix these points",
-        )
-    )
+    what = f"has {len(bad)} points that are NaN, infinite or too far away"
+    found.append(Fault(points.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points"))
     return None
 
 
@@ -310,12 +294,10 @@ def find_needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
     if modulus is None or modulus <= MAX_MODULUS_GPA:
         return
     unit, in_gpa = likely_modulus(modulus)
-    yield Fault(
-        locate_key(file, "needle.youngs_modulus_gpa"),
-        f"needle.youngs_modulus_gpa is {modulus:g}{f': this looks like {unit}' if unit else ''}",
-        "GPa: about 200 for steel, 40 to 80 for nitinol",
-        f"write {in_gpa:.3g}" if unit else "write it in GPa",
-    )
+    where = locate_key(file, "needle.youngs_modulus_gpa")
+    what = f"needle.youngs_modulus_gpa is {modulus:g}{f': this looks like {unit}' if unit else ''}"
+    expected = "GPa: about 200 for steel, 40 to 80 for nitinol"
+    yield Fault(where, what, expected, f"write {in_gpa:.3g}" if unit else "write it in GPa")
 
 
 def _read_insertion_table(
@@ -351,24 +333,18 @@ def find_sd_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], fil
         return
     for one in listed:
         if one.insertion.sd is not None and (one.insertion.sd < MIN_SD_MM).any():
-            yield Fault(
-                one.where,
-                f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated",
-                "a standard deviation above 0, mm",
-                f"correct the column, or state noise.point_sd_mm in {locate_key(file, 'noise.point_sd_mm')}",
-            )
+            what = f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated"
+            fix = f"correct the column, or state noise.point_sd_mm in {locate_key(file, 'noise.point_sd_mm')}"
+            yield Fault(one.where, what, "a standard deviation above 0, mm", fix)
 
 
 def find_track_noise_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
     """Yield the errors that shapes do not have: those of a tracker's readings."""
     for name in ("heading_sd_deg", "slope_sd_deg"):
         if getattr(record.noise, name) > 0:
-            yield Fault(
-                locate_key(file, f"noise.{name}"),
-                f"noise.{name} is of tip tracks, and this dataset holds shapes",
-                "pose_angle_sd_deg in the table of insertions, for the direction of an entry pose",
-                "remove the key",
-            )
+            what = f"noise.{name} is of tip tracks, and this dataset holds shapes"
+            expected = "pose_angle_sd_deg in the table of insertions, for the direction of an entry pose"
+            yield Fault(locate_key(file, f"noise.{name}"), what, expected, "remove the key")
 
 
 def make_refusal(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:
@@ -383,12 +359,8 @@ def find_repeated_ids(what: str, ids: Iterable[str], file: Path) -> Iterator[Fau
     known_ids: set[str] = set()
     for id_ in ids:
         if id_ in known_ids:
-            yield Fault(
-                str(file),
-                f"{what} {id_} is in more than one folder of root",
-                "one of each id",
-                "rename or remove one of them, or narrow root",
-            )
+            fix = "rename or remove one of them, or narrow root"
+            yield Fault(str(file), f"{what} {id_} is in more than one folder of root", "one of each id", fix)
         known_ids.add(id_)
 
 

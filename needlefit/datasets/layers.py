@@ -88,12 +88,8 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
         yield Fault(str(path), f"the {surface.kind} {what}", expected, "fix the mesh (e.g. MeshLab, Slicer)")
     extent = float(np.ptp(surface.mesh.vertices, axis=0).max())
     if extent < MIN_SURFACE_MM:
-        yield Fault(
-            str(path),
-            f"is {extent:.3g} across: this looks like metres",
-            "millimetres",
-            "multiply its coordinates by 1000",
-        )
+        fix = "multiply its coordinates by 1000"
+        yield Fault(str(path), f"is {extent:.3g} across: this looks like metres", "millimetres", fix)
     if extent > MAX_SURFACE_MM:
         yield Fault(
             str(path),

@@ -63,12 +63,10 @@ class Markups:
         """Return the points as a centreline; DataError if the list is not a curve."""
         if self.kind in CURVE_KINDS:
             return Points(self.path, self.points, self.lines)
-        raise DataError(
-            f"`{self.name}` is a {self.kind}, which is no centreline",
-            where=str(self.path),
-            expected="an open curve (Curve), or points (Fiducial) from the entry to the tip",
-            fix="draw the needle in Slicer as an open curve, and save that",
-        )
+        what = f"`{self.name}` is a {self.kind}, which is no centreline"
+        expected = "an open curve (Curve), or points (Fiducial) from the entry to the tip"
+        fix = "draw the needle in Slicer as an open curve, and save that"
+        raise DataError(what, where=str(self.path), expected=expected, fix=fix)
 
 
 def parse_system(name: str, where: str) -> PatientSystem:
@@ -76,12 +74,9 @@ def parse_system(name: str, where: str) -> PatientSystem:
     if name in SYSTEM_NAMES:
         return SYSTEM_NAMES[name]
     ijk = name in ("2", "IJK")
-    raise DataError(
-        f"the coordinate system is {name!r}" + (": voxels of a volume that the file does not hold" * ijk),
-        where=where,
-        expected=EXPECTED_SYSTEM,
-        fix="load it into Slicer with its volume, and save it again" if ijk else "correct it",
-    )
+    what = f"the coordinate system is {name!r}" + (": voxels of a volume that the file does not hold" * ijk)
+    fix = "load it into Slicer with its volume, and save it again" if ijk else "correct it"
+    raise DataError(what, where=where, expected=EXPECTED_SYSTEM, fix=fix)
 
 
 def parse_position(values: object, where: str) -> list[float]:
@@ -89,12 +84,9 @@ def parse_position(values: object, where: str) -> list[float]:
     numbers = [_number(value) for value in values] if isinstance(values, list | tuple) else []
     if len(numbers) == 3 and all(abs(number) <= MAX_COORDINATE for number in numbers):
         return numbers
-    raise DataError(
-        f"the position is {str(values)[:80]}",
-        where=where,
-        expected=f"three finite numbers, at most {MAX_COORDINATE:g}",
-        fix="place the point again in Slicer, or remove it",
-    )
+    what = f"the position is {str(values)[:80]}"
+    expected = f"three finite numbers, at most {MAX_COORDINATE:g}"
+    raise DataError(what, where=where, expected=expected, fix="place the point again in Slicer, or remove it")
 
 
 def _number(value: object) -> float:
@@ -112,12 +104,9 @@ def require_points(markups: Markups) -> Markups:
     if len(markups.points):
         return markups
     unset = len(markups.unset)
-    raise DataError(
-        f"list `{markups.name}` is empty" + (f": its {unset} points were never placed" if unset else ""),
-        where=str(markups.path),
-        expected="a list with points",
-        fix="place its points in Slicer and save it again, or take another file",
-    )
+    what = f"list `{markups.name}` is empty" + (f": its {unset} points were never placed" if unset else "")
+    fix = "place its points in Slicer and save it again, or take another file"
+    raise DataError(what, where=str(markups.path), expected="a list with points", fix=fix)
 
 
 def make_markups_format(
@@ -145,12 +134,8 @@ def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
     if len(lists) == 1:
         return lists[0]
     listed = ", ".join(f"`{one.name}` ({one.kind})" for one in lists)
-    raise DataError(
-        f"holds {len(lists)} lists: {listed}",
-        where=str(path),
-        expected="one list",
-        fix="save the list that is meant on its own",
-    )
+    what = f"holds {len(lists)} lists: {listed}"
+    raise DataError(what, where=str(path), expected="one list", fix="save the list that is meant on its own")
 
 
 def pick_centerline(lists: Sequence[Markups], path: Path) -> Points:
@@ -165,10 +150,7 @@ def list_curves(lists: Sequence[Markups], path: Path) -> Mapping[str, Points]:
     names = [one.name for one in curves]
     for name in names:
         if names.count(name) > 1:
-            raise DataError(
-                f"holds {names.count(name)} lists called `{name}`",
-                where=str(path),
-                expected="names that differ: they become ids",
-                fix="rename them in Slicer, and save them again",
-            )
+            what = f"holds {names.count(name)} lists called `{name}`"
+            fix = "rename them in Slicer, and save them again"
+            raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
     return {one.name: one.as_curve() for one in curves}

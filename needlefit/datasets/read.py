@@ -147,12 +147,9 @@ def _find_run_faults(run: _RunRows, table: CsvTable, record: TrackDatasetRecord)
         fix = "correct it, or add a table [media.NAME] to dataset.toml"
         yield Fault(first, f"run {run.id} went into {run.medium!r}, which is not described", known, fix)
     if len(depth) < MIN_READINGS:
-        yield Fault(
-            first,
-            f"run {run.id} has {len(depth)} reading{'s' if len(depth) > 1 else ''}",
-            f"at least {MIN_READINGS}: a shift and a slope are the tracker's",
-            "add the others, or leave the run out",
-        )
+        what = f"run {run.id} has {len(depth)} reading{'s' if len(depth) > 1 else ''}"
+        expected = f"at least {MIN_READINGS}: a shift and a slope are the tracker's"
+        yield Fault(first, what, expected, "add the others, or leave the run out")
     for n in np.flatnonzero(np.diff(depth) <= 0)[:1]:
         yield Fault(
             table.where(int(run.rows[n + 1])),
@@ -161,12 +158,10 @@ def _find_run_faults(run: _RunRows, table: CsvTable, record: TrackDatasetRecord)
             "leave out what follows, or mark the run's readings with valid = 0",
         )
     for n in np.flatnonzero(np.diff(depth) > MAX_STEP_MM)[:1]:
-        yield Fault(
-            table.where(int(run.rows[n + 1])),
-            f"run {run.id} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings",
-            f"mm, at most {MAX_STEP_MM:g} at once",
-            "convert to mm, or add the readings between",
-        )
+        where = table.where(int(run.rows[n + 1]))
+        what = f"run {run.id} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings"
+        expected = f"mm, at most {MAX_STEP_MM:g} at once"
+        yield Fault(where, what, expected, "convert to mm, or add the readings between")
     sides = run.values["bevel_side"]
     if sides[0] not in (1.0, -1.0) or np.ptp(sides) > 0:
         yield Fault(first, f"bevel_side of run {run.id} is {sides[0]:g}", "1 or -1, one for all of a run", "")
@@ -232,12 +227,9 @@ def inspect_tracks(path: Path) -> Inspection:
 def _find_noise_faults(record: TrackDatasetRecord, file: Path) -> Iterator[Fault]:
     """Say whether readings have no noise: every fit of tip tracks samples a posterior, which needs one."""
     if record.noise.point_sd_mm <= 0:
-        yield Fault(
-            locate_key(file, "noise.point_sd_mm"),
-            "no noise of the readings is stated",
-            "noise.point_sd_mm above 0",
-            "write the standard deviation of a reading, mm",
-        )
+        where = locate_key(file, "noise.point_sd_mm")
+        what = "no noise of the readings is stated"
+        yield Fault(where, what, "noise.point_sd_mm above 0", "write the standard deviation of a reading, mm")
 
 
 def _find_run_warnings(
@@ -287,12 +279,10 @@ def read_shapes(path: Path) -> Dataset:
         Listing every fault that `check` finds, or because it holds tip tracks.
     """
     if holds_tracks(path):
-        raise DataError(
-            "holds tip tracks, no shapes",
-            where=str(find_dataset_file(path)),
-            expected="a dataset with [centerlines]",
-            fix="tune, identify, calibrate and predict take it; this does not",
-        )
+        what = "holds tip tracks, no shapes"
+        where = str(find_dataset_file(path))
+        fix = "tune, identify, calibrate and predict take it; this does not"
+        raise DataError(what, where=where, expected="a dataset with [centerlines]", fix=fix)
     return read(path)
 
 

@@ -112,11 +112,9 @@ def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> No
     names = set(known)
     unknown = [name for name in wanted if name not in names]
     if unknown:
-        raise ConfigError(
-            f"{kind} {', '.join(unknown)} is not in the dataset",
-            expected=f"one of {join_names(sort_by_similarity(unknown[0], names)) or '(none)'}",
-            fix="correct the selection",
-        )
+        what = f"{kind} {', '.join(unknown)} is not in the dataset"
+        expected = f"one of {join_names(sort_by_similarity(unknown[0], names)) or '(none)'}"
+        raise ConfigError(what, expected=expected, fix="correct the selection")
 
 
 MIN_GROUPS = 5

@@ -33,20 +33,15 @@ def find_folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
     if record.root is None:
         return (path.parent,)
     if "$" in os.path.expandvars(record.root):
-        raise DataError(
-            f"root is {record.root}, and that environment variable is not set",
-            where=str(path),
-            expected="the variable, naming the folder that holds the dataset folders",
-            fix=record.how_to_get or "set it and run again",
-        )
+        what = f"root is {record.root}, and that environment variable is not set"
+        where = str(path)
+        expected = "the variable, naming the folder that holds the dataset folders"
+        raise DataError(what, where=where, expected=expected, fix=record.how_to_get or "set it and run again")
     absolute, found = _match_folders(record.root, path)
     if not found:
-        raise DataError(
-            f"no folder matches root {record.root}",
-            where=str(path),
-            expected=str(absolute),
-            fix=record.how_to_get or "check the path",
-        )
+        what = f"no folder matches root {record.root}"
+        where = str(path)
+        raise DataError(what, where=where, expected=str(absolute), fix=record.how_to_get or "check the path")
     return found
 
 

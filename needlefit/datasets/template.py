@@ -73,20 +73,15 @@ def _make_names(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
     named: dict[str, Points] = {}
     for theirs, points in curves.items():
         if fault := name_fault(theirs):
-            raise DataError(
-                f"the name {theirs[:MAX_SHOWN_NAME_CHARS]!r} of a curve is refused: {fault}",
-                where=points.where(),
-                expected=EXPECTED_NAME,
-                fix=f"rename it in {path.name}" if theirs != path.stem else "rename the file",
-            )
+            what = f"the name {theirs[:MAX_SHOWN_NAME_CHARS]!r} of a curve is refused: {fault}"
+            fix = f"rename it in {path.name}" if theirs != path.stem else "rename the file"
+            raise DataError(what, where=points.where(), expected=EXPECTED_NAME, fix=fix)
         name = re.sub(r"[^A-Za-z0-9._-]+", "_", theirs).lstrip("._-") or "curve"
         if name in named:
-            raise DataError(
-                f"id {theirs!r} becomes {name}, as another one does",
-                where=points.where(),
-                expected="ids that differ in letters, digits, `.`, `_`, `-`: they name files",
-                fix=f"rename one of them in {path.name}",
-            )
+            what = f"id {theirs!r} becomes {name}, as another one does"
+            where = points.where()
+            expected = "ids that differ in letters, digits, `.`, `_`, `-`: they name files"
+            raise DataError(what, where=where, expected=expected, fix=f"rename one of them in {path.name}")
         named[name] = points
     return named
 

@@ -76,11 +76,8 @@ def write_dataset(
     surfaces, sections = surfaces or {}, sections or {}
     table, pattern = record.insertions.file, record.centerlines.pattern
     if table is None or pattern is None:
-        raise DataError(
-            "nothing to write for the table of insertions or the centrelines",
-            where=str(folder),
-            expected="insertions.file and centerlines.pattern",
-        )
+        what = "nothing to write for the table of insertions or the centrelines"
+        raise DataError(what, where=str(folder), expected="insertions.file and centerlines.pattern")
     _require_files(folder, record, rows, {*centerlines, *surfaces})
     files = {table: _format_rows(rows)}
     drawn = None if record.measurement is None else record.measurement.sections
@@ -106,11 +103,8 @@ def _require_files(
     named |= {surface.file_of(row.id) for name, surface in listed for row in rows if row.medium == name}
     missing = sorted({row.id for row in rows} - given) + sorted(named - given)
     if missing:
-        raise DataError(
-            f"nothing to write for {', '.join(missing)}",
-            where=str(folder),
-            expected="a centreline for every row, every surface named",
-        )
+        what = f"nothing to write for {', '.join(missing)}"
+        raise DataError(what, where=str(folder), expected="a centreline for every row, every surface named")
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -70,11 +70,8 @@ def _find_cross_sections(axis: Floats, toward: ArrayLike) -> tuple[Floats, Float
     steps = np.diff(axis, axis=0)
     lengths = np.linalg.norm(steps, axis=1, keepdims=True)
     if not (lengths > 0).all():
-        raise DataError(
-            "two neighbouring points of a curve coincide",
-            expected="points that differ",
-            fix="remove the repeated points",
-        )
+        what = "two neighbouring points of a curve coincide"
+        raise DataError(what, expected="points that differ", fix="remove the repeated points")
     steps = steps / lengths
     # Neighbouring cross-sections share the bisecting plane, so that the tube does not fold at bends.
     tangents = np.vstack([steps[:1], steps[1:] + steps[:-1], steps[-1:]])

@@ -287,12 +287,8 @@ def _describe_damage(data: bytes, ending: str) -> str:
 
 
 def _mesh_error(path: Path, what: str) -> DataError:
-    return DataError(
-        what,
-        where=str(path),
-        expected="an STL, PLY, OBJ or VTK file of triangles, in mm",
-        fix="export the surface again, as binary STL",
-    )
+    expected = "an STL, PLY, OBJ or VTK file of triangles, in mm"
+    return DataError(what, where=str(path), expected=expected, fix="export the surface again, as binary STL")
 
 
 def write_surface(surface: Surface, path: Path) -> None:

@@ -50,12 +50,8 @@ class FileFormat:
             return self.read_centerline(path, columns, found)
         curves, _ = self.read_curves(path)
         if len(curves) > 1:
-            raise DataError(
-                f"holds {len(curves)} curves: {', '.join(curves)}",
-                where=str(path),
-                expected="one curve",
-                fix="save one insertion a file",
-            )
+            what = f"holds {len(curves)} curves: {', '.join(curves)}"
+            raise DataError(what, where=str(path), expected="one curve", fix="save one insertion a file")
         return next(iter(curves.values()))
 
 

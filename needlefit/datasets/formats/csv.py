@@ -74,29 +74,20 @@ def read_table(path: Path, documented: str = "data/README.md") -> CsvTable:
     """
     rows = _read_rows(path)
     if not rows:
-        raise DataError(
-            "is empty",
-            where=str(path),
-            expected="a header line and rows below it",
-            fix=f"fill it, or restore it; {documented} lists the columns",
-        )
+        fix = f"fill it, or restore it; {documented} lists the columns"
+        raise DataError("is empty", where=str(path), expected="a header line and rows below it", fix=fix)
     (top, header), body = rows[0], rows[1:]
     _check_header(header, f"{path}:{top}")
     if not body:
-        raise DataError(
-            "has a header but no rows",
-            where=f"{path}:{top}",
-            expected="one row a line below it",
-            fix="add the rows, or restore the file",
-        )
+        what = "has a header but no rows"
+        fix = "add the rows, or restore the file"
+        raise DataError(what, where=f"{path}:{top}", expected="one row a line below it", fix=fix)
     for line, row in body:
         if len(row) > len(header):
-            raise DataError(
-                f"has {len(row)} cells under {len(header)} columns",
-                where=f"{path}:{line}",
-                expected=f"{len(header)} cells, decimal points (not decimal commas)",
-                fix="remove the cells that are too many, or put text that holds a comma in quotes",
-            )
+            what = f"has {len(row)} cells under {len(header)} columns"
+            expected = f"{len(header)} cells, decimal points (not decimal commas)"
+            fix = "remove the cells that are too many, or put text that holds a comma in quotes"
+            raise DataError(what, where=f"{path}:{line}", expected=expected, fix=fix)
     width = len(header)
     # Text cells: pandas must not guess types, or ids such as 007 would lose their zeros.
     cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=str)
@@ -123,24 +114,12 @@ def parse_numbers(
     bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
     for row in bad[:MAX_LISTED_CELLS]:
         problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
-        found.append(
-            Fault(
-                table.where(row),
-                f"{table.describe_column(column)} {problem}",
-                f"a finite number, at most {largest:g}",
-                "fix the cell",
-            )
-        )
+        what = f"{table.describe_column(column)} {problem}"
+        found.append(Fault(table.where(row), what, f"a finite number, at most {largest:g}", "fix the cell"))
     if len(bad) > MAX_LISTED_CELLS:
         more, line = len(bad) - MAX_LISTED_CELLS, table.lines[bad[MAX_LISTED_CELLS]]
-        found.append(
-            Fault(
-                f"{table.path}:{line}",
-                f"{table.describe_column(column)} has {more} more such cells from here on",
-                "finite numbers",
-                "fix the cells",
-            )
-        )
+        what = f"{table.describe_column(column)} has {more} more such cells from here on"
+        found.append(Fault(f"{table.path}:{line}", what, "finite numbers", "fix the cells"))
     return values
 
 
@@ -180,14 +159,9 @@ def _parse_deviations(table: CsvTable, column: str, found: list[Fault]) -> Float
         return None
     values = parse_numbers(table, column, found)
     for row in np.flatnonzero(values < 0)[:MAX_LISTED_CELLS]:
-        found.append(
-            Fault(
-                table.where(int(row)),
-                f"{column} is {values[row]:g}",
-                "a standard deviation, 0 or more, mm",
-                "fix the cell, or leave the whole column out",
-            )
-        )
+        where = table.where(int(row))
+        fix = "fix the cell, or leave the whole column out"
+        found.append(Fault(where, f"{column} is {values[row]:g}", "a standard deviation, 0 or more, mm", fix))
     return values
 
 
@@ -197,14 +171,8 @@ def note_missing_columns(
     """Note a fault, with its `fix`, for each column of `wanted` that is missing; return whether any was."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
-        found.append(
-            Fault(
-                f"{table.path}:1",
-                f"column `{column}` is missing",
-                f"a column of that name; there are {list_columns(table.cells.columns)}",
-                fix,
-            )
-        )
+        expected = f"a column of that name; there are {list_columns(table.cells.columns)}"
+        found.append(Fault(f"{table.path}:1", f"column `{column}` is missing", expected, fix))
     return bool(missing)
 
 
@@ -221,24 +189,19 @@ def _read_rows(path: Path) -> list[tuple[int, list[str]]]:
                 rows.append((begin, [cell.strip() for cell in cells]))
                 _check_extent(len(rows), len(rows[0][1]), f"{path}:{begin}")
     except csv.Error as error:
-        raise DataError(
-            f"cannot be read: {error}",
-            where=f"{path}:{end + 1}",
-            expected="a CSV file",
-            fix="save it again as CSV",
-        ) from None
+        what = f"cannot be read: {error}"
+        where = f"{path}:{end + 1}"
+        raise DataError(what, where=where, expected="a CSV file", fix="save it again as CSV") from None
     return rows
 
 
 def _check_extent(rows: int, columns: int, where: str) -> None:
     """See that the cells, empty ones included, fit into memory."""
     if columns > MAX_COLUMNS or rows * columns > MAX_CELLS:
-        raise DataError(
-            f"is too large: row {rows} of {columns} columns",
-            where=where,
-            expected=f"at most {MAX_COLUMNS} columns, and {MAX_CELLS:,} cells",
-            fix="check that it is the file that you meant, or divide it",
-        )
+        what = f"is too large: row {rows} of {columns} columns"
+        expected = f"at most {MAX_COLUMNS} columns, and {MAX_CELLS:,} cells"
+        fix = "check that it is the file that you meant, or divide it"
+        raise DataError(what, where=where, expected=expected, fix=fix)
 
 
 def list_columns(columns: Iterable[object]) -> str:
@@ -251,12 +214,9 @@ def list_columns(columns: Iterable[object]) -> str:
 def _check_header(header: list[str], where: str) -> None:
     for sign, name in OTHER_DELIMITERS.items():
         if len(header) == 1 and sign in header[0]:
-            raise DataError(
-                f"columns are separated by {name}",
-                where=where,
-                expected="commas between columns, points in decimals",
-                fix="save it again as comma-separated values",
-            )
+            what = f"columns are separated by {name}"
+            fix = "save it again as comma-separated values"
+            raise DataError(what, where=where, expected="commas between columns, points in decimals", fix=fix)
     repeated = sorted({name for name in header if header.count(name) > 1})
     if repeated:
         raise DataError(

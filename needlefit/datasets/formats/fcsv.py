@@ -89,12 +89,9 @@ def _find_columns(path: Path, named: str | None, versioned: bool) -> tuple[str, 
     columns = tuple(name.strip() for name in named.split(","))
     missing = [axis for axis in "xyz" if axis not in columns]
     if missing:
-        raise DataError(
-            f"its columns, {named!r}, lack {', '.join(missing)}",
-            where=str(path),
-            expected=f"# columns = {','.join(FCSV_COLUMNS)}",
-            fix="correct the line, or save the list again in Slicer",
-        )
+        what = f"its columns, {named!r}, lack {', '.join(missing)}"
+        fix = "correct the line, or save the list again in Slicer"
+        raise DataError(what, where=str(path), expected=f"# columns = {','.join(FCSV_COLUMNS)}", fix=fix)
     return columns
 
 

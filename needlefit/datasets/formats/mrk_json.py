@@ -63,12 +63,9 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
     ]
     if not found:
         kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
-        raise DataError(
-            f"holds no list of points, but {kinds}",
-            where=str(path),
-            expected="a point list (Fiducial), a Curve or a Line",
-            fix="save such a list in Slicer",
-        )
+        what = f"holds no list of points, but {kinds}"
+        expected = "a point list (Fiducial), a Curve or a Line"
+        raise DataError(what, where=str(path), expected=expected, fix="save such a list in Slicer")
     return tuple(found)
 
 
@@ -86,20 +83,12 @@ def _read_lists(path: Path) -> Sequence[dict[str, Any]]:
     whole = read_json(path)
     lists = whole.get("markups") if isinstance(whole, dict) else None
     if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
-        raise DataError(
-            "has no `markups`",
-            where=str(path),
-            expected='{"@schema": ..., "markups": [{"type": "Curve", ...}]}',
-            fix=SAVE_AGAIN_FIX,
-        )
+        expected = '{"@schema": ..., "markups": [{"type": "Curve", ...}]}'
+        raise DataError("has no `markups`", where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
     schema = whole.get("@schema", SCHEMA)
     if not (isinstance(schema, str) and _SCHEMA.search(schema)):
-        raise DataError(
-            f"its schema is {str(schema)[:120]!r}",
-            where=str(path),
-            expected="markups-schema-v1.x.y.json",
-            fix=SAVE_AGAIN_FIX,
-        )
+        what = f"its schema is {str(schema)[:120]!r}"
+        raise DataError(what, where=str(path), expected="markups-schema-v1.x.y.json", fix=SAVE_AGAIN_FIX)
     return lists
 
 
@@ -110,12 +99,9 @@ def _parse_markups(path: Path, one: dict[str, Any], number: int) -> Markups:
     if not isinstance(kind, str):
         raise DataError("has no `type`", where=where, expected="Fiducial, Curve, ...", fix=SAVE_AGAIN_FIX)
     if one.get("coordinateSystem") in (None, ""):
-        raise DataError(
-            "does not say its coordinate system",
-            where=where,
-            expected=f'"coordinateSystem": {EXPECTED_SYSTEM}',
-            fix="add the key (Slicer writes it, and takes LPS where it is missing), or " + SAVE_AGAIN_FIX,
-        )
+        what = "does not say its coordinate system"
+        fix = "add the key (Slicer writes it, and takes LPS where it is missing), or " + SAVE_AGAIN_FIX
+        raise DataError(what, where=where, expected=f'"coordinateSystem": {EXPECTED_SYSTEM}', fix=fix)
     system = parse_system(str(one["coordinateSystem"]), where)
     scale = _find_scale(one.get("coordinateUnits", "mm"), where)
     points = one.get("controlPoints", [])
@@ -141,24 +127,18 @@ def _find_scale(units: object, where: str) -> float:
     code = units[0] if isinstance(units, list) and units else units
     if isinstance(code, str) and code in UNITS_MM:
         return UNITS_MM[code]
-    raise DataError(
-        f"coordinateUnits is {str(units)[:80]}",
-        where=where,
-        expected=f"one of {', '.join(UNITS_MM)} (UCUM)",
-        fix="save the list in mm",
-    )
+    what = f"coordinateUnits is {str(units)[:80]}"
+    expected = f"one of {', '.join(UNITS_MM)} (UCUM)"
+    raise DataError(what, where=where, expected=expected, fix="save the list in mm")
 
 
 def _is_set(point: dict[str, Any], where: str) -> bool:
     """Return whether a point has a position: Slicer leaves it empty where it was never placed."""
     status = point.get("positionStatus", "defined")
     if status not in (*SET_STATES, *UNSET_STATES):
-        raise DataError(
-            f"positionStatus is {str(status)[:80]!r}",
-            where=where,
-            expected=f"one of {', '.join((*SET_STATES, *UNSET_STATES))}",
-            fix=SAVE_AGAIN_FIX,
-        )
+        what = f"positionStatus is {str(status)[:80]!r}"
+        expected = f"one of {', '.join((*SET_STATES, *UNSET_STATES))}"
+        raise DataError(what, where=where, expected=expected, fix=SAVE_AGAIN_FIX)
     return status in SET_STATES and point.get("position") not in (None, "", [])
 
 

@@ -101,11 +101,9 @@ class Decisions:
             if answer:
                 value, source, reason = answer, "answer", ""
         if not value and not is_clear:
-            raise ConfigError(
-                f"{what} is not clear: {reason}",
-                expected=f"one of {', '.join(choices)}" if choices else question.text,
-                fix=f"state it with {option_name(what)}",
-            )
+            expected = f"one of {', '.join(choices)}" if choices else question.text
+            fix = f"state it with {option_name(what)}"
+            raise ConfigError(f"{what} is not clear: {reason}", expected=expected, fix=fix)
         value = value or guess
         if choices:
             _require(value in choices, what, value, f"one of {', '.join(choices)}")

@@ -117,12 +117,9 @@ def _list_files(paths: Sequence[Path], notes: list[str]) -> list[tuple[Path, boo
             notes.append(f"{len(other)} files of {path.name or path} are left out: {names}")
         listed += [(one, False) for one in known]
     if len(listed) > MAX_FILES:
-        raise DataError(
-            f"{len(listed)} files are named",
-            where=str(paths[0]),
-            expected=f"at most {MAX_FILES}",
-            fix="import them in parts",
-        )
+        what = f"{len(listed)} files are named"
+        where = str(paths[0])
+        raise DataError(what, where=where, expected=f"at most {MAX_FILES}", fix="import them in parts")
     return listed
 
 
@@ -147,12 +144,9 @@ def _read_file(
         raise DataError("there is no such file", where=str(path), fix="check the name and the path")
     format_ = find_format(path)
     if format_ is None:
-        raise DataError(
-            f"has the ending {suffix!r}",
-            where=str(path),
-            expected=", ".join(list_import_suffixes()),
-            fix="export the points of the needles to one of these",
-        )
+        what = f"has the ending {suffix!r}"
+        fix = "export the points of the needles to one of these"
+        raise DataError(what, where=str(path), expected=", ".join(list_import_suffixes()), fix=fix)
     named, remarks = format_.read_curves(path)
     unit, system = ("mm", "LPS") if format_.in_scan else ("", None)
     found = [ImportedCurve(name, points, unit, system) for name, points in named.items()]  # type: ignore[arg-type]
@@ -206,21 +200,15 @@ def _name_curves(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:
         If there are too many, or a name could do something in a spreadsheet or terminal.
     """
     if len(curves) > MAX_CURVES:
-        raise DataError(
-            f"holds {len(curves)} curves",
-            where=str(curves[0].points.path),
-            expected=f"at most {MAX_CURVES}",
-            fix="name the columns with --columns: one curve may have been taken for many",
-        )
+        what = f"holds {len(curves)} curves"
+        fix = "name the columns with --columns: one curve may have been taken for many"
+        raise DataError(what, where=str(curves[0].points.path), expected=f"at most {MAX_CURVES}", fix=fix)
     names: dict[str, ImportedCurve] = {}
     for one in curves:
         if fault := name_fault(one.name):
-            raise DataError(
-                f"the name {one.name[:80]!r} of a curve is refused: {fault}",
-                where=one.points.where(),
-                expected=EXPECTED_NAME,
-                fix="rename it in its file",
-            )
+            what = f"the name {one.name[:80]!r} of a curve is refused: {fault}"
+            where = one.points.where()
+            raise DataError(what, where=where, expected=EXPECTED_NAME, fix="rename it in its file")
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], names)
         names[name] = replace(one, name=name)
     return tuple(names.values())

@@ -192,12 +192,10 @@ class _Scene:
         pure = PurePosixPath(name)
         inside = not pure.is_absolute() and ".." not in pure.parts and ":" not in name and name.isprintable()
         if not inside or not (folder / name).resolve().is_relative_to(folder.resolve()):
-            raise DataError(
-                f"names a file outside the folder of the scene: {name[:100]!r}",
-                where=f"{self.path}, node `{_name(node)}`",
-                expected="files in the folder of the scene, or below it",
-                fix=_SAVE_FIX,
-            )
+            what = f"names a file outside the folder of the scene: {name[:100]!r}"
+            where = f"{self.path}, node `{_name(node)}`"
+            expected = "files in the folder of the scene, or below it"
+            raise DataError(what, where=where, expected=expected, fix=_SAVE_FIX)
         file = folder / name
         self.sizes.append(file.stat().st_size if is_file(file) else 0)
         if len(self.sizes) > MAX_FILES_READ or sum(self.sizes) > MAX_UNPACKED_BYTES:
@@ -287,12 +285,9 @@ def _require_matrix(matrix: Floats, inverse: bool, where: str) -> Floats:
 
 
 def _transform_error(where: str, what: str) -> DataError:
-    return DataError(
-        what,
-        where=where,
-        expected="a linear transform of 3D Slicer (.h5, .tfm, or in the scene)",
-        fix="in Slicer: harden the transform on curves and models (Data module), and save the scene again",
-    )
+    expected = "a linear transform of 3D Slicer (.h5, .tfm, or in the scene)"
+    fix = "in Slicer: harden the transform on curves and models (Data module), and save the scene again"
+    return DataError(what, where=where, expected=expected, fix=fix)
 
 
 def _read_itk_transform(path: Path) -> Floats:

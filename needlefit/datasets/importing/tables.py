@@ -199,12 +199,9 @@ def read_text_cells(path: Path) -> CellTable:
     sample = [line for line in lines if line.strip()][: 2 * SAMPLE_ROWS]
     separator, decimal = max(_LAYOUTS, key=lambda layout: _score(sample, *layout))
     if _score(sample, separator, decimal) <= 0:
-        raise DataError(
-            "holds no table of numbers",
-            where=str(path),
-            expected="rows of coordinates: two or three numbers between separators",
-            fix="export the points of the needles as a table, one point a row",
-        )
+        expected = "rows of coordinates: two or three numbers between separators"
+        fix = "export the points of the needles as a table, one point a row"
+        raise DataError("holds no table of numbers", where=str(path), expected=expected, fix=fix)
     rows = [_split(line, separator) for line in lines]
     _require_extent(len(rows), max(map(len, rows), default=0), path)
     sign = "decimal comma" if decimal == "," else "decimal point"
@@ -224,12 +221,9 @@ def _decode(data: bytes, path: Path) -> tuple[str, str]:
             continue
         if "\0" not in text:
             return text, encoding.upper().replace("-SIG", "").replace("CP1252", "Windows-1252")
-    raise DataError(
-        "cannot be read as text",
-        where=str(path),
-        expected="text in UTF-8, UTF-16 or Latin-1",
-        fix="save it again as CSV (UTF-8), or name the right file",
-    )
+    what = "cannot be read as text"
+    fix = "save it again as CSV (UTF-8), or name the right file"
+    raise DataError(what, where=str(path), expected="text in UTF-8, UTF-16 or Latin-1", fix=fix)
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -258,12 +252,10 @@ def _score(lines: Sequence[str], separator: str, decimal: str) -> int:
 
 def _require_extent(rows: int, columns: int, path: Path) -> None:
     if columns > MAX_COLUMNS or rows * columns > MAX_TABLE_CELLS:
-        raise DataError(
-            f"is too large: {rows} rows of {columns} columns",
-            where=str(path),
-            expected=f"at most {MAX_COLUMNS} columns, and {MAX_TABLE_CELLS:,} cells",
-            fix="check that it is the file that you meant, or divide it",
-        )
+        what = f"is too large: {rows} rows of {columns} columns"
+        expected = f"at most {MAX_COLUMNS} columns, and {MAX_TABLE_CELLS:,} cells"
+        fix = "check that it is the file that you meant, or divide it"
+        raise DataError(what, where=str(path), expected=expected, fix=fix)
 
 
 # ---- workbooks
@@ -300,12 +292,9 @@ def read_sheets(path: Path) -> tuple[CellTable, ...]:
 
 
 def _workbook_error(path: Path, what: str) -> DataError:
-    return DataError(
-        what,
-        where=str(path),
-        expected=f"an Excel or OpenDocument workbook of at most {MAX_SHEET_CELLS:,} cells, without password",
-        fix="save the sheet with the coordinates again, or export it as CSV",
-    )
+    expected = f"an Excel or OpenDocument workbook of at most {MAX_SHEET_CELLS:,} cells, without password"
+    fix = "save the sheet with the coordinates again, or export it as CSV"
+    return DataError(what, where=str(path), expected=expected, fix=fix)
 
 
 def read_workbook(_results: SandboxArrays, path: str) -> list[tuple[str, int, list[list[str]]]]:
@@ -540,12 +529,10 @@ class _Part:
         for n in self.body if width > 1 and self.cells.separator == "," else ():
             count = len([cell for cell in self.cells.rows[n][width:] if cell])
             if count:
-                raise DataError(
-                    f"has {width + count} cells under {width} columns",
-                    where=self.cells.where(n),
-                    expected="as many cells as the header",
-                    fix="decimal commas need another separator: save it with semicolons or tabs",
-                )
+                what = f"has {width + count} cells under {width} columns"
+                where = self.cells.where(n)
+                fix = "decimal commas need another separator: save it with semicolons or tabs"
+                raise DataError(what, where=where, expected="as many cells as the header", fix=fix)
 
     def _find_stated(self, stated: Sequence[str]) -> _Axes:
         """Return the columns that the user names, by header or by number."""
@@ -556,12 +543,10 @@ class _Part:
                 place = int(name) - 1
             if place is None:
                 names = [text for row in self.heads for text in row if text][:MAX_LISTED_COLUMNS]
-                raise DataError(
-                    f"there is no column {name!r}",
-                    where=self.cells.where(self.header[-1]) if self.header else str(self.cells.path),
-                    expected=f"one of {', '.join(names) or 'the numbers of the columns'}",
-                    fix="name the columns of x, y and z with --columns, by their headers or numbers",
-                )
+                where = self.cells.where(self.header[-1]) if self.header else str(self.cells.path)
+                expected = f"one of {', '.join(names) or 'the numbers of the columns'}"
+                fix = "name the columns of x, y and z with --columns, by their headers or numbers"
+                raise DataError(f"there is no column {name!r}", where=where, expected=expected, fix=fix)
             places.append(place)
         units = [_split_unit(row[places[0]])[1] for row in self.heads if places[0] < len(row)]
         unit = next(filter(None, units), self.units.get(places[0], ""))
@@ -692,12 +677,10 @@ class _Part:
             numbers = [cells.number(text) for text in coordinates]
             if None in numbers:
                 bad = coordinates[numbers.index(None)]
-                raise DataError(
-                    f"a coordinate is {bad[:40]!r}" if bad else "a coordinate is empty",
-                    where=cells.where(row),
-                    expected=f"numbers with a decimal {'comma' if cells.decimal == ',' else 'point'}",
-                    fix="correct the cell, or empty the whole row",
-                )
+                what = f"a coordinate is {bad[:40]!r}" if bad else "a coordinate is empty"
+                expected = f"numbers with a decimal {'comma' if cells.decimal == ',' else 'point'}"
+                fix = "correct the cell, or empty the whole row"
+                raise DataError(what, where=cells.where(row), expected=expected, fix=fix)
             values[n, : len(numbers)] = numbers
         if not filled:
             return None

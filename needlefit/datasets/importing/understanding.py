@@ -366,12 +366,9 @@ def _cut_at_tissue(curve: ImportedCurve, tissue: Surface | None) -> _Cut:
     along = arc_length(points.values)
     after = np.flatnonzero(along > arcs[0] + 10 * SAME_POINT_MM)
     if len(after) < MIN_POINTS - 1:
-        raise DataError(
-            f"curve {curve.name!r} has only {len(after)} points behind the tissue surface",
-            where=points.where(),
-            expected="a curve from the entry to the tip",
-            fix="state another --tissue-surface (or none), or --entry last if the tip comes first",
-        )
+        what = f"curve {curve.name!r} has only {len(after)} points behind the tissue surface"
+        fix = "state another --tissue-surface (or none), or --entry last if the tip comes first"
+        raise DataError(what, where=points.where(), expected="a curve from the entry to the tip", fix=fix)
     values = np.vstack([interpolate_at_arc(points.values, arcs[:1]), points.values[after]])
     kept = replace(points.part(np.concatenate([after[:1], after])), values=values)
     return _Cut(replace(curve, points=kept), points.values[along < arcs[0]])
@@ -386,11 +383,9 @@ def _decide_layers(cuts: Sequence[_Cut], surfaces: Sequence[Surface], decisions:
         If both are given, or the depths do not increase.
     """
     if surfaces and "boundaries" in decisions.options:
-        raise ConfigError(
-            "boundaries are stated, and the files hold surfaces of layers",
-            expected="one of the two",
-            fix="leave --boundaries out, or the files of the surfaces",
-        )
+        what = "boundaries are stated, and the files hold surfaces of layers"
+        expected = "one of the two"
+        raise ConfigError(what, expected=expected, fix="leave --boundaries out, or the files of the surfaces")
     if surfaces:
         numbered = _number_layers([cut.values for cut in cuts], surfaces, decisions)
         reason = "that of a surface segmented in a CT scan"
@@ -464,17 +459,13 @@ def _settle_pose(cuts: Sequence[_Cut], layers: ImportedLayers, decisions: Decisi
         guess = ("free", "assumption", "no entry pose is stated: shapes are compared up to a rigid motion")
     pose = decisions.settle("pose", *guess)
     if pose == "free" and layers.surfaces:
-        raise ConfigError(
-            "pose is free, and there are surfaces of layers",
-            expected="an entry pose: surfaces stand in the world",
-            fix="state --pose tangent or --pose X,Y,Z, or leave the surfaces out",
-        )
+        what = "pose is free, and there are surfaces of layers"
+        fix = "state --pose tangent or --pose X,Y,Z, or leave the surfaces out"
+        raise ConfigError(what, expected="an entry pose: surfaces stand in the world", fix=fix)
     if pose == "shaft" and not shafts:
-        raise ConfigError(
-            "pose is shaft, and not every curve begins outside the tissue",
-            expected=f"at least {MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before the tissue surface",
-            fix="state --pose tangent, or the --tissue-surface",
-        )
+        what = "pose is shaft, and not every curve begins outside the tissue"
+        expected = f"at least {MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before the tissue surface"
+        raise ConfigError(what, expected=expected, fix="state --pose tangent, or the --tissue-surface")
     return pose
 
 
@@ -525,11 +516,9 @@ def _decide_bevel(curves: Sequence[ImportedCurve], pose: _Pose, decisions: Decis
         return np.array(parse_vector("bevel", text))
     turned = [one.name for one in curves if _parse_side(one) < 0]
     if turned:
-        raise ConfigError(
-            f"the bevel side of {turned[0]!r} is -1, and no direction of side 1 is stated",
-            expected="the direction toward which bevels of side 1 deflect, X,Y,Z",
-            fix="state it with --bevel",
-        )
+        what = f"the bevel side of {turned[0]!r} is -1, and no direction of side 1 is stated"
+        expected = "the direction toward which bevels of side 1 deflect, X,Y,Z"
+        raise ConfigError(what, expected=expected, fix="state it with --bevel")
     return None
 
 
@@ -537,12 +526,10 @@ def _parse_side(curve: ImportedCurve) -> int:
     """Return the side of C's x axis that the bevel faces; +1 where the file states none."""
     text = curve.attributes.get("bevel_side", "1").strip()
     if text not in _BEVEL_SIDES:
-        raise DataError(
-            f"the bevel side of {curve.name!r} is {text[:40]!r}",
-            where=curve.points.where(),
-            expected="1 (toward +y of the constraint frame) or -1",
-            fix="write 1 or -1, or rename the column and state --bevel",
-        )
+        what = f"the bevel side of {curve.name!r} is {text[:40]!r}"
+        where = curve.points.where()
+        fix = "write 1 or -1, or rename the column and state --bevel"
+        raise DataError(what, where=where, expected="1 (toward +y of the constraint frame) or -1", fix=fix)
     return _BEVEL_SIDES[text]
 
 
@@ -649,9 +636,6 @@ def _parse_diameter(text: str) -> float:
     if match is None:
         return parse_positive("diameter", text)
     if int(match[1]) not in GAUGES_MM:
-        raise ConfigError(
-            f"diameter is {text[:40]!r}",
-            expected=f"mm, or a gauge from {min(GAUGES_MM)}G to {max(GAUGES_MM)}G",
-            fix="state it with --diameter",
-        )
+        expected = f"mm, or a gauge from {min(GAUGES_MM)}G to {max(GAUGES_MM)}G"
+        raise ConfigError(f"diameter is {text[:40]!r}", expected=expected, fix="state it with --diameter")
     return GAUGES_MM[int(match[1])]
