@@ -9,7 +9,7 @@ from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.studies.kinds.cross_validation import figures
 from needlefit.studies.kinds.cross_validation.facts import describe_counts
-from needlefit.studies.kinds.cross_validation.figures.insertions import collect_curves, subtract_fit
+from needlefit.studies.kinds.cross_validation.figures import collect_curves, subtract_fit
 
 
 def test_residuals_are_heights_above_the_fit_at_the_same_depth():
@@ -49,7 +49,7 @@ def test_all_panels_have_the_stated_vertical_scale(monkeypatch, tmp_path):
     painted = []
     monkeypatch.setattr("needlefit.reporting.figures.style.draw", lambda path, paint: painted.append(paint()))
     for results in (study(5), stereo()):
-        figures.draw_overlays(results, tmp_path / "overlays.pdf")
+        figures.draw_insertions(results, "validate")["overlays"].save(tmp_path / "overlays.pdf")
     shown = [axes for figure in painted for axes in figure.axes if axes.get_visible()]
     assert shown and {axes.get_aspect() for axes in shown} == {5.0, 20.0}
     assert [re.findall(r"× (\d+)", one.get_supylabel()) for one in painted] == [["20"], ["5"]]

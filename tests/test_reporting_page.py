@@ -42,7 +42,7 @@ class Outline(HTMLParser):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     one = study(5)
-    drawn = {"waterfall": figures.draw_waterfall(one, tmp_path_factory.mktemp("page") / "waterfall.pdf")}
+    drawn = {"waterfall": figures.draw_starts(one).save(tmp_path_factory.mktemp("page") / "waterfall.pdf")}
     return compile_html(compose_run_report(one, drawn)), one
 
 

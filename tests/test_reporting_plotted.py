@@ -16,7 +16,7 @@ from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting.figures import style
 from needlefit.studies.kinds.cross_validation import posterior, report
-from needlefit.studies.kinds.cross_validation.figures.predictive_check import tabulate_predictive_check
+from needlefit.studies.kinds.cross_validation.figures import tabulate_predictive_check
 from needlefit.studies.run import Run
 
 WHAT = {

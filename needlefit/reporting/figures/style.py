@@ -186,14 +186,16 @@ def draw_together() -> Iterator[Callable[[], None]]:
             path.write_bytes(compile_sheet(drawing, ".svg"))
 
 
+_LETTER_WIDTH_IN, _HANDLE_WIDTH_IN = 0.062, 0.4  # inches, of a legend's letters, and of mark and gaps
 MAX_HALF_COLUMN_LETTERS = 24
 """Letters at most of names of which two stand side by side in a column of a paper."""
 
 
 def count_legend_columns(figure: Figure, names: Sequence[str], most: int) -> int:
-    """Return how many columns of names a legend has above a figure: `most` at full width."""
+    """Return how many columns of names a legend has above a figure: at most `most`, as many as have room."""
     if figure.get_figwidth() > COLUMN_WIDTH_IN:
-        return most
+        longest = _LETTER_WIDTH_IN * max(map(len, names)) + _HANDLE_WIDTH_IN
+        return max(1, min(most, int(figure.get_figwidth() / longest)))
     return 2 if max(map(len, names)) <= MAX_HALF_COLUMN_LETTERS else 1
 
 

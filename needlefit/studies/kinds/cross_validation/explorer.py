@@ -7,15 +7,12 @@ import pandas as pd
 
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.metrics import list_metrics
+from needlefit.reporting.figures.fit_forms import HEIGHT_COLUMNS
 from needlefit.reporting.labels import group_name, layers_name, medium_name, method_colour, method_name
 from needlefit.reporting.number_format import choose_printed_unit, format_metric
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.kinds.cross_validation.facts import find_scored_role
-from needlefit.studies.kinds.cross_validation.figures.insertions import (
-    HEIGHT_COLUMNS,
-    collect_curves,
-    subtract_fit,
-)
+from needlefit.studies.kinds.cross_validation.figures import collect_curves, subtract_fit
 from needlefit.studies.kinds.cross_validation.posterior import list_free_parameters
 from needlefit.studies.run import Run
 from needlefit.studies.score import list_methods

@@ -15,6 +15,7 @@ from needlefit.arrays import Floats
 from needlefit.inference.identifiability.precision import Direction, principal_directions
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
+from needlefit.reporting.figures.fit_forms import to_log_coordinates
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.run import Run
 
@@ -104,12 +105,6 @@ def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
 def is_ridge(axes: tuple[Direction, ...]) -> bool:
     """Return whether draws with these axes are elongated along the longest one."""
     return len(axes) > 1 and axes[-1].sd > RIDGE_MIN_AXIS_RATIO * axes[0].sd
-
-
-def to_log_coordinates(values: pd.DataFrame) -> Floats:
-    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
-    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
-    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
 
 
 def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:

@@ -11,6 +11,7 @@ from needlefit.metrics import list_metrics
 from needlefit.reporting import document, latex
 from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
 from needlefit.reporting.document import Block
+from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.profiles import draw_profiles
 from needlefit.reporting.interval_text import choose_interval_unit, typeset_interval
 from needlefit.reporting.number_format import insert_symbols
@@ -276,18 +277,19 @@ def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
 
 def draw_figures(results: Run, folder: Path) -> dict[str, Path]:
     """Draw what the tables allow to be drawn."""
-    role, frames, drawn = find_scored_role(results), results.frames, {}
+    role, frames = find_scored_role(results), results.frames
+    found: dict[str, Drawing] = {}
+    if all(_has_fitted(frames[name], role) for name in ("errors", "shapes")):
+        found |= figures.draw_insertions(results, role)
+    if len(frames["draws"]) and list_free_parameters(results):
+        found["corner"] = figures.draw_corner(results)
+    if len(frames["starts"]) and not Facts(results).agreement:
+        found["waterfall"] = figures.draw_starts(results)
+    drawn = {name: one.save(folder / f"{name}.pdf") for name, one in found.items()}
     if len(frames["profiles"]):
         drawn["profiles"] = draw_profiles(
             frames["identification"], frames["profiles"], results.origin, folder / "profiles.pdf"
         )
-    if all(_has_fitted(frames[name], role) for name in ("errors", "shapes")):
-        for name in ("schematic", "overlays", "residuals"):
-            drawn[name] = getattr(figures, f"draw_{name}")(results, folder / f"{name}.pdf", role)
-    if len(frames["draws"]) and list_free_parameters(results):
-        drawn["corner"] = figures.draw_corner(results, folder / "corner.pdf")
-    if len(frames["starts"]) and not Facts(results).agreement:
-        drawn["waterfall"] = figures.draw_waterfall(results, folder / "waterfall.pdf")
     return drawn | draw_error_figures([results], folder)
 
 
@@ -295,12 +297,7 @@ def draw_error_figures(results: Sequence[Run], folder: Path) -> dict[str, Path]:
     """Draw the errors on held-out insertions, if there are any."""
     if tabulate_validation(*results).empty:
         return {}
-    drawn = {"boxplot": figures.draw_boxplot(results, folder / "boxplot.pdf")}
-    if len(results) > 1:  # of one study the table of methods has these numbers
-        drawn["baselines"] = figures.draw_baselines(results, folder / "baselines.pdf")
-    if any(len(one.frames["predictive"]) for one in results):
-        drawn["predicted"] = figures.draw_predictive_check(results, folder / "predicted.pdf")
-    return drawn
+    return {name: one.save(folder / f"{name}.pdf") for name, one in figures.draw_errors(results).items()}
 
 
 def _has_fitted(frame: pd.DataFrame, role: str) -> bool:

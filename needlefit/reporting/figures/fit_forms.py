@@ -1,0 +1,572 @@
+"""Forms of fits and predictions: insertions with bands, errors by group, predictive check, starts, draws."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator, NullLocator
+
+from needlefit.arrays import Floats
+from needlefit.inference.baselines import list_baselines
+from needlefit.inference.parameters import is_logarithmic
+from needlefit.reporting.figures.forms import lighten
+from needlefit.reporting.figures.profiles import choose_log_ticks
+from needlefit.reporting.figures.style import (
+    COLUMN_WIDTH_IN,
+    TEXT_WIDTH_IN,
+    choose_vertical_scale,
+    choose_width,
+    count_legend_columns,
+    describe_scale,
+    draw_grid,
+    fit_height,
+)
+from needlefit.reporting.labels import (
+    GREY,
+    INK,
+    METHOD_COLOURS,
+    PAPER_COLOUR,
+    method_colour,
+    method_name,
+)
+from needlefit.reporting.number_format import (
+    choose_printed_unit,
+    format_bare_symbol,
+    format_plain,
+    format_quantity,
+)
+from needlefit.reporting.table_files import to_records
+
+_DASHED = (0, (2, 1.5))
+_OURS = METHOD_COLOURS["fitted"]
+
+
+def _add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:
+    columns = count_legend_columns(figure, [str(one.get_label()) for one in handles], most)
+    figure.legend(
+        handles=handles, ncols=columns, loc="outside upper left", handlelength=1.3, columnspacing=1.2
+    )
+
+
+def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
+    return Line2D([], [], label=label, **style)
+
+
+# ---- insertions with bands
+
+InsertionKey = tuple[str, str]
+"""Fold and insertion."""
+
+INSERTION_KEYS = ["fold", "insertion"]
+HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
+BANDS = {"95 %": lighten(_OURS, 0.8), "50 %": lighten(_OURS, 0.56)}
+"""Opaque colours, the narrow band on the wide one: the same over every layer."""
+
+LAYER = "layer"
+_LAYER_COLOURS = ("#f3ecdd", "#e9e0ca")
+_SHAFT_SHARE = 0.16  # of the depth, drawn before the entry
+_ROW_MARGIN_IN, _LEGEND_LINE_IN = 0.32, 0.16  # inches of each row beside its panel, and of a legend's line
+
+
+def insertions(
+    points: pd.DataFrame,
+    heads: Mapping[InsertionKey, str],
+    names: Mapping[str, str],
+    most_columns: int = 4,
+    layers: bool = False,
+) -> Figure:
+    """Draw a panel for each insertion: the measured needle as dots, methods as lines, bands behind.
+
+    All panels have the same axes in mm; heights are exaggerated by the factor that stands at the axis.
+
+    Parameters
+    ----------
+    points : DataFrame
+        A row per point: `fold`, `insertion`, `curve` (a method, "measured", the level of a band, or a layer,
+        whose `x_mm` is where it begins), `x_mm`, `y_mm`, `low_mm`, `high_mm`.
+    heads : mapping
+        What stands above the panel of each insertion.
+    names : mapping
+        Printed names of the methods, the foremost line first.
+    most_columns : int
+        Panels side by side on a page; half as many in a column.
+    layers : bool
+        Whether layers, the shaft and the gap between both tips are drawn; wide bands then have room too.
+    """
+    width = choose_width()
+    columns = min(len(heads), most_columns if width > COLUMN_WIDTH_IN else max(1, most_columns // 2))
+    (left, right), every = _find_range(points[["x_mm"]]), points[HEIGHT_COLUMNS]
+    own = points["curve"].isin(["measured", *names])
+    y = _find_range(every) if layers else _find_limits(points, own)
+    left -= _SHAFT_SHARE * (right - left) if layers else 0
+    factor = choose_vertical_scale(right - left, y[1] - y[0])
+    high = min(factor * (y[1] - y[0]) / (right - left), 1.0) * ((width - 0.4) / columns - 0.12)
+    rows = math.ceil(len(heads) / columns)
+    figure = Figure(figsize=(width, rows * (high + _ROW_MARGIN_IN) + 0.75))
+    for axes, which, mine in _iterate_panels(figure, points, columns, list(heads)):
+        if layers:
+            _draw_layers(axes, mine, right, y[1])
+            _draw_shaft_and_tips(axes, mine, left)
+        _draw_bands(axes, mine)
+        for order, method in enumerate(reversed(list(names))):
+            curve, ours = mine[mine["curve"] == method], method == "fitted"
+            look: dict[str, Any] = {"color": method_colour(method), "lw": 1.1 if ours else 0.8}
+            axes.plot(curve["x_mm"], curve["y_mm"], zorder=2 + order, **look)
+        _draw_dots(axes, mine, 2.2, 0.3)
+        axes.set_title(heads[which], loc="right", pad=3, color=_OURS)
+        axes.set(xlim=(left, right), ylim=y, aspect=factor)
+        axes.yaxis.set_major_locator(MaxNLocator(4 if layers else 3, steps=[1, 2, 5, 10]))
+    figure.supxlabel("depth (mm)")
+    figure.supylabel(f"deflection toward\nthe bevel (mm),\n{describe_scale(factor)}")
+    _name_curves(figure, set(points["curve"]), names)
+    fit_height(figure)
+    return figure
+
+
+def residuals(points: pd.DataFrame, chosen: Sequence[InsertionKey], names: Mapping[str, str]) -> Figure:
+    """Draw heights minus those of the fitted needle, mm, a panel for each insertion; as `insertions`."""
+    width = choose_width()
+    columns = 1 if width <= COLUMN_WIDTH_IN else 3
+    legend = _LEGEND_LINE_IN * math.ceil((len(names) + 3) / columns)
+    figure = Figure(figsize=(width, 1.35 * math.ceil(len(chosen) / columns) + 0.35 + legend))
+    others = [name for name in names if name != "fitted"]
+    for number, (axes, _, mine) in enumerate(_iterate_panels(figure, points, columns, list(chosen))):
+        _draw_bands(axes, mine)
+        axes.axhline(0.0, color=_OURS, lw=1.0)
+        for method in others:
+            curve = mine[mine["curve"] == method]
+            look = {"color": method_colour(method), "lw": 0.8, "ls": _choose_dashes(method)}
+            axes.plot(curve["x_mm"], curve["y_mm"], **look)
+        _draw_dots(axes, mine, 1.8, 0)
+        draw_grid(axes, "y")
+        if number % columns == 0:
+            axes.set_ylabel("deflection\nminus fit (mm)")
+    axes.set_ylim(_find_limits(points, ~points["curve"].isin([*others, "95 %"])))
+    figure.supxlabel("depth (mm)")
+    _name_curves(figure, {"fitted", *points["curve"]}, names)
+    return figure
+
+
+def _iterate_panels(
+    figure: Figure, points: pd.DataFrame, columns: int, wanted: list[InsertionKey]
+) -> Iterator[tuple[Axes, InsertionKey, pd.DataFrame]]:
+    """Yield each insertion's panel, name and points; all panels have the same axes."""
+    rows = math.ceil(len(wanted) / columns)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for i, spare in enumerate(reversed(list(grid.flat)[len(wanted) :]), start=1):
+        spare.set_visible(False)
+        if rows > 1:
+            grid[-2, -i].tick_params(labelbottom=True)  # the panel above has the lowest x axis of its column
+    for axes, (fold, insertion) in zip(grid.flat, wanted, strict=False):
+        axes.set_title(insertion, loc="left", pad=3)
+        yield axes, (fold, insertion), points[(points["fold"] == fold) & (points["insertion"] == insertion)]
+
+
+def _draw_bands(axes: Axes, points: pd.DataFrame) -> None:
+    for order, (level, colour) in enumerate(BANDS.items()):
+        band = points[points["curve"] == level]
+        axes.fill_between(
+            band["x_mm"], band["low_mm"], band["high_mm"], color=colour, lw=0, zorder=1 + 0.1 * order
+        )
+
+
+def _draw_dots(axes: Axes, points: pd.DataFrame, size: float, edge: float) -> None:
+    dots = points[points["curve"] == "measured"]
+    axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=size, mew=edge, zorder=9)
+
+
+def _choose_dashes(method: str) -> Any:  # noqa: ANN401
+    """Return a method's line style: every other baseline is dashed, so that both of two equal lines show."""
+    names = [baseline.name for baseline in list_baselines()]
+    return (0, (4, 2)) if method in names and names.index(method) % 2 else "-"
+
+
+def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) -> None:
+    handles: list[Artist] = [_line("measured", color=INK, marker="o", ms=2.7, lw=0)]
+    for method, name in names.items():
+        if method in present:
+            handles.append(_line(name, color=method_colour(method), lw=1.1, ls=_choose_dashes(method)))
+    for level in reversed(BANDS):
+        if level in present:
+            handles.append(Patch(color=BANDS[level], lw=0, label=f"{level} predictive band"))
+    _add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
+
+
+def _draw_layers(axes: Axes, points: pd.DataFrame, end: float, top: float) -> None:
+    """Shade the layers up to the depth `end`, and write the number of each where it begins."""
+    layers = points[points["curve"].str.startswith(LAYER)]
+    ends = [*layers["x_mm"].iloc[1:], end]
+    for name, begin, stop in zip(layers["curve"], layers["x_mm"], ends, strict=True):
+        number = name.removeprefix(LAYER).strip()
+        axes.axvspan(begin, stop, color=_LAYER_COLOURS[(int(number) - 1) % 2], lw=0, zorder=0)
+        axes.axvline(begin, color=GREY, lw=0.8 if begin == 0 else 0.4, zorder=0.5)
+        axes.text(begin + 0.4, top, number, color=GREY, va="top")
+
+
+def _draw_shaft_and_tips(axes: Axes, points: pd.DataFrame, left: float) -> None:
+    """Draw the needle before the entry, and the tip error as the gap between both tips."""
+    ends = {name: points[points["curve"] == name].dropna(subset="y_mm") for name in ("fitted", "measured")}
+    if any(part.empty for part in ends.values()):
+        return
+    start = ends["fitted"].iloc[0]
+    axes.plot([left, start["x_mm"]], [start["y_mm"]] * 2, color=_OURS, lw=2.6, zorder=2)
+    tips = [part.sort_values("x_mm").iloc[-1] for part in ends.values()]
+    across, up = ([float(tip[name]) for tip in tips] for name in ("x_mm", "y_mm"))
+    axes.plot(across, up, color=PAPER_COLOUR, lw=1.2, zorder=10)
+
+
+def _find_range(values: pd.DataFrame) -> tuple[float, float]:
+    """Return the range of all values, and some room."""
+    low, high = (float(f(values.to_numpy(dtype=np.float64))) for f in (np.nanmin, np.nanmax))
+    margin = 0.06 * max(high - low, 0.2)
+    return low - margin, high + margin
+
+
+def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, float]:
+    """Return a range of heights: of the points marked as near, and of the others what is not much farther."""
+    every, own = (frame[HEIGHT_COLUMNS].to_numpy(dtype=np.float64) for frame in (points, points[near]))
+    low, high = float(np.nanmin(own)), float(np.nanmax(own))
+    far, room = 0.5 * (high - low), 0.06 * max(high - low, 0.2)
+    return max(low - far, float(np.nanmin(every))) - room, min(high + far, float(np.nanmax(every))) + room
+
+
+# ---- errors by group
+
+QUARTILES = {"5 %": 5, "25 %": 25, "median": 50, "75 %": 75, "95 %": 95}
+MAX_COLUMN_GROUPS = 3
+"""Groups at most of a figure as wide as one column of a paper."""
+
+_ERROR_COLOURS = {"IPE": "#0072B2", "TE": "#009E73"}
+
+
+def errors_by_group(marks: pd.DataFrame) -> Figure:
+    """Draw boxes (quartiles; whiskers to 5 and 95 %), single tips, means, floor and the paper's means.
+
+    `marks` has a row per `group`, `metric` ("IPE", "TE") and `mark`, with its `value`, mm.
+    """
+    groups = list(dict.fromkeys(marks["group"]))
+    wide = choose_width(TEXT_WIDTH_IN if len(groups) > MAX_COLUMN_GROUPS else COLUMN_WIDTH_IN)
+    figure = Figure(figsize=(wide, 2.1))
+    axes = figure.add_subplot()
+    for x, group in enumerate(groups):
+        for (metric, colour), shift in zip(_ERROR_COLOURS.items(), (-0.19, 0.19), strict=True):
+            here = marks[(marks["group"] == group) & (marks["metric"] == metric)]
+            _draw_error(axes, x + shift, here, colour)
+    labels = [group.replace(", ", "\n") for group in groups]
+    if len({label.partition("\n")[0] for label in labels}) == 1:  # the title names the study
+        labels = [label.partition("\n")[2] for label in labels]
+    axes.set_xticks(range(len(groups)), labels, linespacing=1.25)
+    axes.tick_params(axis="x", length=0, pad=5)
+    margin = 0.55 + 0.25 * max(0, 3 - len(groups))  # one or two groups do not fill the whole width
+    axes.set(xlim=(-margin, len(groups) - 1 + margin), ylabel="error (mm)")
+    axes.set_ylim(bottom=0)
+    draw_grid(axes, "y")
+    handles = [
+        _line("in-plane error (IPE)", color=lighten(_ERROR_COLOURS["IPE"], 0.6), lw=5),
+        _line("tip error (TE)", color=lighten(_ERROR_COLOURS["TE"], 0.6), lw=5),
+        _line("our mean", color=_ERROR_COLOURS["IPE"], marker="D", mec="white", ms=4, lw=0),
+        _line("paper's mean", color=PAPER_COLOUR, marker="D", mfc="white", ms=3.6, lw=0),
+        _line("noise floor", color=INK, lw=0.8, ls=_DASHED),
+    ]
+    printed = (marks["mark"] == "paper").any()
+    _add_legend(figure, handles if printed else [*handles[:3], handles[4]], 5)
+    return figure
+
+
+def _draw_error(axes: Axes, x: float, marks: pd.DataFrame, colour: str) -> None:
+    """Draw the box of one error of one group, single tips, our mean, the noise floor's and the paper's."""
+    at = {str(row["mark"]): row["value"] for row in to_records(marks)}
+    if all(end in at for end in QUARTILES):
+        names = ("whislo", "q1", "med", "q3", "whishi")
+        box = dict(zip(names, (at[end] for end in QUARTILES), strict=True))
+        look: dict[str, Any] = {"showfliers": False, "patch_artist": True, "manage_ticks": False}
+        look |= {"boxprops": {"facecolor": lighten(colour, 0.6), "linewidth": 0}}
+        look |= {"medianprops": {"color": colour, "linewidth": 1.6}, "capprops": {"linewidth": 0}}
+        axes.bxp([box], [x], widths=0.3, whiskerprops={"color": colour, "linewidth": 0.8}, **look)
+    tips = marks.loc[marks["mark"] == "tip", "value"]
+    spread = np.linspace(-0.07, 0.07, len(tips)) if len(tips) > 1 else np.zeros(len(tips))
+    axes.plot(x + spread, tips, "o", ms=2.6, mfc=colour, mec="white", mew=0.3, zorder=4)
+    if "mean" in at:
+        axes.plot(x, at["mean"], "D", ms=3.2, mfc=colour, mec="white", mew=0.5, zorder=5)
+    if "noise floor" in at:
+        axes.hlines(at["noise floor"], x - 0.17, x + 0.17, color=INK, lw=0.8, ls=_DASHED, zorder=5)
+    if "paper" in at:
+        axes.plot(x, at["paper"], "D", ms=3.6, mfc="white", mec=PAPER_COLOUR, mew=1.0, zorder=6)
+
+
+# ---- predictive check
+
+PREDICTED_QUANTITIES = {"tip": ("tips", "#0072B2"), "shape": ("whole shapes", "#009E73")}
+PREDICTED_LEVELS = (50, 95)
+_BAND_COLOUR = lighten(GREY, 0.75)
+
+
+def predictive_check(rows: pd.DataFrame) -> Figure:
+    """Draw, a row of panels per `study`, the ECDF of PIT values with its band, and coverage of intervals."""
+    studies = list(rows.groupby("study", sort=False))
+    several = len(studies) > 1
+    width = choose_width(TEXT_WIDTH_IN if several else COLUMN_WIDTH_IN)
+    head = 0.55 if width > COLUMN_WIDTH_IN else 0.75
+    figure = Figure(figsize=(width, head + (1.05 if several else 1.5) * len(studies)))
+    grid = figure.subplots(len(studies), 2, squeeze=False, sharex="col", width_ratios=(1.25, 1))
+    for (left, right), (name, some) in zip(grid, studies, strict=True):
+        count, trials = int(some["insertions"].iloc[0]), int(some["replicates"].iloc[0])
+        words = f"{count} insertions" + ("" if trials == count else f", {trials} independent")
+        left.set_title(f"{name}: {words}" if several else words, loc="left")
+        _draw_ecdfs(left, some)
+        _draw_coverage(right, some)
+        # a low panel is shorter than the name in one line
+        right.set_ylabel("empirical\ncoverage" if several else "empirical coverage")
+        for axes in (left, right):
+            axes.set_ylim(-0.04, 1.04)
+            axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
+    grid[-1, 0].set_xlabel("PIT")
+    grid[-1, 1].set_xlabel("interval")
+    handles: list[Artist] = [_line(name, color=colour) for name, colour in PREDICTED_QUANTITIES.values()]
+    handles.append(Patch(color=_BAND_COLOUR, lw=0, label="95 % band, uniform"))
+    handles.append(_line("nominal", color=INK, lw=0.8, ls=_DASHED))
+    _add_legend(figure, handles, 4)
+    return figure
+
+
+def _draw_ecdfs(axes: Axes, rows: pd.DataFrame) -> None:
+    chance = rows[rows["mark"] == "band"]
+    low, high = (chance[side].astype(float) for side in ("low", "high"))
+    axes.fill_between(chance["probability"], low, high, color=_BAND_COLOUR, lw=0)
+    axes.plot([0, 1], [0, 1], color=GREY, lw=0.5)
+    for quantity, (_, colour) in PREDICTED_QUANTITIES.items():
+        steps = rows[(rows["mark"] == "ECDF") & (rows["quantity"] == quantity)]
+        axes.step(steps["probability"], steps["share"], where="post", color=colour, lw=1.2)
+    axes.set(xlim=(-0.02, 1.02), ylabel="empirical CDF")
+    axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
+
+
+def _draw_coverage(axes: Axes, rows: pd.DataFrame) -> None:
+    """Draw what part of needles each interval held, with what so few of them leave open."""
+    for at, level in enumerate(PREDICTED_LEVELS):
+        axes.plot([at - 0.32, at + 0.32], [level / 100] * 2, color=INK, lw=0.8, ls=_DASHED)
+    for shift, (quantity, (_, colour)) in zip((-0.13, 0.13), PREDICTED_QUANTITIES.items(), strict=True):
+        some = rows[(rows["mark"] == "coverage") & (rows["quantity"] == quantity)]
+        for at, row in enumerate(to_records(some)):
+            axes.plot([at + shift] * 2, [row["low"], row["high"]], color=colour, lw=1.2)
+            axes.plot(at + shift, row["share"], "o", ms=4, color=colour, mec="white", mew=0.5)
+    axes.set_xticks(range(len(PREDICTED_LEVELS)), [f"{level} %" for level in PREDICTED_LEVELS])
+    axes.tick_params(axis="x", length=0)
+    axes.set_xlim(-0.6, len(PREDICTED_LEVELS) - 0.4)
+    draw_grid(axes, "y")
+
+
+# ---- starts of a search
+
+MIN_SHOWN_EXCESS = 1e-3
+"""Tolerances: starts nearer to the best one are drawn here, for the axis is logarithmic."""
+
+
+def waterfall(marks: pd.DataFrame, title: str) -> Figure:
+    """Draw the objective of all starts above the best one, and where each parameter ended within bounds.
+
+    The data do not determine a parameter whose dots within tolerance of the best objective spread along its
+    axis.
+    """
+    parameters = list(dict.fromkeys(marks["parameter"].dropna()))
+    width, height = choose_width(), max(1.8, 0.7 + 0.24 * len(parameters))
+    if width > COLUMN_WIDTH_IN:
+        figure = Figure(figsize=(width, height))
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    else:
+        figure = Figure(figsize=(width, 2 * height))
+        left, right = figure.subplots(2, 1)
+    _draw_ranked(left, marks.drop_duplicates(["fold", "fit", "start"]), title)
+    _draw_ends(right, marks, parameters)
+    return figure
+
+
+def _draw_ranked(axes: Axes, starts: pd.DataFrame, title: str) -> None:
+    """Draw the excess of each search's starts, best first; failed starts stand nowhere but in the count."""
+    for (fit, _), group in starts.groupby(["fit", "fold"], sort=False):
+        ranked = group[group["rank"].notna()].sort_values("rank")
+        shown = ranked["excess"].clip(lower=MIN_SHOWN_EXCESS)
+        axes.plot(ranked["rank"], shown, "o-", color=method_colour(str(fit)), ms=3, lw=0.8)
+    each = ", a line per fold" if starts["fold"].nunique() > 1 else ""
+    fits = [str(fit) for fit in dict.fromkeys(starts["fit"])]
+    looks = {fit: {"color": method_colour(fit), "marker": "o", "ms": 3, "lw": 0.8} for fit in fits}
+    handles = [_line(method_name(fit) + each, **look) for fit, look in looks.items()]
+    axes.legend(handles=handles, loc="best", handlelength=1.5)
+    failed = int(starts["failed"].sum())
+    axes.set_title(title + (f",\n{failed} without a result" if failed else ""), loc="left")
+    axes.axhline(1, color=GREY, lw=0.6, ls=_DASHED)
+    axes.set(xlabel="start, sorted", ylabel="objective − best (tolerances)", yscale="log")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_ylim(bottom=0.5 * MIN_SHOWN_EXCESS)
+    draw_grid(axes, "y")
+
+
+def _draw_ends(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
+    """Draw the end of every start of the fit within the bounds: full colour within tolerance of the best."""
+    outside: dict[str, Any] = {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}
+    inside: dict[str, Any] = {"ms": 4, "mfc": _OURS, "mec": "white", "mew": 0.4}
+    for y, name in enumerate(parameters):
+        here = marks[(marks["parameter"] == name) & ~marks["failed"].astype(bool)]
+        near = here["within_tolerance"].to_numpy(dtype=np.bool_)
+        axes.hlines(y, 0, 1, color=GREY, lw=0.5, alpha=0.6)
+        for some, look in ((~near, outside), (near, inside)):
+            at = here.loc[some, "between_bounds"]
+            axes.plot(at, np.full(len(at), y), "o", **look)
+        bounds = marks[marks["parameter"] == name].iloc[0]
+        for x, side, bound in ((0, "left", "bound_low"), (1, "right", "bound_high")):
+            words = format_quantity(name, float(bounds[bound]))
+            axes.text(x, y - 0.17, words, ha=side, va="bottom", color=GREY)
+    axes.set_yticks(range(len(parameters)), [format_bare_symbol(name) for name in parameters])
+    axes.set(xlim=(-0.03, 1.03), ylim=(len(parameters) - 0.45, -0.65))
+    axes.set_xticks([])
+    axes.tick_params(axis="y", length=0)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_visible(False)
+    axes.set_title("final value between the bounds", loc="left", color=INK)
+    axes.set_xlabel("filled: within tolerance of the best objective", color=_OURS)
+
+
+# ---- draws: every parameter, every pair, and the ridge
+
+_MARGIN_FRACTION = 0.12  # of the range of what is shown, left free at each side
+_MAX_PANEL_IN, _MIN_PANEL_IN = 0.64, 0.8  # inches; in narrower panels numbers are turned
+_MAX_TICK_LETTERS = 2  # signs of a number of which more than two stand along a panel
+_MAX_LABEL_LETTERS = 12
+_MAX_COLUMN_PARAMETERS = 3
+_RIDGE: dict[str, Any] = {"color": "#D55E00", "lw": 1.2, "ls": (0, (4, 1.5))}
+_BOUNDS: dict[str, Any] = {"color": GREY, "lw": 0.8, "ls": (0, (1, 1.5))}
+DRAWN_SETS: Mapping[str, tuple[str, float, str]] = {
+    "fitted": ("D", 4.2, INK),
+    "hand_tuned": ("s", 4.0, METHOD_COLOURS["hand_tuned"]),
+}
+
+
+def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
+    """Draw draws with the fit, the paper's parameters, the bounds and the ridge: marginals and pairs.
+
+    `frame` has a column per parameter (Pa, mm) and `mark`: "draw", "fitted", "hand_tuned", "lower bound",
+    "upper bound" or "ridge".
+    """
+    names = [str(name) for name in frame.columns if name not in ("mark", "origin")]
+    count = len(names)
+    width = choose_width(COLUMN_WIDTH_IN if count <= _MAX_COLUMN_PARAMETERS else TEXT_WIDTH_IN)
+    figure = Figure(figsize=(width, min(max(_MAX_PANEL_IN * count, 2.2) + 0.4, 1.1 * width)))
+    grid = figure.add_gridspec(count, count)
+    marginals: list[Axes] = []
+    for row, below in enumerate(names):
+        for column, left in enumerate(names[: row + 1]):
+            if column == row:
+                axes = figure.add_subplot(grid[row, column])
+                marginals.append(axes)
+                _draw_marginal(axes, frame, left)
+            else:
+                axes = figure.add_subplot(grid[row, column], sharex=marginals[column])
+                _draw_pair(axes, frame, left, below)
+            _format_pair(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
+            if width / count < _MIN_PANEL_IN:
+                _make_narrow(axes)
+    handles = [_line("draws", marker="o", ms=3, mew=0, lw=0, color=_OURS, alpha=0.6)]
+    for mark, (marker, size, colour) in DRAWN_SETS.items():
+        if (frame["mark"] == mark).any():
+            handles.append(_line(names_of_sets[mark], marker=marker, ms=size, mfc=colour, mec="white", lw=0))
+    handles += [_line("ridge", **_RIDGE)] if (frame["mark"] == "ridge").any() else []
+    handles.append(_line("bounds, flat prior", **_BOUNDS))
+    if figure.get_figwidth() > COLUMN_WIDTH_IN:
+        figure.legend(handles=handles, loc="upper right", handlelength=1.5, bbox_to_anchor=(1, 0.97))
+    else:
+        figure.legend(handles=handles, loc="outside upper left", handlelength=1.5)
+    return figure
+
+
+def _make_narrow(axes: Axes) -> None:
+    """Turn the numbers, and break the names, of a panel that is too narrow for them."""
+    axes.tick_params(axis="x", labelrotation=90)
+    axes.set_xlabel(axes.get_xlabel().replace(" ", "\n", 1))
+    axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
+    axes.set_title("", loc="left")
+
+
+def to_log_coordinates(values: pd.DataFrame) -> Floats:
+    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
+    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
+    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
+
+
+def _draw_marginal(axes: Axes, frame: pd.DataFrame, name: str) -> None:
+    """Draw how the draws of one parameter fall, beside the flat prior between its bounds."""
+    logarithmic = is_logarithmic(name)
+    axes.set_xscale("log" if logarithmic else "linear")
+    at = to_log_coordinates(frame[frame["mark"] == "draw"][[name]])[:, 0]
+    heights, edges = np.histogram(at, bins=min(24, max(8, len(at) // 16)), density=True)
+    back = np.exp(edges) if logarithmic else edges
+    axes.stairs(heights, back, fill=True, color=lighten(_OURS, 0.65), lw=0)
+    bounds = to_log_coordinates(frame[frame["mark"].str.endswith("bound")][[name]])[:, 0]
+    # A parameter without bounds has no flat prior to draw.
+    if np.isfinite(bounds).all():
+        axes.axhline(1 / float(np.ptp(bounds)), **_BOUNDS)
+    for mark, (_, _, colour) in DRAWN_SETS.items():
+        for value in frame.loc[frame["mark"] == mark, name]:
+            axes.axvline(value, color=colour, lw=0.9)
+    axes.set_ylim(bottom=0)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+
+
+def _draw_pair(axes: Axes, frame: pd.DataFrame, left: str, below: str) -> None:
+    axes.set_xscale("log" if is_logarithmic(left) else "linear")
+    axes.set_yscale("log" if is_logarithmic(below) else "linear")
+    draws, ridge = (frame[frame["mark"] == mark] for mark in ("draw", "ridge"))
+    # one path of lines without length and with round ends: a tenth of the bytes of marks
+    twice = (np.repeat(draws[name].to_numpy(dtype=np.float64), 3) for name in (left, below))
+    across, up = (np.where(np.arange(len(one)) % 3 == 2, np.nan, one) for one in twice)
+    (line,) = axes.plot(across, up, color=_OURS, alpha=0.45, lw=1.7, solid_capstyle="round")
+    line.get_path().should_simplify = False  # or what has no length would be left out
+    axes.plot(ridge[left], ridge[below], zorder=3, **_RIDGE)
+    for mark, (marker, size, colour) in DRAWN_SETS.items():
+        some = frame[frame["mark"] == mark]
+        axes.plot(some[left], some[below], marker, ms=size, mfc=colour, mec="white", mew=0.5, zorder=4)
+    bounds = frame[frame["mark"].str.endswith("bound")]
+    for x, y in zip(bounds[left], bounds[below], strict=True):
+        axes.axvline(x, **_BOUNDS)
+        axes.axhline(y, **_BOUNDS)
+
+
+def _find_axis_limits(frame: pd.DataFrame, name: str) -> tuple[float, float]:
+    """Return the range of draws, fit and the paper's set, with room; bounds may lie outside."""
+    seen = frame[frame["mark"].isin(["draw", *DRAWN_SETS])][[name]].dropna()
+    at = to_log_coordinates(seen)[:, 0]
+    room = _MARGIN_FRACTION * max(float(np.ptp(at)), 1e-3)
+    ends = float(at.min()) - room, float(at.max()) + room
+    return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if is_logarithmic(name) else ends
+
+
+def _format_pair(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer: tuple[bool, bool]) -> None:
+    """Give axes limits, round places, and names where they are the last of their column or row."""
+    alone = names[0] == names[1]
+    for axis, name, last in zip((axes.xaxis, axes.yaxis), names, outer, strict=True):
+        if axis is axes.yaxis and alone:
+            continue
+        low, high = _find_axis_limits(frame, name)
+        label, unit = choose_printed_unit(name, [low])
+        (axes.set_xlim if axis is axes.xaxis else axes.set_ylim)(low, high)
+        if is_logarithmic(name):
+            axis.set_minor_locator(NullLocator())
+            ticks = choose_log_ticks(low, high)
+            if any(len(format_plain(tick / unit)) > _MAX_TICK_LETTERS for tick in ticks):
+                ticks = [ticks[0], ticks[-1]]
+            axis.set_ticks(ticks, [format_plain(tick / unit) for tick in ticks])
+        else:
+            axis.set_major_locator(MaxNLocator(3))
+        axis.set_tick_params(labelbottom=last, labelleft=last)
+        if last:  # a long name would reach into the next panel
+            axis.set_label_text(label.replace(" ", "\n", 1) if len(label) > _MAX_LABEL_LETTERS else label)
+    if alone:
+        label, _ = choose_printed_unit(names[0], [_find_axis_limits(frame, names[0])[0]])
+        axes.set_title(label, loc="left", pad=2)
