@@ -127,8 +127,11 @@ def lighten(colour: str, share: float) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def add_legend(figure: Figure, looks: Iterable[Look], width: float = 0.0) -> None:
-    """Draw a legend above all panels; `width` is that of the lines, 0 of marks alone."""
+_LEGEND_LINE_IN = 0.17
+
+
+def add_legend(figure: Figure, looks: Iterable[Look], width: float = 0.0) -> int:
+    """Draw a legend above all panels; return its columns. `width` is that of the lines, 0 of marks alone."""
     handles = [
         Line2D(
             [], [], color=one.colour, lw=one.width if width else 0, ls=one.dashes, marker=one.marker,
@@ -139,6 +142,7 @@ def add_legend(figure: Figure, looks: Iterable[Look], width: float = 0.0) -> Non
     columns = count_legend_columns(figure, [one.label for one in looks], min(len(handles), 5))
     spacing: dict[str, Any] = {"handlelength": width or 0.8, "handletextpad": 0.4, "columnspacing": 1.3}
     figure.legend(handles=handles, loc="outside upper left", ncols=columns, **spacing)
+    return columns
 
 
 def dots_with_intervals(
@@ -218,7 +222,9 @@ def dots_with_intervals(
     grid[0].set_yticks(range(len(order)), [name_row(row) for row in order])
     grid[0].set_ylim(len(order) - 0.4, -0.6)
     if len(chosen) > 1:
-        add_legend(figure, chosen.values())
+        columns = add_legend(figure, chosen.values())
+        lines = math.ceil(len(chosen) / columns)
+        figure.set_figheight(figure.get_figheight() + _LEGEND_LINE_IN * (lines - 1))
     figure.supxlabel(x_label, fontsize=7.5)
     return figure
 

@@ -186,7 +186,7 @@ def draw_together() -> Iterator[Callable[[], None]]:
             path.write_bytes(compile_sheet(drawing, ".svg"))
 
 
-_LETTER_WIDTH_IN, _HANDLE_WIDTH_IN = 0.062, 0.4  # inches, of a legend's letters, and of mark and gaps
+_LETTER_WIDTH_IN, _HANDLE_WIDTH_IN = 0.055, 0.3  # inches, of a legend's letters, and of mark and gaps
 MAX_HALF_COLUMN_LETTERS = 24
 """Letters at most of names of which two stand side by side in a column of a paper."""
 
