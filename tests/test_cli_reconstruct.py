@@ -251,7 +251,7 @@ def test_damaged_checkpoints_are_set_aside_and_no_pickle_is_opened(tmp_path, cap
     assert printed.count("was damaged") == 1 and f"{kept.name}.damaged-1" in printed
     assert not (tmp_path / "was_run").exists()
     assert {path.name for path in keep.iterdir()} == {
-        *("lock", "needlefit.json", kept.name, f"{kept.name}.damaged-1"),
+        *("lock", "needlefit.json", kept.name, f"{kept.name}.damaged-1")
     }
     (keep / "whole.pickle").write_bytes(pickle.dumps(Bomb()))
     assert run(*words, "--resume") == 3

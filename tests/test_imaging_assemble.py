@@ -153,10 +153,7 @@ def own_surface(profile):
         ),
         (lambda: changed_pose(angle_sd=0.2), "bending plane"),
         (
-            lambda: replace(
-                changed_pose(),
-                profile=replace(small().profile, s=small().profile.s + 4.0),
-            ),
+            lambda: replace(changed_pose(), profile=replace(small().profile, s=small().profile.s + 4.0)),
             r"begins [34]\.\d\d \+- .* mm after the stage's entry",
         ),
         (

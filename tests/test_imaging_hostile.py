@@ -118,16 +118,7 @@ def test_a_bomb_that_promises_little(tmp_path, peak_before):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "/etc/passwd",
-        "../v.raw",
-        "sub/v.raw",
-        "v%03d.raw 1 3 1",
-        "LIST",
-        "https://a/v.raw",
-        "..",
-        "C:v.raw",
-    ],
+    ["/etc/passwd", "../v.raw", "sub/v.raw", "v%03d.raw 1 3 1", "LIST", "https://a/v.raw", "..", "C:v.raw"],
 )
 def test_voxels_lie_in_the_same_folder(tmp_path, name):
     (tmp_path / "sub").mkdir()

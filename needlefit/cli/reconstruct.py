@@ -199,11 +199,7 @@ def _show(
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
-    from needlefit.studies.kinds.reconstruction.report import (
-        REPORT,
-        describe_proposals,
-        summarize,
-    )
+    from needlefit.studies.kinds.reconstruction.report import REPORT, describe_proposals, summarize
 
     if as_json is not None:
         rows = found.frames["reconstruction"].to_dict(orient="records") if found else []

@@ -31,18 +31,13 @@ from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
 
-NEEDLE_POINTS = 51
-"""Points of a fitted needle and of its band."""
-
-BAND_DRAWS = 400
-"""Most draws of a posterior of which needles are simulated for a band."""
-
+NEEDLE_POINTS = 51  # points of a fitted needle and of its band
+BAND_DRAWS = 400  # most draws of a posterior of which needles are simulated for a band
 BAND_PERCENTILES = (2.5, 50.0, 97.5)
+# Half width of the central 95 % of a normal distribution, in standard deviations.
 NORMAL_95_HALF_WIDTH_SD = 1.959963984540054
-"""Half width of the central 95 % of a normal distribution, in standard deviations."""
-
+# Diameter with which a needle is drawn where the dataset states none, mm: 18 gauge.
 DEFAULT_DIAMETER_MM = 1.27
-"""Diameter with which a needle is drawn where the dataset states none, mm: 18 gauge."""
 
 
 @dataclass(frozen=True)
@@ -62,40 +57,24 @@ class Band:
 
 @dataclass(frozen=True)
 class NeedleInScan:
-    """One insertion in the patient coordinates of its scan, LPS, mm.
-
-    Attributes
-    ----------
-    insertion, fold : str
-    role : str
-        "validate" where the fit never saw it, else "tune".
-    measured : (N, 3) array
-        The centreline, entry first.
-    toward : (3,) array
-        Unit vector across the entry, in the bending plane.
-    diameter : float
-        Of the needle as it is drawn.
-    fitted : (K, 3) array or None
-        In the bending plane; None where the solve failed.
-    band : Band or None
-        None where nothing certified was predicted, or no needle beside the fitted one can be solved.
-    """
+    """One insertion in the patient coordinates of its scan, LPS, mm."""
 
     insertion: str
     fold: str
-    role: str
-    measured: Floats
-    toward: Floats
-    diameter: float
-    fitted: Floats | None = None
+    role: str  # "validate" where the fit never saw it, else "tune"
+    measured: Floats  # (N, 3); the centreline, entry first
+    toward: Floats  # (3,); unit vector across the entry, in the bending plane
+    diameter: float  # of the needle as it is drawn
+    fitted: Floats | None = None  # (K, 3) or None; in the bending plane; None where the solve failed
+    # None where nothing certified was predicted, or no needle beside the fitted one can be solved.
     band: Band | None = None
 
 
+# A row per point of the curves of `NeedleInScan`; the single point of `toward` is a direction.
 NEEDLE_COLUMNS = (
     *("fold", "role", "insertion", "diameter_mm", "band_source", "converged"),
     *("curve", "j", "x_mm", "y_mm", "z_mm"),
 )
-"""A row per point of the curves of `NeedleInScan`; the single point of `toward` is a direction."""
 
 
 def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:

@@ -22,17 +22,10 @@ from needlefit.studies.run import Run
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction
 
-LINE_WIDTH_MM, THIN_LINE_WIDTH_MM = 0.6, 0.3
-"""Lines of needles and of the edges of bands, mm."""
-
+LINE_WIDTH_MM, THIN_LINE_WIDTH_MM = 0.6, 0.3  # lines of needles and of the edges of bands, mm
+# Points of a simulated needle before its entry into the tissue, and from there on.
 POINTS_BEFORE_ENTRY, POINTS_INSERTED = 25, 51
-"""Points of a simulated needle before its entry into the tissue, and from there on."""
-
-_MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (
-    PAPER_COLOUR,
-    METHOD_COLOURS["fitted"],
-    SKY_BLUE,
-)
+_MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (PAPER_COLOUR, METHOD_COLOURS["fitted"], SKY_BLUE)
 
 
 def write_needles(results: Run, folder: Path) -> None:
@@ -48,7 +41,7 @@ def write_needles(results: Run, folder: Path) -> None:
     for needle in read_needles(results.frames["needles"]).values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
         for name, points, widths in _needle_bodies(needle):
-            doubt = ", NOT CONVERGED" if name == "band" and _has_not_converged(needle) else ""
+            doubt = ", NOT CONVERGED" if name == "band" and needle.band and not needle.band.converged else ""
             comments = (f"needlefit: {needle.insertion}, {name}{summary}{doubt}, mm",)
             body = make_tube(points, widths, needle.toward)
             write_ply(body, folder / f"{needle.insertion}.{name}.ply", comments)
@@ -62,10 +55,7 @@ def write_scene(
     A `.mrk.json` holds a curve for every step, a `.ply` the body after the last; a step that failed is left
     out. Return whether there was any to write.
 
-    Raises
-    ------
-    ConfigError
-        If the ending of `path` is another one or its folder does not exist.
+    ConfigError if the ending of `path` is another one or its folder does not exist.
     """
     _check_suffix(path)
     curves = [_place_simulated(placement, shape) for shape in shapes if shape.converged]
@@ -77,16 +67,11 @@ def write_scene(
         return True
     steps = [f"needle, step {n}" for n in range(1, len(curves) + 1)] if len(shapes) > 1 else ["needle"]
     lists = [
-        Markups(path, f"{name}, {shape.depth:g} mm deep", "Curve", _station_labels(s), points)
+        Markups(path, f"{name}, {shape.depth:g} mm deep", "Curve", _arc_labels(s), points)
         for name, shape, (points, s) in zip(steps, shapes, curves, strict=False)
     ]
     write_mrk_json(path, [(one, CurveStyle(rgb(_FITTED_COLOUR), LINE_WIDTH_MM)) for one in lists])
     return True
-
-
-def _has_not_converged(needle: NeedleInScan) -> bool:
-    """Whether the band is drawn from a posterior that has not converged."""
-    return needle.band is not None and not needle.band.converged
 
 
 def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups, CurveStyle]]:
@@ -97,7 +82,7 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
     if needle.band is not None:
         lines += _band_edges(needle.band)
     for name, points, colour, thickness in lines:
-        labels = _station_labels(arc_length(points))
+        labels = _arc_labels(arc_length(points))
         path = Path(needle.insertion)
         curve = Markups(path, f"{needle.insertion} {name}{summary}", "Curve", labels, points)
         yield curve, CurveStyle(rgb(colour), thickness)
@@ -133,10 +118,15 @@ def _place_simulated(placement: Placement, shape: NeedleShape) -> tuple[Floats, 
     return placement.to_patient(compute_positions(shape, s)), s
 
 
-def _station_labels(s: Floats) -> tuple[str, ...]:
-    """Return what stands at each point: its distance from the entry; the ends say which they are."""
-    ends = {int(np.argmin(np.abs(s))): "entry", len(s) - 1: "tip"}
-    return tuple(ends.get(n, f"{distance:.1f} mm") for n, distance in enumerate(s))
+def _arc_labels(s: Floats, begins: str = "entry") -> tuple[str, ...]:
+    """Return what stands at each point: its distance from the entry; the ends say which they are.
+
+    `begins`: what the first point is where none lies at the entry.
+    """
+    nearest = int(np.argmin(np.abs(s)))
+    first = {nearest: "entry"} if begins == "entry" or abs(s[nearest]) < 1e-6 else {0: begins}
+    named = {**first, len(s) - 1: "tip"}
+    return tuple(named.get(n, f"{distance:.1f} mm") for n, distance in enumerate(s))
 
 
 def _check_suffix(path: Path) -> None:
@@ -150,11 +140,9 @@ def _check_suffix(path: Path) -> None:
     require_folder(path)
 
 
-POINT_SIZE_MM = 1.5
-"""Points, mm."""
-
+POINT_SIZE_MM = 1.5  # points, mm
 _WHOLE_COLOUR, _INSERTED_COLOUR = GREY, METHOD_COLOURS["fitted"]
-_SCAN_BAND_COLOUR, _MARKER_COLOUR = SKY_BLUE, GREEN
+LAYER_COLOUR, _MARKER_COLOUR = SKY_BLUE, GREEN
 _NORMAL_95_HALF_WIDTH_SD = 1.96
 
 
@@ -172,7 +160,12 @@ def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) 
     curves = folder / f"{name}.mrk.json"
     write_mrk_json(curves, make_scan_markups(reconstruction))
     files = [curves]
-    for body, points, radius in _scan_bodies(reconstruction, diameter):
+    whole, wide = reconstruction.needle_axis.points, _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd
+    bodies = (
+        ("needle", whole, np.full((len(whole), 2), diameter / 2)),
+        ("band", _inserted_needle(reconstruction), np.column_stack([diameter / 2 + wide] * 2)),
+    )
+    for body, points, radius in bodies:
         files.append(folder / f"{name}.{body}.ply")
         toward = _band_direction(reconstruction)
         write_ply(make_tube(points, radius, toward), files[-1], (f"needlefit: {name}, {body}{summary}, mm",))
@@ -189,32 +182,17 @@ def make_scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markup
     curves = [
         ("whole needle", whole, along + depth - along[-1], _WHOLE_COLOUR, THIN_LINE_WIDTH_MM),
         ("inserted", inserted, arc_length(inserted), _INSERTED_COLOUR, LINE_WIDTH_MM),
-        ("95 % band, low", inserted - half, arc_length(inserted), _SCAN_BAND_COLOUR, THIN_LINE_WIDTH_MM),
-        ("95 % band, high", inserted + half, arc_length(inserted), _SCAN_BAND_COLOUR, THIN_LINE_WIDTH_MM),
+        ("95 % band, low", inserted - half, arc_length(inserted), LAYER_COLOUR, THIN_LINE_WIDTH_MM),
+        ("95 % band, high", inserted + half, arc_length(inserted), LAYER_COLOUR, THIN_LINE_WIDTH_MM),
     ]
+    scan = reconstruction.scan.id
     for name, points, s, colour, thickness in curves:
-        yield (
-            _make_markups(reconstruction, f"{name}{summary}", "Curve", _arc_labels(s), points),
-            CurveStyle(rgb(colour), thickness),
-        )
+        markups = Markups(Path(scan), f"{scan} {name}{summary}", "Curve", _arc_labels(s, "base"), points)
+        yield markups, CurveStyle(rgb(colour), thickness)
     for name, labels, points, colour in _scan_points(reconstruction):
         if len(points):
-            yield (
-                _make_markups(reconstruction, f"{name}{summary}", "Fiducial", labels, points),
-                CurveStyle(rgb(colour), POINT_SIZE_MM),
-            )
-
-
-def rgb_of_layers() -> tuple[float, float, float]:
-    """Return the colour of what belongs to layers."""
-    return rgb(_SCAN_BAND_COLOUR)
-
-
-def _make_markups(
-    reconstruction: "Reconstruction", name: str, kind: str, labels: tuple[str, ...], points: Floats
-) -> Markups:
-    scan = reconstruction.scan.id
-    return Markups(Path(scan), f"{scan} {name}", kind, labels, points)
+            markups = Markups(Path(scan), f"{scan} {name}{summary}", "Fiducial", labels, points)
+            yield markups, CurveStyle(rgb(colour), POINT_SIZE_MM)
 
 
 def _scan_points(reconstruction: "Reconstruction") -> Iterator[tuple[str, tuple[str, ...], Floats, str]]:
@@ -225,7 +203,7 @@ def _scan_points(reconstruction: "Reconstruction") -> Iterator[tuple[str, tuple[
         f"into layer {layer}, {depth:.1f} mm"
         for layer, depth in zip(layers.sequence[1:], layers.boundaries, strict=True)
     )
-    yield "layer crossings", into, reconstruction.patient.to_local(layers.points), _SCAN_BAND_COLOUR
+    yield "layer crossings", into, reconstruction.patient.to_local(layers.points), LAYER_COLOUR
     if reconstruction.markers is not None:
         yield "markers", name_markers(reconstruction), reconstruction.markers.centers, _MARKER_COLOUR
 
@@ -242,14 +220,6 @@ def name_markers(reconstruction: "Reconstruction") -> tuple[str, ...]:
     )
 
 
-def _scan_bodies(reconstruction: "Reconstruction", diameter: float) -> Iterator[tuple[str, Floats, Floats]]:
-    """Yield the name, axis (K, 3) and half widths (K, 2) of each body."""
-    whole = reconstruction.needle_axis.points
-    yield "needle", whole, np.full((len(whole), 2), diameter / 2)
-    wide = diameter / 2 + _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd
-    yield "band", _inserted_needle(reconstruction), np.column_stack([wide, wide])
-
-
 def _inserted_needle(reconstruction: "Reconstruction") -> Floats:
     """Return the centreline from first contact to tip in the scan (N, 3), LPS, mm."""
     return reconstruction.patient.to_local(reconstruction.points)
@@ -257,13 +227,4 @@ def _inserted_needle(reconstruction: "Reconstruction") -> Floats:
 
 def _band_direction(reconstruction: "Reconstruction") -> Floats:
     """Return C's y axis in the scan, LPS (3,)."""
-    toward: Floats = reconstruction.patient.rotation.T @ reconstruction.frame.rotation[:, 1]
-    return toward
-
-
-def _arc_labels(s: Floats) -> tuple[str, ...]:
-    """Return what stands at each point: its distance from the entry; the ends say which they are."""
-    last = len(s) - 1
-    nearest = int(np.argmin(np.abs(s)))
-    named = {nearest: "entry", last: "tip"} if abs(s[nearest]) < 1e-6 else {0: "base", last: "tip"}
-    return tuple(named.get(n, f"{distance:.1f} mm") for n, distance in enumerate(s))
+    return np.asarray(reconstruction.patient.rotation.T @ reconstruction.frame.rotation[:, 1])

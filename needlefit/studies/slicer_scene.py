@@ -1,7 +1,7 @@
 """Write a reconstruction as a scene of 3D Slicer (`.mrb`): scan, needle, points, layers, all in place."""
 
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,13 +23,35 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import write_volume
 from needlefit.project.atomic_write import replace_file
-from needlefit.studies.slicer import make_scan_markups, rgb_of_layers
+from needlefit.reporting.labels import rgb
+from needlefit.studies.slicer import LAYER_COLOUR, make_scan_markups
 
-ZIP_DATE = (1980, 1, 1, 0, 0, 0)
-"""Date of all members, so that the same scene gives the same bytes."""
+ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # date of all members, so that the same scene gives the same bytes
+WINDOW_HU = 700.0  # width of the window in which tissue is shown, HU
 
-WINDOW_HU = 700.0
-"""Width of the window in which tissue is shown, HU."""
+
+# By kind of node: tag and class of the node, of what stores it and of what displays it.
+_NODES = {
+    "Volume": (
+        ("Volume", "vtkMRMLScalarVolumeNode"),
+        ("VolumeArchetypeStorage", "vtkMRMLVolumeArchetypeStorageNode"),
+        ("VolumeDisplay", "vtkMRMLScalarVolumeDisplayNode"),
+    ),
+    **{
+        kind: (
+            (kind, f"vtkMRML{kind}Node"),
+            (f"{stored}Storage", f"vtkMRML{stored}StorageNode"),
+            (f"{shown}Display", f"vtkMRML{shown}DisplayNode"),
+        )
+        for kind, stored, shown in (
+            ("MarkupsCurve", "MarkupsJson", "Markups"),
+            ("MarkupsFiducial", "MarkupsJson", "Markups"),
+            ("Model", "Model", "Model"),
+            ("Segmentation", "Segmentation", "Segmentation"),
+        )
+    },
+}
+_IN_LPS = {"coordinateSystem": "LPS"}
 
 
 @dataclass
@@ -40,33 +62,22 @@ class _SlicerScene:
     root: ElementTree.Element
     counts: dict[str, int] = field(default_factory=dict)
 
-    def add(self, tag: str, class_: str, name: str, **attributes: str) -> str:
+    def add(self, node: tuple[str, str], name: str, **attributes: str) -> str:
         """Add a node; return its id."""
+        tag, class_ = node
         self.counts[class_] = self.counts.get(class_, 0) + 1
         id_ = f"{class_}{self.counts[class_]}"
         ElementTree.SubElement(self.root, tag, {"id": id_, "name": name, **attributes})
         return id_
 
-    def add_stored(self, node: tuple[str, str], name: str, file: str, parts: "_Parts") -> str:
-        """Add a node with what stores and displays it; return its id."""
-        (storage_tag, storage), stored = parts.storage, {"fileName": quote(f"Data/{file}")}
-        stored |= parts.stored
-        kept = self.add(storage_tag, storage, f"{name} storage", **stored)
-        display_tag, display = parts.display
-        shown = self.add(display_tag, display, f"{name} display", visibility="true", **parts.shown)
-        tag, class_ = node
-        return self.add(tag, class_, name, references=f"display:{shown};storage:{kept};", **parts.own)
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """Tag and class of the nodes that store and display one, and further attributes of each."""
-
-    storage: tuple[str, str]
-    display: tuple[str, str]
-    stored: dict[str, str] = field(default_factory=dict)
-    shown: dict[str, str] = field(default_factory=dict)
-    own: dict[str, str] = field(default_factory=dict)
+    def add_stored(
+        self, kind: str, name: str, file: str, stored: Mapping[str, str], shown: Mapping[str, str]
+    ) -> str:
+        """Add a node with what stores and displays it, which have further attributes; return its id."""
+        node, storage, display = _NODES[kind]
+        kept = self.add(storage, f"{name} storage", fileName=quote(f"Data/{file}"), **stored)
+        seen = self.add(display, f"{name} display", visibility="true", **shown)
+        return self.add(node, name, references=f"display:{seen};storage:{kept};")
 
 
 def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, path: Path) -> None:
@@ -75,10 +86,7 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
     It holds the volume, curves of the needle, entry, tip, layer crossings and markers, open surfaces of
     layers as models, closed ones and the needle as a segmentation. The same content gives the same bytes.
 
-    Parameters
-    ----------
-    diameter : float
-        Of the needle, mm.
+    `diameter`: of the needle, mm.
     """
     marked = mark_voxels(one, volume.grid, diameter)
     with TemporaryDirectory(prefix="needlefit-") as folder:
@@ -101,32 +109,18 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
 def _add_volume(scene: _SlicerScene, one: Reconstruction, volume: Volume) -> None:
     write_volume(volume, scene.folder / "scan.nrrd")
     level = median_tissue_hu(volume)
-    shown = {
-        "window": f"{WINDOW_HU:g}",
-        "level": f"{level:g}",
-        "autoWindowLevel": "0",
-        "colorNodeID": "vtkMRMLColorTableNodeGrey",
-    }
-    parts = _Parts(
-        ("VolumeArchetypeStorage", "vtkMRMLVolumeArchetypeStorageNode"),
-        ("VolumeDisplay", "vtkMRMLScalarVolumeDisplayNode"),
-        shown=shown,
-    )
-    volume_id = scene.add_stored(("Volume", "vtkMRMLScalarVolumeNode"), one.scan.id, "scan.nrrd", parts)
+    shown = {"window": f"{WINDOW_HU:g}", "level": f"{level:g}", "autoWindowLevel": "0"}
+    shown["colorNodeID"] = "vtkMRMLColorTableNodeGrey"
+    volume_id = scene.add_stored("Volume", one.scan.id, "scan.nrrd", {}, shown)
     selected = {"id": "vtkMRMLSelectionNodeSingleton", "name": "Selection", "singletonTag": "Singleton"}
     ElementTree.SubElement(scene.root, "Selection", {**selected, "references": f"ActiveVolume:{volume_id};"})
 
 
 def _add_markups(scene: _SlicerScene, markups: Markups, style: CurveStyle, file: str) -> None:
     write_mrk_json(scene.folder / file, [(markups, style)])
-    parts = _Parts(
-        ("MarkupsJsonStorage", "vtkMRMLMarkupsJsonStorageNode"),
-        ("MarkupsDisplay", "vtkMRMLMarkupsDisplayNode"),
-        stored={"coordinateSystem": "LPS"},
-        shown={"color": _format_colour(style.colour), "selectedColor": _format_colour(style.colour)},
-    )
-    kind = f"Markups{markups.kind}"
-    scene.add_stored((kind, f"vtkMRML{kind}Node"), markups.name, file, parts)
+    colour = _format_colour(style.colour)
+    shown = {"color": colour, "selectedColor": colour}
+    scene.add_stored(f"Markups{markups.kind}", markups.name, file, _IN_LPS, shown)
 
 
 def _add_surfaces(scene: _SlicerScene, one: Reconstruction) -> None:
@@ -135,28 +129,14 @@ def _add_surfaces(scene: _SlicerScene, one: Reconstruction) -> None:
     for number, sheet in enumerate(sheets, start=1):
         file = f"{number}_{make_id(sheet.name, 'surface')}.ply"
         write_ply(sheet.mesh, scene.folder / file, ("SPACE=LPS",))
-        parts = _Parts(
-            ("ModelStorage", "vtkMRMLModelStorageNode"),
-            ("ModelDisplay", "vtkMRMLModelDisplayNode"),
-            stored={"coordinateSystem": "LPS"},
-            shown={"color": _format_colour(rgb_of_layers()), "opacity": "0.4"},
-        )
-        name = f"into layer {sheet.into}: {sheet.name}"
-        scene.add_stored(("Model", "vtkMRMLModelNode"), name, file, parts)
+        shown = {"color": _format_colour(rgb(LAYER_COLOUR)), "opacity": "0.4"}
+        scene.add_stored("Model", f"into layer {sheet.into}: {sheet.name}", file, _IN_LPS, shown)
 
 
 def _add_segmentation(scene: _SlicerScene, one: Reconstruction, volume: Volume, marked: MarkedVoxels) -> None:
     write_slicer_segmentation(marked, volume.grid, scene.folder / "segmentation.seg.nrrd")
-    parts = _Parts(
-        ("SegmentationStorage", "vtkMRMLSegmentationStorageNode"),
-        ("SegmentationDisplay", "vtkMRMLSegmentationDisplayNode"),
-    )
-    scene.add_stored(
-        ("Segmentation", "vtkMRMLSegmentationNode"),
-        f"{one.scan.id} needle and layers",
-        "segmentation.seg.nrrd",
-        parts,
-    )
+    name = f"{one.scan.id} needle and layers"
+    scene.add_stored("Segmentation", name, "segmentation.seg.nrrd", {}, {})
 
 
 def _format_colour(colour: tuple[float, float, float]) -> str:
@@ -166,12 +146,8 @@ def _format_colour(colour: tuple[float, float, float]) -> str:
 def _bundle(folder: Path, name: str, path: Path) -> None:
     """Pack a scene and its files into one archive, in a folder as 3D Slicer has it."""
     with zipfile.ZipFile(path, "w") as archive:
-        for file in _list_files(folder):
+        for file in sorted(one for one in folder.rglob("*") if one.is_file()):
             member = zipfile.ZipInfo(f"{name}/{file.relative_to(folder).as_posix()}", ZIP_DATE)
             member.compress_type = zipfile.ZIP_STORED if file.suffix == ".nrrd" else zipfile.ZIP_DEFLATED
             member.external_attr = 0o644 << 16
             archive.writestr(member, file.read_bytes())
-
-
-def _list_files(folder: Path) -> Iterator[Path]:
-    yield from sorted(one for one in folder.rglob("*") if one.is_file())

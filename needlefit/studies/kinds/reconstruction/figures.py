@@ -28,11 +28,8 @@ from needlefit.reporting.labels import GREY, INK
 Span = tuple[float, float]
 Paint = Callable[[], Figure]
 
-NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM = 180.0, 175.0
-"""Of the figure, mm."""
-
+NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM = 180.0, 175.0  # of the figure, mm
 OUT_OF_PLANE_COLOUR = "#D55E00"
-
 # mm around and between the panels
 _LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = 17.0, 1.0, 4.0, 8.0, 2.5
 _PLOT_HEIGHTS_MM = {"core": 9.0, "around": 24.0, "deflection": 24.0, "residuals": 20.0}  # heights, mm
@@ -206,9 +203,7 @@ def _arc_to_x(reconstruction: Reconstruction, s: Floats) -> Floats:
     return np.asarray(np.interp(s, along, points[:, 0]) + beyond)
 
 
-TIP_SECTION_WIDTH_MM = 86.0
-"""Of the figure, mm."""
-
+TIP_SECTION_WIDTH_MM = 86.0  # of the figure, mm
 _MAX_MARKER_PANEL_MM = 40.0  # mm: height of the markers' panel at most
 
 
@@ -275,8 +270,8 @@ _ACROSS_MM, _VIEW_GAP_MM, _VIEW_LEFT_MM, _VIEW_BOTTOM_MM = 86.0, 10.0, 15.0, 9.0
 _PROFILE_MM = 26.0
 _MAX_VIEW_MM = 92.0
 _AXES = "ijk"
+# To the right and upwards, axes of the voxels, in each projection: along k, along j, along i.
 _VIEWS: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
-"""To the right and upwards, axes of the voxels, in each projection: along k, along j, along i."""
 
 
 def paint_along(found: Findings | None) -> Figure:
@@ -289,10 +284,7 @@ def paint_along(found: Findings | None) -> Figure:
     scale = min(width / extent[0], width / extent[1], _MAX_VIEW_MM / extent[2])
     for n, view in enumerate((1, 2)):
         right, up = _VIEWS[view]
-        box = (
-            _VIEW_LEFT_MM + n * (width + _VIEW_LEFT_MM + _VIEW_GAP_MM),
-            172.0 - scale * extent[up],
-        )
+        box = (_VIEW_LEFT_MM + n * (width + _VIEW_LEFT_MM + _VIEW_GAP_MM), 172.0 - scale * extent[up])
         _paint_view(add_panel_mm(figure, (*box, scale * extent[right], scale * extent[up])), found, view)
     if found.profile is not None:
         _paint_profile(figure, found)
@@ -307,9 +299,7 @@ def paint_across(found: Findings | None) -> Figure:
     scale = min((_ACROSS_MM - _VIEW_LEFT_MM) / extent[0], 70.0 / extent[1])
     figure = make_figure_mm(_ACROSS_MM, scale * extent[1] + _VIEW_BOTTOM_MM + 2)
     _paint_view(
-        add_panel_mm(figure, (_VIEW_LEFT_MM, _VIEW_BOTTOM_MM, scale * extent[0], scale * extent[1])),
-        found,
-        0,
+        add_panel_mm(figure, (_VIEW_LEFT_MM, _VIEW_BOTTOM_MM, scale * extent[0], scale * extent[1])), found, 0
     )
     return figure
 

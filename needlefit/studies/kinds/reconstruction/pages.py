@@ -23,9 +23,7 @@ from needlefit.studies.kinds.reconstruction.run import list_reasons
 Fact = tuple[str, str]
 Words = tuple[str, list[list[Fact]], list[str], tuple[str, str]]
 
-MAX_LISTED_WARNINGS = 10
-"""Number of warnings on a page; the table of the batch has all of them."""
-
+MAX_LISTED_WARNINGS = 10  # number of warnings on a page; the table of the batch has all of them
 _QUALITY_CAPTIONS = (
     "Above, the scan in slabs that follow the needle (crosses: centres of markers nearby); below, "
     "brightness, deflection, cross-sections off the axis. Lines: entry, layers, tip. Bands: 95 %, "
@@ -48,10 +46,7 @@ _SOURCES = {
 def write_quality(one: Reconstruction, path: Path) -> Path:
     """Write the quality page (A4, PDF), completely or not at all; equal reconstructions give equal bytes.
 
-    Raises
-    ------
-    ConfigError
-        If nothing can be written there.
+    ConfigError if nothing can be written there.
     """
     left = len(one.warnings) - MAX_LISTED_WARNINGS
     warnings = [
@@ -66,10 +61,7 @@ def write_quality(one: Reconstruction, path: Path) -> Path:
 def write_refused_pages(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
     """Write `<id>.pdf` (A4) of each refused scan into a folder, with everything that was found in it.
 
-    Raises
-    ------
-    ConfigError
-        If nothing can be written there.
+    ConfigError if nothing can be written there.
     """
     folder.mkdir(exist_ok=True)
     for failure in failures:
@@ -143,10 +135,7 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
             ("entry pose", f"from {_SOURCES[pose.source]}"),
             ("", f"± {format_mm(pose.along_sd)} mm along, {across}"),
             ("bending plane", f"from {_SOURCES[one.plane]}"),
-            (
-                "out of plane",
-                f"{format_mm(_rms(off))} mm (rms), {most} mm at most",
-            ),
+            ("out of plane", f"{format_mm(_rms(off))} mm (rms), {most} mm at most"),
         ],
         [
             ("inserted length", _with_sd(one.depth, one.depth_sd)),

@@ -35,11 +35,8 @@ from needlefit.studies.slicer_scene import write_slicer_scene
 ExportKind = Literal["scene", "seg"]
 
 SCANS_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
-POOR_DEPTH_SD_MM = 0.5
-"""Deviation of the inserted length, mm, that the first line names."""
-
+POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
-
 _COLUMNS = (
     *("scan", "medium", "depth_mm", "depth_sd_mm", "deflection_mm", "out_of_plane_max_mm", "markers"),
     *("fre_mm", "expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths"),
@@ -139,12 +136,8 @@ def write_reconstruction(
     The dataset, and where its scans lie; `quality/<id>.pdf`, also of the scans that were `refused`;
     `slicer/`, with what is exported of each scan; and the files of every run.
 
-    Raises
-    ------
-    DataError
-        If the dataset has a fault that belongs to no single scan.
-    ConfigError
-        If `folder` holds anything that needlefit did not write, or that was changed since.
+    DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
+    anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
         kept, failures = assemble_checked(fresh, ones, recipe, description)
@@ -209,10 +202,7 @@ def write_refused(
 
     Their table and their recipe are written beside these, from which the scans are opened again.
 
-    Raises
-    ------
-    ConfigError
-        If `folder` holds anything that needlefit did not write, or that was changed since.
+    ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
         write_refused_pages(failures, fresh / "quality")
