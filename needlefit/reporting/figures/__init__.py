@@ -56,6 +56,8 @@ class Look:
         Of dots in a row: how far below its middle, as a part of its height.
     size, width : float
         Of marks and lines, points.
+    white : float
+        Share of white in the colour of bands.
     """
 
     label: str
@@ -66,6 +68,7 @@ class Look:
     shift: float = 0.0
     size: float = 3.4
     width: float = 1.1
+    white: float = 0.75
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def curves(
 def _draw_curve(axes: Axes, rows: pd.DataFrame, x: str, panel: Panel, look: Look) -> None:
     if panel.low:
         low, high = (panel.scale * rows[end].astype(float) for end in (panel.low, panel.high))
-        axes.fill_between(rows[x], low, high, color=lighten(look.colour, 0.75), lw=0, zorder=1)
+        axes.fill_between(rows[x], low, high, color=lighten(look.colour, look.white), lw=0, zorder=1)
     style: dict[str, Any] = {"color": look.colour}
     if panel.line:
         heights = panel.scale * rows[panel.line]

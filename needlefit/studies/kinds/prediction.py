@@ -51,7 +51,7 @@ from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.run_file import read_run
 from needlefit.project.unit_warnings import scene_warnings
 from needlefit.reporting.figures import Drawing, Look, Panel
-from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, SPECIMEN_NAMES
+from needlefit.reporting.labels import METHOD_COLOURS, SPECIMEN_NAMES
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
@@ -603,15 +603,16 @@ def tabulate(found: Run) -> list[Table]:
 
 def draw(found: Run) -> dict[str, Drawing]:
     """Return median, 50 and 95 % bands of the needle, and the 95 % band of its measurement, mm."""
-    facts, colour = describe(found), METHOD_COLOURS["fitted"]
+    facts = describe(found)
     title = f"{facts['title']} ({facts['fault_heads']})" if found.faults else facts["title"]
     table = found.frames["forecast"].assign(origin=found.origin, scene=title)
-    names = {
-        "measured_95": Look("95 % of measurements", GREY),
-        "needle_95": Look("95 % of needles", colour),
-        "needle_50": Look("50 % of needles", "#004B7A"),
-        "median": Look("median", INK, marker="", width=1.3),
+    bands = {
+        "measured_95": ("95 % of measurements", "#D5D5D5"),
+        "needle_95": ("95 % of needles", "#BFDBEC"),
+        "needle_50": ("50 % of needles", "#7FB8D8"),
     }
+    names = {name: Look(*one, marker="", width=6.0, white=0.0) for name, one in bands.items()}
+    names["median"] = Look("median", METHOD_COLOURS["fitted"], marker="", width=1.4)
     if found.faults:  # whose bands are left out
         names = {"median": names["median"]}
     options = {
