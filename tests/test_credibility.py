@@ -25,11 +25,22 @@ from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.studies.csv_tables import find_damaged_files
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds.credibility.case import load_case
-from needlefit.studies.kinds.credibility.evidence import gather_evidence
-from needlefit.studies.kinds.credibility.factors import FACTORS, collect_entries
-from needlefit.studies.kinds.credibility.report import DISCLAIMER, compose_sections
-from needlefit.studies.kinds.credibility.verification_findings import find_code_verification
+from needlefit.studies.kinds.credibility import (
+    REPORT,
+    TEXT,
+    collect_entries,
+    collect_entry,
+    gather_evidence,
+    list_factors,
+    load_case,
+)
+
+FACTORS = list_factors()
+DISCLAIMER = TEXT.sentence("disclaimer", {})
+
+
+def find_code_verification(case):
+    return collect_entry(next(one for one in FACTORS if one.key == "code_verification"), case)
 
 
 def read_findings(folder, *named, about=None):
@@ -41,7 +52,7 @@ def read_findings(folder, *named, about=None):
     )
     found = load_case(folder, named, **given)
     return {
-        one.factor.key: (" ".join(f.words for f in one.content.findings), list(one.gaps))
+        one.factor.key: (" ".join(f.words for f in one.findings), list(one.gaps))
         for one in collect_entries(found)
     }
 
@@ -49,7 +60,7 @@ def read_findings(folder, *named, about=None):
 def compose_blocks(folder):
     """Return the report of the bundle of a run, down to its provenance."""
     kind = find_kind("credibility")
-    return compose_sections(kind.run("bundle", kind.make_record(run=str(folder)), Settings()), {})
+    return REPORT.compose(kind.run("bundle", kind.make_record(run=str(folder)), Settings()), {})
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +166,7 @@ def test_evidence_of_another_model_is_listed_but_not_counted(alone, tmp_path):
     found = load_case(alone)
     every = collect_entries(found)
     (uncertainties,) = (one for one in every if one.factor.key == "uncertainties")
-    assert not any("500 truths" in one.words for one in uncertainties.content.findings)
+    assert not any("500 truths" in one.words for one in uncertainties.findings)
     assert "needlefit calibrate" in " ".join(uncertainties.gaps)
     blocks = json.dumps(compose_blocks(alone), default=str, ensure_ascii=False)
     assert all(word in blocks for word in ("calibrate-study1", "cdcdcdcdcdcd…", "abababababab…"))

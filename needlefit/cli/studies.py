@@ -409,7 +409,7 @@ def credibility(
     from needlefit.project.load import load
     from needlefit.project.locate import find_run
     from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
-    from needlefit.studies.kinds.credibility.report import list_open_statements
+    from needlefit.studies.kinds.credibility import list_open_statements
 
     given: dict[str, object] = {"run": run, "evidence": [str(folder) for folder in evidence or ()]}
     if statements is not None:

@@ -166,10 +166,6 @@ RANKS_CAPTION = (
     "ranks, for each quantity. Grey: simultaneous confidence band of uniform ranks. Above and then below: "
     "posteriors too narrow; below and then above: too wide."
 )
-CONVERGENCE_CAPTION = (
-    "Manufactured solutions: largest error in the tissue under refinement, per case. Dashed: the orders that "
-    "theory promises. “At the nodes”: the largest of all cases there alone, where the slope superconverges."
-)
 PROFILES_CAPTION = (
     "Profile likelihoods: deviance with one parameter fixed and all others fitted again (solid; dots were "
     "computed). Shaded and written above: the 95 % interval of the tables. It is that of the posterior draws "

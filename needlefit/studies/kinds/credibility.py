@@ -1,0 +1,1228 @@
+"""Collect the credibility evidence of a run, in the order of ASME V&V 40-2018.
+
+For every factor: findings of the run itself, and of other commands that left results beside it or in folders
+that were named. Evidence counts only where versions, data, model, recipe and insertions are the same; what
+does not state itself is not taken for the same. Nothing is computed, and nothing is graded.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
+
+from needlefit.datasets.select import group_independent
+from needlefit.errors import DataError
+from needlefit.inference.proportions import estimate_proportion
+from needlefit.metrics import headline_metrics, list_metrics
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.locate import find_run
+from needlefit.project.manifest import find_changes, sha256
+from needlefit.project.run_file import RUN_FILE, read_run
+from needlefit.reporting import document
+from needlefit.reporting.columns import find_column
+from needlefit.reporting.document import Block
+from needlefit.reporting.labels import RANKS_CAPTION, medium_name
+from needlefit.reporting.number_format import MISSING, format_bound, format_measured, insert_symbols
+from needlefit.reporting.table import Table, part, pivot
+from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.text import KindText
+from needlefit.schemas.analyses import AnalysisRecord
+from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
+from needlefit.schemas.names import spreadsheet_text
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies.coverage import format_proportion
+from needlefit.studies.csv_tables import find_damaged_files, read_table
+from needlefit.studies.differences import count_words
+from needlefit.studies.fit_frames import FIT_KINDS
+from needlefit.studies.identification_tables import describe_verdicts
+from needlefit.studies.job import Settings
+from needlefit.studies.kind import StudyKind, find_kind
+from needlefit.studies.packing import RESULTS_FILE, unpack
+from needlefit.studies.provenance import package_versions
+from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
+from needlefit.studies.rebuild import restore_runs
+from needlefit.studies.report import StudyReport, report_from_text, say, warning_blocks
+from needlefit.studies.run import Run
+from needlefit.studies.run_differences import iterate_leaves
+from needlefit.studies.score import Row
+from needlefit.studies.scored_groups import study_label
+from needlefit.studies.summary import aggregate
+from needlefit.verification.check import Group
+
+NO_STATEMENTS = CredibilityStatementsRecord.model_validate({"schema": 1})
+
+
+class CredibilityRecord(AnalysisRecord):
+    """`kind = "credibility"`: the credibility evidence of a run in one document."""
+
+    kind: Literal["credibility"]
+    run: str
+    """Folder of a run, or its name in `reports/`."""
+    evidence: tuple[str, ...] = ()
+    """Folders of other commands; without it, those that lie beside the run."""
+    statements: CredibilityStatementsRecord = NO_STATEMENTS
+    """Statements that only people can make."""
+    statements_file: str = ""
+    """File that they were read from."""
+
+
+KIND = StudyKind("credibility", CredibilityRecord, __name__)
+"""What `needlefit credibility` runs, or a study file."""
+
+TEXT = KindText("credibility")
+
+# ---- results of other commands, as evidence for a run
+
+EvidenceKind = Literal["verification", "calibration", "identification", "sensitivity"]
+
+EVIDENCE_TABLES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "verification": {
+        "verification.csv": (
+            *("group", "check", "quantity", "measured", "bound_low", "bound_high", "unit", "verdict"),
+        )
+    },
+    "calibration": {
+        "coverage.csv": ("quantity", "level", "replicates", "covered", "count_low", "count_high")
+    },
+    "identification": {"identify.csv": ("stage", "parameter", "status", "determined", "profile_verdict")},
+    "sensitivity": {
+        "cells.csv": (
+            *("aspect", "variation", "tuned", "grouping", "study", "medium", "layers", "metric"),
+            *("change", "change_in_floors"),
+        ),
+        "studies.csv": ("aspect", "variation", "tuned", "study", "limit_mm", "conclusion_changes"),
+    },
+}
+"""The tables that evidence of each kind is read from, and the columns that are read."""
+
+EVIDENCE_FIGURES: Mapping[str, str] = {"verification": "convergence.pdf", "calibration": "ranks.pdf"}
+"""The figure that shows it, where there is one."""
+
+AGREEMENT_FIGURES = {"boxplot.pdf": "figure_boxplot", "predicted.pdf": "figure_predicted"}
+"""Figures of the run that show how outputs agree, and the blocks of their captions."""
+
+
+@dataclass(frozen=True)
+class CredibilityEvidence:
+    """The result of one command, as evidence for one run.
+
+    Attributes
+    ----------
+    kind : str
+        Which command: "verification", "calibration", "identification" or "sensitivity".
+    folder : Path
+    target : str
+        The study or fit that it is looked at for; empty for what is about the program.
+    run : mapping
+        Its `run.json`.
+    tables : mapping of DataFrame
+        By file name.
+    objections : tuple of str
+        Why it is not of the same thing as the run, and so is not counted; empty if it is.
+    digests : mapping of str
+        sha256 of the files read, by name.
+    """
+
+    kind: EvidenceKind
+    folder: Path
+    target: str
+    run: Mapping[str, Any]
+    tables: Mapping[str, pd.DataFrame]
+    objections: tuple[str, ...]
+    digests: Mapping[str, str]
+
+    @property
+    def name(self) -> str:
+        """The name of its folder."""
+        return self.folder.name
+
+    @property
+    def counted(self) -> bool:
+        """Whether it concerns the same work as the run."""
+        return not self.objections
+
+    @property
+    def command(self) -> str:
+        """The command that made it."""
+        study, name = self.run.get("study", {}), str(self.run["name"])
+        if self.kind == "verification":
+            return "needlefit verify"
+        if self.kind == "sensitivity":
+            return f"needlefit validate {name}"
+        if self.kind == "identification":
+            return f"needlefit identify {name.removeprefix('identify-')}" + (
+                " --fit" if study.get("fit") else ""
+            )
+        options = [
+            "--truth synthetic" if study.get("truth") == "synthetic" else "",
+            "--ct" if study.get("ct") else "",
+            "--sample" if study.get("sampled") else "",
+            f"--control {self.run['control']}" if self.run.get("control") else "",
+        ]
+        words = [
+            "needlefit calibrate",
+            name,
+            f"--replicates {self.run['replicates']}",
+            *filter(None, options),
+        ]
+        return " ".join(words)
+
+
+_IGNORED_KEYS = ("title", "note", "seed")
+"""Last parts of keys that change no meaning: another seed is another try at the same."""
+
+_MAX_NAMED_DIFFERENCES = 3
+
+
+def describe_identity(work: Row, dataset: Row | None = None) -> Row:
+    """Return what identifies the work of a run; None for what the run does not state.
+
+    `dataset` is given where `run.json` keeps it elsewhere.
+    """
+    data = work.get("dataset") if dataset is None else dataset
+    return {
+        "dataset": {key: data.get(key) for key in ("name", "sha256", "needle")} if data else None,
+        **{key: work.get(key) for key in ("medium", "recipe", "rules")},
+        "tuned on": [fold["tune"] for fold in work.get("folds") or ()] or None,
+    }
+
+
+def compare_identities(there: Row, here: Row) -> list[str]:
+    """Return in words how two identities differ; the first few differences are named."""
+    found = []
+    for name, two in here.items():
+        one = there.get(name)
+        if one is None or two is None:
+            found.append(f"{name}: not stated {'there' if one is None else 'here'}")
+            continue
+        first, second = dict(iterate_leaves(one)), dict(iterate_leaves(two))
+        for key in dict.fromkeys([*first, *second]):
+            if first.get(key) != second.get(key) and key.rpartition(".")[2] not in _IGNORED_KEYS:
+                found.append(_describe_difference(f"{name} {key}".strip(), first.get(key), second.get(key)))
+    more = len(found) - _MAX_NAMED_DIFFERENCES
+    return found if more <= 0 else [*found[:_MAX_NAMED_DIFFERENCES], f"and {more} more"]
+
+
+def _compare_versions(there: Row, here: Row) -> list[str]:
+    """Return the versions in which two runs differ, of those that both state."""
+    one, two = there.get("versions"), here.get("versions")
+    if not one or not two:
+        return ["versions are not stated " + ("here" if one else "there")]
+    changed = [key for key in one if one[key] != two.get(key, one[key])]
+    return [_describe_difference(f"version of {key}", one[key], two[key]) for key in changed]
+
+
+def _describe_difference(what: str, there: object, here: object) -> str:
+    words = ["nothing" if value is None else str(value) for value in (there, here)]
+    one, two = (text if len(text) <= 16 else f"{text[:12]}…" for text in words)
+    return f"{what}: {one} there, {two} here"
+
+
+def gather_evidence(
+    run: Path, runs: Mapping[str, Row], named: Sequence[Path] = ()
+) -> list[CredibilityEvidence]:
+    """Return all evidence for `runs`: what was named, and other kinds from the folders beside `run`.
+
+    `runs` has the `run.json` of each study or fit by its name, `-tune` left off. Beside it only results that
+    name one of these runs are considered; what was named always is.
+
+    Raises
+    ------
+    DataError
+        If a folder that was named holds no evidence.
+    """
+    given = {folder: read_run(folder) for folder in named}
+    for folder, table in given.items():
+        if _find_evidence_kind(table) is None:
+            raise DataError(
+                "holds no evidence",
+                where=str(folder),
+                expected="what `needlefit verify`, `calibrate`, `identify` or a sensitivity study wrote",
+            )
+    kinds = {None, *map(_find_evidence_kind, given.values())}
+    beside = {
+        folder: table
+        for folder, table in _read_runs_beside(run)
+        if isinstance(table, dict) and _find_evidence_kind(table) not in kinds
+    }
+    found = [one for folder, table in given.items() for one in _examine_folder(folder, table, runs, True)]
+    return found + [
+        one for folder, table in beside.items() for one in _examine_folder(folder, table, runs, False)
+    ]
+
+
+def _find_evidence_kind(table: Row) -> EvidenceKind | None:
+    """Return which command wrote a `run.json`; None if it is not evidence."""
+    study = table.get("study")
+    kind = study.get("kind") if isinstance(study, Mapping) else None
+    return kind if kind in EVIDENCE_TABLES else None
+
+
+def _read_runs_beside(run: Path) -> Iterator[tuple[Path, Row | DataError]]:
+    """Yield each folder beside a run with its `run.json`, or with why that cannot be read."""
+    here = run.resolve()
+    for folder in sorted(here.parent.iterdir()):
+        if folder != here and (folder / RUN_FILE).is_file():
+            try:
+                yield folder, dict(read_run(folder))
+            except DataError as error:
+                yield folder, error
+
+
+def _examine_folder(
+    folder: Path, table: Row, runs: Mapping[str, Row], named: bool
+) -> Iterator[CredibilityEvidence]:
+    """Yield the evidence in a folder for each run that it names, with what speaks against counting it."""
+    kind = _find_evidence_kind(table)
+    assert kind is not None
+    tables, lacking = {}, list[str]()
+    for name, columns in EVIDENCE_TABLES[kind].items():
+        if not (folder / name).is_file():
+            lacking.append(f"{name} is missing")
+            continue
+        try:
+            tables[name] = read_table(folder / name)
+        except DataError as error:
+            lacking.append(f"{name} cannot be used: {error.what}")
+            continue
+        without = [column for column in columns if column not in tables[name]]
+        lacking += [f"{name} lacks {', '.join(without)}"] if without else []
+    drawn = [name for name in (EVIDENCE_FIGURES.get(kind, ""),) if name and (folder / name).is_file()]
+    digests = {name: sha256(folder / name) for name in (RUN_FILE, *tables, *drawn)}
+    altered = [f"{name} {how}" for name, how in find_changes(folder).items() if name in digests]
+    for target, objections in _find_objections(kind, table, runs, named):
+        every = (*lacking, *altered, *dict.fromkeys(objections))
+        yield CredibilityEvidence(kind, folder, target, table, tables, every, digests)
+
+
+def _find_objections(
+    kind: EvidenceKind, table: Row, runs: Mapping[str, Row], named: bool
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield for which run it is looked at, and what speaks against counting it."""
+    if kind == "verification":
+        yield "", [difference for here in runs.values() for difference in _compare_versions(table, here)]
+        return
+    study = table["study"]
+    targets = [str(table["name"]).removeprefix("identify-")]
+    if kind == "sensitivity":
+        every = [*study.get("studies", ()), *study.get("fits", ())]
+        targets = [name for name in every if isinstance(name, str)]
+    for name in (one for one in targets if one in runs):
+        here, parts = runs[name], [describe_identity(table)]
+        if kind == "sensitivity":  # of work in several parts, the part that is most alike
+            data = table.get("datasets", {}).get((runs[name].get("dataset") or {}).get("name"))
+            parts = [describe_identity(one, data) for one in table.get("parts", ())]
+        unlike = (compare_identities(one, describe_identity(here)) for one in parts)
+        nearest = min(unlike, key=len, default=["what it was computed with: not stated there"])
+        yield name, [*_compare_versions(table, here), *nearest]
+    if named and not any(one in runs for one in targets):
+        yield ", ".join(targets), [f"is of {', '.join(targets)}, not of {', '.join(runs)}"]
+
+
+# ---- a case: a run, its evidence, the statements of people
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding: a statement with its source.
+
+    Attributes
+    ----------
+    words : str
+        With numbers and units.
+    place : str
+        The file it stands in, and its folder.
+    command : str
+        What makes that file; empty for what people state.
+    target : str
+        The study or fit that it is about; empty for what is about all of them.
+    """
+
+    words: str
+    place: str
+    command: str
+    target: str = ""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """What evidence leaves open, in words."""
+
+    words: str
+
+
+@dataclass(frozen=True)
+class EvidenceFigure:
+    """A figure drawn by another command, its caption, and whether it shows the run's data."""
+
+    path: Path
+    caption: str
+    shows_run_data: bool = True
+
+
+Item = Finding | Gap | EvidenceFigure | TableLayout
+
+
+@dataclass(frozen=True)
+class CredibilityCase:
+    """Everything a credibility bundle is composed from.
+
+    Attributes
+    ----------
+    folder : Path
+        The run's.
+    results : tuple of Run
+        One, or those that were reported together.
+    evidence : tuple of CredibilityEvidence
+        Counted or not.
+    statements : CredibilityStatementsRecord
+        What people state.
+    statements_file : str
+        The name of the file in which they do.
+    damaged : tuple of str
+        Files of the run, and `run.json` of folders beside it, that are damaged: each with what is wrong.
+    """
+
+    folder: Path
+    results: tuple[Run, ...]
+    evidence: tuple[CredibilityEvidence, ...]
+    statements: CredibilityStatementsRecord = NO_STATEMENTS
+    statements_file: str = ""
+    damaged: tuple[str, ...] = ()
+
+    @property
+    def held_out(self) -> list[Run]:
+        """The results that have held-out insertions."""
+        return [one for one in self.results if (one.frames["errors"]["role"] == "validate").any()]
+
+    @property
+    def several(self) -> bool:
+        """Whether there are several runs, so that findings name theirs."""
+        return len(self.results) > 1
+
+    def counted(self, kind: EvidenceKind) -> list[CredibilityEvidence]:
+        """Return the evidence of one kind that applies to the run."""
+        return [one for one in self.evidence if one.kind == kind and one.counted]
+
+    def list_lacking(self, kind: EvidenceKind) -> list[str]:
+        """Return of which runs there is no evidence of a kind that counts."""
+        known = {one.target for one in self.counted(kind)}
+        return [name for name in map(find_target, self.results) if name not in known]
+
+
+def load_case(
+    run: Path,
+    named: Sequence[Path] = (),
+    statements: CredibilityStatementsRecord = NO_STATEMENTS,
+    statements_file: str = "",
+) -> CredibilityCase:
+    """Return the case of a run's folder.
+
+    Raises
+    ------
+    DataError
+        If its `run.json` is damaged, it stored no results of a study or fit, or a named folder holds no
+        evidence.
+    """
+    read_run(run)
+    alone = (run / RESULTS_FILE).is_file() and unpack(run).get("kind") not in FIT_KINDS
+    results = () if alone else tuple(one for one in restore_runs(run) if one.kind in FIT_KINDS)
+    if not results:
+        raise DataError(
+            "holds no results of a study or fit",
+            where=str(run),
+            expected="what `needlefit tune`, or `needlefit validate` of a study without `kind`, wrote",
+            fix="name such a run; what other commands left beside it is found, or named by --evidence",
+        )
+    found = tuple(gather_evidence(run, {find_target(one): one.run for one in results}, named))
+    folder = run.resolve()
+    parts = (folder.parent / one.name for one in results if len(results) > 1)
+    faults = [
+        f"{one.name}/{name} {what}"
+        for one in (folder, *parts)
+        for name, what in find_damaged_files(one).items()
+    ]
+    unreadable = [
+        f"{one.name}/{RUN_FILE} {error.what}"
+        for one, error in _read_runs_beside(run)
+        if isinstance(error, DataError)
+    ]
+    return CredibilityCase(folder, results, found, statements, statements_file, (*faults, *unreadable))
+
+
+def find_target(results: Run) -> str:
+    """Return the study or fit of the results, in the form that other commands accept."""
+    return results.name.removesuffix("-tune")
+
+
+def make_finding(source: Run | CredibilityEvidence, file: str, words: str) -> Finding:
+    """Return a finding from a file of a run or of evidence."""
+    place = f"{source.name}/{file}"
+    if isinstance(source, CredibilityEvidence):
+        return Finding(words, place, source.command, source.target)
+    verb = "validate" if isinstance(source.record, StudyRecord) else "tune"
+    target = find_target(source)
+    return Finding(words, place, f"needlefit {verb} {target}", target)
+
+
+def _find(source: Run | CredibilityEvidence, file: str, block: str, **values: Any) -> Finding:  # noqa: ANN401
+    return make_finding(source, file, TEXT.sentence(block, values))
+
+
+def _gap(block: str, **values: Any) -> Gap:  # noqa: ANN401
+    return Gap(TEXT.sentence(block, values))
+
+
+def _figure(folder: Path, file: str, caption: str, shows_run_data: bool = True) -> Iterator[EvidenceFigure]:
+    if (folder / file).is_file():
+        yield EvidenceFigure(folder / file, caption, shows_run_data)
+
+
+# ---- findings on verification: rows of `needlefit verify`, and failures in the run itself
+
+_CODE_GROUPS = (
+    *(Group.CLOSED_FORMS, Group.MANUFACTURED, Group.COLLOCATION),
+    *(Group.REFERENCE, Group.SENSITIVITIES, Group.SYMMETRIES),
+)
+
+
+def _find_quality_assurance(case: CredibilityCase) -> Iterator[Item]:
+    for one in case.results:
+        if one.run.get("versions"):
+            yield _find(one, "run.json", "versions", versions=one.run["versions"])
+
+
+def _find_code_verification(case: CredibilityCase) -> Iterator[Item]:
+    caption = KindText("verification").sentence("figure_convergence", {})
+    for one in case.counted("verification"):
+        yield from _find_checks(one, _CODE_GROUPS)
+        yield from _figure(one.folder, EVIDENCE_FIGURES[one.kind], caption, shows_run_data=False)
+
+
+def _find_discretisation(case: CredibilityCase) -> Iterator[Item]:
+    """Yield the discretisation error, if it was measured with the mesh of the run."""
+    used = {results.run.get("rules", {}).get("element_mm", math.nan) for results in case.results}
+    for one in case.counted("verification"):
+        measured = one.run["rules"]["element"]
+        if used == {measured}:
+            found = list(_find_checks(one, (Group.REFINEMENT,)))
+            yield from found
+            if found:
+                yield _gap("other_scenes")
+        else:
+            yield _gap("other_mesh", measured=measured, used=[f"{size:g}" for size in sorted(used)])
+
+
+def _find_solver(case: CredibilityCase) -> Iterator[Item]:
+    verified = case.counted("verification")
+    for one in verified:
+        tolerance = format_measured(float(one.run["rules"]["tolerance"]))
+        yield _find(one, "run.json", "tolerance", tolerance=tolerance)
+        yield from _find_checks(one, (Group.TANGENT,))
+    for run in case.results:
+        starts, errors = run.frames["starts"], run.frames["errors"]
+        fitted = errors[errors["method"] == "fitted"]
+        failed, every = int(starts["failed_solves"].sum()), int(starts["evaluations"].sum())
+        lost = int((~fitted["converged"].astype(bool)).sum())
+        yield _find(run, "starts.csv", "evaluations", failed=failed, every=every)
+        yield _find(run, "errors.csv", "scored", lost=lost, every=len(fitted))
+        for faults in run.run.get("search_faults", {}).values():
+            yield from (_find(run, "run.json", "search_fault", fault=fault) for fault in faults)
+    if not verified:
+        yield _gap("tangent")
+
+
+def _find_use_error(case: CredibilityCase) -> Iterator[Item]:
+    for one in case.results:
+        data = one.run.get("dataset", {})
+        if "sha256" in data:
+            yield _find(one, "run.json", "inputs", name=data["name"], digest=data["sha256"][:16])
+    yield from (_gap("damaged", fault=fault) for fault in case.damaged)
+
+
+def _find_checks(evidence: CredibilityEvidence, groups: Sequence[Group]) -> Iterator[Finding]:
+    """Yield how many rows of a group keep their bounds, which do not, and what was measured."""
+    table = evidence.tables["verification.csv"]
+    for group in groups:
+        rows = table[table["group"] == group.title]
+        if len(rows):
+            failing = [
+                f"{row['check']}: {row['quantity']}" for row in to_records(rows) if row["verdict"] == "FAILS"
+            ]
+            same = (to_records(some) for _, some in rows.groupby("quantity", sort=False))
+            measured = "; ".join(map(_describe_measured, same))
+            yield _find(
+                evidence,
+                "verification.csv",
+                "checks",
+                title=group.title,
+                kept=int((rows["verdict"] == "passes").sum()),
+                rows=len(rows),
+                failing=failing,
+                measured=measured[:1].upper() + measured[1:],
+            )
+
+
+def _describe_measured(rows: list[Row]) -> str:
+    """Return the range of a quantity that has both bounds, of an error that which is nearest to its bound."""
+    values = [math.nan if row["measured"] is None else float(row["measured"]) for row in rows]
+    several, row = "", rows[0]
+    if row["bound_low"] is not None:
+        low, high = (format_measured(end) for end in (min(values), max(values)))
+        measured = low if low == high else f"{low} to {high}"
+    else:
+        parts = [
+            _fraction_of_bound(value, one["bound_high"]) for value, one in zip(values, rows, strict=True)
+        ]
+        nearest = max(range(len(rows)), key=parts.__getitem__)
+        row, measured = rows[nearest], format_measured(values[nearest])
+        several = ", nearest to its bound" if len(rows) > 1 else ""
+    unit = f" {row['unit']}" if row["unit"] else ""
+    bound = format_bound(row["bound_low"], row["bound_high"])
+    return f"{row['quantity']}{several}: {measured}{unit} (bound {bound})"
+
+
+def _fraction_of_bound(value: float, bound: float | None) -> float:
+    """Return which part of its bound an error is; of one that is not to be at all, none if it is not."""
+    if math.isnan(value) or not bound:
+        return 0.0 if value == 0.0 else math.inf
+    return float(value / bound)
+
+
+# ---- findings on the model: its form, and the sensitivity to and uncertainty of its inputs
+
+FORM_ASPECTS = ("tie", "advance", "constraint spacing", "first cell", "phase of the grid")
+"""Rules of the model, by the names of their variations in a sensitivity study."""
+
+INPUT_ASPECTS = ("thickness", "rigidity", "layer depths")
+"""Inputs of the model, by the names of their variations in a sensitivity study."""
+
+_TUNING_NAMES = {"again": "tuned again", "kept": "kept"}
+
+
+def _find_form(case: CredibilityCase) -> Iterator[Item]:
+    for one in case.results:
+        if rules := one.run.get("rules"):
+            words = [_format_rule(key, value) for key, value in sorted(rules.items())]
+            yield _find(one, "run.json", "rules", rules=words)
+        yield make_finding(one, "errors.csv", say(one, "conclusion", "ties", "paper_sets"))
+    yield from _find_variations(case, FORM_ASPECTS)
+    yield _gap("another_law")
+
+
+def _format_rule(key: str, value: object) -> str:
+    """Return "constraint spacing 1 mm", "tie: nearest constraint ..."."""
+    name = key.removesuffix("_mm").replace("_", " ")
+    if isinstance(value, float):
+        return f"{name} {value:g}" + (" mm" if key.endswith("_mm") else "")
+    return f"{name}: {value}"
+
+
+def _find_sensitivities(case: CredibilityCase) -> Iterator[Item]:
+    for one in case.results:
+        yield make_finding(one, "parameters.csv", say(one, "undetermined"))
+    for evidence in case.counted("identification"):
+        rows = evidence.tables["identify.csv"]
+        last = "fit" if "fit" in set(rows["stage"]) else "design"
+        verdicts = map(insert_symbols, describe_verdicts(rows[rows["stage"] == last]))
+        yield _find(evidence, "identify.csv", "identified", last=last, verdicts=list(verdicts))
+    examined = [find_target(one) for one in case.results if len(one.frames["identification"])]
+    missing = [one for one in case.list_lacking("identification") if one not in examined]
+    if missing:
+        yield _gap("not_identified", names=missing)
+    yield from _find_variations(case, INPUT_ASPECTS)
+
+
+def _find_variations(case: CredibilityCase, aspects: Sequence[str]) -> Iterator[Item]:
+    """Yield how much varying each input or rule changes the errors; one that was not varied is a gap."""
+    studies, known = {one.name: one for one in case.counted("sensitivity")}, set[str]()
+    names = [metric.name for metric in headline_metrics()]
+    for one in studies.values():
+        counted = [each.target for each in case.counted("sensitivity") if each.name == one.name]
+        cells, concluded = (
+            table[table["study"].isin(counted) & (table["aspect"] != "as decided")]
+            for table in (one.tables["cells.csv"], one.tables["studies.csv"])
+        )
+        known |= set(cells["aspect"])
+        cells = cells[cells["aspect"].isin(aspects) & cells["metric"].isin(names)]
+        if cells.empty:
+            continue
+        about_all = replace(one, target="")  # it is of all the runs that it counts for
+        for aspect, rows in cells.groupby("aspect", sort=False):
+            again = rows[rows["tuned"] == "again"]
+            changes = [
+                {"label": metric.label, "unit": metric.unit}
+                | {"change": _largest(again, metric.name, "change")}
+                | {"floors": _largest(again, metric.name, "change_in_floors")}
+                for metric in headline_metrics()
+            ]
+            name, count = f"{str(aspect)[:1].upper()}{str(aspect)[1:]}", again["variation"].nunique()
+            yield _find(about_all, "cells.csv", "varied", name=name, count=count, changes=changes)
+        concluded = concluded[concluded["aspect"].isin(aspects) & (concluded["tuned"] == "again")]
+        if len(concluded):
+            once = concluded.drop_duplicates(["aspect", "variation", "study"])  # it has a row per metric
+            changed = to_records(once[once["conclusion_changes"].astype(bool)])
+            which = [f"{row['study']} under {row['aspect']}: {row['variation']}" for row in changed]
+            limit = float(concluded["limit_mm"].iloc[0])
+            yield _find(about_all, "studies.csv", "conclusions", limit=limit, changed=which)
+        yield from (_gap("not_trusted", place=one.name, why=why) for why in one.run.get("faults", ()))
+        yield _lay_out_variations(cells)
+    if lacking := [name for name in aspects if name not in known]:
+        yield _gap("not_varied", names=lacking)
+
+
+def _lay_out_variations(rows: pd.DataFrame) -> TableLayout:
+    """Return one row per variation: how far the cells of these runs moved, in either direction."""
+    metrics = [metric.name for metric in headline_metrics()]
+    changes = [
+        {
+            **dict(zip(("aspect", "variation", "tuned"), key, strict=True)),
+            "tuned": _TUNING_NAMES.get(str(key[2]), str(key[2])),
+            "cells": len(group[["grouping", "study", "medium", "layers"]].drop_duplicates()),
+            "metric": name,
+            "change_size": _largest(group, name, "change"),
+            "over_floor": _largest(group, name, "change_in_floors"),
+        }
+        for key, group in rows.groupby(["aspect", "variation", "tuned"], sort=False)
+        for name in metrics
+    ]
+    cells = (part(key, metric=name) for name in metrics for key in ("change_size", "over_floor"))
+    varied = pivot(changes, ["aspect", "variation", "tuned"], ["metric"])
+    columns = ("aspect", "variation", "tuned", "cells", *cells)
+    return TEXT.lay_out(Table("sensitivity", "", varied, columns, groups=("aspect",), heads=1), {})
+
+
+def _largest(rows: pd.DataFrame, metric: str, column: str) -> float:
+    return float(rows.loc[rows["metric"] == metric, column].abs().max())
+
+
+def _find_uncertainties(case: CredibilityCase) -> Iterator[Item]:
+    """Yield findings on uncertainty: of parameters and predictions, and whether they are calibrated."""
+    for one in case.results:
+        ordered = one.frames["directions"].sort_values("sd", kind="stable")
+        if len(ordered):
+            words = {insert_symbols(str(ordered["note"].iloc[k])): ordered["sd"].iloc[k] for k in (-1, 0)}
+            ends = [f"{name} (sd {sd:.2g})" for name, sd in reversed(words.items())]
+            yield _find(one, "directions.csv", "combinations", ends=ends)
+    for one in case.held_out:
+        rows, about = one.frames["predictive"], {"several": case.several, "name": one.name}
+        if rows.empty:
+            yield _gap("not_propagated", **about)
+            continue
+        width = (rows["tip_95_high_mm"] - rows["tip_95_low_mm"]).astype(float)
+        low, high = float(width.min()), float(width.max())
+        yield _find(one, "predictive.csv", "propagated", count=len(rows), low=low, high=high)
+        if doubtful := int((~rows["certified"].astype(bool)).sum()):
+            yield _gap("not_certified", doubtful=doubtful, **about)
+    for evidence in case.counted("calibration"):
+        yield from _find_calibration(case, evidence)
+    if missing := case.list_lacking("calibration"):
+        yield _gap("not_calibrated", names=missing)
+
+
+def _find_calibration(case: CredibilityCase, one: CredibilityEvidence) -> Iterator[Item]:
+    """Yield what simulation-based calibration came to: by drawn truths, or wrong on purpose."""
+    failing = [insert_symbols(name_quantity(name)) for name in one.run["not_calibrated"]]
+    about = {"replicates": one.run["replicates"], "failing": failing}
+    about["synthetic"] = one.run["study"].get("truth") == "synthetic"
+    if control := one.run.get("control"):
+        yield _find(one, "coverage.csv", "control", control=CONTROL_NAMES[control], **about)
+        return
+    rows, target = one.tables["coverage.csv"], f"{one.target}: " if case.several else ""
+    wide, half = (rows[rows["level"] == level] for level in (rows["level"].max(), rows["level"].min()))
+    yield _find(
+        one,
+        "coverage.csv",
+        "calibrated",
+        quantities=len(wide),
+        level=float(wide["level"].max()),
+        covered=[float(wide["covered"].min()), float(wide["covered"].max())],
+        of=int(wide["replicates"].max()),
+        chance=[int(wide["count_low"].min()), int(wide["count_high"].max())],
+        **about,
+    )
+    if half["count_low"].min() <= 0 and not failing:
+        yield _gap("few_truths", target=target, **about)
+    yield from _figure(one.folder, EVIDENCE_FIGURES[one.kind], f"{target}{RANKS_CAPTION}")
+
+
+# ---- findings on comparator and assessment: facts of a run, each with the file and the block that says it
+
+
+def _held_out_errors(one: Run) -> pd.DataFrame:
+    errors = one.frames["errors"]
+    return errors[(errors["role"] == "validate") & (errors["method"] == "fitted")]
+
+
+def _is_aligned(one: Run) -> bool:
+    return bool((one.frames["errors"]["comparison"] == "aligned").any())
+
+
+def _count_roles(one: Run) -> Row:
+    roles = []
+    for role, verb in {"validate": "held out", "tune": "tuned"}.items():
+        rows = one.frames["errors"][one.frames["errors"]["role"] == role]
+        counts = (count_words(rows[f"{what}"].nunique(), what) for what in ("insertion", "specimen"))
+        roles.append(f"{' in '.join(counts)} {verb}")
+    return {"roles": roles}
+
+
+def _list_groups(one: Run) -> Row:
+    groups = []
+    held_out = one.frames["design"][one.frames["design"]["role"] == "validate"]
+    for medium, rows in held_out.groupby("medium", sort=False):
+        counts = ", ".join(map(str, sorted(set(rows["layers"]))))
+        groups.append(f"{medium_name(str(medium))}, {counts} layer{'' if counts == '1' else 's'}")
+    return {"groups": groups}
+
+
+def _find_ranges(one: Run) -> Row:
+    """Return the range of depths and deflections of each role, and the media that were held out."""
+    found: Row = {}
+    for role in ("validate", "tune"):
+        rows = one.frames["design"][one.frames["design"]["role"] == role]
+        depth, bend = (
+            find_column(f"{quantity}_range_mm").format_cell(
+                {f"{quantity}_{end}_mm": rows[f"{quantity}_{end}_mm"].agg(end) for end in ("min", "max")}
+            )
+            for quantity in ("depth", "deflection")
+        )
+        found[role] = f"{depth} mm deep, tips bent by {bend} mm"
+    media = dict.fromkeys(medium_name(str(name)) for name in _held_out_errors(one)["medium"])
+    return {**found, "media": list(media)}
+
+
+def _find_media(one: Run) -> Row:
+    design = one.frames["design"]
+    media = (set(design.loc[design["role"] == role, "medium"]) for role in ("tune", "validate"))
+    tuned, held = (", ".join(medium_name(str(name)) for name in sorted(each)) for each in media)
+    return {"tuned": tuned, "held": held}
+
+
+def _find_layer_depths(one: Run) -> Row:
+    """Return the errors with measured depths of layers, and with planned ones."""
+    rows = aggregate(one, ("role", "method", "boundaries"))
+    rows = rows.query("role == 'validate' and method == 'fitted' and metric == 'ipe_mean_mm'")
+    ipe = dict(zip(rows["boundaries"], rows["value"], strict=True))
+    return {"measured": ipe["measured"], "planned": ipe.get("planned")}
+
+
+def _count_outputs(one: Run) -> Row:
+    scored = one.frames["shapes"].query(
+        "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
+    )
+    counts = {"points": scored["j"].nunique(), "needles": scored["insertion"].nunique()}
+    return {**counts, "names": [metric.label for metric in list_metrics()]}
+
+
+_RunFact = tuple[str, str, Callable[[Run], Row | None]]
+_RUN_FACTS: Mapping[str, tuple[_RunFact, ...]] = {
+    "samples": (("errors.csv", "samples", _count_roles),),
+    "samples_range": (("design.csv", "samples_range", _list_groups),),
+    "samples_measured": (
+        ("run.json", "notes", lambda one: {"notes": one.run.get("dataset", {}).get("notes", ())}),
+    ),
+    "samples_uncertainty": (),
+    "conditions": (
+        (
+            "errors.csv",
+            "conditions",
+            lambda one: {
+                "insertions": _held_out_errors(one)["insertion"].nunique(),
+                "depths": _held_out_errors(one)["depth_mm"].round(1).nunique(),
+            },
+        ),
+    ),
+    "conditions_range": (("design.csv", "conditions_range", _find_ranges),),
+    "conditions_measured": (
+        (
+            "shapes.csv",
+            "conditions_measured",
+            lambda one: {"aligned": _is_aligned(one), "layered": _held_out_errors(one)["layers"].max() > 1},
+        ),
+    ),
+    "relevance_of_validation": (("design.csv", "tested_range", _find_ranges),),
+    "inputs_alike": (
+        ("run.json", "needle", lambda one: one.run.get("dataset", {}).get("needle")),
+        ("design.csv", "media", _find_media),
+        ("errors.csv", "layer_depths", _find_layer_depths),
+    ),
+    "outputs": (("shapes.csv", "outputs", _count_outputs),),
+    "outputs_alike": (("shapes.csv", "outputs_alike", lambda one: {"aligned": _is_aligned(one)}),),
+}
+"""By factor, of each run with held-out insertions: file, block of the text, and run -> values, if any."""
+
+_SAMPLE_FACTORS = (
+    *("samples", "samples_range", "samples_measured", "samples_uncertainty", "conditions"),
+    *("conditions_range", "conditions_measured", "conditions_uncertainty", "relevance_of_validation"),
+)
+"""Factors about what was tested, which was nothing physical where all of it is synthetic."""
+
+
+def _find_in_runs(key: str, case: CredibilityCase) -> Iterator[Item]:
+    for one in case.held_out:
+        for file, block, find in _RUN_FACTS.get(key, ()):
+            values = find(one)
+            if values and (words := TEXT.sentence(block, values)):
+                yield make_finding(one, file, words)
+    if key in _FURTHER:
+        yield from _FURTHER[key](case)
+    if key in _SAMPLE_FACTORS and case.held_out and all(one.synthetic for one in case.held_out):
+        yield _gap("synthetic")
+
+
+def _find_measured_layers(case: CredibilityCase) -> Iterator[Item]:
+    layers = [(one, layer) for one in case.held_out for layer in one.record.priors]
+    yield from (_find(one, "run.json", "measured_layer", layer=layer) for one, layer in layers)
+    if not layers:
+        yield _gap("no_stiffness")
+
+
+def _find_noise(case: CredibilityCase) -> Iterator[Item]:
+    for one in case.held_out:
+        if words := say(one, "noise_floor"):
+            yield make_finding(one, "errors.csv", words)
+
+
+def _find_rigour(case: CredibilityCase) -> Iterator[Item]:
+    """Yield the uncertainties that entered the comparison."""
+    for one in case.held_out:
+        about, rows = {"several": case.several, "name": one.name}, one.frames["predictive"]
+        yield _find(one, "errors.csv", "paired")
+        stated = one.frames["errors"]["floor_te_mm"].notna().any()
+        yield _find(one, "errors.csv", "floor") if stated else _gap("no_floor", **about)
+        if rows.empty:
+            yield _gap("no_bands", **about)
+            continue
+        scores = {quantity: float(rows[f"{quantity}_crps_mm"].mean()) for quantity in ("tip", "shape")}
+        yield _find(one, "predictive.csv", "crps", **scores)
+
+
+def _find_agreement(case: CredibilityCase) -> Iterator[Item]:
+    """Yield errors beside noise floors, baselines with smaller errors, and the coverage of intervals."""
+    for one in case.held_out:
+        report, rows = find_kind(one.kind).report, one.frames["predictive"]
+        for words in report.summarize(one):
+            found = make_finding(one, "validation.csv", words)
+            # a study of the paper says by itself which one it is
+            yield replace(found, target="") if isinstance(study_label(one), int) else found
+        if len(rows):
+            groups = group_independent(list(rows["insertion"]), list(rows["specimen"]))
+            tips, shapes = (
+                format_proportion(estimate_proportion(list(rows[f"{quantity}_in_95"]), groups))
+                for quantity in ("tip", "shape")
+            )
+            yield _find(one, "predictive.csv", "coverage", tips=tips, shapes=shapes)
+        shown = ("validation",) if case.several else ("validation", "coverage")
+        yield from (table for table in report.lay_out(one) if table.name in shown)
+    if case.held_out:
+        for file, caption in AGREEMENT_FIGURES.items():
+            yield from _figure(case.folder, file, say(case.results[0], caption))
+
+
+def _find_out_of_plane(case: CredibilityCase) -> Iterator[Item]:
+    if case.held_out:
+        yield _gap("out_of_plane")
+
+
+_FURTHER: Mapping[str, Callable[[CredibilityCase], Iterator[Item]]] = {
+    "quality_assurance": _find_quality_assurance,
+    "code_verification": _find_code_verification,
+    "discretisation": _find_discretisation,
+    "solver": _find_solver,
+    "use_error": _find_use_error,
+    "form": _find_form,
+    "sensitivities": _find_sensitivities,
+    "uncertainties": _find_uncertainties,
+    "samples_measured": _find_measured_layers,
+    "conditions_uncertainty": _find_noise,
+    "outputs_alike": _find_out_of_plane,
+    "rigour": _find_rigour,
+    "agreement": _find_agreement,
+}
+"""By factor: what is more than a fact of each run."""
+
+
+# ---- factors
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One factor, or one aspect of a factor: `fix` would fill it where nothing was found.
+
+    `needs_statement`: only a statement of people fills it, whatever was found.
+    """
+
+    key: str
+    part: str
+    name: str
+    question: str
+    fix: str
+    needs_statement: bool
+
+
+@cache
+def list_factors() -> tuple[Factor, ...]:
+    """Return the credibility factors of ASME V&V 40-2018, in their order."""
+    factors = []
+    for line in TEXT.sentences("factors", {}):
+        key, part_, name, question, fix = (cell.strip() for cell in line.split("|"))
+        filled = TEXT.sentence("fix", {"key": key, "fix": fix})
+        factors.append(Factor(key, part_, name, question, filled, fix.startswith("by ")))
+    return tuple(factors)
+
+
+@dataclass(frozen=True)
+class FactorEntry:
+    """One factor with its findings, and what they leave open; without findings the whole factor is a gap."""
+
+    factor: Factor
+    findings: tuple[Finding, ...]
+    gaps: tuple[str, ...]
+    tables: tuple[TableLayout, ...]
+    pictures: tuple[EvidenceFigure, ...]
+
+
+def collect_entry(factor: Factor, case: CredibilityCase) -> FactorEntry:
+    """Return a factor with what people state of it, then what was found in files."""
+    stated = getattr(case.statements, factor.key, "").strip()
+    items = list(_find_in_runs(factor.key, case))
+    findings = [Finding(stated, case.statements_file, "")] if stated else []
+    findings += [one for one in items if isinstance(one, Finding)]
+    gaps = list(dict.fromkeys(one.words for one in items if isinstance(one, Gap)))
+    if factor.needs_statement:
+        gaps = gaps if stated else [factor.fix, *gaps]
+    elif not findings:
+        gaps = [f"Nothing found. {factor.fix}", *gaps]
+    tables = tuple(one for one in items if isinstance(one, TableLayout))
+    pictures = tuple(one for one in items if isinstance(one, EvidenceFigure))
+    return FactorEntry(factor, tuple(findings), tuple(gaps), tables, pictures)
+
+
+def collect_entries(case: CredibilityCase) -> list[FactorEntry]:
+    """Return every factor with its findings, in the order of the standard."""
+    return [collect_entry(factor, case) for factor in list_factors()]
+
+
+# ---- the run
+
+BUNDLE_COLUMNS = ("part", "factor", "target", "found", "source", "command", "gap")
+EVIDENCE_COLUMNS = ("kind", "place", "target", "command", "counted", "objections")
+
+
+def run(name: str, record: CredibilityRecord, settings: Settings) -> Run:
+    """Collect the evidence about `record.run`; nothing is computed.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If the run, or a folder that is named, is missing, damaged, or of another kind.
+    """
+    case = _load_recorded_case(record)
+    named = {"run": case.folder.name, "evidence": [Path(folder).name for folder in record.evidence]}
+    evidence = [
+        (one.kind, one.name, one.target, one.command, one.counted, "; ".join(one.objections))
+        for one in case.evidence
+    ]
+    stated = record.statements.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+    title = record.title or f"Credibility evidence: {case.folder.name}"
+    return Run(
+        kind=record.kind,
+        name=name,
+        record=record.model_copy(update={"title": title}),
+        origin="synthetic" if any(one.synthetic for one in case.results) else "measured",
+        dataset_title="; ".join(dict.fromkeys(one.dataset_title for one in case.results)),
+        frames={
+            "credibility": pd.DataFrame(_list_rows(collect_entries(case)), columns=list(BUNDLE_COLUMNS)),
+            "evidence": pd.DataFrame(evidence, columns=list(EVIDENCE_COLUMNS)),
+        },
+        run={
+            "name": name,
+            "versions": package_versions(()),
+            "study": record.model_dump(mode="json", by_alias=True, exclude={"statements"}) | named,
+            "datasets": {one.run.get("dataset", {}).get("name", ""): {} for one in case.results},
+            "runs": _digest_runs(case),
+            "digests": {one.name: dict(one.digests) for one in case.evidence},
+            "stated": {"file": record.statements_file, **stated},
+            "damaged": list(case.damaged),
+        },
+        timing={},
+    )
+
+
+def _load_recorded_case(record: CredibilityRecord) -> CredibilityCase:
+    folder = find_run(record.run)
+    with convert_stored_errors(folder):
+        evidence = [Path(one) for one in record.evidence]
+        return load_case(folder, evidence, record.statements, record.statements_file)
+
+
+def _list_rows(entries: Sequence[FactorEntry]) -> Iterator[list[str]]:
+    """Yield one row for every finding and every gap; a spreadsheet takes none of its words for a formula."""
+    for entry in entries:
+        head = (entry.factor.part, entry.factor.name)
+        for one in entry.findings:
+            cells = (*head, one.target, one.words, one.place, one.command or "stated by people", "")
+            yield [spreadsheet_text(cell) for cell in cells]
+        yield from ([spreadsheet_text(cell) for cell in (*head, "", "", "", "", gap)] for gap in entry.gaps)
+
+
+def _digest_runs(case: CredibilityCase) -> dict[str, dict[str, str]]:
+    """Return the sha256 of every file that is read of the run, and of those that it reports together."""
+    parts = (case.folder.parent / one.name for one in case.results if case.several)
+    files = (RUN_FILE, RESULTS_FILE, *AGREEMENT_FIGURES)
+    return {
+        folder.name: {name: sha256(folder / name) for name in files if (folder / name).is_file()}
+        for folder in (case.folder, *parts)
+    }
+
+
+# ---- the report
+
+DIGEST_DIGITS = 16
+"""Digits of a sha256 in print; run.json has all."""
+
+_MAX_NAMED_FOLDERS = 3
+
+
+def describe(found: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    rows = found.frames["credibility"]
+    filled = rows.loc[rows["gap"] == "", "factor"].nunique()
+    return {"filled": filled, "factors": rows["factor"].nunique(), "gaps": int((rows["gap"] != "").sum())}
+
+
+def list_open_statements(found: Run) -> list[str]:
+    """Return the keys of the statements that only people can make, and did not."""
+    gaps = set(found.frames["credibility"]["gap"])
+    return [one.key for one in list_factors() if one.needs_statement and one.fix in gaps]
+
+
+def tabulate(found: Run) -> list[Table]:
+    """Return one row per factor: where findings exist, and the number of gaps; and the evidence, if any."""
+    rows = []
+    for (part_, factor), group in found.frames["credibility"].groupby(["part", "factor"], sort=False):
+        gaps = group["gap"] != ""
+        folders = dict.fromkeys(source.partition("/")[0] for source in group.loc[~gaps, "source"])
+        names = ", ".join(folders) if len(folders) <= _MAX_NAMED_FOLDERS else f"{len(folders)} folders"
+        counts = {"found_in": names or MISSING, "empty_count": str(gaps.sum() or "")}
+        rows.append({"part": part_, "factor": factor, **counts})
+    columns = ("part", "factor", "found_in", "empty_count")
+    overview = Table("credibility", "", rows, columns, groups=("part",), heads=1)
+    return [overview, *([_tabulate_evidence(found)] if len(found.frames["evidence"]) else [])]
+
+
+def _tabulate_evidence(found: Run) -> Table:
+    """Return one row per folder and run that was searched for evidence, with the reason if not counted."""
+    rows = [
+        {**one, "target": one["target"] or "all", "counted": "yes" if one["counted"] else "NO"}
+        for one in to_records(found.frames["evidence"])
+    ]
+    used = [
+        key
+        for key in ("place", "command", "target", "counted", "objections")
+        if any(row[key] for row in rows)
+    ]
+    return Table("evidence", "", rows, used or ["place"])
+
+
+def list_blocks(found: Run) -> dict[str, list[Block]]:
+    """Return what the report refers to; figures and tables are those of the runs that the bundle is about.
+
+    Raises
+    ------
+    DataError
+        If these runs were changed since.
+    """
+    assert isinstance(found.record, CredibilityRecord)
+    case = _load_recorded_case(found.record)
+    if _digest_runs(case) != found.run["runs"]:
+        raise DataError(
+            "is not the run that the bundle is about",
+            where=str(find_run(found.record.run)),
+            fix=f"run `needlefit credibility {found.record.run}` again",
+        )
+    measured = (replace(one, origin="measured") for one in case.results)
+    columns = ("run", "dataset", "origin", "sha256", "recipe", "run_seed", "needlefit", "interrupted")
+    runs = Table(
+        "runs", TEXT.sentence("table_runs", {}), [_describe_run(one) for one in case.results], columns
+    )
+    evidence = TEXT.lay_out(_tabulate_evidence(found), {})
+    none = document.gap_box("No evidence of other commands was found beside this run.")
+    return {
+        "warnings": [block for one in measured for block in warning_blocks(one)],
+        "factors": list(_compose_factors(collect_entries(case), case)),
+        "runs": [document.table(runs.lay_out(drop_empty=True))],
+        "evidence": [document.table(evidence)] if len(found.frames["evidence"]) else [none],
+    }
+
+
+def _describe_run(results: Run) -> Row:
+    run = results.run
+    dataset, recipe = run.get("dataset", {}), run.get("recipe", {})
+    digest = str(dataset.get("sha256", ""))
+    return {
+        "run": results.name,
+        "dataset": dataset.get("name", results.record.dataset),
+        "origin": results.origin,
+        "sha256": f"{digest[:DIGEST_DIGITS]}…" if digest else "",
+        "recipe": recipe.get("title", ""),
+        "run_seed": recipe.get("seed", ""),
+        "needlefit": run.get("versions", {}).get("needlefit", ""),
+        "interrupted": "YES" if results.interrupted else "",
+    }
+
+
+def _compose_factors(entries: Sequence[FactorEntry], case: CredibilityCase) -> Iterator[Block]:
+    """Yield the findings, figures, tables and gaps of every factor, by part."""
+    for title, group in groupby(entries, key=lambda entry: entry.factor.part):
+        yield document.heading(title)
+        for entry in group:
+            yield document.subheading(entry.factor.name)
+            yield document.note(entry.factor.question)
+            if entry.findings:
+                yield document.bullets(_describe_findings(entry.findings, case.several))
+                yield document.note(_describe_sources(entry.findings))
+            yield from (document.figure(one.path, one.caption) for one in entry.pictures)
+            yield from (document.table(table) for table in entry.tables)
+            yield from (document.gap_box(gap) for gap in entry.gaps)
+
+
+def _describe_findings(findings: Sequence[Finding], several: bool) -> list[str]:
+    """Return what was found, once; of several runs, of which it was."""
+    by_words: dict[str, dict[str, None]] = {}
+    for one in findings:
+        by_words.setdefault(one.words, {})[one.target] = None
+    return [
+        f"{', '.join(runs)}: {words}" if several and any(runs) else words for words, runs in by_words.items()
+    ]
+
+
+def _describe_sources(findings: Sequence[Finding]) -> str:
+    """Return in which files findings stand, by the command that makes them."""
+    by_command: dict[str, dict[str, None]] = {}
+    for one in findings:
+        by_command.setdefault(one.command, {})[one.place] = None
+    return " ".join(
+        f"{', '.join(places)}: {f'made by {command}' if command else 'stated by people'}."
+        for command, places in by_command.items()
+    )
+
+
+def bundle_to_json(found: Run) -> dict[str, Any]:
+    """Return the bundle as JSON values."""
+    return {
+        **{"name": found.run["study"]["run"], "disclaimer": TEXT.sentence("disclaimer", {})},
+        "damaged": found.run["damaged"],
+        "factors": to_records(found.frames["credibility"]),
+        "evidence": to_records(found.frames["evidence"]),
+    }
+
+
+REPORT: StudyReport = report_from_text(TEXT, describe, tabulate, blocks=list_blocks, to_json=bundle_to_json)
