@@ -28,6 +28,7 @@ from needlefit.planning.goals import (
 from needlefit.planning.steering import (
     PlanLimits,
     StartedInsertion,
+    SteeringPlan,
     draw_target,
     find_reachable_region,
     plan_steering,
@@ -36,8 +37,6 @@ from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.plans import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
-
-STILL = PlanLimits(base_mm=0.0, base_angle_deg=0.0, turns=0)
 
 
 @cache
@@ -54,6 +53,16 @@ def uncertain(count: int = 96) -> StartedInsertion:
     return replace(insertion(), draws=ParameterDraws(mu, np.repeat(exact.shape, count, 0), bevel))
 
 
+def plan(target, radius=1.0, circles=(), start=None, **limits) -> SteeringPlan:
+    """Return the plan past circles (x, y, radius), from first contact unless a start is given."""
+    obstacles = tuple(
+        ObstacleRecord(name=f"o{n}", centre_mm=(x, y), radius_mm=size)
+        for n, (x, y, size) in enumerate(circles)
+    )
+    goal = Goal(tuple(target), radius, obstacles)
+    return plan_steering(start or insertion(), goal, PlanLimits(**limits), threads=1)
+
+
 def tip_of(*steps: Step) -> np.ndarray:
     one = insertion()
     shape = simulate_steps(one.needle, one.tissue, steps, one.rules)
@@ -61,16 +70,16 @@ def tip_of(*steps: Step) -> np.ndarray:
 
 
 def test_where_the_needle_goes_by_itself_nothing_is_moved() -> None:
-    end = tip_of(replace(insertion().now, depth=40.0))
-    found = plan_steering(insertion(), Goal(tuple(end), 1.0), threads=1)
+    x, y = tip_of(replace(insertion().now, depth=40.0))
+    found = plan((x, y))
     assert found.nominal_miss < 0.02 and found.turns == ()
     assert abs(found.end.controls.base_y) < 0.05 and abs(found.end.depth - 40.0) < 0.05
-    other = plan_steering(insertion(), Goal((end[0], -end[1]), 1.0), STILL, threads=1)
+    other = plan((x, -y), base_mm=0.0, base_angle_deg=0.0, turns=0)
     assert other.turns == (0.0,) and other.nominal_miss < 0.02  # the bevel alone
 
 
 def test_a_plan_is_the_needle_that_its_steps_simulate() -> None:
-    found = plan_steering(insertion(), Goal((42.0, -1.5), 1.0), threads=1)
+    found = plan((42.0, -1.5))
     tip = tip_of(*found.steps)
     assert tip == pytest.approx(found.nominal[-1], abs=1e-6)
     assert np.linalg.norm(tip - (42.0, -1.5)) == pytest.approx(found.nominal_miss, abs=1e-6)
@@ -80,44 +89,39 @@ def test_a_plan_is_the_needle_that_its_steps_simulate() -> None:
 
 
 def test_an_obstacle_on_the_way_is_passed_by() -> None:
-    goal = Goal((45.0, 2.0), 1.0)
-    (ahead,) = plan_steering(insertion(), goal, threads=1).nominal[None, 20:21]
-    obstacle = ObstacleRecord(name="vessel", centre_mm=tuple(ahead[0]), radius_mm=0.5)
-    found = plan_steering(
-        insertion(), replace(goal, obstacles=(obstacle,)), PlanLimits(entry_mm=5), threads=1
-    )
-    assert compute_clearances(found.nominal[None], obstacle)[0] > 0.1
-    assert found.nominal_miss < 0.2 and found.touched == {"vessel": 0.0}
+    x, y = plan((45.0, 2.0)).nominal[20]
+    found = plan((45.0, 2.0), circles=[(x, y, 0.5)], entry_mm=5)
+    assert compute_clearances(found.nominal[None], found.goal.obstacles[0])[0] > 0.1
+    assert found.nominal_miss < 0.2 and found.touched == {"o0": 0.0}
+    # one that is just passed does not keep the tip from the target
+    passed = plan((50.73, 0.17), 2.0, [(28.76, -0.45, 0.52)], base_mm=20)
+    assert passed.hits and passed.nominal_miss < 0.1
 
 
 def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with() -> None:
-    one, goal = uncertain(), Goal((40.0, 1.0), 0.1)
-    found = plan_steering(one, goal, threads=1)
-    tests = one.samples[1]
+    one = uncertain()
+    found, tests = plan((40.0, 1.0), 0.1, start=one), one.samples[1]
     assert len(found.needles) == len(tests) == 64
     (shapes,) = one.simulate(tests, [found.steps], 1)
     tips = np.array([compute_positions(shapes[n], np.array([found.end.depth]))[0] for n in range(64)])
-    assert found.hits == np.sum(np.linalg.norm(tips - goal.target, axis=1) <= 0.1)
+    assert found.hits == np.sum(np.linalg.norm(tips - found.goal.target, axis=1) <= 0.1)
+    assert found.hits == np.sum(find_hits(found.needles, found.goal))
     assert 0.1 < found.probability < 1 and found.low < found.probability < found.high
-    assert found.hits == np.sum(find_hits(found.needles, goal))
 
 
 @pytest.mark.sweep
 def test_turning_the_bevel_lowers_the_risk_of_an_uncertain_bevel() -> None:
-    one, goal = uncertain(), Goal((45.0, 0.0), 0.5)
-    straight, turned = (plan_steering(one, goal, PlanLimits(turns=n), threads=1) for n in (0, 2))
+    straight, turned = (plan((45.0, 0.0), 0.5, start=uncertain(), turns=n) for n in (0, 2))
     assert turned.turns and turned.probability > straight.probability + 0.1
 
 
 @pytest.mark.sweep
 def test_a_plan_goes_on_from_where_the_needle_stands() -> None:
     view = open_target("phantom2")
-    one = insertion()
     session = begin_session(Scene.from_record(view.record), view.first_cell)
     session.step(insert=15.3)
     session.step(base=(2.0, 0.0))
-    there = replace(one, path=session.input_path())
-    found = plan_steering(there, Goal((44.0, 1.0), 1.0), threads=1)
+    found = plan((44.0, 1.0), start=replace(insertion(), path=session.input_path()))
     assert min(step.depth for step in found.steps) > 15.3 and found.nominal_miss < 0.1
     for step in found.steps:
         session.go(step)
@@ -125,47 +129,25 @@ def test_a_plan_goes_on_from_where_the_needle_stands() -> None:
     assert end == pytest.approx(found.nominal[-1], abs=1e-5)
 
 
-RANGES = (5.0, 10.0, 15.0, 20.0)
-WAYS = [
-    (target, obstacle)
-    for target in ((45.0, 2.0), (45.0, -3.0), (38.0, 4.0), (52.0, 0.5), (45.0, 5.0), (33.0, -2.0))
-    for obstacle in (
-        (25.0, 0.5, 1.0),
-        (20.0, -0.5, 1.0),
-        (30.0, 1.5, 1.5),
-        (15.0, 0.0, 0.5),
-        (35.0, 0.0, 1.0),
-    )
-]
-
-
 @pytest.mark.sweep
-@pytest.mark.parametrize(("target", "obstacle"), WAYS)
-def test_a_wider_range_never_finds_less(target, obstacle) -> None:
-    x, y, radius = obstacle
-    goal = Goal(target, 2.0, (ObstacleRecord(name="o", centre_mm=(x, y), radius_mm=radius),))
-    found = [plan_steering(insertion(), goal, PlanLimits(base_mm=base), threads=1) for base in RANGES]
+@pytest.mark.parametrize(
+    "target", [(45.0, 2.0), (45.0, -3.0), (38.0, 4.0), (52.0, 0.5), (45.0, 5.0), (33.0, -2.0)]
+)
+@pytest.mark.parametrize(
+    "circle", [(25.0, 0.5, 1.0), (20.0, -0.5, 1.0), (30.0, 1.5, 1.5), (15.0, 0.0, 0.5), (35.0, 0.0, 1.0)]
+)
+def test_a_wider_range_never_finds_less(target, circle) -> None:
+    found = [plan(target, 2.0, [circle], base_mm=base) for base in (5.0, 10.0, 15.0, 20.0)]
     hits = [one.hits for one in found]
     assert hits == sorted(hits)
     assert all(np.isfinite(one.nominal_miss) for one in found)
 
 
 def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named() -> None:
-    goal = Goal((45.0, 1.0), 2.0)
-    free = plan_steering(insertion(), goal, threads=1)
+    free = plan((45.0, 1.0), 2.0)
     assert free.hits and free.nominal_miss < 0.3 and free.at_limit == ()
-    bound = plan_steering(
-        insertion(), Goal((45.0, 4.0), 5.0), PlanLimits(base_mm=2, base_angle_deg=0), threads=1
-    )
+    bound = plan((45.0, 4.0), 5.0, base_mm=2, base_angle_deg=0)
     assert bound.hits and "base" in bound.at_limit
-
-
-def test_an_obstacle_that_is_just_passed_does_not_keep_the_tip_from_the_target() -> None:
-    obstacle = ObstacleRecord(name="vessel", centre_mm=(28.76, -0.45), radius_mm=0.52)
-    found = plan_steering(
-        insertion(), Goal((50.73, 0.17), 2.0, (obstacle,)), PlanLimits(base_mm=20), threads=1
-    )
-    assert found.hits and found.nominal_miss < 0.1
 
 
 def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsys) -> None:
@@ -180,11 +162,10 @@ def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsy
     assert found["nominal_miss_mm"] > 0.5
 
 
-@pytest.mark.parametrize("target", [(10.0, 0.0), (300.0, 0.0)])
-def test_a_target_behind_the_tip_or_out_of_reach_is_refused(target) -> None:
-    there = replace(insertion(), path=(replace(insertion().now, depth=20.0),))
+@pytest.mark.parametrize("x", [10.0, 300.0])
+def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x) -> None:
     with pytest.raises(ModelError):
-        plan_steering(there, Goal(target, 1.0), threads=1)
+        plan((x, 0.0), start=replace(insertion(), path=(replace(insertion().now, depth=20.0),)))
 
 
 @pytest.mark.sweep
@@ -194,10 +175,10 @@ def test_tips_lie_in_the_reachable_region() -> None:
     assert region.x[-1] == pytest.approx(45.0, abs=1.0)
     assert np.all(region.low[0] <= region.low[2]) and np.all(region.high[0] >= region.high[2])
     assert np.all(region.low[2] < region.high[2])
-    within = tip_of(Step(45.0, insertion().now.bevel, insertion().now.controls))
+    within = tip_of(replace(insertion().now, depth=45.0))
     assert region.low[1][-1] < within[1] < region.high[1][-1]
-    beyond = Goal((45.0, float(region.high[0][-1]) + 3.0), 0.5)
-    assert plan_steering(uncertain(), beyond, limits, threads=1).probability < 0.05
+    y = float(region.high[0][-1]) + 3.0
+    assert plan((45.0, y), 0.5, start=uncertain(), base_mm=3.0, base_angle_deg=1.0).probability < 0.05
 
 
 @pytest.mark.sweep
@@ -207,10 +188,7 @@ def test_the_reachable_region_ends_where_plans_end(depth) -> None:
     region = find_reachable_region(there, 45.0, threads=1)
     assert region.x[0] == depth + 0.5 and abs(region.high[1][0] - region.low[1][0]) < (2.0 if depth else 0.1)
     for edge, sign in ((region.low[1][-1], -1), (region.high[1][-1], 1)):
-        inside, outside = (
-            plan_steering(there, Goal((45.0, float(edge) + sign * more), 0.3), threads=1)
-            for more in (-0.4, 1.0)
-        )
+        inside, outside = (plan((45.0, edge + sign * more), 0.3, start=there) for more in (-0.4, 1.0))
         assert inside.hits == 1 and outside.hits == 0
         assert outside.nominal_miss < 1.1  # the nearest that a plan gets
 
@@ -277,11 +255,9 @@ def test_a_command_without_a_target_is_refused(words) -> None:
 
 @pytest.mark.sweep
 def test_the_bevel_of_a_path_angle_scene_is_planned_too() -> None:
-    one = insertion()
-    rules = replace(one.rules, advance="path_angle")
-    start = Step(0.0, Bevel(cut_angle=0.05), one.now.controls)
-    other = replace(one, rules=rules, path=(start,))
-    assert plan_steering(other, Goal((40.0, -1.0), 1.0), threads=1).nominal_miss < 0.1
+    rules = replace(insertion().rules, advance="path_angle")
+    start = Step(0.0, Bevel(cut_angle=0.05), insertion().now.controls)
+    assert plan((40.0, -1.0), start=replace(insertion(), rules=rules, path=(start,))).nominal_miss < 0.1
 
 
 @pytest.mark.sweep
@@ -289,5 +265,4 @@ def test_a_random_target_is_one_that_a_plan_reaches() -> None:
     rng = np.random.default_rng(3)
     targets = [draw_target(insertion(), 35.0, rng) for _ in range(3)]
     assert len(set(targets)) == 3
-    for target in targets:
-        assert abs(target[0] - 35.0) < 2 and plan_steering(insertion(), Goal(target, 1.0)).nominal_miss < 0.2
+    assert all(abs(x - 35.0) < 2 and plan((x, y)).nominal_miss < 0.2 for x, y in targets)

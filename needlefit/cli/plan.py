@@ -87,6 +87,7 @@ def plan(
     --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact.
     """
     from needlefit.planning.steering import PlanLimits, plan_steering
+    from needlefit.studies.verdict import mark_faults
     from needlefit.viewer.opening import open_target
     from needlefit.viewer.plans import begin_insertion, write_plan
 
@@ -101,7 +102,7 @@ def plan(
     if json:
         screen.show_json(summary)
     else:
-        screen.print_text(_describe(shown, found, summary))
+        screen.print_text(mark_faults(shown.faults) + _describe(shown, found, summary))
     print_warnings(context.find_root().obj, shown.warnings)
     if not found.hits:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
@@ -161,46 +162,36 @@ def _summarize(
     shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan", search_draws: int
 ) -> dict[str, Any]:
     """Return the plan and its outcome, ready for JSON."""
-    import numpy as np
-
     from needlefit.project.result_warnings import to_rows
 
-    goal, misses, exact = found.goal, found.misses, shown.spread is None
-    nominal = found.nominal_miss
-    quantiles = np.quantile(misses, [0.5, 0.95]).tolist() if len(misses) else [None, None]
+    goal, exact = found.goal, shown.spread is None
+    steps = [
+        {
+            "depth_mm": step.depth,
+            "bevel_side": step.bevel.side,
+            "base_y_mm": step.controls.base_y,
+            "base_slope": step.controls.base_slope,
+        }
+        for step in (found.steps if found.hits else ())
+    ]
     return {
         "target_mm": list(goal.target),
         "radius_mm": goal.radius,
-        "obstacles": [
-            {"name": one.name, "centre_mm": list(one.centre_mm), "radius_mm": one.radius_mm}
-            for one in goal.obstacles
-        ],
+        "obstacles": [one.model_dump(include={"name", "centre_mm", "radius_mm"}) for one in goal.obstacles],
         "obstacles_beside_the_plane": list(aim.beside),
         "roll_deg": aim.roll_deg,
         "entry_mm": found.entry_mm,
         "turns_mm": list(found.turns),
-        "steps": [
-            {
-                "depth_mm": step.depth,
-                "bevel_side": step.bevel.side,
-                "base_y_mm": step.controls.base_y,
-                "base_slope": step.controls.base_slope,
-            }
-            for step in (found.steps if found.hits else ())
-        ],
-        "at_limit": list(found.at_limit),
-        "nominal_miss_mm": nominal if math.isfinite(nominal) else None,
+        "steps": steps,
+        **found.describe_misses(),
         "specimen": shown.specimen or None,
         "draws": 0 if exact else len(found.needles),
         "search_draws": 0 if exact else search_draws,
-        "failed_solves": int(np.sum(~found.solved)),
+        "failed_solves": int((~found.solved).sum()),
         "probability": None if exact else found.probability,
         "low": None if exact else found.low,
         "high": None if exact else found.high,
         "reached": bool(found.hits),
-        "median_mm": quantiles[0],
-        "miss_95_mm": quantiles[1],
-        "touched": found.touched,
         "faults": list(shown.faults),
         "warnings": to_rows(shown.warnings),
     }
@@ -211,13 +202,10 @@ def _show_steps(shown: "ViewedScene", aim: "PlaneGoal", summary: dict[str, Any])
 
     screen.print_line()
     screen.print_text(shown.title)
-    start = []
     if aim.roll_deg:
-        start.append(f"Roll the needle by {aim.roll_deg:.1f} degrees about x, from y toward z.")
+        screen.print_line(f"Roll the needle by {aim.roll_deg:.1f} degrees about x, from y toward z.")
     if abs(summary["entry_mm"]) > 0.005:
-        start.append(f"Shift the entry by {summary['entry_mm']:+.2f} mm along y.")
-    for line in start:
-        screen.print_line(line)
+        screen.print_line(f"Shift the entry by {summary['entry_mm']:+.2f} mm along y.")
     rows = [
         {
             "Insert to mm": f"{step['depth_mm']:.2f}",
@@ -233,13 +221,7 @@ def _show_steps(shown: "ViewedScene", aim: "PlaneGoal", summary: dict[str, Any])
 
 
 def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, Any]) -> str:
-    """Return the outcome in one or two sentences, after the marks of a run that is not to be trusted."""
-    from needlefit.studies.verdict import mark_faults
-
-    return mark_faults(shown.faults) + _describe_outcome(shown, found, summary)
-
-
-def _describe_outcome(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, Any]) -> str:
+    """Return the outcome in one or two sentences."""
     past = " and touches no obstacle" if found.goal.obstacles else ""
     within = f"within {found.goal.radius:g} mm of the target"
     if not found.hits:
@@ -266,13 +248,11 @@ def _describe_failure(found: "SteeringPlan", summary: dict[str, Any]) -> str:
     near = summary["median_mm"]
     if near is None:
         return "on every way the needle leaves the limits within which the model is valid"
-    touched = [f"the needle touches {name}" for name, share in found.touched.items() if share]
-    bound = [f"the {one} is at its limit" for one in found.at_limit]
-    why = ", ".join([*touched, *bound])
+    why = [f"the needle touches {name}" for name, share in found.touched.items() if share]
+    why += [f"the {one} is at its limit" for one in found.at_limit]
     within = f", {found.goal.radius:g} mm are allowed" if near > found.goal.radius else ""
-    return f"the tip of the plan that comes nearest ends {near:.2f} mm from it{within}" + (
-        f" ({why})" if why else ""
-    )
+    kept = f" ({', '.join(why)})" if why else ""
+    return f"the tip of the plan that comes nearest ends {near:.2f} mm from it{within}{kept}"
 
 
 _SPECIMENS = {

@@ -40,35 +40,24 @@ MISSING_PATH = np.full((PATH_POINTS, 2), np.nan)
 
 @dataclass(frozen=True)
 class Aim:
-    """One plan: offset (mm), angle (degrees), depth (mm), and the bevel side, +1 or -1.
-
-    `rms` is the root mean square of its miss (mm) over the draws that it was optimised on; None without any.
-    """
+    """One plan: offset (mm), angle (degrees), depth (mm), and the bevel side, +1 or -1."""
 
     offset: float
     angle: float
     depth: float
     side: int
-    rms: float | None = None
+    rms: float | None = None  #: root mean square miss, mm, over the draws on which it was optimised
 
 
 @dataclass(frozen=True)
 class ExecutionDraw:
-    """One draw: parameter values (Pa, mm), and the errors with which the plan is executed; by default none.
-
-    Attributes
-    ----------
-    across, turn, deep : float
-        Shift of the entry (mm), its turn (rad), error of the depth (mm).
-    wrong : (MAX_DRAWN_LAYERS,) array
-        Errors of the boundaries, in standard deviations of each.
-    """
+    """One draw: parameter values (Pa, mm), and the errors of the plan's execution; by default none."""
 
     values: Values
-    across: float = 0.0
-    turn: float = 0.0
-    deep: float = 0.0
-    wrong: Floats = field(default_factory=lambda: np.zeros(MAX_DRAWN_LAYERS))
+    across: float = 0.0  #: shift of the entry, mm
+    turn: float = 0.0  #: rad
+    deep: float = 0.0  #: error of the depth, mm
+    wrong: Floats = field(default_factory=lambda: np.zeros(MAX_DRAWN_LAYERS))  #: of boundaries, in SDs
 
 
 def draw_execution(values: Values, like: Insertion, rng: np.random.Generator) -> ExecutionDraw:
@@ -80,21 +69,11 @@ def draw_execution(values: Values, like: Insertion, rng: np.random.Generator) ->
 
 @dataclass(frozen=True)
 class TargetSite:
-    """The target, the plane of the plan, and the tissue.
-
-    Attributes
-    ----------
-    medium : MediumRecord
-    needle : Needle
-    like : Insertion
-        Its errors and its medium's surfaces, or depths where it has none.
-    entry_plane : EntryPlaneRecord
-    goal : Goal
-    """
+    """The target, the plane of the plan, and the tissue."""
 
     medium: MediumRecord
     needle: Needle
-    like: Insertion
+    like: Insertion  #: its errors, and its medium's surfaces, or depths where it has none
     entry_plane: EntryPlaneRecord
     goal: Goal
 

@@ -20,23 +20,13 @@ from needlefit.geometry.frames import Placement
 from needlefit.schemas.names import name_fault
 from needlefit.schemas.planning import ObstacleRecord
 
-PATH_POINTS = 41
-"""Points of a needle, entry to tip."""
-
-UNSOLVED_MISS_MM = 100.0
-"""The miss that stands for a needle without a solution, mm."""
-
-OBSTACLE_PENALTY = 10.0
-"""By how much a mm of an obstacle counts more than a mm beside the target."""
-
-SEARCH_TOLERANCE, MAX_EVALUATIONS = 1e-4, 25
-"""Of one search: relative change at which it ends, and its evaluations with a gradient."""
-
-TARGET_LABEL = "target"
-"""Beginning of the label of the target in a file of markups, in any case."""
-
-MAX_NAME_LENGTH = 40
-"""Characters of the name of an obstacle; of a longer label the first ones."""
+PATH_POINTS = 41  #: points of a needle, entry to tip
+UNSOLVED_MISS_MM = 100.0  #: the miss that stands for a needle without a solution, mm
+OBSTACLE_PENALTY = 10.0  #: by how much a mm of an obstacle counts more than a mm beside the target
+SEARCH_TOLERANCE = 1e-4  #: relative change at which a search ends
+MAX_EVALUATIONS = 25  #: of one search, with a gradient
+TARGET_LABEL = "target"  #: beginning of the label of the target in a file of markups, in any case
+MAX_NAME_LENGTH = 40  #: characters of the name of an obstacle; of a longer label the first ones
 
 SpacePoint = tuple[float, float, float]
 
@@ -141,19 +131,11 @@ class Ball:
 
 @dataclass(frozen=True)
 class PlaneGoal:
-    """A goal in the plane of the needle, which is rolled about x so that it contains the target.
-
-    Attributes
-    ----------
-    roll_deg : float
-        From C's y toward z, degrees.
-    beside : tuple of str
-        Obstacles that the plane does not cut.
-    """
+    """A goal in the plane of the needle, which is rolled about x so that it contains the target."""
 
     goal: Goal
-    roll_deg: float = 0.0
-    beside: tuple[str, ...] = ()
+    roll_deg: float = 0.0  #: from C's y toward z, degrees
+    beside: tuple[str, ...] = ()  #: obstacles that the plane does not cut
 
 
 def cut_plane(target: SpacePoint, radius: float, balls: tuple[Ball, ...]) -> PlaneGoal:

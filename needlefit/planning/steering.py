@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -36,23 +37,12 @@ from needlefit.planning.goals import (
     minimize_miss,
 )
 
-SEARCH_DRAWS = 32
-"""Draws on which a plan is sought. The others test it."""
-
-BASE_STEP_MM = 5.0
-"""The base moves in steps of so much inserted depth."""
-
-DEPTH_RANGE_MM = 5.0
-"""A plan ends within so much of the target's own depth."""
-
-NEAREST_TARGET_MM = 0.5
-"""A target lies at least so much deeper than the tip."""
-
-TURN_PLACES = {0: 0, 1: 5, 2: 4}
-"""On how many places along the way so many turns of the bevel are tried."""
-
-EFFORT_MM = 0.05
-"""Expected miss, mm, for which the base or the entry is moved over its whole range."""
+SEARCH_DRAWS = 32  #: draws on which a plan is sought; the others test it
+BASE_STEP_MM = 5.0  #: the base moves in steps of so much inserted depth
+DEPTH_RANGE_MM = 5.0  #: a plan ends within so much of the target's own depth
+NEAREST_TARGET_MM = 0.5  #: a target lies at least so much deeper than the tip
+TURN_PLACES = {0: 0, 1: 5, 2: 4}  #: on how many places along the way so many turns of the bevel are tried
+EFFORT_MM = 0.05  #: expected miss, mm, for which the base or the entry is moved over its whole range
 
 TURN_RISK, EFFORT_RISK = 0.005, 0.01
 """Risk for which a further turn is taken, and for which base and entry are moved over their ranges."""
@@ -62,28 +52,15 @@ TURN_RISK, EFFORT_RISK = 0.005, 0.01
 class _RiskRules:
     """How the risk is smoothed and lowered.
 
-    Attributes
-    ----------
-    width : float
-        Smoothing of the risk, as a part of the target's radius.
-    miss_risk : float
-        Risk of a tip at the rim of the target beside one in its middle: a miss counts there, too.
-    refined : int
-        Choices of turns that are optimised after the first step; the risk of all but the last is lowered.
-    evaluations : int
-        Choices that are tried to lower the risk of one.
-    sure_risk : float
-        A plan of at most this risk leaves little to narrower ranges, which are then not searched.
-    sloped : bool
-        Whether the distance outside the target and in obstacles is added: far from them the smoothed step
-        has no slope.
+    `sloped`: the distance outside the target and in obstacles is added, since far from them the smoothed step
+    has no slope.
     """
 
-    width: float
-    miss_risk: float
-    refined: int
-    evaluations: int
-    sure_risk: float
+    width: float  #: smoothing of the risk, as a part of the target's radius
+    miss_risk: float  #: of a tip at the rim of the target beside one in its middle: a miss counts there, too
+    refined: int  #: choices of turns optimised after the first step; the risk of all but the last is lowered
+    evaluations: int  #: choices that are tried to lower the risk of one
+    sure_risk: float  #: a plan of at most this risk leaves little to narrower ranges, which are not searched
     sloped: bool
 
 
@@ -97,17 +74,11 @@ the miss is all that is left to lower."""
 NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
 """Parts of the base's range that are searched too: a wider range then finds no less than these."""
 
-LIMIT_PART = 1e-3
-"""A choice this near to the end of its range, as a part of the range, is at its limit."""
-
-CERTAIN_RISK = 0.99
-"""From this risk on a choice counts as one that misses the target in all draws."""
-
-REACH_DEPTHS = 6
-"""At how many depths the reachable region is computed, besides the tip."""
-
-REACH_SHARES = (0.05, 0.5, 0.95)
-"""Shares of draws for which the reachable region is given."""
+LIMIT_PART = 1e-3  #: a choice this near to the end of its range, as a part of it, is at its limit
+CERTAIN_RISK = 0.99  #: from this risk on a choice counts as one that misses the target in all draws
+REACH_DEPTHS = 6  #: at how many depths the reachable region is computed, besides the tip
+REACH_SHARES = (0.05, 0.5, 0.95)  #: shares of draws for which the reachable region is given
+MAX_TRIES = 20  #: random ways that are tried before a needle counts as one that reaches nothing
 
 DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3])
 """Of the differences: entry, depth and base (mm), slope of the base."""
@@ -140,23 +111,13 @@ class PlanLimits:
 
 @dataclass(frozen=True)
 class StartedInsertion:
-    """An insertion that a plan continues.
-
-    Attributes
-    ----------
-    needle, tissue, rules
-        As `simulate_steps` takes them; `rules.first_cell` is given.
-    path : tuple of Step
-        The steps so far; the last one is where the needle stands. At first contact its depth is 0.
-    draws : ParameterDraws or None
-        Of the parameters; None: those of `tissue` and of the bevel are exact.
-    """
+    """An insertion that a plan continues: needle, tissue and rules as `simulate_steps` takes them."""
 
     needle: Needle
     tissue: Tissue
-    rules: ModelOptions
-    path: tuple[Step, ...]
-    draws: ParameterDraws | None = None
+    rules: ModelOptions  #: `first_cell` is given
+    path: tuple[Step, ...]  #: so far; the last one is where the needle stands, at first contact at depth 0
+    draws: ParameterDraws | None = None  #: None: the parameters of `tissue` and of the bevel are exact
 
     @property
     def now(self) -> Step:
@@ -197,39 +158,23 @@ class StartedInsertion:
 class SteeringPlan:
     """A plan, and what becomes of its needles.
 
-    Attributes
-    ----------
-    entry_mm : float
-        Shift of the entry along y.
-    steps : tuple of Step
-        From where the needle stands.
-    turns : tuple of float
-        Depths at which the bevel turns over, mm; at the present depth before anything else.
-    needles : (B, K, 2) array
-        Of the draws that test it, mm; NaN where one has no solution within the model's validity.
-    nominal : (K, 2) array
-        The needle of the exact parameters.
-    hits : int
-        Draws within the radius and past all obstacles.
-    low, high : float
-        Wilson's 95 % interval of their share.
-    touched : dict of str -> float
-        Share of draws that touch each obstacle.
-    at_limit : tuple of str
-        Which of "entry", "base" and "base angle" are at the end of their range.
+    `needles` (B, K, 2), mm, are those of the draws that test it, NaN where one has no solution within the
+    model's validity; `nominal` (K, 2) is that of the exact parameters.
     """
 
-    entry_mm: float
-    steps: tuple[Step, ...]
-    turns: tuple[float, ...]
+    entry_mm: float  #: shift of the entry along y
+    steps: tuple[Step, ...]  #: from where the needle stands
+    turns: tuple[
+        float, ...
+    ]  #: depths where the bevel turns over, mm; at the present one before anything else
     goal: Goal
     needles: Floats
     nominal: Floats
-    hits: int
-    low: float
+    hits: int  #: draws within the radius and past all obstacles
+    low: float  #: Wilson's 95 % interval of their share
     high: float
-    touched: dict[str, float]
-    at_limit: tuple[str, ...] = ()
+    touched: dict[str, float]  #: share of draws that touch each obstacle
+    at_limit: tuple[str, ...] = ()  #: which of `LIMITED` are at the end of their range
 
     @property
     def end(self) -> Step:
@@ -253,19 +198,26 @@ class SteeringPlan:
 
     def move_to_entry(self) -> "SteeringPlan":
         """Return the same plan in the frame of its own entry."""
-        shift = np.array([0.0, self.entry_mm])
-        return replace(
-            self,
-            entry_mm=0.0,
-            goal=self.goal.move(-self.entry_mm),
-            needles=self.needles - shift,
-            nominal=self.nominal - shift,
-        )
+        shift, goal = np.array([0.0, self.entry_mm]), self.goal.move(-self.entry_mm)
+        needles, nominal = self.needles - shift, self.nominal - shift
+        return replace(self, entry_mm=0.0, goal=goal, needles=needles, nominal=nominal)
 
     @property
     def nominal_miss(self) -> float:
         """Distance from the target of the tip with the exact parameters, mm."""
         return float(compute_misses(self.nominal[None], self.goal)[0])
+
+    def describe_misses(self) -> dict[str, Any]:
+        """Return misses in mm (None without a needle), what needles touch, and what is at its limit."""
+        misses, nominal = self.misses, self.nominal_miss
+        median, most = np.quantile(misses, [0.5, 0.95]).tolist() if len(misses) else (None, None)
+        return {
+            "nominal_miss_mm": nominal if math.isfinite(nominal) else None,
+            "median_mm": median,
+            "miss_95_mm": most,
+            "touched": self.touched,
+            "at_limit": list(self.at_limit),
+        }
 
 
 def plan_steering(
@@ -290,16 +242,16 @@ def plan_steering(
     search = _Search(insertion, goal, limits or PlanLimits(), threads)
     search.check()
     chosen = search.best()
-    way = search.way(chosen)
-    tests = insertion.samples[1]
-    (needles,), (nominal,) = (search.needles(draws, [chosen]) for draws in (tests, insertion.exact))
+    way, now = search.way(chosen), insertion.now
+    (needles,), (nominal,) = (
+        search.needles(draws, [chosen]) for draws in (insertion.samples[1], insertion.exact)
+    )
     hits = int(np.sum(find_hits(needles, goal)))
     low, high = wilson_interval(hits / len(needles), len(needles))
     touched = {one.name: float(np.mean(compute_clearances(needles, one) < 0)) for one in goal.obstacles}
-    entry_mm = float(chosen.at[0])
-    turns = (insertion.now.depth,) * (way[0].bevel.side != insertion.now.bevel.side) + chosen.turns
-    limits_met = search.list_limits_met(chosen)
-    return SteeringPlan(entry_mm, way, turns, goal, needles, nominal[0], hits, low, high, touched, limits_met)
+    turns = (now.depth,) * (way[0].bevel.side != now.bevel.side) + chosen.turns
+    outcome = (needles, nominal[0], hits, low, high, touched, search.list_limits_met(chosen))
+    return SteeringPlan(float(chosen.at[0]), way, turns, goal, *outcome)
 
 
 @dataclass(frozen=True)
@@ -547,10 +499,6 @@ def _smooth_risk(needles: Floats, goal: Goal, rules: _RiskRules) -> float:
     return float(np.mean(risk))
 
 
-MAX_TRIES = 20
-"""Random ways that are tried before a needle counts as one that reaches nothing."""
-
-
 def draw_target(
     insertion: StartedInsertion, depth: float, rng: np.random.Generator, limits: PlanLimits | None = None
 ) -> tuple[float, float] | None:
@@ -573,19 +521,11 @@ def draw_target(
 
 @dataclass(frozen=True)
 class ReachableRegion:
-    """Where the tip can come to stand.
+    """Where the tip can come to stand."""
 
-    Attributes
-    ----------
-    x : (K,) array
-        Depths ahead of the tip, mm.
-    low, high : (S, K) arrays
-        Least and greatest y that a share `REACH_SHARES` of the draws reaches, mm.
-    """
-
-    x: Floats
-    low: Floats
-    high: Floats
+    x: Floats  #: (K,) depths ahead of the tip, mm
+    low: Floats  #: (S, K) least y that a share `REACH_SHARES` of the draws reaches, mm
+    high: Floats  #: (S, K) and the greatest
 
 
 def find_reachable_region(
@@ -610,9 +550,8 @@ def find_reachable_region(
         return ReachableRegion(np.empty(0), empty, empty)
     least, greatest = np.nanmin(tips[..., kept], axis=1).T, np.nanmax(tips[..., kept], axis=1).T  # (B, K)
     shares = np.array(REACH_SHARES)
-    return ReachableRegion(
-        depths, np.quantile(least, shares, axis=0), np.quantile(greatest, 1 - shares, axis=0)
-    )
+    low, high = np.quantile(least, shares, axis=0), np.quantile(greatest, 1 - shares, axis=0)
+    return ReachableRegion(depths, low, high)
 
 
 def _list_outermost_ways(

@@ -240,7 +240,6 @@ def plan_message(found: SteeringPlan | NeedlefitError, aim: TrialAim) -> dict[st
         return {"kind": "plan", "fault": {"what": found.what, "expected": found.expected, "fix": found.fix}}
     solved = found.needles[found.solved]
     drawn = solved[np.linspace(0, len(solved) - 1, min(FAN_NEEDLES, len(solved))).astype(np.intp)]
-    misses = np.quantile(found.misses, [0.5, 0.95]).tolist() if len(solved) else [None, None]
     nominal = found.nominal if np.isfinite(found.nominal[-1, 0]) else found.nominal[:0]
     return {
         "kind": "plan",
@@ -259,11 +258,7 @@ def plan_message(found: SteeringPlan | NeedlefitError, aim: TrialAim) -> dict[st
         "probability": found.probability,
         "low": found.low,
         "high": found.high,
-        "median_mm": misses[0],
-        "miss_95_mm": misses[1],
-        "nominal_miss_mm": found.nominal_miss if len(nominal) else None,
-        "touched": found.touched,
-        "at_limit": list(found.at_limit),
+        **found.describe_misses(),
     }
 
 
