@@ -1,6 +1,7 @@
 """Every fault of a dataset, made in a real one: named with file, line, what was expected, how to fix."""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,33 +13,20 @@ from needlefit.datasets.columns import SCAN_COLUMNS
 from needlefit.datasets.read import check, read
 from needlefit.errors import DataError
 
+ROWS, A, B = "insertions.csv", "centerlines/a.csv", "centerlines/b.csv"
+CORE, SHEET, TOML = "layers/core.stl", "layers/sheet.stl", "dataset.toml"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return Path(block(tmp_path_factory.mktemp("block"))).parent
+
 
 @pytest.fixture
-def folder(tmp_path):
-    without_checksums(block(tmp_path))
-    assert check(tmp_path) == []
+def folder(made, tmp_path):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    without_checksums(tmp_path / TOML)
     return tmp_path
-
-
-def edit(path: Path, line: int, old: str, new: str):
-    lines = path.read_text().split("\n")
-    assert old in lines[line - 1], lines[line - 1]
-    lines[line - 1] = lines[line - 1].replace(old, new, 1)
-    path.write_text("\n".join(lines))
-
-
-def cell(path: Path, line: int, column: str, value: str):
-    lines = path.read_text().split("\n")
-    cells = lines[line - 1].split(",")
-    cells[lines[0].split(",").index(column)] = value
-    lines[line - 1] = ",".join(cells)
-    path.write_text("\n".join(lines))
-
-
-def curve(path: Path, points):
-    path.write_text(
-        "x_mm,y_mm,z_mm\n" + "".join(",".join(f"{v:.5f}" for v in point) + "\n" for point in points)
-    )
 
 
 def the_fault(folder):
@@ -54,116 +42,228 @@ def place(fault, folder):
     return fault.where.removeprefix(f"{folder}/")
 
 
-@pytest.mark.parametrize(
-    ("column", "value", "words"),
-    [
-        ("depth_mm", "nan", "depth_mm is 'nan'"),
-        ("depth_mm", "inf", "depth_mm is 'inf'"),
-        ("depth_mm", "fifty", "depth_mm is 'fifty'"),
-        ("depth_mm", "", "depth_mm is empty"),
-        ("depth_mm", "-50", "depth_mm is -50"),
-        ("depth_mm", "0.05", "looks like metres"),
-        ("depth_mm", "151", "needle is only 150 mm"),
-        ("depth_mm", "60", ""),
-        ("medium", "jelly", "medium 'jelly' is unknown"),
-        ("bevel_side", "left", "bevel_side is 'left'"),
-        ("bevel_side", "2", "bevel_side is unknown"),
-        ("bevel_x", "1", "bevel_x, bevel_y, bevel_z"),
-        (("bevel_x", "bevel_y", "bevel_z"), ("2", "0", "0"), "parallel"),
-        ("layers", "2.5", "not a count"),
-        ("entry_dx", "0", "length 0"),
-        ("entry_dx", "2", "length 2"),
-        ("entry_x_mm", "nan", "entry_x_mm is 'nan'"),
-        ("pose_source", "guess", "pose_source is 'guess'"),
-        ("pose_source", "none", "pose_source is 'none'"),
-        ("pose_shift_sd_mm", "-1", "pose_shift_sd_mm is negative"),
-        ("depth_sd_mm", "-0.1", "depth_sd_mm is negative"),
-        ("guide_distance_mm", "110", "guide_distance_mm is 110"),
-        ("id", "../a", "id is '../a'"),
-    ],
-)
-def test_faults_of_a_cell_of_a_row(folder, column, value, words):
-    several = isinstance(column, tuple)
-    for name, text in zip(column, value, strict=True) if several else [(column, value)]:
-        cell(folder / "insertions.csv", 2, name, text)
+# ---- changes of a dataset
+
+
+def cell(name, line, **values):
+    def change(folder):
+        lines = (folder / name).read_text().split("\n")
+        cells = lines[line - 1].split(",")
+        for column, value in values.items():
+            cells[lines[0].split(",").index(column)] = value
+        lines[line - 1] = ",".join(cells)
+        (folder / name).write_text("\n".join(lines))
+
+    return change
+
+
+def row(**values):
+    return cell(ROWS, 2, **values)
+
+
+def text(name, old, new):
+    def change(folder):
+        before = (folder / name).read_text()
+        assert old in before
+        (folder / name).write_text(before.replace(old, new, 1))
+
+    return change
+
+
+def content(name, data):
+    return lambda folder: (folder / name).write_bytes(data)
+
+
+def delete(name):
+    return lambda folder: (folder / name).unlink()
+
+
+def points(values):
+    lines = "".join(",".join(f"{v:.5f}" for v in point) + "\n" for point in values)
+    return content(B, f"x_mm,y_mm,z_mm\n{lines}".encode())
+
+
+def mesh(name, edit):
+    def change(folder):
+        surface = trimesh.load_mesh(folder / name)
+        (edit(surface) or surface).export(folder / name)
+
+    return change
+
+
+def add_columns(name, **columns):
+    """Append columns to a table, the same cell in every row."""
+
+    def change(folder):
+        lines = (folder / name).read_text().splitlines()
+        heads, cells = ",".join(columns), ",".join(columns.values())
+        rows = [f"{lines[0]},{heads}", *(f"{line},{cells}" for line in lines[1:])]
+        (folder / name).write_text("\n".join(rows) + "\n")
+
+    return change
+
+
+def open_up(surface):
+    surface.update_faces(np.arange(len(surface.faces)) > 3)
+
+
+def pierce(surface):
+    fine = surface.subdivide().subdivide()
+    middle = np.argmin(np.linalg.norm(fine.triangles_center[:, 1:], axis=1))
+    fine.update_faces(np.arange(len(fine.faces)) != middle)
+    return fine
+
+
+def shrink(surface):
+    surface.apply_scale(1e-3)
+
+
+def respell_delimiter(sign):
+    def change(folder):
+        path = folder / B
+        path.write_text(path.read_text().replace(".", ",").replace(",", sign))
+
+    return change
+
+
+def write_as_latin_1(folder):
+    (folder / ROWS).write_bytes((folder / ROWS).read_text().replace("one", "gr\xfcn").encode("latin-1"))
+
+
+def blank_lines(folder):
+    path = folder / B
+    path.write_bytes(b"\r\n" + path.read_bytes().replace(b"\n", b"\r\n\r\n"))
+    lines = path.read_bytes().split(b"\r\n")
+    lines[10 - 1] += b"x"
+    path.write_bytes(b"\r\n".join(lines))
+
+
+SCAN = dict.fromkeys(SCAN_COLUMNS, "")
+
+
+def scan(value):
+    def change(folder):
+        add_columns(ROWS, **SCAN)(folder)
+        cell(ROWS, 3, scan_ry_deg=value)(folder)
+
+    return change
+
+
+def deviation(value):
+    def change(folder):
+        add_columns(B, sd_mm="0.1")(folder)
+        cell(B, 42, sd_mm=value)(folder)
+
+    return change
+
+
+NO_COUNT = dict.fromkeys(("layers", "layers_alternative"))
+FAULTS = [
+    # cells of a row
+    *((f"{ROWS}:2", words, "", row(depth_mm=value)) for value, words in (
+        ("nan", "depth_mm is 'nan'"), ("inf", "depth_mm is 'inf'"), ("fifty", "depth_mm is 'fifty'"),
+        ("", "depth_mm is empty"), ("-50", "depth_mm is -50"), ("0.05", "looks like metres"),
+        ("151", "needle is only 150 mm"))),
+    (f"{A}:2", "", "", row(depth_mm="60")),
+    (f"{ROWS}:2", "medium 'jelly' is unknown", "", row(medium="jelly")),
+    (f"{ROWS}:2", "bevel_side is 'left'", "", row(bevel_side="left")),
+    (f"{ROWS}:2", "bevel_side is unknown", "", row(bevel_side="2")),
+    (f"{ROWS}:2", "bevel_x, bevel_y, bevel_z", "", row(bevel_x="1")),
+    (f"{ROWS}:2", "parallel", "", row(bevel_x="2", bevel_y="0", bevel_z="0")),
+    (f"{ROWS}:2", "not a count", "", row(layers="2.5")),
+    (f"{ROWS}:2", "length 0", "", row(entry_dx="0")),
+    (f"{ROWS}:2", "length 2", "", row(entry_dx="2")),
+    (f"{ROWS}:2", "entry_x_mm is 'nan'", "", row(entry_x_mm="nan")),
+    (f"{ROWS}:2", "pose_source is 'guess'", "", row(pose_source="guess")),
+    (f"{ROWS}:2", "pose_source is 'none'", "", row(pose_source="none")),
+    (f"{ROWS}:2", "pose_shift_sd_mm is negative", "", row(pose_shift_sd_mm="-1")),
+    (f"{ROWS}:2", "depth_sd_mm is negative", "", row(depth_sd_mm="-0.1")),
+    (f"{ROWS}:2", "guide_distance_mm is 110", "", row(guide_distance_mm="110")),
+    (f"{ROWS}:2", "id is '../a'", "", row(id="../a")),
+    (f"{ROWS}:4", "line 2", "", cell(ROWS, 4, id="a")),
+    *((f"{ROWS}:2", "a meets 4 layers (1 > 2 > 3 > 2", "layers = 4", row(**dict.fromkeys(NO_COUNT, layers)))
+      for layers in "35"),
+    (f"{ROWS}:1", "`depth_mm`", "columns", text(ROWS, "depth_mm", "depth")),
+    (f"{ROWS}:3", "scan_", "", scan("12")),
+    (f"{ROWS}:3", "scan_ry_deg is 'east'", "", scan("east")),
+    (f"{ROWS}:1", "`scan_z_mm`", "", add_columns(ROWS, **dict.fromkeys(SCAN_COLUMNS[:5], "0"))),
+    # cells of a centreline
+    *((f"{B}:42", words, "", cell(B, 42, y_mm=value)) for value, words in (
+        ("nan", "y_mm is 'nan'"), ("-inf", "y_mm is '-inf'"), ("1.2.3", "'1.2.3'"), ("", "empty"))),
+    *((f"{B}:42", words, "", deviation(value)) for value, words in (
+        ("-0.1", "sd_mm is -0.1"), ("inf", "'inf'"), ("", "empty"), ("wide", "'wide'"))),
+    (f"{B}:10", "", "", blank_lines),
+    # files
+    *((name, "no such file", "", delete(name)) for name in (ROWS, B, CORE, TOML)),
+    (f"{B}:1", "semicolons", "", respell_delimiter(";")),
+    (f"{B}:1", "tabs", "", respell_delimiter("\t")),
+    *((None, words, "", content(B, data)) for data, words in (
+        (b"", "is empty"), (b"x_mm,y_mm,z_mm\n", "no rows"),
+        (b"x_mm,y_mm,y_mm\n1,2,3\n", "more than one column"),
+        (b"x_mm,y_mm,z_mm\n1,2,3\n0,5,1,5,0,5\n", "6 cells under 3 columns"),
+        (b"x_mm,y_mm,z_mm\n\xff\xfe", "cannot be read"))),
+    (ROWS, "", "UTF-8", write_as_latin_1),
+    # surfaces
+    (CORE, "does not close", "", mesh(CORE, open_up)),
+    (SHEET, "1 hole", "", mesh(SHEET, pierce)),
+    (CORE, "looks like metres", "", mesh(CORE, shrink)),
+    (CORE, "", "", content(CORE, b"solid core\nendsolid core\n")),
+    # keys
+    *((None, words, "", text(TOML, old, new)) for old, new, words in (
+        ('origin = "synthetic"', 'origin = "found"', "`origin`"),
+        ('name = "block"', 'nom = "block"', "`nom` is unknown; did you mean `name`?"),
+        ('kind = "sheet"', 'kin = "sheet"', "surfaces.1.kin` is unknown; did you mean `kind`?"),
+        ("length_mm", "lenght_mm", "`needle.lenght_mm` is unknown; did you mean `length_mm`?"),
+        ("schema = 1", "schema = 2", "`schema`"),
+        ("centerlines/{id}.csv", "centerlines/x.csv", "must hold {id}"),
+        ("[20.0, 50.5, 70.0]", "[20.0, 10.0]", "must be positive and increase"),
+        ('pose = "known"', 'pose = "free"', "surfaces stand in the world"),
+        ("schema = 1", "schema : 1", "line 1"))),
+    *((None, f"looks like {unit}", "write 80", text(TOML, "youngs_modulus_gpa = 80.0",
+                                                    f"youngs_modulus_gpa = {value}"))
+      for value, unit in (("8e10", "Pa"), ("80000", "MPa"))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("where", "words", "fix", "change"), FAULTS)
+def test_a_fault_is_named_with_its_place_and_its_fix(folder, where, words, fix, change):
+    change(folder)
     fault = the_fault(folder)
-    assert words in fault.what and fault.expected
-    assert place(fault, folder) == ("centerlines/a.csv:2" if value == "60" else "insertions.csv:2")
+    assert words in fault.what and fix in fault.fix + fault.expected
+    assert place(fault, folder) == where if where else fault.where.startswith(str(folder))
+    assert fault.expected or "no such file" in fault.what or where is None
 
 
-def test_duplicate_ids_name_both_lines(folder):
-    cell(folder / "insertions.csv", 4, "id", "a")
-    fault = the_fault(folder)
-    assert place(fault, folder) == "insertions.csv:4" and "line 2" in fault.what
-
-
-@pytest.mark.parametrize("layers", ["3", "5"])
-def test_layers_that_are_not_met(folder, layers):
-    for column in ("layers", "layers_alternative"):
-        cell(folder / "insertions.csv", 2, column, layers)
-    fault = the_fault(folder)
-    assert "a meets 4 layers (1 > 2 > 3 > 2" in fault.what and "4" in fault.expected
-    assert "layers = 4" in fault.fix
-
-
-def test_the_alternative_reading_is_enough(folder):
-    cell(folder / "insertions.csv", 2, "layers", "3")
+def test_the_made_dataset_has_no_fault_and_the_alternative_reading_is_enough(folder):
+    assert check(folder) == []
+    row(layers="3")(folder)
     assert check(folder) == []
 
 
 @pytest.mark.parametrize(("boundary", "layers"), [(-0.3, "1"), (0.3, "2")])
 @pytest.mark.parametrize(("sd", "near"), [("0.2", True), ("0.1", False)])
 def test_a_tip_near_a_boundary_has_a_proposed_alternative(folder, boundary, layers, sd, near):
-    dataset = read(folder)
-    (tip,) = (one.planar[-1, 0] for one in dataset.insertions if one.id == "a")
-    text = (folder / "dataset.toml").read_text()
-    (folder / "dataset.toml").write_text(f"{text}\n[media.cut]\nboundaries_mm = [{tip + boundary:.4f}]\n")
-    met = "2" if boundary < 0 else "1"
-    for column, value in {"medium": "cut", "layers_alternative": layers, "boundary_sd_mm": sd}.items():
-        cell(folder / "insertions.csv", 2, column, value)
-    cell(folder / "insertions.csv", 2, "layers", layers)
+    (tip,) = (one.planar[-1, 0] for one in read(folder).insertions if one.id == "a")
+    toml = (folder / TOML).read_text()
+    (folder / TOML).write_text(f"{toml}\n[media.cut]\nboundaries_mm = [{tip + boundary:.4f}]\n")
+    row(medium="cut", layers=layers, layers_alternative=layers, boundary_sd_mm=sd)(folder)
     fault = the_fault(folder)
-    assert ("layers_alternative" in fault.fix) == near and met in fault.fix
-
-
-def test_a_missing_column_is_named_with_those_there(folder):
-    edit(folder / "insertions.csv", 1, "depth_mm", "depth")
-    fault = the_fault(folder)
-    assert "`depth_mm`" in fault.what and "depth," in fault.expected and "columns" in fault.fix
-
-
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [("nan", "y_mm is 'nan'"), ("-inf", "y_mm is '-inf'"), ("1.2.3", "'1.2.3'"), ("", "empty")],
-)
-def test_a_wrong_cell_of_a_centreline(folder, value, words):
-    cell(folder / "centerlines" / "b.csv", 42, "y_mm", value)
-    fault = the_fault(folder)
-    assert place(fault, folder) == "centerlines/b.csv:42" and words in fault.what
-
-
-def test_lines_are_counted_as_an_editor_does(folder):
-    path = folder / "centerlines" / "b.csv"
-    path.write_bytes(b"\r\n" + path.read_bytes().replace(b"\n", b"\r\n\r\n"))
-    lines = path.read_bytes().split(b"\r\n")
-    lines[10 - 1] += b"x"
-    assert lines[10 - 1].count(b",") == 2
-    path.write_bytes(b"\r\n".join(lines))
-    assert place(the_fault(folder), folder) == "centerlines/b.csv:10"
+    assert ("layers_alternative" in fault.fix) == near and ("2" if boundary < 0 else "1") in fault.fix
 
 
 def test_many_bad_cells_are_listed_and_counted(folder):
-    curve(folder / "centerlines" / "b.csv", CURVE * [1, np.nan, 1])
+    points(CURVE * [1, np.nan, 1])(folder)
     faults = check(folder)
     assert len(faults) == 6 and "96 more" in faults[-1].what
 
 
 FOLDED = np.vstack([CURVE[:60], CURVE[40:]])
 SWAPPED = CURVE[[*range(50), 51, 50, *range(52, 101)]]
+ACROSS = CURVE * [1, -1, -1] @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]])
 
 
 @pytest.mark.parametrize(
-    ("points", "line", "words", "fix"),
+    ("values", "line", "words", "fix"),
     [
         (SWAPPED, 53, "goes back", "sort"),
         (FOLDED, 62, "goes back", "sort"),
@@ -175,159 +275,47 @@ SWAPPED = CURVE[[*range(50), 51, 50, *range(52, 101)]]
         (CURVE[:80], 2, "is 39.5", "tip"),
         (CURVE[[0, 50, 100]], 2, "only 3 points", ""),
         (CURVE + np.array([0, 8, 0]), 2, "8.00 mm from the entry", "LPS"),
-        (
-            CURVE * [1, -1, -1] @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]]),
-            2,
-            "off the entry direction",
-            "LPS",
-        ),
+        (ACROSS, 2, "off the entry direction", "LPS"),
     ],
 )
-def test_a_wrong_centreline(folder, points, line, words, fix):
-    curve(folder / "centerlines" / "b.csv", points)
-    faults = check(folder)
-    fault = next(f for f in faults if words in f.what)
+def test_a_wrong_centreline(folder, values, line, words, fix):
+    points(values)(folder)
+    fault = next(fault for fault in check(folder) if words in fault.what)
     assert fault.expected and fix in fault.fix
-    assert line is None or place(fault, folder) == f"centerlines/b.csv:{line}"
+    assert line is None or place(fault, folder) == f"{B}:{line}"
 
 
 def test_noise_of_measurement_is_no_fold(folder):
-    rng = np.random.default_rng(5)
-    curve(folder / "centerlines" / "b.csv", CURVE + rng.normal(size=CURVE.shape) * 0.05)
+    points(CURVE + np.random.default_rng(5).normal(size=CURVE.shape) * 0.05)(folder)
     assert check(folder) == []
 
 
-@pytest.mark.parametrize("name", ["insertions.csv", "centerlines/b.csv", "layers/core.stl", "dataset.toml"])
-def test_a_missing_file(folder, name):
-    (folder / name).unlink()
-    fault = the_fault(folder)
-    assert place(fault, folder) == name and "no such file" in fault.what
-
-
-@pytest.mark.parametrize("name", ["insertions.csv", "centerlines/b.csv", "layers/core.stl"])
-def test_a_wrong_checksum(tmp_path, name):
-    block(tmp_path)
-    path = tmp_path / name
-    path.write_bytes(path.read_bytes() + b"\n")
+@pytest.mark.parametrize("name", [ROWS, B, CORE])
+def test_a_wrong_checksum(made, tmp_path, name):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes() + b"\n")
     fault = the_fault(tmp_path)
     assert place(fault, tmp_path) == name and "checksum" in fault.what
-    file = tmp_path / "dataset.toml"
     old, new = re.search(r"sha256 (\w+)", fault.expected)[1], re.search(r"write (\w+)", fault.fix)[1]
-    file.write_text(file.read_text().replace(f'"{name}" = "{old}"', f'"{name}" = "{new}"'))
+    text(TOML, f'"{name}" = "{old}"', f'"{name}" = "{new}"')(tmp_path)
     assert check(tmp_path) == []  # the message says how to fix it
-
-
-def mesh_of(folder, name):
-    return trimesh.load_mesh(folder / "layers" / name)
-
-
-def test_a_solid_that_does_not_close(folder):
-    mesh = mesh_of(folder, "core.stl")
-    mesh.update_faces(np.arange(len(mesh.faces)) > 3)
-    mesh.export(folder / "layers" / "core.stl")
-    assert "does not close" in the_fault(folder).what
-
-
-def test_a_sheet_with_a_hole(folder):
-    mesh = mesh_of(folder, "sheet.stl").subdivide().subdivide()
-    mesh.update_faces(
-        np.arange(len(mesh.faces)) != np.argmin(np.linalg.norm(mesh.triangles_center[:, 1:], axis=1))
-    )
-    mesh.export(folder / "layers" / "sheet.stl")
-    assert "1 hole" in the_fault(folder).what
-
-
-def test_a_surface_in_metres(folder):
-    mesh = mesh_of(folder, "core.stl")
-    mesh.apply_scale(1e-3)
-    mesh.export(folder / "layers" / "core.stl")
-    assert "looks like metres" in the_fault(folder).what
-
-
-@pytest.mark.parametrize(("sign", "name"), [(";", "semicolons"), ("\t", "tabs")])
-def test_another_delimiter(folder, sign, name):
-    path = folder / "centerlines" / "b.csv"
-    path.write_text(path.read_text().replace(".", ",").replace(",", sign))
-    fault = the_fault(folder)
-    assert name in fault.what and "commas" in fault.expected
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"", "is empty"),
-        (b"x_mm,y_mm,z_mm\n", "no rows"),
-        (b"x_mm,y_mm,y_mm\n1,2,3\n", "more than one column"),
-        (b"x_mm,y_mm,z_mm\n1,2,3\n0,5,1,5,0,5\n", "6 cells under 3 columns"),
-        (b"x_mm,y_mm,z_mm\n\xff\xfe", "cannot be read"),
-    ],
-)
-def test_a_file_that_is_no_table(folder, content, words):
-    (folder / "centerlines" / "b.csv").write_bytes(content)
-    assert words in the_fault(folder).what
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('origin = "synthetic"', 'origin = "found"', "`origin`"),
-        ('name = "block"', 'nom = "block"', "`nom` is unknown; did you mean `name`?"),
-        ('kind = "sheet"', 'kin = "sheet"', "surfaces.1.kin` is unknown; did you mean `kind`?"),
-        ("length_mm", "lenght_mm", "`needle.lenght_mm` is unknown; did you mean `length_mm`?"),
-        ("schema = 1", "schema = 2", "`schema`"),
-        ("centerlines/{id}.csv", "centerlines/x.csv", "must hold {id}"),
-        ("[20.0, 50.5, 70.0]", "[20.0, 10.0]", "must be positive and increase"),
-        ('pose = "known"', 'pose = "free"', "surfaces stand in the world"),
-        ("schema = 1", "schema : 1", "line 1"),
-    ],
-)
-def test_a_wrong_key(folder, old, new, words):
-    file = folder / "dataset.toml"
-    assert old in file.read_text()
-    file.write_text(file.read_text().replace(old, new, 1))
-    fault = the_fault(folder)
-    assert words in fault.what and fault.where.startswith(str(file))
-
-
-@pytest.mark.parametrize(("value", "unit", "right"), [("8e10", "Pa", "80"), ("80000", "MPa", "80")])
-def test_a_modulus_in_another_unit(folder, value, unit, right):
-    file = folder / "dataset.toml"
-    file.write_text(re.sub(r"youngs_modulus_gpa = .*", f"youngs_modulus_gpa = {value}", file.read_text()))
-    fault = the_fault(folder)
-    assert fault.what.endswith(f"looks like {unit}") and fault.fix == f"write {right}"
-
-
-def test_a_layer_number_that_is_skipped(folder):
-    file = folder / "dataset.toml"
-    file.write_text(file.read_text().replace("into = 3", "into = 9"))
-    fault = the_fault(folder)
-    line = file.read_text().split("[media.block]")[0].count("\n") + 2
-    assert fault.where == f"{file}:{line}"
-    assert all(part in fault.what for part in ("medium block", "layer 3", "2, 9"))
-
-
-def test_a_surface_without_triangles(folder):
-    (folder / "layers" / "core.stl").write_text("solid core\nendsolid core\n")
-    assert the_fault(folder).where.endswith("core.stl")
-
-
-def test_a_file_that_only_the_checksums_list(tmp_path):
-    file = block(tmp_path)
-    file.write_text(f'{file.read_text()}"notes.pdf" = "0"\n')
+    (tmp_path / TOML).write_text(f'{(tmp_path / TOML).read_text()}"notes.pdf" = "0"\n')
     assert "[checksums]" in the_fault(tmp_path).fix
 
 
-def test_another_encoding_is_refused_and_utf8_expected(folder):
-    path = folder / "insertions.csv"
-    path.write_bytes(path.read_text().replace("one", "gr\xfcn").encode("latin-1"))
-    assert "UTF-8" in the_fault(folder).fix
+def test_a_layer_number_that_is_skipped(folder):
+    text(TOML, "into = 3", "into = 9")(folder)
+    fault = the_fault(folder)
+    line = (folder / TOML).read_text().split("[media.block]")[0].count("\n") + 2
+    assert fault.where == f"{folder / TOML}:{line}"
+    assert all(part in fault.what for part in ("medium block", "layer 3", "2, 9"))
 
 
 def test_every_fault_is_found_at_once(folder):
-    cell(folder / "insertions.csv", 2, "medium", "jelly")
-    cell(folder / "centerlines" / "b.csv", 7, "x_mm", "nan")
-    (folder / "centerlines" / "c.csv").unlink()
-    (folder / "layers" / "core.stl").write_bytes(b"")
+    row(medium="jelly")(folder)
+    cell(B, 7, x_mm="nan")(folder)
+    delete("centerlines/c.csv")(folder)
+    content(CORE, b"")(folder)
     assert len(check(folder)) == 4
     with pytest.raises(DataError, match="has 4 faults") as error:
         read(folder)
@@ -335,75 +323,25 @@ def test_every_fault_is_found_at_once(folder):
         assert words in str(error.value)
 
 
-# ---- what every insertion has for itself
-
-
-def add_columns(path: Path, **columns: str):
-    """Append columns to a table, the same cell in every row."""
-    lines = path.read_text().splitlines()
-    heads, cells = ",".join(columns), ",".join(columns.values())
-    path.write_text("\n".join([f"{lines[0]},{heads}", *(f"{line},{cells}" for line in lines[1:])]) + "\n")
-
-
-@pytest.mark.parametrize(
-    ("value", "words"), [("-0.1", "sd_mm is -0.1"), ("inf", "'inf'"), ("", "empty"), ("wide", "'wide'")]
-)
-def test_a_wrong_deviation_of_a_point(folder, value, words):
-    path = folder / "centerlines" / "b.csv"
-    add_columns(path, sd_mm="0.1")
-    assert check(folder) == []
-    cell(path, 42, "sd_mm", value)
-    fault = the_fault(folder)
-    assert place(fault, folder) == "centerlines/b.csv:42" and words in fault.what
-
-
-def test_an_empty_column_of_deviations_gives_none(folder):
-    add_columns(folder / "centerlines" / "b.csv", sd_mm="")
+def test_deviations_may_be_empty_or_of_another_name(folder):
+    add_columns(B, sd_mm="")(folder)
     assert read(folder).insertions[1].sd is None
-
-
-def test_deviations_of_another_name_must_be_there(folder):
-    add_columns(folder / "centerlines" / "b.csv", error="0.1")
-    file = folder / "dataset.toml"
-    head = "[centerlines]\n"
-    assert head in file.read_text()
-    file.write_text(file.read_text().replace(head, head + 'columns = { sd_mm = "error" }\n'))
-    assert {place(fault, folder) for fault in check(folder)} == {"centerlines/a.csv:1", "centerlines/c.csv:1"}
-    for name in "ac":
-        add_columns(folder / "centerlines" / f"{name}.csv", error="0.2")
+    add_columns(B, error="0.1")(folder)
+    text(TOML, "[centerlines]\n", '[centerlines]\ncolumns = { sd_mm = "error" }\n')(folder)
+    assert {place(fault, folder) for fault in check(folder)} == {f"{A}:1", "centerlines/c.csv:1"}
+    for name in (A, "centerlines/c.csv"):
+        add_columns(name, error="0.2")(folder)
     assert [insertion.sd[0] for insertion in read(folder).insertions] == [0.2, 0.1, 0.2]
-
-
-def test_a_scan_is_placed_by_six_numbers_or_by_none(folder):
-    add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN_COLUMNS, ""))
+    add_columns(ROWS, **SCAN)(folder)
     assert check(folder) == []
-    cell(folder / "insertions.csv", 3, "scan_ry_deg", "12")
-    fault = the_fault(folder)
-    assert place(fault, folder) == "insertions.csv:3" and "scan_" in fault.what
-    cell(folder / "insertions.csv", 3, "scan_ry_deg", "east")
-    fault = the_fault(folder)
-    assert (
-        place(fault, folder) == "insertions.csv:3"
-        and fault.what.startswith("scan_ry_deg")
-        and "'east'" in fault.what
-    )
-
-
-def test_columns_of_a_scan_that_are_missing_are_named(folder):
-    add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN_COLUMNS[:5], "0"))
-    fault = the_fault(folder)
-    assert "`scan_z_mm`" in fault.what and place(fault, folder) == "insertions.csv:1"
 
 
 def test_faults_of_an_insertion_s_own_layers_name_its_file(tmp_path):
-    without_checksums(own_layers(tmp_path))
-    (tmp_path / "layers" / "a_sheet.stl").unlink()
-    fault = the_fault(tmp_path)
-    assert place(fault, tmp_path) == "layers/a_sheet.stl" and "no such file" in fault.what
-    own_layers(tmp_path)
-    mesh = trimesh.load_mesh(tmp_path / "layers" / "b_sheet.stl")
-    mesh.apply_scale(1e-3)
-    mesh.export(tmp_path / "layers" / "b_sheet.stl")
-    without_checksums(tmp_path / "dataset.toml")
-    fault = the_fault(tmp_path)
-    assert place(fault, tmp_path) == "layers/b_sheet.stl" and "metres" in fault.what
+    for name, words, change in (
+        ("layers/a_sheet.stl", "no such file", delete("layers/a_sheet.stl")),
+        ("layers/b_sheet.stl", "metres", mesh("layers/b_sheet.stl", shrink)),
+    ):
+        without_checksums(own_layers(tmp_path))
+        change(tmp_path)
+        fault = the_fault(tmp_path)
+        assert place(fault, tmp_path) == name and words in fault.what
