@@ -1,13 +1,13 @@
 """Measurement noise: the noise floor that perfect parameters would show, and implausible stated errors."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.columns import NUMBER_COLUMNS
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, find_free_reach
 from needlefit.datasets.insertion_faults import ListedInsertion
 from needlefit.geometry.compare import COMPARISON_POINTS, ComparedCurves, compare_curves
@@ -112,71 +112,82 @@ MAX_NOISE_FRACTION = 0.5
 """Fraction of the largest deflection above which noise hides the deflections."""
 
 
+Check = tuple[bool, str, str, str, str]
+"""Whether it is so, and the warning then: its kind, the key that it is about, what, and how to fix it."""
+
+CHECK_UNIT = "check its unit, mm"
+
+
+def _warn(checks: Iterable[Check], where: FormatPlace) -> Iterator[ResultWarning]:
+    for is_so, kind, key, what, fix in checks:
+        if is_so:
+            yield ResultWarning(kind, what, where(key), fix)
+
+
 def find_stated_warnings(noise: NoiseRecord, length_mm: float, where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield a warning for each value of `[noise]` that is implausible for a needle of `length_mm`."""
-    largest = max(noise.point_sd_mm, noise.correlated_sd_mm)
-    if 0 < largest < MIN_POINT_SD_MM:
-        name = "point_sd_mm" if largest == noise.point_sd_mm else "correlated_sd_mm"
-        yield _make_unit_warning(f"noise.{name}", largest, where)
+    point, registration, length = (
+        max(noise.point_sd_mm, noise.correlated_sd_mm),
+        noise.registration_mean_mm,
+        noise.correlation_length_mm,
+    )
+    point_key = f"noise.{'point_sd_mm' if point == noise.point_sd_mm else 'correlated_sd_mm'}"
+    shift_key, length_key = "noise.registration_mean_mm", "noise.correlation_length_mm"
+    metres = "mm, less than any needle is measured to: this looks like metres"
+    um = "mm, more than any error of registration: this looks like um"
+    longer = f"longer than the needle, {length_mm:g} mm"
+
+    def check(is_so: bool, key: str, value: str, fix: str) -> Iterator[ResultWarning]:
+        return _warn([(is_so, "units", key, f"`{key}` is {value}", fix)], where)
+
+    is_small = 0 < point < MIN_POINT_SD_MM
+    yield from check(is_small, point_key, f"{point:g} {metres}", f"write {1e3 * point:g}")
     for name in ("heading_sd_deg", "slope_sd_deg"):
         if sd := getattr(noise, name, 0.0):
             yield from range_warnings(sd, ANGLE_SD_DEG, ANGLE_UNITS, where, f"noise.{name}", "degrees")
-    registration, length = noise.registration_mean_mm, noise.correlation_length_mm
-    if 0 < registration < MIN_POSE_SD_MM:
-        yield _make_unit_warning("noise.registration_mean_mm", registration, where)
-    if registration > MAX_POSE_SD_MM:
-        key = "noise.registration_mean_mm"
-        what = f"`{key}` is {registration:g} mm, more than any error of registration: this looks like um"
-        yield ResultWarning("units", what, where(key), f"write {1e-3 * registration:g}")
-    if noise.correlated_sd_mm > 0 and length > length_mm:
-        key = "noise.correlation_length_mm"
-        what = f"`{key}` is {length:g}, longer than the needle, {length_mm:g} mm"
-        yield ResultWarning("units", what, where(key), "check its unit, mm")
-
-
-def _make_unit_warning(key: str, value: float, where: FormatPlace) -> ResultWarning:
-    what = f"`{key}` is {value:g} mm, less than any needle is measured to: this looks like metres"
-    return ResultWarning("units", what, where(key), f"write {1e3 * value:g}")
+    is_small, is_large = 0 < registration < MIN_POSE_SD_MM, registration > MAX_POSE_SD_MM
+    value = f"{registration:g}"
+    yield from check(is_small, shift_key, f"{value} {metres}", f"write {1e3 * registration:g}")
+    yield from check(is_large, shift_key, f"{value} {um}", f"write {1e-3 * registration:g}")
+    is_long = noise.correlated_sd_mm > 0 and length > length_mm
+    yield from check(is_long, length_key, f"{length:g}, {longer}", CHECK_UNIT)
 
 
 def find_noise_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, where: FormatPlace
-) -> list[ResultWarning]:
-    """Return the warnings that follow from stated errors and insertions together."""
+) -> Iterator[ResultWarning]:
+    """Yield the warnings that follow from stated errors and insertions together."""
     insertions = [one.insertion for one in listed]
-    depths = [one.planar[:, 0] for one in insertions]
-    return [
-        *_compare_point_noise(insertions, noise, where),
-        *_compare_registration(record, insertions, where),
-        *find_spacing_warnings(noise, depths, where),
-        *_find_column_warnings(record, listed, where),
-        *_find_missing_noise(insertions, noise, where),
-    ]
-
-
-def _find_largest_deflection(insertions: Sequence[Insertion]) -> float:
-    return max((abs(one.deflection) for one in insertions), default=0.0)
-
-
-def _compare_point_noise(
-    insertions: Sequence[Insertion], noise: Noise, where: FormatPlace
-) -> Iterator[ResultWarning]:
-    largest = _find_largest_deflection(insertions)
+    largest = max((abs(one.deflection) for one in insertions), default=0.0)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
-    if sd > MAX_NOISE_FRACTION * largest:
-        key = "noise.point_sd_mm" if noise.point_sd >= noise.correlated_sd else "noise.correlated_sd_mm"
-        what = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
-        yield ResultWarning("noise", what, where(key), "check its unit, mm; such data determine nothing")
-
-
-def _compare_registration(
-    record: DatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
-) -> Iterator[ResultWarning]:
-    largest, value = _find_largest_deflection(insertions), record.noise.registration_mean_mm
-    if record.frame.pose == "known" and largest < value <= MAX_POSE_SD_MM:
-        key = "noise.registration_mean_mm"
-        what = f"`{key}` is {value:g} mm, more than the largest deflection, {largest:.3g} mm"
-        yield ResultWarning("noise", what, where(key), "check its unit, mm")
+    larger = "point_sd_mm" if noise.point_sd >= noise.correlated_sd else "correlated_sd_mm"
+    shift, shift_key = record.noise.registration_mean_mm, "noise.registration_mean_mm"
+    hides = (
+        sd > MAX_NOISE_FRACTION * largest,
+        "noise",
+        f"noise.{larger}",
+        f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
+        "check its unit, mm; such data determine nothing",
+    )
+    exceeds = (
+        record.frame.pose == "known" and largest < shift <= MAX_POSE_SD_MM,
+        "noise",
+        shift_key,
+        f"`{shift_key}` is {shift:g} mm, more than the largest deflection, {largest:.3g} mm",
+        CHECK_UNIT,
+    )
+    yield from _warn([hides, exceeds], where)
+    yield from find_spacing_warnings(noise, [one.planar[:, 0] for one in insertions], where)
+    yield from _find_column_warnings(record, listed, largest, where)
+    key = "noise.point_sd_mm"
+    missing = (
+        not noise.stated and any(one.sd is None for one in insertions),
+        "no_noise",
+        key,
+        "no noise of the points is stated, so fits have neither noise floor nor predictive intervals",
+        f"write `{key}`, the standard deviation of a point per axis; calibrate and comparisons need it",
+    )
+    yield from _warn([missing], where)
 
 
 def find_spacing_warnings(
@@ -193,72 +204,36 @@ def find_spacing_warnings(
         yield ResultWarning("units", what, where(key), fix)
 
 
-@dataclass(frozen=True)
-class _ColumnCheck:
-    """A column of deviations: its values, from which to which they are hard to believe, and why."""
+def _find_column_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], largest: float, where: FormatPlace
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each column of deviations of the table that holds values hard to believe.
 
-    column: str
-    value: Callable[[Insertion], float]
-    above: Callable[[Insertion], float]
-    up_to: float
-    why: str
-    fix: str = "check its unit, mm"
-
-
-def _make_column_checks(largest: float) -> tuple[_ColumnCheck, ...]:
-    """Return the checks of a table whose largest deflection, mm, is given."""
-    shift, limit = "pose_shift_sd_mm", MAX_POSE_SD_MM
+    `largest` is the largest deflection, mm.
+    """
+    source, limit = record.insertions, MAX_POSE_SD_MM
+    shift, angle = "pose_shift_sd_mm", "pose_angle_sd_deg"
     few = "less than any pose is measured to, as if in metres"
     many = "more than any error of a measured pose"
-    beyond_deflection = f"more than the largest deflection, {largest:.3g} mm"
-    deeper = "more than the insertion is deep"
-    return (
-        _ColumnCheck(
-            shift, lambda one: one.pose_shift_sd, lambda _: 0.0, MIN_POSE_SD_MM, few, "multiply by 1000"
-        ),
-        _ColumnCheck(shift, lambda one: one.pose_shift_sd, lambda _: largest, limit, beyond_deflection),
-        _ColumnCheck(
-            shift, lambda one: one.pose_shift_sd, lambda _: limit, np.inf, f"{many}: this looks like um"
-        ),
-        _ColumnCheck("pose_angle_sd_deg", _angle_deg, lambda _: ANGLE_SD_DEG[1], np.inf, many, "check it"),
-        _ColumnCheck(
-            "pose_angle_sd_deg",
-            _angle_deg,
-            lambda _: 0.0,
-            ANGLE_SD_DEG[0],
-            "less than any direction is measured to: this looks like radians",
-            "multiply by 57.3",
-        ),
-        _ColumnCheck("boundary_sd_mm", lambda one: one.boundary_sd, lambda one: one.depth, np.inf, deeper),
-        _ColumnCheck("depth_sd_mm", lambda one: one.depth_sd, lambda one: one.depth, np.inf, deeper),
-    )
-
-
-def _angle_deg(insertion: Insertion) -> float:
-    return float(np.degrees(insertion.pose_angle_sd))
-
-
-def _find_column_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], where: FormatPlace
-) -> Iterator[ResultWarning]:
-    """Yield a warning for each column of deviations of the table that holds values hard to believe."""
-    source = record.insertions
-    for check in _make_column_checks(_find_largest_deflection([one.insertion for one in listed])):
-        name = check.column
-        bad = [one for one in listed if check.above(one.insertion) < check.value(one.insertion) < check.up_to]
-        if bad:
+    radians = "less than any direction is measured to: this looks like radians"
+    least, most = ANGLE_SD_DEG
+    beyond, deeper = f"more than the largest deflection, {largest:.3g} mm", "more than the insertion is deep"
+    depths = [one.insertion.depth for one in listed]
+    # column, from which (one for all rows, or one each) to which values are hard to believe, why, how to fix
+    for name, above, up_to, why, fix in (
+        (shift, 0.0, MIN_POSE_SD_MM, few, "multiply by 1000"),
+        (shift, largest, limit, beyond, CHECK_UNIT),
+        (shift, limit, np.inf, f"{many}: this looks like um", CHECK_UNIT),
+        (angle, most, np.inf, many, "check it"),
+        (angle, 0.0, least, radians, "multiply by 57.3"),
+        ("boundary_sd_mm", depths, np.inf, deeper, CHECK_UNIT),
+        ("depth_sd_mm", depths, np.inf, deeper, CHECK_UNIT),
+    ):
+        values = np.array([getattr(one.insertion, NUMBER_COLUMNS[name][0]) for one in listed])
+        values = np.degrees(values) if name == angle else values
+        bad = np.flatnonzero((above < values) & (values < up_to))
+        if len(bad):
             constant = name in source.constants and name not in source.columns
-            place = where(f"insertions.constants.{name}") if constant else bad[0].where
-            what = f"`{source.columns.get(name, name)}` is {check.value(bad[0].insertion):g}, {check.why} "
-            what += f"({len(bad)} of {len(listed)} rows)"
-            yield ResultWarning("units", what, place, check.fix)
-
-
-def _find_missing_noise(
-    insertions: Sequence[Insertion], noise: Noise, where: FormatPlace
-) -> Iterator[ResultWarning]:
-    if not noise.stated and any(one.sd is None for one in insertions):
-        key = "noise.point_sd_mm"
-        what = "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
-        fix = f"write `{key}`, the standard deviation of a point per axis; calibrate and comparisons need it"
-        yield ResultWarning("no_noise", what, where(key), fix)
+            place = where(f"insertions.constants.{name}") if constant else listed[bad[0]].where
+            what = f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, {why} "
+            yield ResultWarning("units", f"{what}({len(bad)} of {len(listed)} rows)", place, fix)

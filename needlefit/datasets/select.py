@@ -75,10 +75,6 @@ def _matches(insertion: Insertion, selection: SelectionRecord, layer_count_rule:
     )
 
 
-def _is_guided(insertion: Insertion) -> bool | None:
-    return insertion.guided if isinstance(insertion, TipTrack) else None
-
-
 def _list_media(selection: SelectionRecord) -> tuple[str, ...]:
     wanted = selection.medium
     return (wanted,) if isinstance(wanted, str) else (wanted or ())
