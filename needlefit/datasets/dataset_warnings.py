@@ -22,7 +22,7 @@ from needlefit.datasets.columns import (
 )
 from needlefit.datasets.formats.csv import CsvTable
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.insertion_faults import ListedInsertion
+from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD, find_noise_warnings, find_stated_warnings
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.project.locate import join_names

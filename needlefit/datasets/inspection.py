@@ -28,14 +28,17 @@ from needlefit.datasets.insertion import (
     Noise,
     find_free_reach,
 )
-from needlefit.datasets.insertion_faults import (
+from needlefit.datasets.insertion_table import parse_rows
+from needlefit.datasets.layers import (
     ListedInsertion,
+    SharedSurfaces,
     find_curve_faults,
     find_layer_faults,
     find_media_faults,
+    make_medium,
+    read_shared_surfaces,
+    reduce_insertion,
 )
-from needlefit.datasets.insertion_table import parse_rows
-from needlefit.datasets.layers import SharedSurfaces, make_medium, read_shared_surfaces, reduce_insertion
 from needlefit.datasets.points import Points
 from needlefit.datasets.sections import (
     find_centerline_faults,

@@ -1,4 +1,4 @@
-"""Read a dataset's layer surfaces, find the layers of each insertion, reduce it to its bending plane."""
+"""Find the layers of each insertion and reduce it to its plane; faults of curves, surfaces and layers."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -10,14 +10,17 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.points import Points
+from needlefit.datasets.insertion_table import describe_column
+from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
-from needlefit.geometry.curves import find_bending_direction, fit_free_frame
-from needlefit.geometry.frames import Frame, make_entry_frame
+from needlefit.geometry.curves import arc_length, find_bending_direction, fit_free_frame
+from needlefit.geometry.frames import RAS_TO_LPS, Frame, make_entry_frame, normalize
 from needlefit.geometry.smoothing_spline import SplineSections
-from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface
+from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface, transform_surface
 from needlefit.project.input_files import is_file
+from needlefit.project.toml_lines import locate_key
+from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
 MIN_SURFACE_MM, MAX_SURFACE_MM = 1.0, 2000.0
@@ -174,3 +177,285 @@ def _make_frame(row: InsertionRow, centerline: Floats) -> Frame:
         return frame if row.side > 0 else Frame(frame.origin, frame.rotation * [1.0, -1.0, -1.0])
     toward = find_bending_direction(centerline, row.direction) if row.bevel is None else row.bevel
     return make_entry_frame(row.entry, row.direction, toward)
+
+
+MAX_BACKWARD_MM = 0.05
+"""A centreline may go back by this, mm, between two points: noise does that."""
+
+SAME_POINT_MM = 1e-6
+"""Points closer than this, mm, are one point twice."""
+
+LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}
+"""Relative difference allowed between length and depth; a free shape need not begin at the entry."""
+
+LENGTH_TOLERANCE_MM = 2.0
+"""The same in mm, whichever is more."""
+
+MAX_START_DISTANCE_MM = 5.0
+"""Greatest distance of a centreline's first point from the entry pose, mm."""
+
+MAX_HEADING_DEG = 45.0
+"""Greatest angle between the entry direction and the chord of the centreline."""
+
+NEAR_BOUNDARY_SD = 2
+"""Standard deviations of a boundary within which a tip may lie before or behind it."""
+
+UNIT_TOLERANCE = 0.25
+"""Relative difference of a curve's span from the depth at which another unit explains their ratio."""
+
+
+def find_curve_faults(
+    points: Points, row: InsertionRow, record: DatasetRecord, place: str
+) -> Iterator[Fault]:
+    """Yield the faults of finite points as the centreline of `row`; `place` is used in messages."""
+    curve = points.values
+    if len(curve) < MIN_POINTS:
+        what = f"has only {len(curve)} points"
+        yield Fault(points.where(), what, f"at least {MIN_POINTS}", "sample the needle more densely")
+        return
+    depth_mm = describe_column(record, "depth_mm")
+    unit = _find_unit_fault(points, row, depth_mm, place)
+    if unit:
+        yield unit
+        return  # in metres every other length is wrong as well
+    yield from _find_order_faults(points)
+    length, tolerance = arc_length(curve)[-1], LENGTH_TOLERANCE[record.frame.pose]
+    if abs(length - row.depth) > max(LENGTH_TOLERANCE_MM, tolerance * row.depth):
+        where = points.where()
+        expected = f"the inserted length, within {max(LENGTH_TOLERANCE_MM, tolerance * row.depth):.1f} mm"
+        fix = f"keep exactly the points from the entry to the tip, or correct {depth_mm}"
+        yield Fault(where, f"is {length:.2f} mm long, but {depth_mm} is {row.depth:.2f}", expected, fix)
+    if row.entry is not None and row.direction is not None:
+        yield from _find_entry_faults(points, row.entry, row.direction)
+
+
+def _find_unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: str) -> Fault | None:
+    """Return the fault of a curve, or of the depth beside it, that is in another unit."""
+    span = _measure_span(points.values)
+    for name, factor in LENGTH_UNITS.items():
+        if abs(span * factor / row.depth - 1) < UNIT_TOLERANCE:
+            what = f"spans {span:.4g} where {depth_mm} is {row.depth:.4g}: this looks like {name}"
+            return Fault(points.where(), what, "millimetres", f"multiply the coordinates by {factor:g}")
+        if factor > 1 and abs(factor * row.depth / max(span, SAME_POINT_MM) - 1) < UNIT_TOLERANCE:
+            return Fault(
+                place,
+                f"{depth_mm} is {row.depth:.4g} where the centreline spans {span:.4g}: "
+                f"this looks like {name}",
+                "millimetres",
+                f"multiply the column by {factor:g}, and check every other length of the dataset",
+            )
+    return None
+
+
+def _measure_span(curve: Floats) -> float:
+    """Return the distance of the two ends of a curve, in whatever order its points are."""
+    # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
+    # farthest from it.
+    end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]
+    return float(np.linalg.norm(curve - end, axis=1).max())
+
+
+def _find_order_faults(points: Points) -> Iterator[Fault]:
+    steps = np.diff(points.values, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    repeated = np.flatnonzero(lengths < SAME_POINT_MM)
+    if len(repeated):
+        where = points.where(int(repeated[0]) + 1)
+        what = f"repeats the point before it{_describe_more(len(repeated))}"
+        yield Fault(where, what, "points that differ", "remove the repeated points")
+    back = _find_backward_points(points.values)
+    if len(back):
+        what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
+        fix = "sort the points along the needle, and remove branches and loops"
+        yield Fault(points.where(int(back[0])), what, "points in order from the entry to the tip", fix)
+
+
+def _find_backward_points(curve: Floats) -> np.ndarray:
+    """Return the points that lie behind an earlier one, along the chord or along the step before."""
+    chord = curve[-1] - curve[0]
+    along = curve @ (chord / max(float(np.linalg.norm(chord)), SAME_POINT_MM))
+    behind = along < np.maximum.accumulate(along) - MAX_BACKWARD_MM
+    steps = np.diff(curve, axis=0)
+    headings = steps / np.maximum(np.linalg.norm(steps, axis=1), SAME_POINT_MM)[:, None]
+    # Two criteria: along the chord finds swapped parts of a curve, along the step before finds a fold.
+    behind[2:] |= np.einsum("ij,ij->i", steps[1:], headings[:-1]) < -MAX_BACKWARD_MM
+    return np.flatnonzero(behind)
+
+
+def _describe_more(count: int) -> str:
+    return f" (and at {count - 1} more)" if count > 1 else ""
+
+
+def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iterator[Fault]:
+    first, last = points.values[0], points.values[-1]
+    off = float(np.linalg.norm(first - entry))
+    if off > MAX_START_DISTANCE_MM:
+        flipped = np.linalg.norm(last - entry) < off
+        yield Fault(
+            points.where(),
+            f"begins {off:.2f} mm from the entry pose"
+            + (": it seems to run from tip to entry" if flipped else ""),
+            f"the entry first, within {MAX_START_DISTANCE_MM:g} mm of entry_x_mm, entry_y_mm, entry_z_mm",
+            "reverse the order of the points"
+            if flipped
+            else "bring pose and centreline into one frame (LPS, RAS?)",
+        )
+        return
+    chord = last - first
+    cosine = float(chord @ direction / max(float(np.linalg.norm(chord)), SAME_POINT_MM))
+    if cosine < np.cos(np.radians(MAX_HEADING_DEG)):
+        what = f"runs {np.degrees(np.arccos(np.clip(cosine, -1, 1))):.0f} degrees off the entry direction"
+        fix = "point entry_dx, _dy, _dz into the tissue, in the frame of the centreline (LPS, RAS?)"
+        yield Fault(points.where(), what, f"at most {MAX_HEADING_DEG:g} degrees", fix)
+
+
+@dataclass(frozen=True)
+class ListedInsertion:
+    """An insertion, and its line in the table."""
+
+    insertion: Insertion
+    where: str
+
+
+def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
+    """Return the media that skip a layer number: a mistyped `into`, or a missing surface."""
+    for name, medium in record.media.items():
+        numbers = {surface.into for surface in medium.surfaces}
+        skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
+        if skipped:
+            listed = ", ".join(map(str, sorted(numbers)))
+            where = locate_key(file, f"media.{name}.surfaces")
+            what = f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}"
+            expected = "layers numbered without a gap: 1, where needles begin, then 2, 3, ..."
+            yield Fault(where, what, expected, "correct `into`, or add the surface that is missing")
+
+
+def find_layer_faults(
+    listed: Sequence[ListedInsertion], record: DatasetRecord, file: Path
+) -> Iterator[Fault]:
+    """Return the insertions that do not meet their listed layers; one reason if all miss all surfaces."""
+    for name in dict.fromkeys(one.insertion.medium for one in listed):
+        group = [one for one in listed if one.insertion.medium == name]
+        copies = _find_copies(group[0].insertion.surfaces)
+        if copies:  # their layers cannot be counted
+            yield from (
+                _make_repeat_fault(locate_key(file, f"media.{name}.surfaces"), name, *pair) for pair in copies
+            )
+            continue
+        unit = _find_boundary_unit(group, record.media[name].boundaries_mm or ())
+        if unit:
+            yield Fault(
+                locate_key(file, f"media.{name}.boundaries_mm"),
+                f"boundaries_mm of medium {name} do not give the layers listed for its insertions, and do so "
+                f"once they are multiplied by {LENGTH_UNITS[unit]:g}: this looks like {unit}",
+                "depths along the needle, mm",
+                f"multiply boundaries_mm by {LENGTH_UNITS[unit]:g}",
+            )
+            continue
+        missed = all(one.insertion.surfaces and one.insertion.sequence == (1,) for one in group)
+        if missed and all(_meets_flipped_surfaces(one.insertion) for one in group):
+            yield Fault(
+                locate_key(file, f"media.{name}.surfaces"),
+                f"all {len(group)} insertions into {name} miss all its surfaces, and meet them once x and y "
+                "change their signs: surfaces and centrelines are one in LPS and one in RAS",
+                "surfaces and centrelines in one frame",
+                "export the surfaces again in the frame of the centrelines (3D Slicer asks: LPS or RAS)",
+            )
+        else:
+            yield from (fault for one in group for fault in _find_count_fault(one, record))
+
+
+def _find_boundary_unit(group: Sequence[ListedInsertion], boundaries: Sequence[float]) -> str:
+    """Return the unit of given depths with which alone all insertions meet the layers listed, or ""."""
+    if not boundaries or _match_listed_layers(group, boundaries, 1.0):
+        return ""
+    deepest = max(one.insertion.depth for one in group)
+    likely = (
+        unit
+        for unit, mm in LENGTH_UNITS.items()
+        if mm * boundaries[0] > BOUNDARY_TO_DEPTH * deepest and mm * boundaries[-1] < deepest
+    )
+    return next((unit for unit in likely if _match_listed_layers(group, boundaries, LENGTH_UNITS[unit])), "")
+
+
+def _match_listed_layers(
+    group: Sequence[ListedInsertion], boundaries: Sequence[float], factor: float
+) -> bool:
+    scaled = factor * np.array(boundaries)
+    return all(
+        len(select_layers(scaled, _find_reach(one.insertion))[1])
+        in (one.insertion.layers, one.insertion.layers_alternative)
+        for one in group
+    )
+
+
+def _find_reach(insertion: Insertion) -> float:
+    """Return the depth along C's x down to which given boundaries are met, mm."""
+    return insertion.depth if insertion.pose_source == "none" else float(insertion.planar[-1, 0])
+
+
+def _make_repeat_fault(where: str, medium: str, one: str, other: str) -> Fault:
+    listed = f"lists surface {one} twice" if one == other else f"lists one surface as {one} and as {other}"
+    expected = "a surface of its own for every boundary"
+    return Fault(where, f"medium {medium} {listed}", expected, "name the right file, or remove one")
+
+
+def _find_copies(surfaces: Sequence[Surface]) -> list[tuple[str, str]]:
+    """Return the names of the surfaces of one insertion that are the same, two by two."""
+    names_by_mesh: dict[bytes, str] = {}
+    found = []
+    for surface in surfaces:
+        key = np.ascontiguousarray(surface.mesh.vertices).tobytes()
+        found += [(names_by_mesh[key], surface.name)] if key in names_by_mesh else []
+        names_by_mesh.setdefault(key, surface.name)
+    return found
+
+
+def _meets_flipped_surfaces(insertion: Insertion) -> bool:
+    flipped = [transform_surface(surface, RAS_TO_LPS) for surface in insertion.surfaces]
+    return len(find_crossings(insertion.centerline, flipped).sequence) > 1
+
+
+def _find_count_fault(one: ListedInsertion, record: DatasetRecord) -> Iterator[Fault]:
+    insertion, met = one.insertion, len(one.insertion.sequence)
+    allowed = {insertion.layers, insertion.layers_alternative}
+    if met in allowed:
+        return
+    listed = " or ".join(map(str, sorted(allowed)))
+    depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
+    order = " > ".join(map(str, insertion.sequence))
+    yield Fault(
+        one.where,
+        f"{insertion.id} meets {_name_count(met)} ({order}; boundaries at {depths} mm), but {listed} "
+        f"{'is' if len(allowed) == 1 else 'are'} listed",
+        f"{met} in `layers` or in `layers_alternative`: the layers that the centreline meets",
+        _propose_count(insertion, record),
+    )
+
+
+def _name_count(count: int) -> str:
+    return f"{count} layer{'' if count == 1 else 's'}"
+
+
+def _propose_count(insertion: Insertion, record: DatasetRecord) -> str:
+    """Return how to correct a listed number of layers; a tip near to a boundary may have either number."""
+    met, limit = len(insertion.sequence), NEAR_BOUNDARY_SD * insertion.boundary_sd
+    depths = record.media[insertion.medium].boundaries_mm
+    otherwise = f"or correct the boundaries of medium {insertion.medium}"
+    if limit and insertion.layers in {_count_layers_within(insertion, depths, by) for by in (-limit, limit)}:
+        return (
+            f"write layers_alternative = {met}, as the tip lies within {NEAR_BOUNDARY_SD} boundary_sd_mm "
+            f"({limit:.2g} mm) of a boundary; {otherwise}"
+        )
+    return f"write layers = {met}, {otherwise}"
+
+
+def _count_layers_within(insertion: Insertion, depths: Sequence[float] | None, by: float) -> int:
+    """Return the number of layers that the needle would meet if its tip lay deeper by a length, mm."""
+    if depths is not None:
+        return len(select_layers(np.array(depths), _find_reach(insertion) + by)[1])
+    if by < 0:
+        return len(select_layers(insertion.boundaries, _find_reach(insertion) + by)[1])
+    curve = insertion.centerline
+    deeper = curve[-1] + by * normalize(curve[-1] - curve[-2])
+    return len(find_crossings(np.vstack([curve, deeper]), insertion.surfaces).sequence)

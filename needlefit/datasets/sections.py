@@ -10,7 +10,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.insertion import Dataset, select_compared_places
-from needlefit.datasets.insertion_faults import ListedInsertion
+from needlefit.datasets.layers import ListedInsertion
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import (

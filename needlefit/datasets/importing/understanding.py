@@ -22,8 +22,7 @@ from needlefit.datasets.importing.decisions import (
 from needlefit.datasets.importing.files import ImportContent
 from needlefit.datasets.importing.slicer_scene import ImportedSurface
 from needlefit.datasets.importing.tables import UNITS_MM, ImportedCurve
-from needlefit.datasets.insertion_faults import SAME_POINT_MM
-from needlefit.datasets.layers import find_surface_faults, select_layers
+from needlefit.datasets.layers import SAME_POINT_MM, find_surface_faults, select_layers
 from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
