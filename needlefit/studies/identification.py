@@ -28,23 +28,11 @@ from needlefit.inference.problem import Problem
 Row = dict[str, Any]
 
 IDENTIFICATION_COLUMNS = (
-    *(
-        "fold",
-        "parameter",
-        "status",
-        "determined",
-        "note",
-        "value",
-        "prior_sd",
-        "sd",
-        "sd_low",
-        "sd_high",
-        "fisher_sd",
-    ),
-    *("sd_ratio", "low", "high", "end_low", "end_high"),
-    *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
-    *("rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
-)
+    "fold", "parameter", "status", "determined", "note", "value", "prior_sd", "sd", "sd_low", "sd_high",
+    "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high", "interval_low", "interval_high",
+    "draw_source", "bound_low", "bound_high", "rise", "minima", "tip_range_mm", "profile_verdict",
+    "agreement",
+)  # fmt: skip
 PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold")
 
 
@@ -95,11 +83,7 @@ def identify_parameters(
             is_determined = verdict.determined.get(one.name, False)
             condition = verdict.conditions.get(one.name, "")
         known = is_determined and not condition and judged.determined and one.fixed_at is None
-        about = {
-            "determined": known,
-            "note": condition,
-        }
-        rows.append(_parameter_row(one, judged, prior_sd, sd) | about)
+        rows.append(_parameter_row(one, judged, prior_sd, sd) | {"determined": known, "note": condition})
         points += _profile_rows(problem.parameters, one)
     return IdentificationRows(judgements, tuple(rows), tuple(points))
 
@@ -162,7 +146,7 @@ def _profile_rows(parameters: Parameters, one: ParameterProfile) -> list[Row]:
     """Return the computed points of one profile, with where all other parameters went."""
     profile = one.profile
     # a freed alpha is not among the fit's parameters: it stands under its own name, theirs keep theirs
-    names = parameters.free if one.fixed_at is None else _names_with(parameters, one.name)
+    names = [name for name in parameters.names if name in parameters.bounds or name == one.name]
     return [
         {
             "parameter": one.name,
@@ -175,7 +159,3 @@ def _profile_rows(parameters: Parameters, one: ParameterProfile) -> list[Row]:
         }
         for k in range(len(profile.at))
     ]
-
-
-def _names_with(parameters: Parameters, name: str) -> tuple[str, ...]:
-    return tuple(n for n in parameters.names if n in parameters.bounds or n == name)

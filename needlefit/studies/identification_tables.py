@@ -91,13 +91,9 @@ def _identification_cells(row: Row, expected: bool) -> Row:
         "sd": None if row["sd"] is None else format_sd(row["sd"], is_logarithmic(name)),
         "parameter": label + (", fixed" if row["status"] == "fixed" else ""),
         "agreement": "; ".join(filter(None, (row["agreement"], row.get("note") if expected else None))),
-        "tip_range_mm": _format_tip_range(row),
+        "tip_range_mm": "" if row["tip_range_mm"] is None else format_small_mm(row["tip_range_mm"]),
         "interval_95": typeset_interval(row, unit),
     }
-
-
-def _format_tip_range(row: Row) -> str:
-    return "" if row["tip_range_mm"] is None else format_small_mm(row["tip_range_mm"])
 
 
 def tabulate_identification(identification: pd.DataFrame, origin: str) -> pd.DataFrame:

@@ -115,12 +115,9 @@ def describe_specimen(new: NewSpecimens | None, insertion: Insertion | None, oth
 def describe_spread(row: Row) -> str:
     """Return in words by how much a specimen differs, from a row of `describe_specimen`."""
     mu, b = (math.exp(row[f"between_sd_ln_{name}"]) for name in ("mu", "b"))
+    count = int(row["other_specimens"])
     return (
         f"its moduli differ by a factor of {mu:.2g} and its bevel parameter by {b:.2g} (one standard "
-        f"deviation), learned from {_count_specimens(row)} and the prior that the recipe states"
+        f"deviation), learned from {count} specimen{'' if count == 1 else 's'} and the prior that the recipe "
+        "states"
     )
-
-
-def _count_specimens(row: Row) -> str:
-    count = int(row["other_specimens"])
-    return f"{count} specimen{'' if count == 1 else 's'}"

@@ -177,8 +177,7 @@ def _make_coordinates(sets: Sequence[Mapping[str, float]]) -> Floats:
     positive = (table > 0).all(axis=0)
     table[:, positive] = np.log(table[:, positive])
     left, sizes, _ = np.linalg.svd(table - table.mean(axis=0), full_matrices=False)
-    found: Floats = (left * sizes)[:, sizes > SAME_DRAW * np.sqrt(len(table))]
-    return found
+    return (left * sizes)[:, sizes > SAME_DRAW * np.sqrt(len(table))]
 
 
 def _choose_draws(coordinates: Floats) -> Ints:
@@ -288,8 +287,7 @@ class _Interpolation:
         whole = np.column_stack([shifts, deep])[:, : len(self.reach)] / self.reach  # (B, d)
         nodes = self.steps.shape[1]  # none where no depth is open
         weights = make_spline_weights(NODE_PLACES, whole.ravel()).reshape(len(whole), 1, nodes)
-        moved: Floats = self.points + (weights @ self._rows).reshape(self.points.shape)
-        return moved
+        return self.points + (weights @ self._rows).reshape(self.points.shape)
 
 
 def _simulate_each(

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
@@ -63,16 +65,14 @@ def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
 
 def make_predictors(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Predictor]:
     """Return the fitted model, the paper's set, that set with b re-fitted, and the baseline curves."""
-    values: dict[str, Mapping[str, float]] = {}
-    if "fitted" in fits:
-        values["fitted"] = fits["fitted"].values
-    if "fitted_metric" in fits:
-        values["fitted_metric"] = fits["fitted_metric"].values
+    values: dict[str, Mapping[str, float]] = {name: fit.values for name, fit in fits.items()}
     if job.hand_tuned is not None:
         values["hand_tuned"] = job.hand_tuned
-    if "hand_tuned_b" in fits:
-        values["hand_tuned_b"] = fits["hand_tuned_b"].values
-    models = {name: model_predictor(v, job.medium, job.dataset) for name, v in values.items()}
+    models = {
+        name: model_predictor(values[name], job.medium, job.dataset)
+        for name in MODEL_METHODS
+        if name in values
+    }
     baselines = fit_baselines(job.dataset.pose, job.dataset.drop_proximal, fold.tune)
     return {**models, **{name: curve_predictor(baseline.curve) for name, baseline in baselines.items()}}
 
@@ -96,22 +96,12 @@ def list_length_metrics() -> tuple[Metric, ...]:
 
 @dataclass(frozen=True)
 class Scorer:
-    """What scoring needs besides method and insertion.
-
-    Attributes
-    ----------
-    dataset : Dataset
-    reading : str
-        Which count of layers holds for an insertion that ends at a boundary.
-    floors : mapping
-        The noise floor of every insertion, by id.
-    counts : ValidityCounts
-        Keeps the validity of every simulation that is scored.
-    """
+    """What scoring needs besides method and insertion."""
 
     dataset: Dataset
-    layer_count_rule: LayerCountRule
-    floors: Mapping[str, NoiseFloor]
+    layer_count_rule: LayerCountRule  #: which count holds for an insertion that ends at a boundary
+    floors: Mapping[str, NoiseFloor]  #: the noise floor of every insertion, by id
+    #: keeps the validity of every simulation that is scored
     counts: ValidityCounts = field(default_factory=ValidityCounts)
 
     def score(self, place: Row, insertion: Insertion, method: Predictor) -> tuple[list[Row], list[Row]]:
@@ -157,22 +147,11 @@ class Scorer:
 
 
 _FAILED = {
-    "deflection_mm": math.nan,
-    "predicted_deflection_mm": math.nan,
-    "edp_flagged": False,
-    "converged": False,
-}
+    "deflection_mm": math.nan, "predicted_deflection_mm": math.nan, "edp_flagged": False, "converged": False,
+}  # fmt: skip
 
 
 def _shape_rows(where: Row, simulated: Floats, measured: Floats) -> list[Row]:
-    return [
-        {
-            **where,
-            "j": j,
-            "measured_x_mm": float(m[0]),
-            "measured_y_mm": float(m[1]),
-            "simulated_x_mm": float(s[0]),
-            "simulated_y_mm": float(s[1]),
-        }
-        for j, (s, m) in enumerate(zip(simulated, measured, strict=True))
-    ]
+    names = ("measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm")
+    places = enumerate(np.column_stack([measured, simulated]).tolist())
+    return [{**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places]

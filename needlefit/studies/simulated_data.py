@@ -148,8 +148,7 @@ def _list_beam_coordinates(insertion: Insertion) -> Floats:
     if isinstance(insertion, TipTrack):
         return insertion.depths
     along = arc_length(insertion.planar)
-    beam: Floats = along * (insertion.depth / along[-1])
-    return beam
+    return along * (insertion.depth / along[-1])
 
 
 def _draw_frame(session: str, noise: Noise, shared: dict[Surface, float], rng: np.random.Generator) -> Floats:
@@ -179,8 +178,7 @@ def _move_randomly(planar: Floats, rng: np.random.Generator) -> Floats:
     """Return points (K, 2) turned by any angle, and moved."""
     angle = rng.uniform(0.0, 2 * np.pi)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    moved_: Floats = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
-    return moved_
+    return planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
 
 
 POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm
@@ -197,9 +195,8 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
     empty = _assemble_dataset(name, record, ())
     measurements = []
     for one in planned:
-        found = simulate_measurement(
-            empty, one, record.values, medium, random_stream(seed, name, "made", one.id)
-        )
+        rng = random_stream(seed, name, "made", one.id)
+        found = simulate_measurement(empty, one, record.values, medium, rng)
         if found is None:
             raise ConfigError(
                 f"made insertion {one.id} has no solution",

@@ -139,23 +139,19 @@ def _file_error(path: Path, what: str) -> DataError:
 
 def _is_consistent(posterior: Posterior) -> bool:
     """Return whether all arrays are of the same ensembles, draws, parameters and quantities."""
-    ensembles, quantities = len(posterior.acceptance), len(posterior.convergence.quantities)
-    numbers = (posterior.draws, posterior.log_posterior, posterior.acceptance, posterior.convergence.r_hat)
+    rule, draws, walkers = posterior.convergence, posterior.draws, posterior.walkers
+    ensembles, quantities = len(posterior.acceptance), len(rule.quantities)
+    numbers = (draws, posterior.log_posterior, posterior.acceptance, rule.r_hat)
     return (
         ensembles > 0
         and 0 < len(posterior.names) <= quantities
-        and posterior.log_posterior.shape
-        == posterior.draws.shape[:2]
-        == (ensembles, posterior.draws.shape[1])
-        and 0 < posterior.walkers <= posterior.draws.shape[1]
+        and posterior.log_posterior.shape == draws.shape[:2] == (ensembles, draws.shape[1])
+        and 0 < walkers <= draws.shape[1]
         and posterior.acceptance.ndim == 1
-        and posterior.convergence.r_hat.shape == (quantities,)
-        and all(
-            getattr(posterior.convergence, field).shape == (ensembles, quantities)
-            for field in _PER_CHAIN.values()
-        )
+        and rule.r_hat.shape == (quantities,)
+        and all(getattr(rule, field).shape == (ensembles, quantities) for field in _PER_CHAIN.values())
         and all(array.dtype == np.float64 for array in numbers)
-        and bool(np.isfinite(posterior.draws).all())
+        and bool(np.isfinite(draws).all())
     )
 
 
@@ -163,26 +159,12 @@ def _digest(posterior: Posterior) -> str:
     """Return the SHA-256 of all that a posterior holds."""
     rule = posterior.convergence
     header = [
-        posterior.names,
-        posterior.walkers,
-        posterior.moves,
-        posterior.burn_in,
-        posterior.failures,
-        int(posterior.interrupted),
-        posterior.failed,
-    ]
-    found = hashlib.sha256(
-        json.dumps([*header, rule.quantities, rule.steps, posterior.draws.shape]).encode("utf-8")
-    )
-    for array in (
-        posterior.draws,
-        posterior.log_posterior,
-        posterior.acceptance,
-        rule.r_hat,
-        rule.tau,
-        rule.ess_bulk,
-        rule.ess_tail,
-    ):
+        posterior.names, posterior.walkers, posterior.moves, posterior.burn_in, posterior.failures,
+        int(posterior.interrupted), posterior.failed, rule.quantities, rule.steps, posterior.draws.shape,
+    ]  # fmt: skip
+    found = hashlib.sha256(json.dumps(header).encode("utf-8"))
+    numbers = (posterior.draws, posterior.log_posterior, posterior.acceptance)
+    for array in (*numbers, rule.r_hat, rule.tau, rule.ess_bulk, rule.ess_tail):
         # little endian on every machine, so that the digest does not depend on it
         found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
     return found.hexdigest()
