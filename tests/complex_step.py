@@ -81,8 +81,9 @@ def follow(
         state[0] += inputs.base_y + inputs.stage_slope * stop.tip, inputs.base_slope
         for guide in controls.guides:
             for node in np.flatnonzero(real == guide.x):
-                nodes[node] += inputs.guides[guide.x][0]
-                state[node] += inputs.guides[guide.x][1:] * held.reshape(-1, 2)[node]
+                holds = held.reshape(-1, 2)[node]  # not at the tip, nor at a node that is there anyway
+                nodes[node] += inputs.guides[guide.x][0] * holds[0]
+                state[node] += inputs.guides[guide.x][1:] * holds
         state = _equilibrium(inputs, nodes, x_c, y_c, state.ravel(), held, rules).reshape(-1, 2)
         tip = (stop.tip, state[-1, 0], state[-1, 1])
         slopes[stop.cell] = tip[2]

@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE, RULES, adapt, assert_derivatives, vary
+from mechanics_cases import NEEDLE, RULES, assert_derivatives, random_case
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
@@ -17,55 +17,13 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, St
 from needlefit.mechanics.law_form import compile_law, differentiate_law
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.plan import Lattice, make_lattice
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
 SHARP = 1e-9  # mm; Newton's tolerance where a derivative is held to 1e-7 of itself
-
-
-def random_tissue(rng: np.random.Generator, rules: ModelOptions, deepest: float) -> Tissue:
-    layers = int(rng.integers(1, 5))
-    while True:  # a boundary near a change of constraint has two derivatives
-        boundaries = np.sort(rng.uniform(0.5, deepest, layers - 1))
-        if np.all(np.abs(2 * boundaries / rules.spacing - np.round(2 * boundaries / rules.spacing)) > 0.01):
-            break
-    # in soft tissue rounding alone moves the derivative by more than 1e-7 of itself on a fine mesh
-    softest = -3 if rules.element >= 1.0 else -1.5
-    law = LAWS[str(rng.choice(LAWS.names()))]
-    return Tissue(
-        mu=10 ** rng.uniform(softest, 2, layers),
-        shape=law.draw_shape(rng, (layers,)),
-        boundaries=boundaries,
-        thickness=rng.uniform(5.0, 80.0, layers),
-        friction=rng.choice([0.0, 0.3]) * rng.uniform(size=layers),
-        law=law.name,
-    )
-
-
-def random_rules(rng: np.random.Generator) -> ModelOptions:
-    return ModelOptions(*[(0.5, 0.5), (1.0, 1.0), (1.0, 0.5), (2.0, 1.0)][rng.integers(4)], tolerance=SHARP)
-
-
-def random_steps(rng: np.random.Generator) -> list[Step]:
-    """Insertions and retractions: bevel and base change, guides stay, sometimes the tip is held."""
-    choice = lambda slope: rng.choice([None, slope])  # noqa: E731
-    guides = [
-        Guide(-float(rng.uniform(13, 25)), rng.uniform(-0.3, 0.3), choice(-0.01)),
-        Guide(-float(rng.uniform(2, 12)), rng.uniform(-0.3, 0.3), choice(0.01)),
-        Guide(float(rng.uniform(1, 5)), rng.uniform(-0.3, 0.3), choice(0.02), in_tissue=True),
-    ]
-    guides = [guide for guide in guides if rng.random() < 0.6]
-    steps = []
-    for _ in range(3):
-        here = tuple(Guide(g.x, g.y + float(rng.uniform(-0.1, 0.1)), g.slope, g.in_tissue) for g in guides)
-        tip = TrackedTip(float(rng.uniform(-0.2, 0.2)), choice(0.01)) if rng.random() < 0.15 else None
-        base = rng.uniform(-1, 1, 3) * (0.5, 0.01, 0.01)
-        bevel = Bevel(float(rng.uniform(0, 0.2)), int(rng.choice([-1, 1])))
-        steps.append(Step(float(rng.uniform(2, 14)), bevel, Controls(*map(float, base), here, tip)))
-    return steps
 
 
 def check(needle: Needle, tissue: Tissue, steps: list[Step], rules: ModelOptions, lattice=None) -> None:
@@ -76,21 +34,20 @@ def check(needle: Needle, tissue: Tissue, steps: list[Step], rules: ModelOptions
 
 
 @pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 5, 6, 7, 9])  # the others take long
+@pytest.mark.parametrize("seed", range(12))
 def test_jacobian_equals_complex_steps(seed: int, kind: str) -> None:
     """Guides before and in the tissue, a tracked tip, retraction, re-insertion, changes of base and bevel."""
     rng = np.random.default_rng(seed)
-    rules = vary(rng, random_rules(rng), kind)
-    needle = Needle(float(rng.uniform(60, 200)), float(10 ** rng.uniform(3, 5)))
-    # on a lattice of its own, boundaries meet changes of constraint at unforeseen places
-    lattice = Lattice(float(rng.uniform(0.2, 1.0)) * rules.spacing, rules.spacing)
-    changes = np.array([lattice.depth(m) for m in range(40)])
+    needle, tissue, steps, rules, lattice = random_case(rng, kind, 3, 14.0)
+    # in soft tissue rounding alone moves the derivative by more than 1e-7 of itself on a fine mesh
+    rules = replace(rules, tolerance=SHARP, element=max(rules.element, 0.5))
+    tissue = replace(tissue, mu=np.maximum(tissue.mu, 0.03 if kind != "path_angle" else 0.1))
+    lattice = lattice or make_lattice(steps, rules)
+    changes = np.array([lattice.depth(m) for m in range(60)])
     changes = (1 - rules.switch) * changes[:-1] + rules.switch * changes[1:]
-    while True:
-        tissue = random_tissue(rng, rules, 12.0)
-        if tissue.layers == 1 or np.min(np.abs(tissue.boundaries[:, None] - changes)) > 1e-3:
-            break
-    check(needle, tissue, list(adapt(tuple(random_steps(rng)), rules)), rules, lattice)
+    if tissue.layers > 1 and np.min(np.abs(tissue.boundaries[:, None] - changes)) < 1e-3:
+        pytest.skip("a boundary near a change of constraint has two derivatives")
+    check(needle, tissue, steps, rules, lattice)
 
 
 def test_jacobian_beyond_the_series_of_the_law() -> None:
