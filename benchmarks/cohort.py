@@ -39,8 +39,8 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
 from needlefit.studies.job import Settings
-from needlefit.studies.kinds.cohort import run as cohort
-from needlefit.studies.kinds.cohort.schema import CohortRecord
+from needlefit.studies.kinds import cohort
+from needlefit.studies.kinds.cohort import CohortRecord
 from needlefit.studies.report import write_run
 from needlefit.studies.runner import FrameRows
 

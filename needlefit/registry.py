@@ -274,7 +274,7 @@ def _load(name: str, version: str) -> Plugin:
     except Exception as error:  # a plugin is code of others
         what = f"the plugin module `{name}` cannot be imported: {type(error).__name__}: {error}"
         expected = "a module that can be imported by its name"
-        raise ConfigError(what, expected=expected, fix="repair, update or uninstall it")from error
+        raise ConfigError(what, expected=expected, fix="repair, update or uninstall it") from error
     return Plugin(module, version or _stated_version(module))
 
 

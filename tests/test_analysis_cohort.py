@@ -18,8 +18,8 @@ from needlefit.project.locate import find_file
 from needlefit.studies import columnar
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Settings, prepare
-from needlefit.studies.kinds.cohort import run as cohort_run
-from needlefit.studies.kinds.cohort.run import find_datasets, run
+from needlefit.studies.kinds import cohort as cohort_run
+from needlefit.studies.kinds.cohort import find_datasets, run
 from needlefit.studies.posterior_fit import find_fit
 from needlefit.studies.rebuild import rebuild
 from needlefit.studies.report import write_run

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures import Look, Panel
 from needlefit.reporting.figures.style import (
     TEXT_WIDTH_IN,
@@ -22,6 +23,7 @@ from needlefit.reporting.figures.style import (
     separate_positions,
 )
 from needlefit.reporting.labels import GREY, INK, SERIES_COLOURS, SYNTHETIC_COLOUR, medium_name, method_colour
+from needlefit.reporting.number_format import choose_printed_unit
 from needlefit.reporting.table_files import Row, to_records
 
 MAX_NAMED_SERIES = 8
@@ -602,4 +604,21 @@ def convergence(errors: pd.DataFrame) -> Figure:
     handles, labels = panels[0].get_legend_handles_labels()
     right.axis("off")
     right.legend(handles, labels, loc="center left", fontsize=6, handlelength=1.6, labelspacing=0.7)
+    return figure
+
+
+def histograms(bins: pd.DataFrame, counts: str) -> Figure:
+    """Draw histograms of the column `counts` by `parameter`; `low` and `high` are edges in units of files."""
+    groups = list(bins.groupby("parameter", sort=False))
+    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.9), layout="constrained")
+    panels = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+    for axes, (name, rows) in zip(panels, groups, strict=True):
+        label, unit = choose_printed_unit(str(name), rows["high"])
+        edges = np.append(rows["low"], rows["high"].iloc[-1]) / unit
+        axes.stairs(rows[counts], edges, fill=True, color=SERIES_COLOURS[0])
+        if is_logarithmic(str(name)) and edges[-1] > 10 * edges[0]:
+            axes.set_xscale("log")
+        axes.set_xlabel(label)
+        draw_grid(axes, "y")
+    figure.axes[0].set_ylabel(counts)
     return figure

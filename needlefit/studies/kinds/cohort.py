@@ -6,41 +6,77 @@ the tissue model and the recipe: no file is looked up there.
 """
 
 import glob
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.inference.identifiability.precision import find_bounds, posterior_sds
+from needlefit.inference.identifiability.precision import find_bounds, format_sd, posterior_sds
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.mechanics.laws import LAWS
-from needlefit.metrics import METRICS, compute_metrics, list_metrics
+from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics
 from needlefit.project.load import load
 from needlefit.project.locate import find_file, join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import add_study_context
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.registry import plugin_versions
+from needlefit.reporting.figures import Drawing
+from needlefit.reporting.number_format import (
+    format_bare_symbol,
+    format_quantity,
+    format_quantity_range,
+    join_metrics,
+)
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import to_records
+from needlefit.reporting.text import KindText
+from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.schemas.study import FitRecord
+from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies import provenance
 from needlefit.studies.columnar import iterate_pieces, read_columns, require_pyarrow, write_frames
 from needlefit.studies.folds import Fold, group_insertions
 from needlefit.studies.job import Job, Settings, find_named, prepare
-from needlefit.studies.kinds.cohort.schema import CohortRecord
+from needlefit.studies.kind import StudyKind
 from needlefit.studies.posterior_fit import find_fit
+from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
 from needlefit.studies.score import Row
+from needlefit.studies.verdict import Verdict
+
+
+class CohortRecord(AnalysisRecord):
+    """`kind = "cohort"`: the same fit for each specimen of many datasets."""
+
+    kind: Literal["cohort"]
+    datasets: tuple[str, ...] = Field(min_length=1)
+    """Datasets: names in `data/`, paths of folders, or patterns of paths such as `"specimens/*"`."""
+    medium: str
+    """Name of a tissue model in `configs/media/`, or the path of its file."""
+    recipe: str = "default"
+    """Name of a recipe in `configs/recipes/`, or the path of its file."""
+    layer_count_rule: LayerCountRule = "listed"
+    """Number of layers of an insertion that ends at a boundary: as its row lists it, or the other count."""
+    tune: SelectionRecord = Field(default=SelectionRecord())
+    """Insertions that are fitted, in each dataset."""
+    groups: Literal["specimen", "insertion"] = "specimen"
+    """What is fitted together."""
+
+
+KIND = StudyKind("cohort", CohortRecord, __name__)
 
 MAX_NAMED_COPIES = 8
 """Datasets that a warning names."""
@@ -91,30 +127,23 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     collect = partial(write_frames, _TYPES | dict.fromkeys(metrics, "float64"))
     digests = {str(file.parent): digest_folders(file) for file in files}
     warnings = (*_warn_of_copies(digests), *medium_warnings(medium, medium_file))
-    also = {"datasets_sha256": digests, **_describe_inputs(medium, recipe)}
+    every = ((registry, one) for registry in (METRICS, FORMATS) for one in registry.names())
+    stored = {
+        "medium": medium.model_dump(mode="json", by_alias=True),
+        "recipe": recipe.model_dump(mode="json", by_alias=True),
+        "rules": provenance.describe_model_options(medium),
+    }
+    also = {  # of plugins all that may read a dataset
+        "datasets_sha256": digests,
+        "versions": provenance.package_versions(provenance.PACKAGES)
+        | plugin_versions((LAWS, medium.law), *every),
+        "parts": [stored],
+    }
     plan = AnalysisPlan((), tasks, columns, _conclude, also, warnings=warnings, collect=collect)
     found = run_analysis(name, record, settings, plan)
     made = (read_columns(found.frames, "errors", ("origin",))["origin"] == "synthetic").any()
     title = f"{len(files)} dataset{'s' * (len(files) > 1)}"
     return replace(found, origin="synthetic" if made else "measured", dataset_title=title)
-
-
-def _describe_inputs(medium: MediumRecord, recipe: RecipeRecord) -> dict[str, Any]:
-    """Return what decides the fits besides the datasets, as JSON values; of plugins all that may read one."""
-    used = [
-        (LAWS, medium.law),
-        *((registry, one) for registry in (METRICS, FORMATS) for one in registry.names()),
-    ]
-    return {
-        "versions": provenance.package_versions(provenance.PACKAGES) | plugin_versions(*used),
-        "parts": [
-            {
-                "medium": medium.model_dump(mode="json", by_alias=True),
-                "recipe": recipe.model_dump(mode="json", by_alias=True),
-                "rules": provenance.describe_model_options(medium),
-            }
-        ],
-    }
 
 
 def _warn_of_copies(digests: Mapping[str, str]) -> Iterator[ResultWarning]:
@@ -240,3 +269,92 @@ def _conclude(frames: Frames) -> tuple[str, ...]:
         raise ConfigError("nothing in the cohort could be fitted", expected=str(first["note"].iloc[0]))
     open_fits = int((~converged).sum())
     return (f"the searches of {open_fits} specimens did not converge",) if open_fits else ()
+
+
+# ---- the report
+
+TEXT = KindText("cohort")
+MAX_LISTED = 20
+"""Failures that the report lists; `failures.csv` has all."""
+
+MAX_NAMED = 3
+"""Failures that the first sentence names."""
+
+MAX_BINS = 40
+"""Bins of a histogram."""
+
+
+def describe(result: Run) -> dict[str, Any]:
+    """Return what the text prints."""
+    metrics = [metric.name for metric in headline_metrics()]
+    errors = read_columns(result.frames, "errors", ("dataset", "insertions", *metrics))
+    failures = read_columns(result.frames, "failures", ("dataset", "specimen"))
+    pairs = failures[["dataset", "specimen"]].itertuples(index=False)
+    names = [f"{dataset} ({specimen})" if specimen else str(dataset) for dataset, specimen in pairs]
+    return {
+        "specimens": len(errors),
+        "datasets": errors["dataset"].nunique(),
+        "insertions": int(errors["insertions"].sum()),
+        "failures": len(names),
+        "named": join_names(names, MAX_NAMED) if names else "",
+        "listed": min(len(names), MAX_LISTED),
+        "medians": [
+            f"{format_bare_symbol(name)} {format_quantity(name, float(rows['value'].median()))}"
+            for name, rows in _by_parameter(result)
+        ],
+        "errors": join_metrics({name: float(errors[name].median()) for name in metrics}),
+    }
+
+
+def judge(result: Run) -> list[Verdict]:
+    """Return the first sentence; failures and open searches make it a warning."""
+    facts = describe(result)
+    converged = read_columns(result.frames, "errors", ("converged",))["converged"].all()
+    sentence = TEXT.sentence("verdict", facts).rstrip(".")
+    whole = not facts["failures"] and bool(converged)
+    return [Verdict(sentence, "pass" if whole else "warn", numbers={"failures": facts["failures"]})]
+
+
+def _by_parameter(result: Run, columns: Sequence[str] = ("value",)) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield some columns of the fits, parameter by parameter."""
+    fits = read_columns(result.frames, "fits", ("parameter", *columns))
+    for name in fits["parameter"].unique():  # a `groupby` would take three times the memory
+        yield str(name), fits.loc[fits["parameter"] == name, list(columns)]
+
+
+def tabulate(result: Run) -> list[Table]:
+    """Return the parameters over specimens, and what could not be fitted."""
+    rows = []
+    for name, found in _by_parameter(result, ("value", "sd", "at_bound")):
+        low, high = np.quantile(found["value"], [0.05, 0.95]).tolist()
+        rows.append(
+            {
+                "parameter": format_bare_symbol(name),
+                "specimens": len(found),
+                "specimen_median": format_quantity(name, float(found["value"].median())),
+                "specimen_range": format_quantity_range(name, low, high),
+                "sd": format_sd(float(found["sd"].median()), is_logarithmic(name)),
+                "specimens_at_bound": int(found["at_bound"].astype(bool).sum()),
+            }
+        )
+    columns = ("parameter", "specimens", "specimen_median", "specimen_range", "sd", "specimens_at_bound")
+    failures = read_columns(result.frames, "failures", FRAMES["failures"]).head(MAX_LISTED)
+    failed = [Table("failures", "", to_records(failures), FRAMES["failures"])] if len(failures) else []
+    return [Table("parameters", "", rows, columns), *failed]
+
+
+def draw(result: Run) -> dict[str, Drawing]:
+    """Return a histogram of each parameter over specimens: edges of bins in units of files, and counts."""
+    found = []
+    for name, rows in _by_parameter(result):
+        values = rows["value"].to_numpy(dtype=np.float64)
+        scale, back = (np.log, np.exp) if is_logarithmic(name) else (np.asarray, np.asarray)
+        edges = np.histogram_bin_edges(scale(values), bins=min(MAX_BINS, 5 + len(values) // 5))
+        counts, _ = np.histogram(scale(values), edges)
+        low, high = back(edges[:-1]), back(edges[1:])
+        found.append(pd.DataFrame({"parameter": name, "low": low, "high": high, "specimens": counts}))
+    bins = pd.concat(found, ignore_index=True).assign(origin=result.origin)
+    return {"distributions": Drawing("histograms", bins, {"counts": "specimens"})}
+
+
+REPORT = report_from_text(TEXT, describe, tabulate, draw, judge=judge)
