@@ -36,22 +36,19 @@ from needlefit.studies.kinds.adaptation import (
 from needlefit.studies.runner import run_analysis
 from tests.inference_cases import dataset, insertion, measure, medium, squares_recipe
 
-COUNTS = (0, 1, 2, 3)
-
 
 def _even(values, again):
     """Curves (O, N) as if they were of one needle."""
     return again.means(np.asarray(values)[:, :, None])
 
 
-def test_a_count_is_the_first_from_which_on_the_mean_stays_within_the_limit():
+@pytest.mark.parametrize(("limit", "value"), [(2.5, 3), (3.0, 1), (5.0, 0), (0.5, np.inf)])
+def test_a_count_is_the_first_from_which_on_the_mean_stays_within_the_limit(limit, value):
     # the mean is 5, 1, 3, 1: one insertion is enough for a moment, three are for good
-    again = resample(2, 1, np.random.default_rng(1))
-    means = _even([[6.0, 1.0, 4.0, 1.0], [4.0, 1.0, 2.0, 1.0]], again)
-    for limit, value in ((2.5, 3), (3.0, 1), (5.0, 0)):
-        assert estimate_needed_count(means, COUNTS, np.full(len(means), limit)).value == value
-    never = estimate_needed_count(means, COUNTS, np.full(len(means), 0.5))
-    assert (never.value, never.low, never.high) == (np.inf, np.inf, np.inf)
+    means = _even([[6.0, 1.0, 4.0, 1.0], [4.0, 1.0, 2.0, 1.0]], resample(2, 1, np.random.default_rng(1)))
+    found = estimate_needed_count(means, (0, 1, 2, 3), np.full(len(means), limit))
+    assert found.value == value
+    assert np.isfinite(value) or (found.low, found.high) == (np.inf, np.inf)
 
 
 def test_the_interval_of_a_count_is_what_other_orders_would_have_given():
@@ -61,17 +58,13 @@ def test_the_interval_of_a_count_is_what_other_orders_would_have_given():
     assert (found.value, found.low, found.high) == (2, 1, 2)
 
 
-def test_an_interval_is_of_needles_even_where_all_orders_give_the_same():
+def test_an_interval_is_of_needles_even_where_all_orders_agree_and_a_gain_is_paired_order_by_order():
     # two needles gain 0 and 1, whatever the order: their mean is 0.5, drawn again 0, 0.5 or 1
     again = resample(3, 2, np.random.default_rng(1))
     found = estimate(again.means(np.tile([0.0, 1.0], (3, 1, 1)))[:, 0])
     assert (found.value, found.low, found.high) == (0.5, 0.0, 1.0)
-
-
-def test_a_gain_is_paired_order_by_order():
     # orders differ by far more than the ways do, which leaves the difference sure
-    again = resample(3, 1, np.random.default_rng(1))
-    methods = np.array([[1.0], [10.0], [100.0]])
+    again, methods = resample(3, 1, np.random.default_rng(1)), np.array([[1.0], [10.0], [100.0]])
     found = estimate((_even(methods, again) - _even(methods - 0.5, again))[:, 0])
     assert (found.value, found.low, found.high) == pytest.approx((0.5, 0.5, 0.5))
 
@@ -207,21 +200,14 @@ def not_new():
 def test_a_medium_that_is_not_new_costs_nothing(not_new):
     table = not_new.frames["insertions_needed"]
     counts = table[table["target"] == "floor"].set_index(["method", "metric"])["n"]
-    assert counts["none", "te_mm"] == 0
-    assert counts["inflated", "te_mm"] == 0
-    assert counts["new", "te_mm"] == 1
-    errors = not_new.frames["adaptation"].set_index(["method", "n"])["te_mm"]
+    assert [counts[one, "te_mm"] for one in ("none", "inflated", "new")] == [0, 0, 1]
+    curves = not_new.frames["adaptation"].set_index(["method", "n"])
+    errors, scores = curves["te_mm"], curves["tip_crps_mm"]
     assert errors["none", 0] < 1e-3
     assert errors["inflated", 0] == pytest.approx(errors["none", 0], abs=1e-6)
+    assert scores["inflated", 0] == pytest.approx(scores["none", 0], rel=1e-6)  # the old posterior itself
     assert not_new.faults == ()
-
-
-def test_without_spread_and_new_data_the_inflated_posterior_is_the_old_one(not_new):
-    scores = not_new.frames["adaptation"].set_index(["method", "n"])["tip_crps_mm"]
-    assert scores["inflated", 0] == pytest.approx(scores["none", 0], rel=1e-6)
-
-
-def test_held_out_insertions_are_never_fitted(not_new):
+    # held-out insertions are never fitted
     assert set(not_new.frames["errors"]["insertion"]) == {"at48"}
     assert set(not_new.frames["fits"]["learned_from"]) == {"nothing", "at42"}
 
@@ -230,12 +216,8 @@ def test_the_report_has_a_line_per_approach_and_count(not_new):
     assert REPORT.summarize(not_new)
     curves, needed = REPORT.lay_out(not_new)
     # New insertions alone need one; without an update there is nothing to learn from.
-    assert [(row[0] != "", row[1]) for row in curves.rows] == [
-        (True, "0"),
-        (False, "1"),
-        (True, "1"),
-        (True, "0"),
-    ]
+    heads_and_counts = [(row[0] != "", row[1]) for row in curves.rows]
+    assert heads_and_counts == [(True, "0"), (False, "1"), (True, "1"), (True, "0")]
     heads = [(column.label, column.unit) for column in curves.columns]
     assert len(set(heads)) == len(heads) and ("TE", "range, mm") in heads
     assert len(needed.rows) == 2 * len({row[0] for row in needed.rows}) and len(needed.columns) == 7

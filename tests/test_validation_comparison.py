@@ -57,18 +57,15 @@ def test_posterior_uncertainty_adds_up_over_needles_that_share_it():
     assert monte_carlo_error(pd.DataFrame(errors)) == pytest.approx(math.sqrt(3 * 0.16 + 0.36))
 
 
-def test_repeats_are_never_on_both_sides():
-    many = [replace(insertion(30.0 + k), specimen=f"hole {k % 5}") for k in range(15)]
-    for fold in deal_folds(tuple(many), 3):
+def test_repeats_are_never_on_both_sides_and_there_are_no_more_folds_than_needles():
+    many = tuple(replace(insertion(30.0 + k), specimen=f"hole {k % 5}") for k in range(15))
+    for fold in deal_folds(many, 3):
         assert not {one.specimen for one in fold.tune} & {one.specimen for one in fold.validate}
         assert len(fold.tune) + len(fold.validate) == 15
-
-
-def test_there_are_no_more_folds_than_needles():
-    many = tuple(replace(insertion(30.0 + k), specimen="one block") for k in range(4))
-    assert [len(fold.validate) for fold in deal_folds(many, 4)] == [1, 1, 1, 1]
+    block = tuple(replace(insertion(30.0 + k), specimen="one block") for k in range(4))
+    assert [len(fold.validate) for fold in deal_folds(block, 4)] == [1, 1, 1, 1]
     with pytest.raises(ConfigError, match=r"5 folds .*4 needles"):
-        deal_folds(many, 5)
+        deal_folds(block, 5)
 
 
 def _curved(depth, side=1):
@@ -79,23 +76,36 @@ def _curved(depth, side=1):
     return replace(insertion(depth, side=side), planar=planar, out_of_plane=flat)
 
 
+def _curves(count=3):
+    return tuple(_curved(30.0 + 5 * k, (1, -1)[k % 2]) for k in range(count))
+
+
+def _log_density(off, one, scale, slope, s):
+    """Return the Gaussian log density of deflections: errors of points, pose and registration."""
+    x = one.planar[:, 0] - one.planar[0, 0]
+    shift = NOISE.registration_mean / math.sqrt(8 / math.pi)
+    modes = np.column_stack([shift * np.ones(len(x)), one.pose_angle_sd * x, -shift * slope])
+    cov = scale**2 * points_covariance(s, NOISE) + modes @ modes.T
+    return multivariate_normal.logpdf(off, cov=cov)
+
+
+def _slope(one, degree):
+    x = one.planar[:, 0] - one.planar[0, 0]
+    return np.polynomial.Polynomial.fit(x, one.planar[:, 1], degree).deriv()(x)
+
+
 def test_a_curves_density_is_the_gaussian_of_its_deflections():
     one = _curved(40.0)
     density = CurveDensity("constant_curvature", dataset([one]), (one,), LikelihoodRecord(), 1000.0)
     theta = np.array([0.0012 * COEFFICIENT_LENGTH_MM, math.log(1.7)])
     s = density.observations[0].nodes.s[0]
-    x = one.planar[:, 0] - one.planar[0, 0]
-    slope = np.polynomial.Polynomial.fit(x, one.planar[:, 1], 3).deriv()(x)
-    shift = NOISE.registration_mean / math.sqrt(8 / math.pi)
-    modes = np.column_stack([shift * np.ones(len(x)), one.pose_angle_sd * x, -shift * slope])
-    cov = 1.7**2 * points_covariance(s, NOISE) + modes @ modes.T
     off = density.curve(theta).curve(one)(s)[:, 1] - one.planar[:, 1]
-    assert density(theta[None])[0] == pytest.approx(multivariate_normal.logpdf(off, cov=cov), rel=1e-6)
+    assert density(theta[None])[0] == pytest.approx(_log_density(off, one, 1.7, _slope(one, 3), s), rel=1e-6)
     assert density(np.array([[0.0, math.log(1e4)]]))[0] == -np.inf
 
 
 def test_a_curves_peak_is_where_its_density_is_greatest():
-    made = tuple(_curved(30.0 + 5 * k, (1, -1)[k % 2]) for k in range(3))
+    made = _curves()
     density = CurveDensity("constant_curvature", dataset(made), made, LikelihoodRecord(), 1000.0)
     peak = density.peak
     around = peak + 0.02 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -105,7 +115,7 @@ def test_a_curves_peak_is_where_its_density_is_greatest():
 
 def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
     """Its one parameter can be integrated over by quadrature."""
-    made = tuple(_curved(30.0 + 5 * k, (1, -1)[k % 2]) for k in range(3))
+    made = _curves()
     fold = Fold("all but one", made[:2], made[2:])
     found = fit_candidate("straight", candidate_job("straight", _job(made, (fold,))), fold, Settings())
 
@@ -142,11 +152,8 @@ def test_further_points_add_their_whole_density():
     one, both = (job.problem(Fold("", tuple(some), ())) for some in (made[:1], made))
     s = both.density.observations[1].nodes.s[0]
     shape = predict(both.values(theta), medium(layers=1), NEEDLE, made[1])
-    flat, x = np.full(len(s), NOISE.registration_mean / math.sqrt(8 / math.pi)), made[1].planar[:, 0]
-    slope = np.polynomial.Polynomial.fit(x, made[1].planar[:, 1], 5).deriv()(x)
-    modes = np.column_stack([flat, made[1].pose_angle_sd * x, -flat * slope])
-    cov = 1.3**2 * points_covariance(s, NOISE) + modes @ modes.T
-    exact = multivariate_normal.logpdf(compute_positions(shape, s)[:, 1] - made[1].planar[:, 1], cov=cov)
+    off = compute_positions(shape, s)[:, 1] - made[1].planar[:, 1]
+    exact = _log_density(off, made[1], 1.3, _slope(made[1], 5), s)
     assert both.log_posterior(theta) - one.log_posterior(theta) == pytest.approx(exact, abs=0.02)
 
 
@@ -160,21 +167,16 @@ def _job(made, folds):
     return Job("cases", fit, dataset(made), medium(layers=1), parameters, recipe, None, folds)
 
 
-def _answer(**changed):
-    record = ComparisonRecord.model_validate(
-        {**RECORD, "candidates": ("ogden", "linear", "straight"), **changed}
-    )
+@pytest.fixture(scope="module")
+def compared():
+    candidates = ("ogden", "linear", "straight")
+    record = ComparisonRecord.model_validate({**RECORD, "candidates": candidates, "positive_control": True})
     rng, made = np.random.default_rng(3), []
     for k in range(4):
         planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=21)
         made.append(simulate_measurement(dataset([planned]), planned, TRUTH, medium(layers=1), rng))
     job = _job(tuple(made), deal_folds(tuple(made), 2))
     return run_analysis("cases", record, Settings(), plan(record, job, Settings()))
-
-
-@pytest.fixture(scope="module")
-def compared():
-    return _answer(positive_control=True)
 
 
 @pytest.mark.sweep
@@ -198,24 +200,21 @@ def test_the_error_of_draws_is_small_and_part_of_the_verdict(compared):
 
 
 @pytest.mark.sweep
-def test_needles_that_are_no_repeats_are_not_called_so(compared):
+def test_the_report_names_repeats_and_a_control_that_is_missed_is_a_fault(compared):
     assert "over 4 needles" in REPORT.summarize(compared)[1]
-    frames = {**compared.frames, "differences": compared.frames["differences"].assign(group="one hole")}
-    assert "repeats" in REPORT.summarize(replace(compared, frames=frames))[1]
-
-
-@pytest.mark.sweep
-def test_a_control_that_the_comparison_misses_is_a_fault(compared):
+    grouped = compared.with_frames(differences=compared.frames["differences"].assign(group="one hole"))
+    assert "repeats" in REPORT.summarize(grouped)[1]
     (fault,) = compared.faults
-    assert "ahead of linear" in fault
-    assert "straight" not in fault
+    assert "ahead of linear" in fault and "straight" not in fault
 
 
-def test_a_study_names_its_data_or_makes_them():
-    with pytest.raises(ValueError, match="neither dataset nor"):
-        ComparisonRecord.model_validate({**RECORD, "dataset": None})
-    with pytest.raises(ValueError, match="candidates"):
-        ComparisonRecord.model_validate({**RECORD, "candidates": ("linear", "straight")})
+@pytest.mark.parametrize(
+    ("changed", "fault"),
+    [({"dataset": None}, "neither dataset nor"), ({"candidates": ("linear", "straight")}, "candidates")],
+)
+def test_a_study_names_its_data_or_makes_them(changed, fault):
+    with pytest.raises(ValueError, match=fault):
+        ComparisonRecord.model_validate({**RECORD, **changed})
 
 
 MOVED = replace(insertion(40.0), base_moved=8.0)

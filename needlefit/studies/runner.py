@@ -109,6 +109,11 @@ def _make_frames(parts: Iterable[FrameRows], columns: Mapping[str, Sequence[str]
     return {name: pd.DataFrame(rows.get(name, []), columns=list(names)) for name, names in columns.items()}
 
 
+def list_faults(counts: Mapping[str, int]) -> tuple[str, ...]:
+    """Return what went wrong how often, as faults of a run; `counts` are by words."""
+    return tuple(f"{count} {words}" for words, count in counts.items() if count)
+
+
 def _conclude_nothing(frames: Frames) -> tuple[str, ...]:
     return ()
 

@@ -146,6 +146,12 @@ class Scorer:
         }
 
 
+def score_planned(job: Job, insertion: Insertion, method: Predictor) -> Row:
+    """Return the errors of a method on one insertion, through the layers of its planned path."""
+    scorer = Scorer(job.dataset, job.record.layer_count_rule, {insertion.id: job.floor(insertion)})
+    return scorer.score({}, insertion, method)[0][-1]  # the planned path comes last
+
+
 _FAILED = {
     "deflection_mm": math.nan, "predicted_deflection_mm": math.nan, "edp_flagged": False, "converged": False,
 }  # fmt: skip

@@ -43,8 +43,14 @@ from needlefit.studies.kind import StudyKind
 from needlefit.studies.posterior_fit import PREDICTION_DRAWS, PosteriorFit, fit_posterior
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
-from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
-from needlefit.studies.score import Row, Scorer, list_length_metrics, list_score_columns, model_predictor
+from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, list_faults, run_analysis
+from needlefit.studies.score import (
+    Row,
+    list_length_metrics,
+    list_score_columns,
+    model_predictor,
+    score_planned,
+)
 
 
 class KnownMediumRecord(Record):
@@ -292,12 +298,8 @@ def _run_task(task: AdaptationTask, approach: str, ids: tuple[str, ...]) -> Fram
     problem = task.new.problem(fold)
     if approach == "inflated":
         problem = TransferProblem.of(problem, task.transferred)
-    return _score_rows(
-        task,
-        task.new,
-        (approach, ids),
-        _from_fit(fit_posterior(task.new, problem, (fold.name,), task.settings)),
-    )
+    learned = fit_posterior(task.new, problem, (fold.name,), task.settings)
+    return _score_rows(task, task.new, (approach, ids), _from_fit(learned))
 
 
 def _from_prior(transferred: TransferredPrior, job: Job) -> _MediumKnowledge:
@@ -319,12 +321,8 @@ def _score_rows(
     predicted = {row["insertion"]: row for row in rows}
     errors = []
     for insertion in task.held_out:
-        floor = job.floor(insertion)
-        scorer = Scorer(job.dataset, job.record.layer_count_rule, {insertion.id: floor})
-        scored = scorer.score({}, insertion, predictor)[0][-1]  # the planned path comes last
-        row = {**scored, **predicted.get(insertion.id, {})}
-        columns = list_frames()["errors"]
-        errors.append({**head, **{name: row.get(name) for name in columns if name not in head}})
+        row = {**score_planned(job, insertion, predictor), **predicted.get(insertion.id, {}), **head}
+        errors.append({name: row.get(name) for name in list_frames()["errors"]})
     about = {**head, "pareto_k": known.k, "sampled": known.sampled}
     fits = [{**about, "parameter": name, "value": value} for name, value in known.values.items()]
     return {"errors": errors, "fits": fits}
@@ -490,13 +488,12 @@ def _gain_rows(task: AdaptationTask, errors: pd.DataFrame, resampling: Resamplin
 
 def _find_faults(frames: Frames) -> tuple[str, ...]:
     errors = frames["errors"]
-    failed = int((~errors["converged"].astype(bool)).sum())
-    unpredicted = int(errors["tip_crps_mm"].isna().sum())
+    failed, unpredicted = ~errors["converged"].astype(bool), errors["tip_crps_mm"].isna()
     counts = {
-        "simulations of held-out insertions did not converge": failed,
-        "held-out insertions could not be predicted": unpredicted,
+        "simulations of held-out insertions did not converge": int(failed.sum()),
+        "held-out insertions could not be predicted": int(unpredicted.sum()),
     }
-    return tuple(f"{count} {words}" for words, count in counts.items() if count)
+    return list_faults(counts)
 
 
 # ---- the report

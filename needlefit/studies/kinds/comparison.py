@@ -77,14 +77,14 @@ from needlefit.studies.kind import StudyKind
 from needlefit.studies.posterior_fit import find_fit
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
-from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
+from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, list_faults, run_analysis
 from needlefit.studies.score import (
     Predictor,
     Row,
-    Scorer,
     curve_predictor,
     list_score_columns,
     model_predictor,
+    score_planned,
 )
 from needlefit.studies.simulated_data import simulate_dataset
 from needlefit.studies.verdict import Verdict, headline_fault
@@ -174,20 +174,12 @@ MAX_NOISE_FACTOR = 1000.0
 class ModelCandidate:
     """A fitted candidate: its parameters, its curve and its posterior.
 
-    Attributes
-    ----------
-    values : mapping
-        Its parameters at its greatest density (Pa, mm; curves: mm^-(k + 1)), the noise factor among them.
-    predictor : Predictor
-        The curve of these.
-    known : WeightedDraws
-        Its posterior.
-    after : callable
-        Insertion -> its posterior after this one too; None where it has no simulated needle.
+    `values` are those of its greatest density (Pa, mm; curves: mm^-(k + 1)), the noise factor among them;
+    `after` is its posterior after a further insertion, None where it has no simulated needle.
     """
 
     values: Mapping[str, float]
-    predictor: Predictor
+    predictor: Predictor  #: the curve of these
     known: WeightedDraws
     after: Callable[[Insertion], WeightedDraws | None]
 
@@ -405,9 +397,7 @@ def _run_task(name: str, job: Job, fold: Fold, settings: Settings) -> FrameRows:
 
 def _score_insertion(job: Job, found: ModelCandidate, insertion: Insertion) -> Row:
     """Return how probable the points of a needle are, and the errors of the best curve."""
-    floor = job.floor(insertion)
-    scorer = Scorer(job.dataset, job.record.layer_count_rule, {insertion.id: floor})
-    scored = scorer.score({}, insertion, found.predictor)[0][-1]  # the planned path comes last
+    scored = score_planned(job, insertion, found.predictor)
     predicted = found.predict_density(insertion)
     return {
         "insertion": insertion.id,
@@ -518,7 +508,7 @@ def _find_faults(frames: Frames) -> tuple[str, ...]:
         "held-out insertions have no density": ~np.isfinite(scores["log_density"]),
         f"log densities are not certified: Pareto k above {MAX_PARETO_K}": scores["pareto_k"] > MAX_PARETO_K,
     }
-    return tuple(f"{count} {words}" for words, lost in counts.items() if (count := int(lost.sum())))
+    return list_faults({words: int(lost.sum()) for words, lost in counts.items()})
 
 
 def _check_control(record: ComparisonRecord, rows: list[Row]) -> Iterator[str]:

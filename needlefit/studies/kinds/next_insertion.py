@@ -7,9 +7,10 @@ All candidates predict data for the same draws: their differences are better kno
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -144,17 +145,14 @@ class NextInsertionRecord(TunedAnalysisRecord):
 
 KIND = StudyKind("next_insertion", NextInsertionRecord, __name__)
 
-OUTER_DRAWS = 400
-"""Draws whose data are predicted; their scatter is the standard error of a gain."""
-
-LINEAR_DRAWS = 24
-"""Draws at which the linear gain is taken; it is their mean."""
-
-MIN_ESS, ROUGH_NOTE = 10.0, "rough"
-"""Effective sample size that a posterior must have in the median; rows with less are marked."""
-
-LEAST_KNOWN = "least_known"
-"""Name of the combination of parameters that is known worst."""
+OUTER_DRAWS = 400  #: draws whose data are predicted; their scatter is the standard error of a gain
+LINEAR_DRAWS = 24  #: draws at which the linear gain is taken; it is their mean
+MIN_ESS = 10.0  #: effective sample size that a posterior must have in the median; rows with less are marked
+ROUGH_NOTE = "rough"
+LEAST_KNOWN = "least_known"  #: name of the combination of parameters that is known worst
+MEASURED_POINTS = 31  #: of a candidate: neighbours err alike, so that more add next to nothing
+BENT_RIDGE_NATS = 0.3  #: excess of a linear gain above which the ridge is called curved: several SEs
+REPEAT = "repeat"
 
 _WHERE = ("role", "entry", "angle_deg", "depth_mm")
 FRAMES: Mapping[str, tuple[str, ...]] = {
@@ -179,17 +177,6 @@ AGREEMENT_COLUMNS = ("candidates", "spearman", "largest_excess_nats", "same_best
 
 CandidatePlace = tuple[CandidateEntryRecord, float, float]
 """Entry, angle (degrees) and depth (mm)."""
-
-MEASURED_POINTS = 31
-"""At which a candidate would be measured: neighbours err alike, so that more add next to nothing."""
-
-
-def iterate_places(record: NextInsertionRecord) -> Iterator[CandidatePlace]:
-    """Yield the entry, angle and depth of every candidate."""
-    for entry in record.entries:
-        for angle in entry.angles_deg:
-            for depth in entry.depths_mm or record.depths_mm:
-                yield entry, angle, depth
 
 
 def predict_candidate(
@@ -226,11 +213,9 @@ def predict_candidate(
 def with_predicted_shape(job: Job, insertion: Insertion, values: Mapping[str, float]) -> Insertion | None:
     """Return an insertion with the shape that `values` predict as the measured one; None if there is none."""
     needle = predict(values, job.medium, job.dataset.needle, insertion)
-    return (
-        replace(insertion, planar=sample_inserted_points(needle, MEASURED_POINTS), sections=None)
-        if needle.converged
-        else None
-    )
+    if not needle.converged:
+        return None
+    return replace(insertion, planar=sample_inserted_points(needle, MEASURED_POINTS), sections=None)
 
 
 def frame_of(entry: CandidateEntryRecord, angle: float) -> Frame:
@@ -277,8 +262,8 @@ class _CurrentKnowledge:
 
 
 GetKnowledge = Callable[[], _CurrentKnowledge | None]
-PredictInsertion = Callable[[_CurrentKnowledge], Insertion | None]
-"""What is known now -> an insertion with the shape that is predicted of it; None where there is none."""
+PredictInsertion = Callable[[Mapping[str, float]], Insertion | None]
+"""Values (Pa, mm) -> an insertion with the shape that they predict; None where there is none."""
 
 
 def run(name: str, record: NextInsertionRecord, settings: Settings) -> Run:
@@ -297,14 +282,15 @@ def run(name: str, record: NextInsertionRecord, settings: Settings) -> Run:
     now = Shared(partial(_find_knowledge, job, record, like, settings))
     names = tuple(one.name for one in record.quantities)
     tasks: dict[str, AnalysisTask] = {"posterior": partial(_posterior_row, now)}
-    for place in iterate_places(record):
-        entry, angle, depth = place
-        where = dict(zip(_WHERE, ("candidate", entry.name, angle, depth), strict=True))
-        key = f"{entry.name}, {angle:g} degrees, {depth:g} mm"
-        tasks[key] = partial(_run_task, now, where, names, partial(_predict_candidate, like, place))
+    for entry in record.entries:
+        for angle, depth in product(entry.angles_deg, entry.depths_mm or record.depths_mm):
+            where = dict(zip(_WHERE, ("candidate", entry.name, angle, depth), strict=True))
+            predict_new = partial(predict_candidate, job, like, (entry, angle, depth))
+            key = f"{entry.name}, {angle:g} degrees, {depth:g} mm"
+            tasks[key] = partial(_run_task, now, where, names, predict_new)
     deepest = max(job.folds[0].tune, key=lambda one: one.depth)
     where = dict(zip(_WHERE, ("repeat", deepest.id, 0.0, deepest.depth), strict=True))
-    tasks["repeat"] = partial(_run_task, now, where, names, partial(_predict_repeat, deepest))
+    tasks["repeat"] = partial(_run_task, now, where, names, partial(_predict_repeat, job, deepest))
     plan = AnalysisPlan([job], tasks, FRAMES, _conclude, shared=[now])
     return run_analysis(name, record, settings, plan)
 
@@ -324,11 +310,15 @@ def _find_knowledge(
     if fitted is None:
         return None
     known = refer_to_all_needles(fitted, random_stream(job.recipe.seed, job.name, "bevels"))
-    wanted = [_target_insertion(known, job, like, record, one) for one in record.quantities]
-    found = np.array([predict_tips(known, insertion) for insertion in wanted]).reshape(
-        len(wanted), len(known.thetas)
-    )
-    solved = np.isfinite(found).all(axis=0)
+    entries, tips = {entry.name: entry for entry in record.entries}, []
+    for wanted in record.quantities:
+        place = (entries[wanted.entry], wanted.angle_deg, wanted.depth_mm)
+        insertion = predict_candidate(job, like, place, known.middle)
+        if insertion is None:
+            raise FitError(f"the insertion of `{wanted.name}` has no solution, or leaves the medium")
+        tips.append(predict_tips(known, insertion))
+    found = np.array(tips).reshape(len(tips), len(known.thetas))
+    solved = np.asarray(np.isfinite(found).all(axis=0), dtype=np.bool_)
     kept = known.only(solved)
     outer_draws = kept.drawn(OUTER_DRAWS, random_stream(job.recipe.seed, job.name, "outer"))
     # eigenvalues ascend: the last vector has the largest variance; its sign is made unique below
@@ -348,34 +338,17 @@ def refer_to_all_needles(known: WeightedPosterior, rng: np.random.Generator) -> 
     return replace(known, thetas=np.array([problem.parameters.theta(values) for values in sets]))
 
 
-def _target_insertion(
-    known: WeightedPosterior, job: Job, like: Insertion, record: NextInsertionRecord, wanted: QuantityRecord
-) -> Insertion:
-    """Return the insertion whose tip is asked for."""
-    entry = next(entry for entry in record.entries if entry.name == wanted.entry)
-    found = predict_candidate(job, like, (entry, wanted.angle_deg, wanted.depth_mm), known.middle)
-    if found is None:
-        raise FitError(f"the insertion of `{wanted.name}` has no solution, or leaves the medium")
-    return found
-
-
 def _posterior_row(now: GetKnowledge) -> FrameRows:
     before = now()
     return {} if before is None else {"posterior": [describe_posterior(before.known)]}
 
 
-def _predict_candidate(like: Insertion, place: CandidatePlace, now: _CurrentKnowledge) -> Insertion | None:
-    return predict_candidate(now.job, like, place, now.known.middle)
-
-
-def _predict_repeat(simulated: Insertion, now: _CurrentKnowledge) -> Insertion | None:
+def _predict_repeat(job: Job, made: Insertion, values: Mapping[str, float]) -> Insertion | None:
     """Return an insertion as it would go once more."""
-    again = simulate_design(now.job, Fold("again", (simulated,), ()), now.known.middle)
-    return (
-        None
-        if again is None
-        else with_predicted_shape(now.job, replace(again.insertions[0], sd=None), now.known.middle)
-    )
+    again = simulate_design(job, Fold("again", (made,), ()), values)
+    if again is None:
+        return None
+    return with_predicted_shape(job, replace(again.insertions[0], sd=None), values)
 
 
 def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: PredictInsertion) -> FrameRows:
@@ -383,7 +356,7 @@ def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: Pr
     before = now()
     if before is None:
         return {}
-    insertion = predict(before)
+    insertion = predict(before.known.middle)
     if insertion is None:
         return {"candidates": [{**where, "note": "no solution, or outside the medium"}]}
     problem = replace(before.known.problem, insertions=(insertion,), centred_bevels=False)
@@ -415,13 +388,8 @@ def _estimate_gain(
     spreads = np.array([values.get(BEVEL_SPREAD, 0.0) for values in sets])
     kept = now.only(solved)
     rng = random_stream(now.job.recipe.seed, now.job.name, *map(str, where.values()))
-    predicted = PredictedData(
-        np.log(kept.known.weights),
-        scales[solved],
-        spreads[solved],
-        white[solved],
-        make_group(evidence.nodes),
-    )
+    numbers = (np.log(kept.known.weights), scales[solved], spreads[solved], white[solved])
+    predicted = PredictedData(*numbers, make_group(evidence.nodes))
     return kept, nested_gain(predicted, kept.outer_draws, kept.quantities, rng), int(np.sum(~solved))
 
 
@@ -431,9 +399,8 @@ def _estimate_linear_gain(now: _CurrentKnowledge, problem: Problem) -> float:
     for theta in now.known.thetas[now.outer_draws[:LINEAR_DRAWS]]:
         simulated = with_predicted_shape(now.job, problem.insertions[0], problem.values(theta))
         if simulated is not None:
-            gains.append(
-                linearized_gain(covariance, linearize(replace(problem, insertions=(simulated,)), theta)[1])
-            )
+            slopes = linearize(replace(problem, insertions=(simulated,)), theta)[1]
+            gains.append(linearized_gain(covariance, slopes))
     return float(np.mean(gains)) if gains else float("nan")
 
 
@@ -490,9 +457,6 @@ def _gain_table(frames: Frames) -> pd.DataFrame:
 
 
 # ---- the report
-
-BENT_RIDGE_NATS = 0.3
-"""Excess of a linear gain (nats) above which the ridge is called curved: several standard errors."""
 
 
 def find_candidates(result: Run) -> tuple[pd.DataFrame, Row | None, Row | None]:
@@ -624,9 +588,6 @@ def draw(result: Run) -> dict[str, Drawing]:
         panels.append(Panel(f"expected SD of the {tip} (mm)", "sd_after_mm", "sd_after_mm", reference=now))
     options = {"x": "depth_mm", "by": "series", "panels": panels, "looks": looks, "columns": len(panels)}
     return {"gains": Drawing("curves", frame, {**options, "x_label": "depth (mm)"}, _name_series)}
-
-
-REPEAT = "repeat"
 
 
 def _name_series(gains: pd.DataFrame) -> pd.DataFrame:

@@ -53,7 +53,15 @@ from needlefit.studies.paper_cells import (
 from needlefit.studies.provenance import describe_model_options
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
-from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, Shared, join_rows, run_analysis
+from needlefit.studies.runner import (
+    AnalysisPlan,
+    AnalysisTask,
+    FrameRows,
+    Shared,
+    join_rows,
+    list_faults,
+    run_analysis,
+)
 from needlefit.studies.score import Row, list_score_columns, model_predictor
 from needlefit.studies.verdict import Status
 
@@ -264,7 +272,7 @@ def _conclude(numbers: Mapping[str, int], frames: Frames) -> tuple[str, ...]:
     frames["studies"] = tabulate_study_changes(errors)
     frames["parameter_changes"] = _parameter_ratios(frames["parameters"])
     failed = int((~errors["converged"].astype(bool)).sum())
-    return (f"{failed} simulations did not converge",) if failed else ()
+    return list_faults({"simulations did not converge": failed})
 
 
 def tabulate_study_changes(errors: pd.DataFrame) -> pd.DataFrame:
