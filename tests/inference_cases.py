@@ -5,11 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
+from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.parameters import is_shape_parameter
 from needlefit.inference.problem import Problem
 from needlefit.inference.problem import make_problem as build_problem
 from needlefit.mechanics.needle import Needle
@@ -95,6 +98,33 @@ def recipe(**changed: object) -> RecipeRecord:
 def squares_recipe(**changed: object) -> RecipeRecord:
     """The same budget, spent on the posterior."""
     return recipe(**{"minimize": "posterior", "algorithm": "leastsquares", **changed})
+
+
+def assert_one_density(p: Problem, theta: np.ndarray, rtol: float = 1e-5, shape_step: float = 3.0) -> None:
+    """Values, gradients, residuals and their Jacobian are of one density, and exact.
+
+    Differences are of fourth order; of shape parameters, on which needles hardly depend, over `shape_step`.
+    """
+    value, gradient = p.gradient(theta)
+    assert value == pytest.approx(p.log_posterior(theta), rel=1e-6)
+    assert p.log_posteriors(theta[None])[0] == pytest.approx(value, rel=1e-6)
+    for along in np.eye(len(theta)):
+        ends = [p.log_posterior(theta + h * along) for h in (-2e-3, -1e-3, 1e-3, 2e-3)]
+        slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / 12e-3
+        assert gradient @ along == pytest.approx(slope, rel=rtol, abs=rtol * np.linalg.norm(gradient))
+    residuals, exact = p.jacobian(theta)
+    assert residuals == pytest.approx(p.residuals(theta), abs=2e-3)  # Newton to 1e-7 mm, whitened
+    if not p.squares:
+        return
+    assert -(residuals @ exact) == pytest.approx(gradient, rel=1e-6, abs=1e-6 * np.linalg.norm(gradient))
+    constants = [p.log_posterior(t) + 0.5 * np.sum(p.residuals(t) ** 2) for t in (theta, theta - 0.1)]
+    assert constants[0] == pytest.approx(constants[1], rel=1e-9, abs=1e-6)
+    shape = np.array([is_shape_parameter(name) for name in p.names])
+    steps = np.where(shape, shape_step, 2e-3)
+    half, whole = (difference_jacobian(p.residuals, theta, part * steps) for part in (0.5, 1.0))
+    fourth = (4 * half - whole) / 3
+    off = np.linalg.norm(exact - fourth, axis=0) / np.linalg.norm(fourth, axis=0)
+    assert np.all(off < np.where(shape, max(1e-3, rtol), rtol)), dict(zip(p.names, off, strict=True))
 
 
 @dataclass(frozen=True)

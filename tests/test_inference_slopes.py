@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, insertion, measure, medium, problem
+from inference_cases import TRUTH, assert_one_density, insertion, measure, medium, problem
 
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
 from needlefit.inference.identifiability.precision import difference_jacobian
@@ -33,36 +33,8 @@ def case(name, **options):
 
 @pytest.mark.parametrize("pose", ["known", "free"])
 @pytest.mark.parametrize("name", CASES)
-def test_the_jacobian_is_that_of_the_residuals(name, pose):
-    p, theta = case(name, pose=pose, drop=3.0 if pose == "free" else 0.0)
-    residuals, exact = p.jacobian(theta)
-    assert residuals == pytest.approx(p.residuals(theta), abs=2e-3)  # Newton to 1e-7 mm, whitened
-    steps = np.array([3.0 if n.startswith("alpha") else 2e-3 for n in p.names])
-    fourth = (
-        4 * difference_jacobian(p.residuals, theta, steps / 2)
-        - difference_jacobian(p.residuals, theta, steps)
-    ) / 3
-    off = np.linalg.norm(exact - fourth, axis=0) / np.linalg.norm(fourth, axis=0)
-    assert np.all(off < np.where(steps > 1, 1e-3, 1e-5)), off
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_the_gradient_is_that_of_the_log_posterior(name):
-    p, theta = case(name)
-    value, gradient = p.gradient(theta)
-    assert value == pytest.approx(p.log_posterior(theta), rel=1e-6)
-    rng = np.random.default_rng(2)
-    for _ in range(3):
-        along = rng.normal(size=len(theta))
-        ends = [p.log_posterior(theta + h * along) for h in (-2e-3, -1e-3, 1e-3, 2e-3)]
-        slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / 12e-3
-        assert gradient @ along == pytest.approx(slope, rel=1e-5)
-
-
-def test_the_log_posterior_is_a_constant_less_half_the_squared_residuals():
-    p, theta = case("stated before")
-    constants = [p.log_posterior(t) + 0.5 * np.sum(p.residuals(t) ** 2) for t in (theta, theta - 0.3)]
-    assert constants[0] == pytest.approx(constants[1], rel=1e-12)
+def test_values_and_derivatives_are_of_one_density(name, pose):
+    assert_one_density(*case(name, pose=pose, drop=3.0 if pose == "free" else 0.0))
 
 
 def test_a_solve_that_fails_has_no_derivatives():

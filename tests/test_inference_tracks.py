@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from inference_cases import assert_one_density
 from scipy.linalg import block_diag
 from track_cases import (
     DEPTH,
@@ -172,17 +173,7 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs, together):
     if together:
         asked = problem(in_session(runs))
         asked = replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE))
-    falls = [asked.log_posterior(at) + 0.5 * np.sum(asked.residuals(at) ** 2) for at in (THETA, other)]
-    assert falls[0] == pytest.approx(falls[1], abs=1e-8)
-    value, slope = asked.gradient(other)
-    step = 1e-3 * np.eye(3)
-    differences = [(asked.log_posterior(other + d) - asked.log_posterior(other - d)) / 2e-3 for d in step]
-    assert value == asked.log_posterior(other)
-    assert slope == pytest.approx(differences, rel=5e-4 if together else 1e-5)
-    left, by_theta = asked.jacobian(other)
-    ends = [(asked.residuals(other + d) - asked.residuals(other - d)) / 2e-3 for d in step]
-    assert by_theta == pytest.approx(np.transpose(ends), rel=1e-5, abs=1e-3 if together else 1e-4)
-    assert slope == pytest.approx(-left @ by_theta, rel=1e-9)
+    assert_one_density(asked, other, rtol=5e-4)
     assert asked.log_posteriors(np.array([THETA, other, other + 50.0]))[2] == -np.inf
 
 
