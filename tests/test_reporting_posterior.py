@@ -9,7 +9,6 @@ from reporting_results import study, with_draws, with_predictions
 
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.reporting import labels
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.kinds.cross_validation.facts import say
 from needlefit.studies.kinds.cross_validation.posterior import tabulate_percentiles
@@ -92,7 +91,7 @@ def test_captions_announce_bands_where_there_are_some(tmp_path):
     for one in (certified, lost, certified.with_frames(bands=none)):
         blocks = compose_run_report(one, drawn).blocks
         (caption,) = (block["caption"] for block in blocks if block["kind"] == "figure")
-        captions.append([text in caption for text in (labels.BANDS_CAPTION, labels.NO_BANDS_CAPTION)])
+        captions.append([text in caption for text in ("Bands: 50 %", "not drawn")])
     assert captions == [[True, False], [False, True], [False, False]]
 
 

@@ -122,58 +122,8 @@ def method_name(method: str, origin: str = "measured") -> str:
     return f"{name} (not tuned on this data)" if foreign else name
 
 
-BOXPLOT_CAPTION = (
-    "Errors on held-out insertions: all points (IPE), all tips (TE; no box for fewer than five). Boxes: "
-    "quartiles; whiskers: 5th to 95th percentile. Diamonds: means over insertions."
-)
-PAPER_MEANS_CAPTION = "The paper’s means (open) are of its own needles."
-SCHEMATIC_CAPTION = (
-    "Insertions with the smallest and the largest tip error (TE): measured needle (dots) and model (line). "
-    "The orange line joins the two tips: its length is the TE. Shaded: layers, with their numbers."
-)
-OVERLAYS_CAPTION = (
-    "Measured needles (dots) and model (lines), one panel per insertion, all with the same axes. Number: tip "
-    "error."
-)
-RESIDUALS_CAPTION = (
-    "Deflection minus that of the fitted needle at the same depth, positive toward the bevel: insertions "
-    "with the smallest, the median and the largest tip error. The straight line is not drawn; curves that "
-    "leave a panel lie farther away."
-)
-BANDS_CAPTION = (
-    "Bands: 50 % and 95 % predictive bands of held-out insertions. They include the uncertainty of the "
-    "parameters and the measurement errors, so they need not be centred on the fit. Bands that leave a panel "
-    "are wider."
-)
-NO_BANDS_CAPTION = "Predictive bands are not drawn: the draws are not certified or not converged."
-WATERFALL_CAPTION = (
-    "Waterfall plot. Left: objective of each start minus the best one of its search, sorted, in units of the "
-    "tolerance (dashed): 0.1 of the log posterior, or 1 % of the metric objective and at least 0.002 mm. "
-    "Starts closer than 0.001 are drawn there. Right: final value of each free parameter between its bounds "
-    "(written at the ends; μ, b and θ in logarithms)."
-)
-CORNER_CAPTION = (
-    "Posterior: marginals and pairs; moduli, b and θ in logarithms. Dots and histograms: draws. Lines and "
-    "marks as in the legend. Dotted: bounds, and the flat prior between them."
-)
-PREDICTIVE_CHECK_CAPTION = (
-    "Predictive check. Left: empirical CDF of the predictive CDF at the measurement (PIT); well-calibrated "
-    "predictions stay in the grey band in 95 % of cases. Right: share of insertions inside their 50 % and "
-    "95 % intervals, with its 95 % confidence interval (Wilson)."
-)
 RANKS_CAPTION = (
     "Simulation-based calibration: ECDF of the rank of the truth among posterior draws minus that of uniform "
     "ranks, for each quantity. Grey: simultaneous confidence band of uniform ranks. Above and then below: "
     "posteriors too narrow; below and then above: too wide."
-)
-PROFILES_CAPTION = (
-    "Profile likelihoods: deviance with one parameter fixed and all others fitted again (solid; dots were "
-    "computed). Shaded and written above: the 95 % interval of the tables. It is that of the posterior draws "
-    "where they are certified, so it need not end where the profile crosses the dashed line. A curve that "
-    "stays under this line up to a bound does not limit the parameter on that side. Dashed curve: the Fisher "
-    "information at the optimum. Flat profiles of fixed parameters are not drawn."
-)
-BASELINES_CAPTION = (
-    "Mean in-plane error of the fitted model and of the baselines on the same held-out points (logarithmic "
-    "axis); lower is better. Dashed: noise floor."
 )

@@ -75,7 +75,7 @@ def _predict_by_few_draws() -> None:
     """Predict by few draws: it takes a third of a run, and writes nothing while it draws."""
     from needlefit.inference import predict
     from needlefit.studies import held_out_predictions
-    from needlefit.studies.kinds.left_out import run as left_out
+    from needlefit.studies.kinds import left_out
 
     left_out.fit_posterior = partial(left_out.fit_posterior, draws=50)
     held_out_predictions.PREDICTION_DRAWS = 50

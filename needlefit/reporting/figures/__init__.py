@@ -18,7 +18,7 @@ class Drawing:
     Attributes
     ----------
     form : str or callable
-        The name of a function of `forms`, or one of a kind's own: frame and options -> figure.
+        The name of a function of `forms` or `fit_forms`, or one of a kind's own: frame and options -> figure.
     frame : DataFrame
         All that is drawn; it is saved as CSV beside the figure.
     options : mapping
@@ -34,9 +34,11 @@ class Drawing:
 
     def save(self, path: Path) -> Path:
         """Draw the figure to `path` (PDF), its frame beside it as CSV; return the path."""
-        from needlefit.reporting.figures import forms, style  # late: matplotlib takes its time to load
+        # late: matplotlib takes its time to load
+        from needlefit.reporting.figures import fit_forms, forms, style
 
-        paint = getattr(forms, self.form) if isinstance(self.form, str) else self.form
+        known = {**vars(fit_forms), **vars(forms)}
+        paint = known[self.form] if isinstance(self.form, str) else self.form
         return style.plot(path, self.frame, lambda frame: paint(self.prepare(frame), **self.options))
 
 

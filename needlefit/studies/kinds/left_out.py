@@ -6,28 +6,55 @@ is only one specimen shows nothing of a further specimen: it gets a message in p
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 from scipy.stats import t as student
 
 from needlefit.inference.baseline_fit import fit_baselines
-from needlefit.metrics import headline_metrics
+from needlefit.inference.baselines import BASELINES
+from needlefit.metrics import METRICS, headline_metrics
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.toml_lines import add_file_context, add_study_context
+from needlefit.reporting.figures import Drawing
+from needlefit.reporting.labels import medium_name, method_name
+from needlefit.reporting.number_format import join_metrics, join_words
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.text import KindText
+from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.study import FitRecord
+from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.folds import Fold, group_insertions, leave_out
 from needlefit.studies.held_out_predictions import PREDICTIVE_COLUMNS, tabulate_held_out
 from needlefit.studies.job import Job, Settings, prepare
-from needlefit.studies.kinds.left_out.schema import LeftOutRecord
+from needlefit.studies.kind import StudyKind
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.posterior_fit import PosteriorFit, fit_posterior
+from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.runner import AnalysisPlan, AnalysisTask, FrameRows, run_analysis
-from needlefit.studies.score import Row, Scorer, curve_predictor, list_score_columns, model_predictor
+from needlefit.studies.score import Scorer, curve_predictor, list_score_columns, model_predictor
+from needlefit.studies.verdict import BestBaseline, Verdict, judge_errors
+
+
+class LeftOutRecord(AnalysisRecord):
+    """`kind = "left_out"`: leave-one-out cross-validation of several fits."""
+
+    kind: Literal["left_out"]
+    fits: tuple[str, ...] = Field(min_length=1)
+    """Fits in `configs/fits/` whose insertions are left out in turn."""
+    groups: tuple[Literal["insertion", "specimen"], ...] = ("insertion", "specimen")
+    """What is left out together."""
+
+
+KIND = StudyKind("left_out", LeftOutRecord, __name__)
 
 BASELINE = "constant_curvature"
 """The empirical curve that stands beside the model in the summary."""
@@ -214,3 +241,128 @@ def _select_scores(
     """Return the errors of one method by insertion."""
     wanted = (errors["left_out"] == what) & (errors["method"] == method)
     return errors[wanted & (errors["boundaries"] == boundaries)].set_index("insertion")
+
+
+# ---- the report
+
+TEXT = KindText("left_out")
+_TE = "te_mm"
+
+
+def _list_fits(result: Run) -> list[list[Row]]:
+    """Return the rows of every fit and kind of group: one for each metric."""
+    return [to_records(rows) for _, rows in result.frames["summary"].groupby(["fit", "left_out"], sort=False)]
+
+
+def describe(result: Run) -> dict[str, Any]:
+    """Return what the text prints: for every fit, how much larger the error of left-out insertions is."""
+    columns = ("value", "in_sample", "floor", "baseline_value")
+    return {
+        "fits": [
+            {
+                "name": medium_name(rows[0]["fit"]).capitalize(),
+                **{key: rows[0][key] for key in ("left_out", "note", "groups")},
+                "metrics": join_words([METRICS[row["metric"]].label for row in rows]),
+                **{
+                    key: "" if rows[0]["note"] else join_metrics({row["metric"]: row[key] for row in rows})
+                    for key in columns
+                },
+            }
+            for rows in _list_fits(result)
+        ]
+    }
+
+
+def judge(result: Run) -> list[Verdict]:
+    """Return a verdict for every fit and kind of group left out, beside the best baseline."""
+    return [_judge_fit(result, rows) for rows in _list_fits(result)]
+
+
+def _judge_fit(result: Run, rows: list[Row]) -> Verdict:
+    group = f"{medium_name(rows[0]['fit'])}, each {rows[0]['left_out']} left out"
+    if rows[0]["note"]:
+        return Verdict(f"{group.capitalize()}: {rows[0]['note']}", "warn", group)
+    row = next(row for row in rows if row["metric"] == _TE)
+    ratio = row["value"] / row["floor"] if row["floor"] else None
+    numbers = {_TE: row["value"], "floor_te_mm": row["floor"], "te_over_floor": ratio}
+    numbers |= {"in_sample_te_mm": row["in_sample"], "insertions": row["insertions"]}
+    best = _compare_best(result, row)
+    numbers |= {"baseline_te_mm": best.error_mm if best else None}
+    count = int(row["insertions"])
+    found = judge_errors(group, row["value"], ratio, best, count, reliable=result.reliable)
+    return replace(found, group=group, numbers=numbers)
+
+
+def _compare_best(result: Run, row: Row) -> BestBaseline | None:
+    """Return the baseline with the smallest error left out, and its paired difference from the fit."""
+    paired = [
+        one
+        for one in to_records(result.frames["paired"])
+        if all(one[key] == row[key] for key in ("fit", "left_out", "metric")) and one["method"] in BASELINES
+    ]
+    best = min(paired, key=lambda one: float(one["value"]), default=None)
+    if best is None or best["low"] is None:
+        return None
+    verdict: Literal["better", "worse", "tie"] = (
+        "worse" if best["low"] > 0 else "better" if best["high"] < 0 else "tie"
+    )
+    return BestBaseline(BASELINES[best["method"]].description, best["value"], verdict)
+
+
+_ERROR_COLUMNS = (
+    *("error_left_out", "in_sample", "difference", "difference_se", "planned", "baseline_value", "floor"),
+    *("pareto_k", "sampled"),
+)
+
+
+def tabulate(result: Run) -> list[Table]:
+    """Return errors left out and in sample, of the fit and of curves, and how well what is left out was
+    predicted.
+    """
+    errors = [one for fit in _list_fits(result) for one in _describe_fit(fit)]
+    columns = (
+        *("fit", "left_out", "groups", "insertions", "metric", "error_left_out", "in_sample", "gap_left_out"),
+        *("planned", "baseline_value", "floor", "pareto_k_sampled"),
+    )
+    paired = [
+        {
+            **row,
+            **{"fit": medium_name(row["fit"]), "method": method_name(row["method"])},
+            **{"error_left_out": row["value"]},
+            **({"low": None, "high": None, "better": ""} if row["method"] == "fitted" else {}),
+        }
+        for row in to_records(result.frames["paired"])
+        if row["metric"] == headline_metrics()[0].name
+    ]
+    covered = [
+        {"fit": medium_name(str(fit)), "left_out": group, **tabulate_coverage(predictions)}
+        for (fit, group), predictions in result.frames["predictive"].groupby(["fit", "left_out"], sort=False)
+    ]
+    of_pairs = ("fit", "left_out", "method", "groups", "metric", "error_left_out", "difference_range")
+    return [
+        Table("left_out", "", errors, columns, groups=_WHERE, heads=4),
+        Table("paired", "", paired, of_pairs, groups=_WHERE, heads=4),
+        Table("coverage", "", covered, (*_WHERE, *COVERAGE_COLUMNS)),
+    ]
+
+
+def _describe_fit(rows: list[Row]) -> Iterator[Row]:
+    """Yield the lines of one kind of group: one for each metric, or why there are none."""
+    about = {"fit": medium_name(rows[0]["fit"])}
+    if rows[0]["note"]:
+        yield {**rows[0], **dict.fromkeys(_ERROR_COLUMNS, ""), **about, "metric": rows[0]["note"]}
+        return
+    for number, row in enumerate(rows):
+        once = {"pareto_k": row["pareto_k"] if not number else "", "sampled": row["sampled"] or None}
+        yield {**row, **about, **once, "error_left_out": row["value"]}
+
+
+def draw(result: Run) -> dict[str, Drawing]:
+    """Return the errors in sample and left out, unless nothing could be left out."""
+    summary = result.frames["summary"].assign(origin=result.origin)
+    if (summary["note"] != "").all():
+        return {}
+    return {"summary": Drawing("left_out_beside_in_sample", summary)}
+
+
+REPORT = report_from_text(TEXT, describe, tabulate, draw, judge=judge)
