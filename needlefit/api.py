@@ -36,7 +36,8 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.job import Inputs, Settings, prepare, set_priors
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.kinds.prediction import require_same_configuration
-from needlefit.studies.run import Run, restore_run
+from needlefit.studies.run import Run
+from needlefit.studies.store import restore_run
 from needlefit.studies.study_files import check_study, load_study
 from needlefit.studies.targets import load_target
 
@@ -114,15 +115,18 @@ def load_dataset(name: Name) -> Dataset:
     return read(find_file("dataset", _spell(name)))
 
 
-def load_run(folder: Name) -> Run:
+def load_run(folder: Name, unverified: bool = False) -> Run:
     """Return the run that `Run.save` or a command wrote to `folder`, or to `reports/<folder>`.
+
+    `unverified` also takes files that do not agree with the manifest of the folder; the run then has them as
+    a fault, and its reports are marked.
 
     Raises
     ------
     ConfigError, DataError
-        If there is none, or its files are damaged.
+        If there is none, its files are damaged, or do not agree with the manifest.
     """
-    return restore_run(find_run(_spell(folder)))
+    return restore_run(find_run(_spell(folder)), unverified)
 
 
 def fit(target: Name | Dataset, medium: Medium | None = None, **options: Unpack[FitChanges]) -> Run:

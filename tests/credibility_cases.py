@@ -7,9 +7,10 @@ from pathlib import Path
 import pandas as pd
 from reporting_results import study, with_predictions
 
+from needlefit.project.manifest import write_manifest
 from needlefit.reporting.table_files import write_csv, write_json
-from needlefit.studies.packing import RESULTS_FILE
-from needlefit.studies.run import Run, store_run
+from needlefit.studies.run import Run
+from needlefit.studies.store import RESULTS_FILE, store_run
 
 VERSIONS = {"needlefit": "0.1.0", "numpy": "2.0", "python": "3.11"}
 WORK = {
@@ -42,6 +43,7 @@ def leave(made: Run, folder: Path) -> Path:
     target.mkdir(parents=True)
     assert store_run(made, target).name == RESULTS_FILE
     write_json(target / "run.json", made.run_json)
+    write_manifest(target)
     return target
 
 

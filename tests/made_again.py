@@ -3,8 +3,17 @@
 import tempfile
 from pathlib import Path
 
-from needlefit.project.manifest import MANIFEST
-from needlefit.studies.rebuild import rebuild
+from needlefit.project.manifest import MANIFEST, write_manifest
+from needlefit.studies.combined_report import rebuild
+from needlefit.studies.run import Run
+from needlefit.studies.store import store_run
+
+
+def store(result: Run, folder: Path) -> Path:
+    """Store a result with a manifest of all that lies in the folder."""
+    path = store_run(result, folder)
+    write_manifest(folder)
+    return path
 
 
 def read_files(folder: Path) -> dict[str, bytes]:

@@ -16,15 +16,15 @@ from needlefit.metrics import list_metrics
 from needlefit.project.cluster import connect
 from needlefit.project.locate import find_file
 from needlefit.studies import columnar
+from needlefit.studies.combined_report import rebuild
 from needlefit.studies.folds import Fold
 from needlefit.studies.job import Settings, prepare
 from needlefit.studies.kinds import cohort as cohort_run
 from needlefit.studies.kinds.cohort import find_datasets, run
 from needlefit.studies.posterior_fit import find_fit
-from needlefit.studies.rebuild import rebuild
 from needlefit.studies.report import write_run
-from needlefit.studies.run import restore_run
 from needlefit.studies.run_differences import compare_runs
+from needlefit.studies.store import restore_run
 from needlefit.studies.study_files import check_study
 from tests.cluster_processes import start_scheduler, start_worker
 

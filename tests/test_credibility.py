@@ -19,10 +19,9 @@ from reporting_results import stereo
 from test_cli import run
 
 from needlefit.errors import DataError
-from needlefit.project.manifest import MANIFEST, write_manifest
+from needlefit.project.manifest import write_manifest
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
-from needlefit.studies.csv_tables import find_damaged_files
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.credibility import (
@@ -243,6 +242,7 @@ def test_equal_findings_of_several_runs_are_listed_once(tmp_path):
     leave_calibration(tmp_path, of="study5")
     (tmp_path / "all").mkdir()
     write_json(tmp_path / "all/run.json", {one.name: one.run_json for one in runs})
+    write_manifest(tmp_path / "all")
     blocks = compose_blocks(tmp_path / "all")
     items = [item for block in blocks if block["kind"] == "list" for item in block["items"]]
     computed = [item for item in items if "Computed with" in item]
@@ -316,40 +316,18 @@ def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
     assert str(tmp_path / "nothing") in capsys.readouterr().err
 
 
-def test_damaged_files_of_the_run_and_beside_it_are_named_and_a_damaged_run_file_is_an_error(alone, tmp_path):
-    write_manifest(alone)
+def test_damaged_files_beside_the_run_are_named_and_those_of_the_run_are_an_error(alone, tmp_path):
     verification = leave_verification(tmp_path)
     write_manifest(verification)
     write_csv(pd.read_csv(verification / "verification.csv").head(2), verification / "verification.csv")
-    (alone / "errors.csv").write_bytes(bytes(range(256)))
     (leave_calibration(tmp_path) / "run.json").write_text("[]")
     found = load_case(alone)
-    assert [one.split()[0] for one in found.damaged] == [
-        f"{alone.name}/errors.csv",
-        "calibrate-study1/run.json",
-    ]
+    assert [one.split()[0] for one in found.damaged] == ["calibrate-study1/run.json"]
     assert [one.counted for one in found.evidence] == [False]
     assert "verification.csv" in found.evidence[0].objections[0]
     gaps = next(one for one in collect_entries(found) if one.factor.key == "use_error").gaps
-    assert sum(name in gap for gap in gaps for name in ("errors.csv", "calibrate-study1/run.json")) == 2
+    assert sum("calibrate-study1/run.json" in gap for gap in gaps) == 1
     for text in ("[]", '{"name": "stu'):
         (alone / "run.json").write_text(text)
-        with pytest.raises(DataError) as caught:
+        with pytest.raises(DataError, match=r"run\.json"):
             load_case(alone)
-        assert "run.json" in caught.value.where
-
-
-def test_a_result_that_was_changed_since_its_stamp_is_named(alone):
-    (alone / "posterior.nc").write_bytes(b"\x89HDF")
-    write_manifest(alone)
-    assert find_damaged_files(alone) == {}
-    (alone / "posterior.nc").write_bytes(b"garbage")
-    assert [*find_damaged_files(alone)] == ["posterior.nc"]
-
-
-@pytest.mark.parametrize("name", ["posterior.nc", "posterior_2.nc", "posterior-tracks.nc"])
-def test_a_damaged_posterior_without_a_digest_is_named(name, alone):
-    (alone / MANIFEST).unlink(missing_ok=True)
-    (alone / name).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(2000))
-    assert [*find_damaged_files(alone)] == [name]
-    assert load_case(alone).damaged[0].startswith(f"{alone.name}/{name}")

@@ -14,17 +14,25 @@ from reporting_results import skip_figures, study
 from test_cli import run
 from test_reporting_posterior import sampled
 
+import needlefit
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_file, find_run, find_studies, find_study_or_fit
-from needlefit.project.run_file import read_run, read_timing
+from needlefit.project.manifest import MANIFEST, find_changes, sha256, write_manifest
 from needlefit.project.view_targets import find_view_target
-from needlefit.studies import packing
-from needlefit.studies.csv_tables import TableSchema, find_damaged_files, read_table
-from needlefit.studies.packing import MAX_UNPACKED_BYTES, RESULTS_FILE, with_digest
-from needlefit.studies.rebuild import rebuild
-from needlefit.studies.run import restore_run, store_run
+from needlefit.studies import store as stored_files
+from needlefit.studies.combined_report import rebuild
+from needlefit.studies.csv_tables import TableSchema, read_table
+from needlefit.studies.report import write_run
+from needlefit.studies.store import (
+    MAX_UNPACKED_BYTES,
+    RESULTS_FILE,
+    read_run,
+    read_timing,
+    restore_run,
+    store_run,
+)
 
 FORM = TableSchema(("id",), (), ("x_mm",), ("fits",))
 
@@ -33,11 +41,12 @@ FORM = TableSchema(("id",), (), ("x_mm",), ("fits",))
 def content(tmp_path_factory) -> dict:
     """What a study stores, without its digest."""
     path = store_run(study(1), tmp_path_factory.mktemp("run"))
-    return json.loads(gzip.decompress(path.read_bytes()).split(b"\n")[1])
+    return json.loads(gzip.decompress(path.read_bytes()))
 
 
 def stored(folder: Path, values: object) -> Path:
-    (folder / RESULTS_FILE).write_bytes(with_digest(json.dumps(values).encode()))
+    (folder / RESULTS_FILE).write_bytes(gzip.compress(json.dumps(values).encode()))
+    write_manifest(folder)
     return folder
 
 
@@ -48,20 +57,59 @@ def fault(folder: Path) -> DataError:
     return caught.value
 
 
-def test_one_changed_digit_is_found(tmp_path):
-    path = store_run(study(1), tmp_path)
-    lines = gzip.decompress(path.read_bytes())
-    at = lines.rindex(b"1", 0, len(lines) // 2)
-    path.write_bytes(gzip.compress(lines[:at] + b"2" + lines[at + 1 :]))
-    assert "digest" in fault(tmp_path).what
+@pytest.fixture
+def written(tmp_path, monkeypatch) -> Path:
+    """A run as a command leaves it, whose errors were then made a hundredth of what they were."""
+    skip_figures(monkeypatch)  # takes longest
+    folder = write_run(study(1), tmp_path / "run")
+    path = folder / RESULTS_FILE
+    values = json.loads(gzip.decompress(path.read_bytes()))
+    for name, cells in values["frames"]["errors"]["columns"].items():
+        if name in ("te_mm", "ipe_mm"):
+            cells[:] = [None if cell is None else 0.01 * cell for cell in cells]
+    path.write_bytes(gzip.compress(json.dumps(values).encode()))
+    return folder
+
+
+def test_results_that_do_not_agree_with_the_manifest_are_not_reported_on(written, tmp_path, capsys):
+    again = tmp_path / "again"
+    words = (
+        ("report", str(written), "--out", str(again)),
+        ("diff", str(written), str(written)),
+        ("view", str(written), "--no-browser", "--out", str(again)),
+        ("credibility", str(written), "--out", str(again)),
+    )
+    for command in words:
+        assert run(*command) == 3
+        assert RESULTS_FILE in capsys.readouterr().err and not again.exists()
+    with pytest.raises(DataError, match=RESULTS_FILE):
+        needlefit.load_run(written)
+
+
+def test_results_that_do_not_agree_are_used_on_demand_and_marked(written, tmp_path, capsys):
+    again = tmp_path / "again"
+    assert not needlefit.load_run(written, unverified=True).reliable
+    assert run("diff", str(written), str(written), "--unverified", "--all") == 0
+    assert RESULTS_FILE in capsys.readouterr().out
+    assert run("report", str(written), "--out", str(again), "--unverified") == 0
+    assert find_changes(again) == {}
+    marked = needlefit.load_run(again)  # also what is made of it later
+    assert len(marked.unverified) == 1 and RESULTS_FILE in marked.unverified[0]
+    assert "do not agree" in (again / "report.html").read_text() and not marked.reliable
+
+
+def test_the_digest_of_the_manifest_is_printed(tmp_path, capsys, monkeypatch):
+    skip_figures(monkeypatch)
+    assert run("report", str(write_run(study(1), tmp_path / "run"))) == 0
+    assert sha256(tmp_path / "run" / MANIFEST) in capsys.readouterr().out
 
 
 def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(packing, "MAX_UNPACKED_BYTES", 10_000)
+    monkeypatch.setattr(stored_files, "MAX_UNPACKED_BYTES", 10_000)
     assert MAX_UNPACKED_BYTES < 2**30
     (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(bytes(10**6)))
     fault(tmp_path)
-    monkeypatch.setattr(packing, "MAX_BRACKETS", 100)
+    monkeypatch.setattr(stored_files, "MAX_BRACKETS", 100)
     (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(b"[" * 5000))
     fault(tmp_path)
 
@@ -178,10 +226,8 @@ def test_a_posterior_that_was_changed_is_refused(damage, tmp_path):
     (posterior,) = sampled(0.08, 0.09).posteriors.values()
     save(posterior, path)
     assert load(path).names == posterior.names
-    assert "posterior.nc" not in find_damaged_files(tmp_path)
     with h5py.File(path, "r+") as file:
         damage(file)
-    assert "posterior.nc" in find_damaged_files(tmp_path)
     with pytest.raises(DataError) as caught:
         load(path)
     assert str(path) in caught.value.where
@@ -208,16 +254,6 @@ def test_a_name_that_no_file_can_have_is_not_found(name):
         with pytest.raises(NeedlefitError) as caught:
             lookup(name)
         assert caught.value.exit_code == 3
-
-
-@pytest.mark.sweep
-def test_report_names_a_damaged_run_file_that_it_does_not_use(tmp_path, capsys, monkeypatch):
-    skip_figures(monkeypatch)  # takes longest
-    store_run(study(1), tmp_path)
-    (tmp_path / "run.json").write_text("[]")
-    assert run("report", str(tmp_path), "--out", str(tmp_path / "again")) == 0
-    assert str(tmp_path / "run.json") in capsys.readouterr().err
-    assert find_damaged_files(tmp_path / "again") == {}
 
 
 @pytest.mark.parametrize(

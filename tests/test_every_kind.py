@@ -14,9 +14,9 @@ from made_again import assert_made_again, read_files
 from world import COMMANDS, find_words
 
 import needlefit
-from needlefit.project.run_file import read_run
 from needlefit.studies.kind import KINDS
 from needlefit.studies.run_differences import compare_runs
+from needlefit.studies.store import read_run
 from needlefit.viewer.opening import open_target
 
 EVERY = pytest.mark.parametrize("kind", KINDS.names())

@@ -8,12 +8,12 @@ import pytest
 from needlefit.project.json_values import to_json_values
 from needlefit.project.load import load
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES, find_file
-from needlefit.project.run_file import read_run
 from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.studies.job import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.reference import round_frame
+from needlefit.studies.store import read_run
 
 REFERENCE = Path(__file__).parent.parent / "reports/reference"
 TOLERANCE = 0.002

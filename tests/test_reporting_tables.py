@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from made_again import store
 from reporting_results import stereo, study
 
 from needlefit.errors import DataError
@@ -43,8 +44,9 @@ from needlefit.studies.kinds.cross_validation.tables import (
     tabulate_parameters,
 )
 from needlefit.studies.report import describe_run
-from needlefit.studies.run import Run, restore_run, store_run
+from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import TE, list_groups, tabulate_tuning, tabulate_validation
+from needlefit.studies.store import restore_run
 from needlefit.studies.summary import aggregate, compare_methods
 
 BY = ("role", "method", "boundaries")
@@ -119,7 +121,7 @@ def test_a_deflection_under_the_floor_is_flagged_and_the_rest_is_given_without_i
 
 
 def test_results_without_a_column_are_refused(tmp_path):
-    store_run(study(1).with_frames(errors=study(1).frames["errors"].drop(columns="deflection_mm")), tmp_path)
+    store(study(1).with_frames(errors=study(1).frames["errors"].drop(columns="deflection_mm")), tmp_path)
     with pytest.raises(DataError):
         restore_run(tmp_path)
 

@@ -10,6 +10,7 @@ from test_cli import run as run_cli
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.checkpoint import open_checkpoint
+from needlefit.project.manifest import write_manifest
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.reference import round_frame
@@ -163,6 +164,7 @@ def _answer(folder: Path, kind: str, **frames: pd.DataFrame) -> Path:
     (folder / "run.json").write_text(json.dumps({"kind": kind, "faults": []}))
     for name, frame in frames.items():
         frame.to_csv(folder / f"{name}.csv", index=False)
+    write_manifest(folder)
     return folder
 
 
@@ -195,6 +197,7 @@ def test_results_of_different_analyses_are_not_compared(tmp_path):
     study.mkdir()
     (study / "run.json").write_text('{"kind": "fit"}')
     (study / "errors.csv").write_text("fold\n")
+    write_manifest(study)
     for pair in ((one, two), (one, study), (study, two)):
         with pytest.raises(DataError, match="different") as fault:
             compare_runs(*pair)

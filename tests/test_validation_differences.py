@@ -7,6 +7,7 @@ import pytest
 from test_cli import run
 
 from needlefit.errors import DataError
+from needlefit.project.manifest import write_manifest
 from needlefit.studies.differences import lay_out_differences, summarize_differences
 from needlefit.studies.run_differences import compare_runs
 
@@ -33,6 +34,7 @@ def write(folder, errors=ERRORS, parameters=PARAMETERS, **run_changes):
     errors.to_csv(folder / "errors.csv", index=False)
     parameters.to_csv(folder / "parameters.csv", index=False)
     (folder / "run.json").write_text(json.dumps(RUN | run_changes))
+    write_manifest(folder)
     return folder
 
 
@@ -120,7 +122,12 @@ KINDS_BY_TABLE = {
 def table(folder, name, rows):
     folder.mkdir(exist_ok=True)
     (folder / "run.json").write_text(json.dumps({"kind": KINDS_BY_TABLE[name]}))
-    pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
+    return add(folder, name, pd.DataFrame(rows))
+
+
+def add(folder, name, frame):
+    frame.to_csv(folder / f"{name}.csv", index=False)
+    write_manifest(folder)
     return folder
 
 
@@ -129,6 +136,7 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
     one = table(tmp_path / "a", "identify", [row])
     two = table(tmp_path / "b", "identify", [{**row, "determined": False, "sd": 0.2}])
     (two / "run.json").write_text('{"kind": "identification", "dataset": {"name": "other"}}')
+    write_manifest(two)
     named, verdict, wider = compare_runs(one, two)
     assert (named.what, named.where, named.after) == ("input", "dataset.name", "other")
     assert (verdict.before, verdict.after, verdict.matters) == ("determined", "not determined", True)
@@ -198,12 +206,10 @@ def test_predictions_of_one_insertion_in_two_ways_are_compared_each_with_its_own
     predictive = tabulate_predictive(["others", "training only"])
     second = write(tmp_path / "b")
     for folder in (first, second):
-        predictive.to_csv(folder / "predictive.csv", index=False)
+        add(folder, "predictive", predictive)
     assert compare_runs(first, second) == []
     worse = predictive["crps_mm"].where(predictive["specimen_treatment"] == "others", 0.5)
-    predictive.assign(crps_mm=worse + 0.001 * np.arange(20) * (worse > 0.1)).to_csv(
-        second / "predictive.csv", index=False
-    )
+    add(second, "predictive", predictive.assign(crps_mm=worse + 0.001 * np.arange(20) * (worse > 0.1)))
     (found,) = compare_runs(first, second)
     assert found.matters and found.after > found.before and "training only" in found.where
 
@@ -213,11 +219,11 @@ def test_what_runs_predict_by_default_is_compared_by_coverage_and_width(first, t
     both = pd.concat(
         [tabulate_predictive(["others"], width=2.0), tabulate_predictive(["training only"], 0, 1.2)]
     )
-    both.to_csv(first / "predictive.csv", index=False)
-    tabulate_predictive(["training only"], 0, 1.2).to_csv(second / "predictive.csv", index=False)
+    add(first, "predictive", both)
+    add(second, "predictive", tabulate_predictive(["training only"], 0, 1.2))
     covered, width = compare_runs(first, second)
     assert (covered.before, covered.after, covered.matters) == (10, 7, True)
     assert (width.before, width.after, width.matters) == (2.0, 1.2, True)
-    tabulate_predictive(["others"], width=2.05).to_csv(second / "predictive.csv", index=False)
+    add(second, "predictive", tabulate_predictive(["others"], width=2.05))
     (width,) = compare_runs(first, second)
     assert not width.matters

@@ -21,7 +21,6 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.project.run_file import read_run
 from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
@@ -41,6 +40,7 @@ from needlefit.studies.kinds.prediction import (
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import list_run_warnings
+from needlefit.studies.store import read_run
 
 SCENE = needlefit.open_scene("study2")
 

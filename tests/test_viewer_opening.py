@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from inference_cases import dataset, insertion, medium
 from light_runs import predict_by_few_draws
+from made_again import store
 from test_cli import run as run_command
 
 from needlefit.errors import ConfigError, DataError
@@ -25,8 +26,7 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
-from needlefit.studies.packing import pack
-from needlefit.studies.run import restore_run, store_run
+from needlefit.studies.store import pack, restore_run
 from needlefit.viewer.opening import choose_start_parameters, open_target
 from needlefit.viewer.overlays import compute_live_errors
 
@@ -62,7 +62,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch:
         predict_by_few_draws(patch)
         results = run("small", study, Settings())
-    store_run(results, out)
+    store(results, out)
     (out / "run.json").write_text(json.dumps(results.run))
     return folder
 
@@ -221,7 +221,7 @@ def test_a_plan_follows_a_study_without_spread_between_specimens(project, tmp_pa
     results = restore_run(project / "reports/small")
     plain = results.record.model_copy(update={"specimens": "training only"})
     frame = results.frames["predictive"].assign(specimen_treatment="training only")
-    store_run(dataclasses.replace(results, record=plain).with_frames(predictive=frame), tmp_path)
+    store(dataclasses.replace(results, record=plain).with_frames(predictive=frame), tmp_path)
     (tmp_path / "run.json").write_text("{}")
     shown, planned, new, same = (
         open_target(str(tmp_path), specimen=one).spread for one in ("shown", "planned", "new", "same")
@@ -234,7 +234,7 @@ def test_a_plan_follows_a_study_without_spread_between_specimens(project, tmp_pa
 def test_a_plan_states_specimen_draws_and_the_warnings_of_the_run(project, tmp_path, capsys):
     results = restore_run(project / "reports/small")
     warned = results.run | warnings_entry([ResultWarning("worse_than_baseline", "a line is closer")])
-    store_run(dataclasses.replace(results, run=warned), tmp_path)
+    store(dataclasses.replace(results, run=warned), tmp_path)
     (tmp_path / "run.json").write_text("{}")
     depth = open_target("small").measured.depth
     found = {}
@@ -263,7 +263,7 @@ def test_live_errors_at_the_measured_depth_are_those_of_the_run(project):
 
 def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_path):
     results = restore_run(project / "reports/small")
-    store_run(dataclasses.replace(results, run={**results.run, "dataset": {"sha256": "0"}}), tmp_path)
+    store(dataclasses.replace(results, run={**results.run, "dataset": {"sha256": "0"}}), tmp_path)
     (tmp_path / "run.json").write_text("{}")
     with pytest.raises(DataError, match="changed"):
         open_target(str(tmp_path))
@@ -274,11 +274,11 @@ def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_p
 
 def test_a_run_without_draws_has_no_band_and_a_note(project, tmp_path):
     results = restore_run(project / "reports/small")
-    store_run(results.with_frames(draws=results.frames["draws"].iloc[:0]), tmp_path)
+    store(results.with_frames(draws=results.frames["draws"].iloc[:0]), tmp_path)
     (tmp_path / "run.json").write_text("{}")
     viewed_scene = open_target(str(tmp_path))
     assert viewed_scene.spread is None and "No band" in viewed_scene.note
-    store_run(results.with_frames(draws=results.frames["draws"].assign(certified=False)), tmp_path)
+    store(results.with_frames(draws=results.frames["draws"].assign(certified=False)), tmp_path)
     viewed_scene = open_target(str(tmp_path))
     assert viewed_scene.spread is None and "certified" in viewed_scene.note
 
@@ -288,7 +288,7 @@ def test_a_plan_with_a_run_that_is_not_certified_is_marked(project, tmp_path, ca
     results = restore_run(project / "reports/small")
     frames = {"draws": results.frames["draws"].assign(certified=False)}
     fault = "the posterior has not converged: draws by importance are not certified: Pareto k is 1.40"
-    store_run(dataclasses.replace(results, faults=(fault,)).with_frames(**frames), tmp_path)
+    store(dataclasses.replace(results, faults=(fault,)).with_frames(**frames), tmp_path)
     (tmp_path / "run.json").write_text("{}")
     words = ("plan", str(tmp_path), "--target", "30,1", "--turns", "0", "-q")
     assert run_command(*words) == 5

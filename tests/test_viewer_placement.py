@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from light_runs import few_draws  # noqa: F401 - a fixture
+from made_again import store
 from test_cli import run as command
 from test_viewer_opening import FIT
 
@@ -21,7 +22,6 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.needles_in_scan import NEEDLE_POINTS, read_needles
-from needlefit.studies.run import store_run
 from needlefit.viewer.export import replay_to_end
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording
@@ -51,7 +51,7 @@ def fitted(folder: Path, pose: str):
     results = run("small", study, Settings())
     out = folder / "reports" / "small"
     out.mkdir(parents=True)
-    store_run(results, out)
+    store(results, out)
     (out / "run.json").write_text(json.dumps(results.run))
     return results
 

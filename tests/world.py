@@ -20,7 +20,8 @@ import track_cases
 from compression_cases import gel_file
 
 from needlefit.cli import main
-from needlefit.studies.run import Run, restore_run
+from needlefit.studies.run import Run
+from needlefit.studies.store import restore_run
 
 try:
     import fcntl

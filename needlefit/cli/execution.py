@@ -136,7 +136,7 @@ class Execution:
         from needlefit.studies.reference import write_reference
 
         for run in runs if self.invocation.reference else ():
-            screen.print_line(f"written: {write_reference(run, self.folder(f'reference/{run.name}'))}/")
+            screen.print_written(write_reference(run, self.folder(f"reference/{run.name}")))
 
     def remove_checkpoint(self, name: str) -> None:
         """Remove the checkpoint of a run that is complete."""
@@ -329,7 +329,7 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
         screen.print_line(f"Report: {', '.join(documents)}")
     if not invocation.explain:
         screen.print_line(f"Explained: {shlex.join(('needlefit', 'report', str(folder), '--explain'))}")
-    screen.print_line(f"written: {folder}/")
+    screen.print_written(folder)
 
 
 def show_warnings(invocation: Invocation, result: "Run") -> None:

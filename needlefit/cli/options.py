@@ -72,6 +72,10 @@ Reference = Annotated[
         text="Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version control.",
     ),
 ]
+Unverified = Annotated[
+    bool,
+    typer.Option("--unverified", help="Also use files that do not agree with the manifest, marked as such."),
+]
 Resume = Annotated[bool, _flag("resume", text="Continue an interrupted run.")]
 Strict = Annotated[bool, _flag("strict", text="Exit code 5 after a warning; results are written.")]
 Explain = Annotated[bool, _flag("explain", text="All tables, with notes and diagnostics.")]

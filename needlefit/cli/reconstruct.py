@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 MAX_DEFAULT_JOBS = 2
 """Scans at once unless somebody wants more: each takes several times the memory of its volume."""
 
-CHECKPOINT_WORK = {"reconstruct": "each file states what it is of"}
-"""In the stamp of the checkpoint: each reconstruction in it has a stamp of what decided it."""
+CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
+"""Of the checkpoint: each reconstruction in it has a digest of what decided it."""
 
 
 class Export(StrEnum):
@@ -217,7 +217,7 @@ def _show(
             screen.show_display(table, notes=False)
         for remark in summarize(found)[1:]:
             screen.print_text(remark)
-        screen.print_line(f"written: {out}/ (figures of each scan in {out}/quality/)")
+        screen.print_written(out, f" (figures of each scan in {out}/quality/)")
         for line in describe_proposals(found, out):
             screen.print_text(line)
 

@@ -43,26 +43,23 @@ def report(
             help="Also compile the example, a paper of all tables and figures. Needs LaTeX.",
         ),
     ] = None,
+    unverified: options.Unverified = False,
 ) -> None:
     """Write tables, figures and report of a RUN again, and print it, without fitting anything.
 
     From the stored results, exact to the last digit: as after an update that draws figures differently, or
-    where files were lost. A file that was changed is never replaced: remove it first. `all` is made again
-    from the runs beside it.
+    where files were lost. Files that do not agree with the manifest are named, and not reported on: remove
+    them, and they are made again. `all` is made again from the runs beside it.
     """
     from needlefit.project.locate import find_run
-    from needlefit.studies.csv_tables import find_damaged_files
-    from needlefit.studies.rebuild import rebuild
+    from needlefit.studies.combined_report import rebuild
 
     folder = find_run(run)
-    damaged = find_damaged_files(folder)
     written = folder if out is None else out
-    runs = rebuild(folder, written)
+    runs = rebuild(folder, written, unverified)
     several = len(runs) > 1
     for one in runs:
         show_run(context.find_root().obj, one, written, named=several)
-    for name, what in damaged.items():
-        screen.print_note(f"needlefit: damaged, and not used: {folder}/{name} {what}")
     if paper is not None:
         from needlefit.studies.paper_folder import write_paper_folder
 
@@ -91,11 +88,12 @@ def diff(
     everything: Annotated[
         bool, typer.Option("--all", help="Also print the changes that do not matter.")
     ] = False,
+    unverified: options.Unverified = False,
 ) -> None:
     """Compare RUN_B with RUN_A: inputs, parameters, errors on the same insertions, verdicts.
 
     Prints the changes that matter, each with its size relative to its own uncertainty, and the inputs that
-    differ. `--json` has all changes.
+    differ. `--json` has all changes. Runs with files that do not agree with their manifest are not compared.
     """
     from needlefit.project.locate import find_run
     from needlefit.studies.differences import (
@@ -105,7 +103,7 @@ def diff(
     )
     from needlefit.studies.run_differences import compare_runs
 
-    found = compare_runs(find_run(run_a), find_run(run_b))
+    found = compare_runs(find_run(run_a), find_run(run_b), unverified)
     if context.find_root().obj.json:
         screen.show_json(differences_to_json(found))
         return

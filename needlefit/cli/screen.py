@@ -25,6 +25,15 @@ def print_line(text: str = "") -> None:
     print(without_controls(text))
 
 
+def print_written(folder: Path | str, more: str = "") -> None:
+    """Print the digest of the manifest of a result, and where the result lies."""
+    from needlefit.project.manifest import MANIFEST, sha256
+
+    if (manifest := Path(folder) / MANIFEST).is_file():
+        print_line(f"Manifest: {MANIFEST}, SHA-256 {sha256(manifest)}")
+    print_line(f"written: {folder}/{more}")
+
+
 SCREEN_COLUMNS = 100
 """Width of sentences and tables in a pipe or file."""
 

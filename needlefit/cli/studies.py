@@ -240,7 +240,7 @@ def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") 
         tuned = [run for run in runs if run.kind == "fit"]
         for by in ("layers", "media"):
             screen.show_display(lay_out_tuning(tuned, by))
-        screen.print_line(f"written: {folder}/")
+        screen.print_written(folder)
 
 
 @takes("seed jobs out resume strict explain json quiet verbose")

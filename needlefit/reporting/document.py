@@ -41,6 +41,8 @@ class Document:
     blocks : tuple
         Made by `heading`, `subheading`, `verdict`, `text`, `note`, `bullets`, `warning`, `gap_box`, `table`
         and `figure`.
+    unverified : bool
+        Whether it is made from files that do not agree with their manifest: the foot of every page says so.
     explorer : mapping or None
         What the HTML page draws interactively, as JSON values (`templates/explorer.js`).
     """
@@ -50,6 +52,7 @@ class Document:
     synthetic: bool
     blocks: tuple[Block, ...]
     explorer: Mapping[str, Any] | None = None
+    unverified: bool = False
 
 
 def heading(words: str) -> Block:
@@ -161,7 +164,7 @@ def _payload(document: Document) -> Block:
         for block in document.blocks
         if block["kind"] != "table" or block["rows"]
     ]
-    head = {"title": document.title, "subtitle": document.subtitle, "synthetic": document.synthetic}
+    head = {key: getattr(document, key) for key in ("title", "subtitle", "synthetic", "unverified")}
     return head | {"version": find_version(), "blocks": blocks}
 
 
@@ -225,6 +228,7 @@ def _render_html(template: str, document: Document) -> str:
         title=document.title,
         subtitle=document.subtitle,
         synthetic=document.synthetic,
+        unverified=document.unverified,
         version=find_version(),
         blocks=blocks,
         sections=[block for block in blocks if block["kind"] == "heading"],

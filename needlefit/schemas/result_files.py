@@ -99,6 +99,7 @@ class RunTable(_StoredTable):
     rules: dict[str, Cell] = {}
     search_faults: dict[str, list[str]] = {}
     faults: list[str] = []
+    unverified: list[str] = []
     warnings: list[_WarningTable] = []
     validity: _ValidityTable = _ValidityTable()
     parts: list["RunTable"] = []
@@ -146,4 +147,4 @@ class StoredRunTable(_StoredTable):
     run: RunTable
     frames: dict[FileName, FrameTable]
     posteriors: list[str]
-    columnar: dict[FileName, str] = {}
+    columnar: list[FileName] = []

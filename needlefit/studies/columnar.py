@@ -18,11 +18,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import union_categoricals
 
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, DataError
 from needlefit.project.input_files import is_file
-from needlefit.project.manifest import sha256
 from needlefit.project.sandbox import READER_BYTES, limits_for, read_in_sandbox
-from needlefit.studies.packing import damage_error
 
 if TYPE_CHECKING:  # PyArrow is installed with `needlefit[cluster]` only
     from pyarrow import Schema
@@ -230,29 +228,38 @@ class _RowWriter(AbstractContextManager["_RowWriter"]):
         self._rows = []
 
 
-def store_files(frames: Mapping[str, pd.DataFrame], folder: Path) -> dict[str, str]:
-    """Copy the files of frames to `folder`, each under the name of its frame; return their SHA-256."""
+def store_files(frames: Mapping[str, pd.DataFrame], folder: Path) -> list[str]:
+    """Copy the files of frames to `folder`, each under the name of its frame; return the names."""
     files = frames.files if isinstance(frames, ColumnarFrames) else {}
-    return {
-        name: sha256(shutil.copyfile(file.path, folder / f"{name}.parquet")) for name, file in files.items()
-    }
+    for name, file in files.items():
+        shutil.copyfile(file.path, folder / f"{name}.parquet")
+    return list(files)
 
 
-def open_files(folder: Path, digests: Mapping[str, str]) -> dict[str, ColumnarFile]:
+def open_files(folder: Path, names: Iterable[str]) -> dict[str, ColumnarFile]:
     """Return the files of frames in `folder`, by name.
 
     Raises
     ------
     DataError
-        If one is missing, or is not the one with the stored digest.
+        If one is missing.
     ConfigError
         If there are files, and PyArrow is not installed.
     """
-    if not digests:
-        return {}
-    require_pyarrow()
-    files = {name: folder / f"{name}.parquet" for name in digests}
-    for name, file in files.items():
-        if not is_file(file) or sha256(file) != digests[name]:
-            raise damage_error(file, "it is missing, or was changed: the digest does not match")
+    files = {name: folder / f"{name}.parquet" for name in names}
+    if files:
+        require_pyarrow()
+    for file in files.values():
+        if not is_file(file):
+            raise damage_error(file, "it is missing")
     return {name: ColumnarFile(file) for name, file in files.items()}
+
+
+def damage_error(path: Path, why: str) -> DataError:
+    """Return the error for a file of a result that does not hold what it should."""
+    return DataError(
+        f"is damaged: {why}",
+        where=str(path),
+        expected="the file as needlefit wrote it",
+        fix="run it again, or take the file from a copy",
+    )

@@ -1,10 +1,12 @@
 """Report several studies in one folder; the folder is complete, or it is not created."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from needlefit.project.atomic_write import replace_folder
+from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.latex import format_latex
@@ -30,9 +32,11 @@ from needlefit.studies.report import (
     verdict_blocks,
     warning_blocks,
     write_report,
+    write_run,
 )
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import TE, list_held_out_groups
+from needlefit.studies.store import is_combined, restore_runs
 from needlefit.studies.verdict import MAX_FLOOR_RATIO, headline_fault
 
 TEXT = KindText("combined")
@@ -61,7 +65,8 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
                 (new / f"{name}.tex").write_text("\n".join(pages), encoding="utf-8")
         drawn = draw_error_figures(studies, new)
         appendix = [block for result in others for block in _summarize_analysis(result, new)]
-        write_report(compose_overview(studies, tunings, drawn, appendix), new)
+        report = compose_overview(studies, tunings, drawn, appendix)
+        write_report(replace(report, unverified=any(one.unverified for one in runs)), new)
         label_figures(drawn, synthetic)
         every = [*studies, *(one for one in tunings if one not in studies)]
         (new / "numbers.tex").write_text(format_macros(every), encoding="utf-8")
@@ -150,3 +155,28 @@ def _list_warnings(results: Sequence[Run]) -> list[Block]:
         blocks += [document.warning(f"{name}: {headline_fault(fault)}: {fault}.") for fault in one.faults]
         blocks += compose_warnings(list_run_warnings(one), head=f"{name}: ")
     return [document.subheading("Warnings"), *blocks] if blocks else []
+
+
+def rebuild(run: Path, folder: Path, unverified: bool = False) -> list[Run]:
+    """Write tables, figures and report of a stored run to `folder` again, without any computation.
+
+    Returns
+    -------
+    list of Run
+        The run, or those reported together.
+
+    Raises
+    ------
+    DataError
+        If the run stored no results, they do not agree with their manifest (unless `unverified`), or one of
+        several runs reported together is not that one any more.
+    ConfigError
+        If `folder` holds something that is no result.
+    """
+    with convert_stored_errors(run):
+        runs = restore_runs(run, unverified)
+        if is_combined(run):
+            write_combined(runs, folder)
+        else:
+            write_run(runs[0], folder)
+        return runs

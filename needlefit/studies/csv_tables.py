@@ -1,10 +1,7 @@
-"""Read the CSV tables of a stored run, and find its damaged files.
-
-A damaged table is an error that names the file and the column.
-"""
+"""Read the CSV tables of a stored run; a damaged one is an error that names the file and the column."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -14,8 +11,6 @@ import pandas as pd
 
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
-from needlefit.project.manifest import MANIFEST, find_changes, listed_files
-from needlefit.project.run_file import RUN_FILE, read_run
 
 
 @dataclass(frozen=True)
@@ -148,39 +143,3 @@ def _damage_error(path: Path, what: str, column: str = "") -> DataError:
         expected="the table as needlefit wrote it",
         fix="make it again with `needlefit report RUN`, or run it again",
     )
-
-
-def find_damaged_files(folder: Path) -> dict[str, str]:
-    """Return the fault of each damaged file of a run, by file name; empty if there is none.
-
-    `run.json` and the CSV tables are read; every other file is compared with its digest in the stamp of the
-    folder, and a sampled posterior without one is read. Files that are missing are not looked for.
-    """
-    found = dict(_find_unreadable(folder))
-    changed = {name: how for name, how in find_changes(folder).items() if name != MANIFEST}
-    return {name: {**changed, **found}[name] for name in sorted({*changed, *found})}
-
-
-def _find_unreadable(folder: Path) -> Iterator[tuple[str, str]]:
-    try:
-        read_run(folder)
-    except DataError as error:
-        yield RUN_FILE, error.what
-    for path in sorted(folder.glob("*.csv")):
-        try:
-            read_table(path)
-        except DataError as error:
-            yield path.name, error.what
-    listed = listed_files(folder)
-    for path in sorted(folder.glob("posterior*.nc")):
-        if path.name not in listed:
-            yield from _unreadable_posterior(path)
-
-
-def _unreadable_posterior(path: Path) -> Iterator[tuple[str, str]]:
-    from needlefit.inference.sampling.posterior import load  # xarray takes a second
-
-    try:
-        load(path)
-    except DataError as error:
-        yield path.name, error.what

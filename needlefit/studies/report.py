@@ -28,8 +28,9 @@ from needlefit.reporting.tidy import to_tidy
 from needlefit.studies.columnar import iterate_pieces
 from needlefit.studies.fit_warnings import QUALIFYING_WARNINGS
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import Run, store_run
+from needlefit.studies.run import Run
 from needlefit.studies.run_differences import TableComparison
+from needlefit.studies.store import store_run
 from needlefit.studies.validity import VALIDITY_KEY
 from needlefit.studies.verdict import (
     STATUSES,
@@ -316,7 +317,8 @@ def compose_run_report(result: Run, figures: FigurePaths) -> Document:
     ]
     data = "" if result.synthetic else f" · {result.dataset_title}"  # the first block names synthetic data
     subtitle = f"{result.name}{data}. {result.question}".strip()
-    return Document(result.title, subtitle, result.synthetic, tuple(blocks), page.explore(result))
+    found, marked = page.explore(result), bool(result.unverified)
+    return Document(result.title, subtitle, result.synthetic, tuple(blocks), found, marked)
 
 
 def verdict_blocks(result: Run, named: bool = False) -> list[Block]:
@@ -335,7 +337,9 @@ def _format_notebook_html(result: Run) -> str:
         blocks += [document.bullets(page.summarize(result)), *warned]
         blocks += [document.table(table) for table in page.lay_out(result)]
     subtitle = f"{result.name} · {result.dataset_title}"
-    return document.format_html_part(Document(result.title, subtitle, result.synthetic, tuple(blocks)))
+    return document.format_html_part(
+        Document(result.title, subtitle, result.synthetic, tuple(blocks), unverified=bool(result.unverified))
+    )
 
 
 def warning_blocks(result: Run) -> list[Block]:

@@ -1,6 +1,6 @@
-"""The result of a study: tables, provenance, and the file that stores them."""
+"""The result of a study: tables, draws, provenance."""
 
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -8,17 +8,14 @@ from typing import Any, Literal, Self
 import pandas as pd
 
 from needlefit.errors import ConfigError
-from needlefit.inference.sampling.posterior import Posterior, load, save
-from needlefit.project.input_files import convert_stored_errors
-from needlefit.project.json_values import to_json_values
-from needlefit.project.run_file import read_timing, require_schema
-from needlefit.schemas.result_files import StoredRunTable
-from needlefit.studies.columnar import ColumnarFrames, list_columns, open_files, store_files
-from needlefit.studies.kind import KINDS, find_kind
-from needlefit.studies.packing import RESULTS_FILE, damage_error, pack, pack_frame, unpack, unpack_frame
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.studies.kind import find_kind
 from needlefit.studies.verdict import Verdict, judge_run
 
 Frames = MutableMapping[str, pd.DataFrame]
+
+UNVERIFIED_KEY = "unverified"
+"""Of `run.json`: files that did not agree with their manifest, and were used on demand."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +90,11 @@ class Run:
         return self.origin == "synthetic"
 
     @property
+    def unverified(self) -> tuple[str, ...]:
+        """What did not agree with the manifest of the folder that it was read from; every page says so."""
+        return tuple(self.run.get(UNVERIFIED_KEY, ()))
+
+    @property
     def reliable(self) -> bool:
         """Whether it is complete and without faults."""
         return not (self.interrupted or self.faults)
@@ -125,62 +127,3 @@ class Run:
 
     def _repr_html_(self) -> str:
         return find_kind(self.kind).report.format_notebook_html(self)
-
-
-_PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "faults", "run")
-
-
-def store_run(result: Run, folder: Path) -> Path:
-    """Write a result without its times to `folder`; equal results give equal bytes.
-
-    Posteriors and the frames of files stay in files of their own beside it.
-    """
-    files = posterior_file_names(len(result.posteriors))
-    for posterior, file in zip(result.posteriors.values(), files, strict=True):
-        save(posterior, folder / file)
-    columnar = store_files(result.frames, folder)
-    table = {
-        "posteriors": list(result.posteriors),
-        "record": result.record.model_dump(mode="json", by_alias=True),
-        **{key: to_json_values(getattr(result, key)) for key in _PLAIN},
-        "frames": {name: pack_frame(result.frames[name]) for name in result.frames if name not in columnar},
-        **({"columnar": columnar} if columnar else {}),
-    }
-    return pack(table, folder)
-
-
-def posterior_file_names(count: int) -> tuple[str, ...]:
-    """Return the names of the posterior files of a run, in the order of its posteriors."""
-    return ("posterior.nc",) if count == 1 else tuple(f"posterior_{k + 1}.nc" for k in range(count))
-
-
-def restore_run(folder: Path) -> Run:
-    """Read the result that a run stored in `folder`; DataError if it holds none, or a damaged one."""
-    table = unpack(folder)
-    require_schema(table, StoredRunTable, str(folder / RESULTS_FILE))
-    with convert_stored_errors(folder / RESULTS_FILE):
-        if table["kind"] not in KINDS:
-            raise damage_error(folder / RESULTS_FILE, f"there is no kind of study called {table['kind']!r}")
-        kind = find_kind(table["kind"])
-        about: dict[str, Any] = {key: table[key] for key in _PLAIN}
-        frames: Frames = {name: unpack_frame(frame) for name, frame in table["frames"].items()}
-        if columnar := open_files(folder, table.get("columnar", {})):
-            frames = ColumnarFrames({**frames, **columnar})
-        _require_columns(frames, kind.frames)
-        names = table["posteriors"]
-        files = posterior_file_names(len(names))
-        return Run(
-            record=kind.record.model_validate(table["record"]),
-            frames=frames,
-            timing=read_timing(folder),
-            posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
-            **{**about, "faults": tuple(about["faults"])},
-        )
-
-
-def _require_columns(frames: Frames, columns: Mapping[str, Sequence[str]]) -> None:
-    for name, wanted in columns.items():
-        found = list_columns(frames, name) if name in frames else []
-        missing = [column for column in wanted if column not in found]
-        if missing:
-            raise ValueError(f"the table {name} lacks {', '.join(missing)}")

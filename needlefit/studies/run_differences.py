@@ -17,9 +17,10 @@ import pandas as pd
 
 from needlefit.errors import DataError
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.project.run_file import read_run
+from needlefit.project.manifest import require_unchanged
 from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
 from needlefit.studies.kind import find_kind
+from needlefit.studies.store import read_run
 
 MIN_SHIFT_SD = 0.5
 """Part of its standard deviation by which a parameter that is determined may move and stay what it was."""
@@ -146,15 +147,19 @@ _INPUTS = (
 )
 
 
-def compare_runs(before: Path, after: Path) -> list[Difference]:
+def compare_runs(before: Path, after: Path, unverified: bool = False) -> list[Difference]:
     """Return all differences of run folder `after` from `before`: inputs, states, parameters, errors.
 
     Raises
     ------
     DataError
-        If a `run.json` is missing, a file is damaged, or the runs are of different kinds.
+        If a `run.json` is missing, a file is damaged or (unless `unverified`) does not agree with its
+        manifest, or the runs are of different kinds.
     """
     with convert_stored_errors(f"{before} or {after}"):
+        faults = [", ".join(require_unchanged(folder, unverified)) or None for folder in (before, after)]
+        named = "files that do not agree with the manifest"
+        marks = [Difference("state", named, faults[0], faults[1], True, "")] if any(faults) else []
         one, two = read_run(before), read_run(after)
         kinds = [_read_kind(folder, run) for folder, run in ((before, one), (after, two))]
         if kinds[0] != kinds[1]:
@@ -165,7 +170,12 @@ def compare_runs(before: Path, after: Path) -> list[Difference]:
                 fix="compare runs of the same command",
             )
         tables = _compare_folders(kinds[0], before, after)
-        return [*_compare_inputs(one, two), *_compare_states(one, two), *tables]
+        return [
+            *marks,
+            *_compare_inputs(one, two),
+            *_compare_states(one, two),
+            *tables,
+        ]
 
 
 def _read_kind(folder: Path, run: Mapping[str, Any]) -> str:

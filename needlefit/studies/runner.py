@@ -20,9 +20,9 @@ from needlefit.studies import provenance
 from needlefit.studies.fit_warnings import analysis_bound_warnings
 from needlefit.studies.folds import Fold, warn_shared_specimens
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.packing import to_json_value
 from needlefit.studies.run import Frames, Run
 from needlefit.studies.score import Row
+from needlefit.studies.store import to_json_value
 
 FrameRows = dict[str, list[Row]]
 """Rows by the name of the frame that they belong to."""

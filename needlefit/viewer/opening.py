@@ -37,10 +37,10 @@ from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.job import Inputs, Settings, hand_tuned_set, prepare
 from needlefit.studies.needles_in_scan import DEFAULT_DIAMETER_MM, NEEDLE_POINTS, align_with_measured
 from needlefit.studies.new_specimens import NewSpecimens
-from needlefit.studies.packing import unpack
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.report import list_run_warnings
-from needlefit.studies.run import Run, restore_run
+from needlefit.studies.run import Run
+from needlefit.studies.store import restore_run, unpack
 from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay, find_scan, make_measured_overlay
 from needlefit.viewer.recording import Recording
 

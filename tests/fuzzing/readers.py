@@ -3,6 +3,7 @@
 A reader takes the path that a user would name. It is imported late: a worker process reads with few of them.
 """
 
+import gzip
 import json
 import os
 import signal
@@ -129,13 +130,13 @@ def _mesh(path: Path) -> object:
 
 
 def _results(folder: Path) -> object:
-    return _late("studies.rebuild.restore_runs")(folder)
+    return _late("studies.store.restore_runs")(folder, unverified=True)
 
 
 def _content(path: Path) -> object:
     folder = path.parent / "run"
     folder.mkdir(exist_ok=True)
-    (folder / "results.json.gz").write_bytes(_late("studies.packing.with_digest")(path.read_bytes()))
+    (folder / "results.json.gz").write_bytes(gzip.compress(path.read_bytes()))
     return _results(folder)
 
 
@@ -164,11 +165,11 @@ def _kept(folder: Path) -> object:
 
 
 def _run(folder: Path) -> object:
-    return _late("project.run_file.read_run")(folder)
+    return _late("studies.store.read_run")(folder)
 
 
 def _difference(folder: Path) -> object:
-    found = _late("studies.run_differences.compare_runs")(folder / "a", folder / "b")
+    found = _late("studies.run_differences.compare_runs")(folder / "a", folder / "b", unverified=True)
     differences = import_module("needlefit.studies.differences")
     if found:
         differences.lay_out_differences(found)
@@ -178,8 +179,7 @@ def _difference(folder: Path) -> object:
 def _parquet(path: Path) -> object:
     """Read a table with a right digest, as somebody can make it."""
     columnar = import_module("needlefit.studies.columnar")
-    digests = {path.stem: _late("project.manifest.sha256")(path)}
-    frames = columnar.ColumnarFrames(columnar.open_files(path.parent, digests))
+    frames = columnar.ColumnarFrames(columnar.open_files(path.parent, [path.stem]))
     return [len(piece) for piece in columnar.iterate_pieces(frames, path.stem)]
 
 

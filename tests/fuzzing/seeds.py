@@ -421,7 +421,7 @@ def results() -> list[Seed]:
     """What runs store: a study, a fit with its posterior, an analysis."""
     from reporting_results import stereo, study
 
-    from needlefit.studies.run import store_run
+    from needlefit.studies.store import store_run
 
     return [
         written(lambda folder, of=of: store_run(of, folder), ".", ("results.json.gz",))
@@ -430,18 +430,17 @@ def results() -> list[Seed]:
 
 
 def contents() -> list[Seed]:
-    """What stored results hold, before their digest: somebody can make a right one of anything."""
+    """What stored results hold: somebody can make a right file of anything."""
     from reporting_results import study
 
     from needlefit.studies.fit_frames import COLUMNS
-    from needlefit.studies.run import store_run
+    from needlefit.studies.store import store_run
 
     whole = study(1)
     small = whole.with_frames(**{name: whole.frames[name].head(20) for name in COLUMNS})
 
     def write(folder: Path) -> None:
-        content = gzip.decompress(store_run(small, folder).read_bytes()).split(b"\n")[1]
-        (folder / "content.json").write_bytes(content)
+        (folder / "content.json").write_bytes(gzip.decompress(store_run(small, folder).read_bytes()))
 
     return [written(write, "content.json", ("content.json",))]
 

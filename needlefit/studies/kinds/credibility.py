@@ -22,7 +22,6 @@ from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_run
 from needlefit.project.manifest import find_changes, sha256
-from needlefit.project.run_file import RUN_FILE, read_run
 from needlefit.reporting import document
 from needlefit.reporting.columns import find_column
 from needlefit.reporting.document import Block
@@ -37,21 +36,20 @@ from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.names import spreadsheet_text
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import format_proportion
-from needlefit.studies.csv_tables import find_damaged_files, read_table
+from needlefit.studies.csv_tables import read_table
 from needlefit.studies.differences import count_words
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.identification_tables import describe_verdicts
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.packing import RESULTS_FILE, unpack
 from needlefit.studies.provenance import package_versions
 from needlefit.studies.rank_statistics import CONTROL_NAMES, name_quantity
-from needlefit.studies.rebuild import restore_runs
 from needlefit.studies.report import StudyReport, report_from_text, say, warning_blocks
 from needlefit.studies.run import Run
 from needlefit.studies.run_differences import iterate_leaves
 from needlefit.studies.score import Row
 from needlefit.studies.scored_groups import study_label
+from needlefit.studies.store import RESULTS_FILE, RUN_FILE, read_run, restore_runs, unpack
 from needlefit.studies.summary import aggregate
 from needlefit.verification.check import Group
 
@@ -386,7 +384,7 @@ class CredibilityCase:
     statements_file : str
         The name of the file in which they do.
     damaged : tuple of str
-        Files of the run, and `run.json` of folders beside it, that are damaged: each with what is wrong.
+        The `run.json` of folders beside the run that are damaged: each with what is wrong.
     """
 
     folder: Path
@@ -427,8 +425,8 @@ def load_case(
     Raises
     ------
     DataError
-        If its `run.json` is damaged, it stored no results of a study or fit, or a named folder holds no
-        evidence.
+        If it does not agree with its manifest, stored no results of a study or fit, or a named folder holds
+        no evidence.
     """
     read_run(run)
     alone = (run / RESULTS_FILE).is_file() and unpack(run).get("kind") not in FIT_KINDS
@@ -441,19 +439,12 @@ def load_case(
             fix="name such a run; what other commands left beside it is found, or named by --evidence",
         )
     found = tuple(gather_evidence(run, {find_target(one): one.run for one in results}, named))
-    folder = run.resolve()
-    parts = (folder.parent / one.name for one in results if len(results) > 1)
-    faults = [
-        f"{one.name}/{name} {what}"
-        for one in (folder, *parts)
-        for name, what in find_damaged_files(one).items()
-    ]
     unreadable = [
         f"{one.name}/{RUN_FILE} {error.what}"
         for one, error in _read_runs_beside(run)
         if isinstance(error, DataError)
     ]
-    return CredibilityCase(folder, results, found, statements, statements_file, (*faults, *unreadable))
+    return CredibilityCase(run.resolve(), results, found, statements, statements_file, tuple(unreadable))
 
 
 def find_target(results: Run) -> str:

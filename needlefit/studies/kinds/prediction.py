@@ -46,9 +46,9 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.json_values import to_json_values
+from needlefit.project.manifest import require_unchanged
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.run_file import read_run
 from needlefit.project.unit_warnings import scene_warnings
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import METHOD_COLOURS, SPECIMEN_NAMES
@@ -73,7 +73,7 @@ from needlefit.studies.planned_draws import PlannedNeedles, vary_bevels
 from needlefit.studies.posterior_fit import PREDICTION_DRAWS
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import StudyReport, report_from_text
-from needlefit.studies.run import Run, posterior_file_names
+from needlefit.studies.run import Run
 from needlefit.studies.run_differences import (
     MIN_SD_CHANGE,
     MIN_SHIFT_SD,
@@ -82,6 +82,7 @@ from needlefit.studies.run_differences import (
     TableComparison,
 )
 from needlefit.studies.score import Row
+from needlefit.studies.store import posterior_file_names, read_run
 from needlefit.studies.targets import begin_run, prepare_target, target_name
 from needlefit.studies.verdict import Status, Verdict, headline_fault
 
@@ -423,6 +424,7 @@ def _draw_from_run(job: Job, run: Path) -> Draws:
             expected="the folder of a run of one fold that was sampled",
             fix="sample it (`needlefit tune TARGET --sample`), or leave --run out",
         )
+    require_unchanged(run)
     require_same_configuration(job, read_run(run), str(run))
     with convert_stored_errors(run / POSTERIOR_FILE):
         return thin_posterior(load(run / POSTERIOR_FILE), job.parameters, PREDICTION_DRAWS)

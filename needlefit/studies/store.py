@@ -1,0 +1,286 @@
+"""Store a result in a folder, exact to the last digit, and read it again; equal results give equal bytes.
+
+`results.json.gz` holds the record and the tables as JSON; Parquet files and posteriors lie beside it.
+What is read must agree with the manifest of the folder (`project.manifest`).
+"""
+
+import gzip
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel, ValidationError
+
+from needlefit.errors import DataError
+from needlefit.inference.sampling.posterior import load, save
+from needlefit.project.input_files import (
+    MAX_TEXT_BYTES,
+    convert_stored_errors,
+    is_file,
+    open_regular,
+    parse_json,
+    read_json,
+    unreadable_error,
+)
+from needlefit.project.json_values import to_json_values
+from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES
+from needlefit.project.manifest import TIMING_FILE, require_unchanged
+from needlefit.schemas.names import EXPECTED_FILE_NAME, file_name_fault
+from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
+from needlefit.studies.columnar import ColumnarFrames, damage_error, list_columns, open_files, store_files
+from needlefit.studies.kind import KINDS, find_kind
+from needlefit.studies.run import UNVERIFIED_KEY, Frames, Run
+
+RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
+
+FORMAT_VERSION = 6
+"""Of the file of results."""
+
+MAX_UNPACKED_BYTES = 256 * 2**20
+"""Largest size of the text in the file; the studies of the paper have some MB."""
+
+MAX_BRACKETS = 2_000_000
+"""Lists and tables in it: each takes more memory than its text. Columns are one list each."""
+
+MAX_RUN_BYTES = 32 * 2**20
+"""Size of a `run.json`; those of several studies together have some hundred kB."""
+
+_PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "faults", "run")
+
+
+def store_run(result: Run, folder: Path) -> Path:
+    """Write a result without its times to `folder`; return the file of results."""
+    files = posterior_file_names(len(result.posteriors))
+    for posterior, file in zip(result.posteriors.values(), files, strict=True):
+        save(posterior, folder / file)
+    columnar = store_files(result.frames, folder)
+    table = {
+        "posteriors": list(result.posteriors),
+        "record": result.record.model_dump(mode="json", by_alias=True),
+        **{key: to_json_values(getattr(result, key)) for key in _PLAIN},
+        "frames": {name: _pack_frame(result.frames[name]) for name in result.frames if name not in columnar},
+        **({"columnar": columnar} if columnar else {}),
+    }
+    return pack(table, folder)
+
+
+def posterior_file_names(count: int) -> tuple[str, ...]:
+    """Return the names of the posterior files of a run, in the order of its posteriors."""
+    return ("posterior.nc",) if count == 1 else tuple(f"posterior_{k + 1}.nc" for k in range(count))
+
+
+def restore_run(folder: Path, unverified: bool = False) -> Run:
+    """Read the result that a run stored in `folder`.
+
+    Parameters
+    ----------
+    folder : Path
+    unverified : bool
+        Whether files that do not agree with the manifest are used. The run then has them as a fault, and is
+        marked on every page.
+
+    Raises
+    ------
+    DataError
+        If it holds no result, a damaged one, or one that does not agree with its manifest.
+    """
+    table = unpack(folder)
+    changes = require_unchanged(folder, unverified)
+    require_schema(table, StoredRunTable, str(folder / RESULTS_FILE))
+    with convert_stored_errors(folder / RESULTS_FILE):
+        if table["kind"] not in KINDS:
+            raise damage_error(folder / RESULTS_FILE, f"there is no kind of study called {table['kind']!r}")
+        kind = find_kind(table["kind"])
+        about: dict[str, Any] = {key: table[key] for key in _PLAIN}
+        if changes:
+            about["run"] = {**about["run"], UNVERIFIED_KEY: list(changes)}
+            about["faults"] = [*about["faults"], f"does not agree with its manifest: {', '.join(changes)}"]
+        frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
+        if columnar := open_files(folder, table.get("columnar", ())):
+            frames = ColumnarFrames({**frames, **columnar})
+        _require_columns(frames, kind.frames)
+        names = table["posteriors"]
+        files = posterior_file_names(len(names))
+        return Run(
+            record=kind.record.model_validate(table["record"]),
+            frames=frames,
+            timing=read_timing(folder),
+            posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
+            **{**about, "faults": tuple(about["faults"])},
+        )
+
+
+def _require_columns(frames: Frames, columns: Mapping[str, Sequence[str]]) -> None:
+    for name, wanted in columns.items():
+        found = list_columns(frames, name) if name in frames else []
+        missing = [column for column in wanted if column not in found]
+        if missing:
+            raise ValueError(f"the table {name} lacks {', '.join(missing)}")
+
+
+def restore_runs(run: Path, unverified: bool = False) -> list[Run]:
+    """Return the stored run, or each of several runs that were reported together; else as `restore_run`."""
+    if not is_combined(run):
+        return [restore_run(run, unverified)]
+    require_unchanged(run, unverified)
+    parts = read_run(run)
+    first = [name for name in (*PAPER_STUDIES, *PAPER_FITS) if name in parts]
+    found = []
+    for name in dict.fromkeys([*first, *parts]):
+        folder = run.parent / name
+        # A run repeated since the report of several would mix two states of the data.
+        if read_run(folder) != parts[name]:
+            raise DataError(
+                f"is not the run that `{run.name}` reports",
+                where=str(folder),
+                fix=f"run `needlefit validate {run.name}` again, or report the single runs",
+            )
+        found.append(restore_run(folder, unverified))
+    return found
+
+
+def is_combined(run: Path) -> bool:
+    """Return whether a folder is of several runs, which are reported together."""
+    return not is_file(run / RESULTS_FILE) and _holds_several_runs(read_run(run))
+
+
+def read_run(folder: Path) -> dict[str, Any]:
+    """Return what the run in a folder was computed with: of one run, or of several by name.
+
+    Raises
+    ------
+    DataError
+        If its file is missing or damaged, or a value in it is of another type than needlefit writes.
+    """
+    path = folder / RUN_FILE
+    table = read_json(path, MAX_RUN_BYTES)
+    if not isinstance(table, dict):
+        raise DataError("holds no table", where=str(path), expected="a JSON object", fix="run it again")
+    if _holds_several_runs(table):
+        for name, part in table.items():
+            if fault := file_name_fault(name):  # each names the folder of its run
+                raise DataError(
+                    f"names a run {name!r:.40}: {fault}",
+                    where=str(path),
+                    expected=EXPECTED_FILE_NAME,
+                    fix="run it again, or take the file from a copy",
+                )
+            require_schema(part, RunTable, f"{path}, key {name:.40}")
+    else:
+        require_schema(table, RunTable, str(path))
+    return table
+
+
+def read_timing(folder: Path) -> dict[str, Any]:
+    """Return times and durations of a run, empty if it has no `timing.json`; DataError if that is damaged."""
+    path = folder / TIMING_FILE
+    if not is_file(path):
+        return {}
+    table = read_json(path, MAX_RUN_BYTES)
+    require_schema(table, TimingTable, str(path))
+    return dict(table)
+
+
+def _holds_several_runs(table: dict[str, Any]) -> bool:
+    """Return whether a `run.json` is that of several runs, by name: of a single one some values are words."""
+    return bool(table) and all(isinstance(part, dict) for part in table.values())
+
+
+def require_schema(table: object, form: type[BaseModel], where: str) -> None:
+    """Raise DataError, with the first key at fault, if a table read from a file has not its declared form."""
+    try:
+        form.model_validate(table)
+    except ValidationError as error:
+        fault = error.errors(include_url=False, include_input=False, include_context=False)[0]
+        key = ".".join(f"{part!s:.40}" for part in fault["loc"][:6])
+        raise DataError(
+            f"is damaged: {fault['msg'][:200]}",
+            where=f"{where}, key `{key}`" if key else where,
+            expected="what needlefit wrote there",
+            fix="run it again, or take the file from a copy",
+        ) from None
+
+
+# --- the file of results --------------------------------------------------------------------------------
+
+
+def pack(table: Mapping[str, Any], folder: Path) -> Path:
+    """Write a table of JSON values and arrays to `folder`."""
+    path = folder / RESULTS_FILE
+    text = json.dumps({"format": FORMAT_VERSION, **table}, ensure_ascii=False, default=to_json_value)
+    path.write_bytes(gzip.compress(text.encode("utf-8"), 6, mtime=0))
+    return path
+
+
+def unpack(folder: Path) -> dict[str, Any]:
+    """Read the table that a run stored in `folder`; it is not compared with the manifest.
+
+    Raises
+    ------
+    DataError
+        If it holds none, or one that is damaged, too large or of another version.
+    """
+    path = folder / RESULTS_FILE
+    if not is_file(path):
+        raise DataError(
+            "holds no stored results",
+            where=str(folder),
+            expected=f"{RESULTS_FILE}, which needlefit writes into each run",
+            fix="name the folder of a run",
+        )
+    data = _unzip(path)
+    if data.count(b"[") + data.count(b"{") > MAX_BRACKETS:
+        raise damage_error(path, f"it holds more than {MAX_BRACKETS} lists and tables")
+    try:
+        table = parse_json(data.decode("utf-8"), str(path))
+    except UnicodeDecodeError:
+        raise damage_error(path, "it is not UTF-8") from None
+    if not isinstance(table, dict):
+        raise damage_error(path, "it holds no table")
+    if table.get("format") != FORMAT_VERSION:
+        raise DataError(
+            "is of a format that this version cannot read",
+            where=str(path),
+            expected=f"format {FORMAT_VERSION}",
+            fix="read it with the version that wrote it, or run it again",
+        )
+    return table
+
+
+def _unzip(path: Path) -> bytes:
+    """Return the bytes in a gzip file, unpacked up to `MAX_UNPACKED_BYTES`."""
+    with open_regular(path, MAX_TEXT_BYTES) as file:
+        try:
+            with gzip.GzipFile(fileobj=file) as unzipped:
+                data = unzipped.read(MAX_UNPACKED_BYTES + 1)
+        except (gzip.BadGzipFile, EOFError, zlib.error):
+            raise damage_error(path, "it is no complete gzip file") from None
+        except OSError as fault:
+            raise unreadable_error(fault, DataError, str(path)) from None
+    if len(data) > MAX_UNPACKED_BYTES:
+        raise damage_error(path, f"it unpacks to more than {MAX_UNPACKED_BYTES / 2**20:.0f} MiB")
+    return data
+
+
+def _pack_frame(frame: pd.DataFrame) -> dict[str, Any]:
+    columns = {str(name): frame[name].tolist() for name in frame}
+    return {"types": {name: str(frame[name].dtype) for name in columns}, "columns": columns}
+
+
+def _unpack_frame(table: Mapping[str, Any]) -> pd.DataFrame:
+    columns = table["columns"]
+    return pd.DataFrame(
+        {name: pd.Series(columns[name], dtype=kind) for name, kind in table["types"].items()},
+        columns=list(columns),
+    )
+
+
+def to_json_value(value: object) -> object:
+    """Return a numpy array or number as a JSON value."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be stored")
