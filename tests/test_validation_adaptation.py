@@ -27,11 +27,11 @@ from needlefit.studies.kinds.adaptation import (
     REPORT,
     AdaptationRecord,
     AdaptationTask,
+    Resampling,
     draw_orders,
     estimate,
     estimate_needed_count,
     plan,
-    resample,
 )
 from needlefit.studies.runner import run_analysis
 from tests.inference_cases import dataset, insertion, measure, medium, squares_recipe
@@ -45,7 +45,9 @@ def _even(values, again):
 @pytest.mark.parametrize(("limit", "value"), [(2.5, 3), (3.0, 1), (5.0, 0), (0.5, np.inf)])
 def test_a_count_is_the_first_from_which_on_the_mean_stays_within_the_limit(limit, value):
     # the mean is 5, 1, 3, 1: one insertion is enough for a moment, three are for good
-    means = _even([[6.0, 1.0, 4.0, 1.0], [4.0, 1.0, 2.0, 1.0]], resample(2, 1, np.random.default_rng(1)))
+    means = _even(
+        [[6.0, 1.0, 4.0, 1.0], [4.0, 1.0, 2.0, 1.0]], Resampling.draw(2, 1, np.random.default_rng(1))
+    )
     found = estimate_needed_count(means, (0, 1, 2, 3), np.full(len(means), limit))
     assert found.value == value
     assert np.isfinite(value) or (found.low, found.high) == (np.inf, np.inf)
@@ -53,18 +55,18 @@ def test_a_count_is_the_first_from_which_on_the_mean_stays_within_the_limit(limi
 
 def test_the_interval_of_a_count_is_what_other_orders_would_have_given():
     # with the first order alone one insertion is enough, with the second alone two
-    means = _even([[9.0, 1.0, 1.0], [9.0, 5.0, 1.0]], resample(2, 1, np.random.default_rng(1)))
+    means = _even([[9.0, 1.0, 1.0], [9.0, 5.0, 1.0]], Resampling.draw(2, 1, np.random.default_rng(1)))
     found = estimate_needed_count(means, (0, 1, 2), np.full(len(means), 2.0))
     assert (found.value, found.low, found.high) == (2, 1, 2)
 
 
 def test_an_interval_is_of_needles_even_where_all_orders_agree_and_a_gain_is_paired_order_by_order():
     # two needles gain 0 and 1, whatever the order: their mean is 0.5, drawn again 0, 0.5 or 1
-    again = resample(3, 2, np.random.default_rng(1))
+    again = Resampling.draw(3, 2, np.random.default_rng(1))
     found = estimate(again.means(np.tile([0.0, 1.0], (3, 1, 1)))[:, 0])
     assert (found.value, found.low, found.high) == (0.5, 0.0, 1.0)
     # orders differ by far more than the ways do, which leaves the difference sure
-    again, methods = resample(3, 1, np.random.default_rng(1)), np.array([[1.0], [10.0], [100.0]])
+    again, methods = Resampling.draw(3, 1, np.random.default_rng(1)), np.array([[1.0], [10.0], [100.0]])
     found = estimate((_even(methods, again) - _even(methods - 0.5, again))[:, 0])
     assert (found.value, found.low, found.high) == pytest.approx((0.5, 0.5, 0.5))
 

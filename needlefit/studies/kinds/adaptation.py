@@ -21,6 +21,7 @@ from pydantic import Field
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
+from needlefit.inference.fit import Fit
 from needlefit.inference.predict import Draws
 from needlefit.inference.transferred_prior import TransferProblem, TransferredPrior
 from needlefit.project.random_streams import random_stream
@@ -260,7 +261,7 @@ def run(name: str, record: AdaptationRecord, settings: Settings) -> Run:
 
 def plan(task: AdaptationTask) -> AnalysisPlan:
     """Return the tasks: score the old model as it is, and each approach fitted to each new set."""
-    tasks: dict[str, AnalysisTask] = {"none": partial(_score_no_update, task)}
+    tasks: dict[str, AnalysisTask] = {"none": partial(_run_task, task, "none", ())}
     for approach in ("inflated", "new"):
         for ids in task.sets:
             if ids or approach == "inflated":
@@ -272,60 +273,38 @@ def plan(task: AdaptationTask) -> AnalysisPlan:
     )
 
 
-@dataclass(frozen=True)
-class _MediumKnowledge:
-    """The knowledge of a medium in one approach: best values, draws, and the checks of the draws."""
-
-    values: Mapping[str, float]
-    draws: Draws
-    k: float = math.nan
-    sampled: bool = False
-
-
-def _from_fit(learned: PosteriorFit) -> _MediumKnowledge:
-    return _MediumKnowledge(learned.fit.values, learned.draws, learned.k, learned.sampled)
-
-
-def _score_no_update(task: AdaptationTask) -> FrameRows:
-    return _score_rows(task, task.old, ("none", ()), _from_fit(task.old_posterior))
-
-
 def _run_task(task: AdaptationTask, approach: str, ids: tuple[str, ...]) -> FrameRows:
-    """Learn from a set of new insertions in one way, and score what is held out."""
-    if not ids:
-        return _score_rows(task, task.new, (approach, ids), _from_prior(task.transferred, task.new))
-    fold = Fold(f"{approach}: {name_set(ids)}", tuple(task.training[one] for one in ids), ())
-    problem = task.new.problem(fold)
-    if approach == "inflated":
-        problem = TransferProblem.of(problem, task.transferred)
-    learned = fit_posterior(task.new, problem, (fold.name,), task.settings)
-    return _score_rows(task, task.new, (approach, ids), _from_fit(learned))
-
-
-def _from_prior(transferred: TransferredPrior, job: Job) -> _MediumKnowledge:
-    """Return what is expected before any insertion: the prior's peak, and draws of the prior."""
-    drawn = transferred.draw(PREDICTION_DRAWS, random_stream(job.recipe.seed, job.name, "expected"))
-    expected = transferred.parameters.values(transferred.parameters.expected)
-    return _MediumKnowledge(expected, Draws(drawn, "importance"))
-
-
-def _score_rows(
-    task: AdaptationTask, job: Job, where: tuple[str, tuple[str, ...]], known: _MediumKnowledge
-) -> FrameRows:
-    """Score every held-out needle along its planned path, and say how it was predicted."""
-    approach, ids = where
+    """Learn from a set of new insertions in one way, and score held-out needles along their planned paths."""
+    job = task.old if approach == "none" else task.new
+    name = f"{approach}: {name_set(ids)}"
+    learned = _learn(task, approach, Fold(name, tuple(task.training[one] for one in ids), ()))
+    values, draws = learned.fit.values, learned.draws
     head: Row = {"method": approach, "learned_from": name_set(ids), "n": len(ids)}
-    fold = Fold(f"{approach}: {name_set(ids)}", (), task.held_out)
-    predictor = model_predictor(known.values, job.medium, job.dataset)
-    rows = [] if known.draws.faults else tabulate_held_out(job, fold, known.draws)
+    predictor = model_predictor(values, job.medium, job.dataset)
+    rows = [] if draws.faults else tabulate_held_out(job, Fold(name, (), task.held_out), draws)
     predicted = {row["insertion"]: row for row in rows}
     errors = []
     for insertion in task.held_out:
         row = {**score_planned(job, insertion, predictor), **predicted.get(insertion.id, {}), **head}
         errors.append({name: row.get(name) for name in list_frames()["errors"]})
-    about = {**head, "pareto_k": known.k, "sampled": known.sampled}
-    fits = [{**about, "parameter": name, "value": value} for name, value in known.values.items()]
+    about = {**head, "pareto_k": learned.k, "sampled": learned.sampled}
+    fits = [{**about, "parameter": name, "value": value} for name, value in values.items()]
     return {"errors": errors, "fits": fits}
+
+
+def _learn(task: AdaptationTask, approach: str, fold: Fold) -> PosteriorFit:
+    """Return what is known in one approach: before any insertion the prior's peak, and draws of the prior."""
+    if approach == "none":
+        return task.old_posterior
+    if not fold.tune:
+        prior, rng = task.transferred, random_stream(task.new.recipe.seed, task.new.name, "expected")
+        theta, drawn = prior.parameters.expected, Draws(prior.draw(PREDICTION_DRAWS, rng), "importance")
+        fit = Fit(tuple(theta), prior.parameters.values(theta), math.nan, (), 0, 0, interrupted=False)
+        return PosteriorFit(fit, drawn, math.nan)
+    problem = task.new.problem(fold)
+    if approach == "inflated":
+        problem = TransferProblem.of(problem, task.transferred)
+    return fit_posterior(task.new, problem, (fold.name,), task.settings)
 
 
 # ---- learning curves, and what they say
@@ -347,15 +326,18 @@ class Resampling:
     orders: Floats
     needles: Floats
 
+    @classmethod
+    def draw(cls, orders: int, needles: int, rng: np.random.Generator) -> "Resampling":
+        """Draw the weights of so many orders and needles."""
+        drawn = [
+            rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES) for count in (orders, needles)
+        ]
+        return cls(*(np.vstack([np.ones(one.shape[1]), one]) / one.shape[1] for one in drawn))
+
     def means(self, values: Floats) -> Floats:
         """Return the means (R, N) of `values` (O, N, H) in every repetition."""
         averaged: Floats = np.einsum("ro,onh,rh->rn", self.orders, values, self.needles, optimize=True)
         return averaged
-
-
-def resample(orders: int, needles: int, rng: np.random.Generator) -> Resampling:
-    """Draw the bootstrap weights of orders and needles."""
-    return Resampling(_weights(orders, rng), _weights(needles, rng))
 
 
 def estimate_needed_count(means: Floats, counts: Sequence[int], limits: Floats) -> Estimate:
@@ -373,20 +355,9 @@ def estimate(values: Floats) -> Estimate:
     return Estimate(float(values[0]), float(low), float(high))
 
 
-def _weights(count: int, rng: np.random.Generator) -> Floats:
-    drawn = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES)
-    # row 0 is the estimate itself, the others are its bootstrap repetitions
-    return np.vstack([np.ones(count), drawn]) / count
-
-
 def list_error_names() -> list[str]:
     """Return the metrics for which the needed number of insertions is estimated."""
     return [metric.name for metric in list_length_metrics()]
-
-
-def list_curve_names() -> list[str]:
-    """Return the columns of the learning curves: means over the held-out needles."""
-    return [*list_error_names(), *PREDICTION_SCORES]
 
 
 def conclude(task: AdaptationTask, frames: Frames) -> tuple[str, ...]:
@@ -406,7 +377,7 @@ def conclude(task: AdaptationTask, frames: Frames) -> tuple[str, ...]:
     }
     frames["adaptation"] = means.assign(**{f"floor_{error}": floor for error, floor in floors.items()})
     rng = random_stream(task.new.recipe.seed, task.new.name, "drawn again")
-    resampling = resample(len(task.orders), len(task.held_out), rng)
+    resampling = Resampling.draw(len(task.orders), len(task.held_out), rng)
     frames["insertions_needed"] = pd.DataFrame(list(_needed_rows(task, frames["errors"], resampling)))
     frames["gains"] = pd.DataFrame(list(_gain_rows(task, frames["errors"], resampling)))
     return _find_faults(frames)
@@ -414,8 +385,9 @@ def conclude(task: AdaptationTask, frames: Frames) -> tuple[str, ...]:
 
 def _curve_rows(task: AdaptationTask, errors: pd.DataFrame) -> Iterator[Row]:
     """Yield every order's mean errors over the held-out needles, for each way and count."""
-    numbers = errors.assign(**{name: errors[name].astype(float) for name in list_curve_names()})
-    means = numbers.groupby(["method", "learned_from"], sort=False)[list_curve_names()].mean()
+    names = [*list_error_names(), *PREDICTION_SCORES]
+    numbers = errors.astype(dict.fromkeys(names, float))
+    means = numbers.groupby(["method", "learned_from"], sort=False)[names].mean()
     known = {key: means.loc[key].to_dict() for key in means.index}
     for approach in APPROACHES:
         for order, ids in enumerate(task.orders):
@@ -428,7 +400,7 @@ def _curve_rows(task: AdaptationTask, errors: pd.DataFrame) -> Iterator[Row]:
 def _average_orders(curves: pd.DataFrame) -> pd.DataFrame:
     """Return mean, median and range over orders of the errors, and the mean of all else."""
     grouped = curves.groupby(["method", "n"], sort=False)
-    found = grouped[list_curve_names()].mean()
+    found = grouped[[*list_error_names(), *PREDICTION_SCORES]].mean()
     for error in list_error_names():
         for what in ("median", "min", "max"):
             found[error.replace("_mm", f"_{what}_mm")] = grouped[error].agg(what)
@@ -607,27 +579,16 @@ def draw(result: Run) -> dict[str, Drawing]:
     frame = result.frames["adaptation"].assign(origin=result.origin)
     if frame.empty:
         return {}
-    panels = [
-        Panel(
-            f"{metric.label} (mm)",
-            line=metric.name,
-            dots=metric.name,
-            low=metric.name.replace("_mm", "_min_mm"),
-            high=metric.name.replace("_mm", "_max_mm"),
-            log=True,
-            reference=(float(frame[f"floor_{metric.name}"].iloc[0]), "noise floor"),
-        )
-        for metric in list_length_metrics()
-    ]
+    panels = []
+    for metric in list_length_metrics():
+        name, floor = metric.name, float(frame[f"floor_{metric.name}"].iloc[0])
+        low, high = (name.replace("_mm", f"_{end}_mm") for end in ("min", "max"))
+        known = (floor, "noise floor")
+        panels.append(Panel(f"{metric.label} (mm)", name, name, low, high, log=True, reference=known))
+    share: dict[str, Any] = {"limits": (-0.05, 1.05), "reference": (0.95, "")}
     panels += [
-        Panel("CRPS of the tip (mm)", line="tip_crps_mm", dots="tip_crps_mm", log=True),
-        Panel(
-            "tips in their 95 % interval",
-            line="tip_in_95",
-            dots="tip_in_95",
-            limits=(-0.05, 1.05),
-            reference=(0.95, ""),
-        ),
+        Panel("CRPS of the tip (mm)", "tip_crps_mm", "tip_crps_mm", log=True),
+        Panel("tips in their 95 % interval", "tip_in_95", "tip_in_95", **share),
     ]
     looks = {key: Look(name, APPROACH_COLOURS[key]) for key, name in APPROACH_NAMES.items()}
     options = {"x": "n", "by": "method", "panels": panels, "looks": looks, "columns": 2}
