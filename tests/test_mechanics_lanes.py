@@ -11,7 +11,6 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import native, reference
 from needlefit.mechanics.batch import Batch, NeedleShapes, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
@@ -239,12 +238,6 @@ def test_different_insertions_come_back_in_their_order() -> None:
     for batch, shapes in zip(batches, found, strict=True):
         assert_same_bits(shapes, one(batch, 1))
     assert simulate_batches([]) == ()
-
-
-def test_array_shapes_are_those_of_the_batch() -> None:
-    batch = broad(3)
-    shapes = one(batch)
-    assert len(shapes) == len(batch) == 3 and isinstance(shapes[1], NeedleShape)
 
 
 @pytest.mark.parametrize(
