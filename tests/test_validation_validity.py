@@ -16,7 +16,7 @@ from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.kinds.sensitivity import VariationRecord
 from needlefit.studies.score import Scorer, model_predictor
-from needlefit.studies.validity import ValidityCounts, describe_outside, validity_warnings
+from needlefit.studies.validity import ValidityCounts, describe_outside, list_outside
 
 STEEP = {**TRUTH, "bevel_mm": 0.9}
 
@@ -47,21 +47,21 @@ def test_scored_simulations_are_counted_and_named():
     assert [row["method"] for row in table["scored_outside"]] == ["fitted", "hand_tuned"]
     (row,) = [row for row in table["scored_outside"] if row["method"] == "fitted"]
     assert row["insertion"] == one.id and row["faults"]
-    (warning,) = validity_warnings({"validity": table})
-    assert warning.kind == "validity" and "1 " in warning.what
+    (words,) = list_outside({"validity": table})
+    assert words.startswith("1 ")
     assert "2 of 3" in describe_outside({"validity": table})
 
 
 def test_a_run_inside_its_limits_has_no_warning():
     counts = ValidityCounts()
     counts.draws.add(400, 0)
-    assert list(validity_warnings({"validity": counts.table()})) == []
+    assert list_outside({"validity": counts.table()}) == []
     assert describe_outside({"validity": counts.table()}) == ""
-    assert describe_outside({}) == "" and list(validity_warnings({})) == []
+    assert describe_outside({}) == "" and list_outside({}) == []
     counts.draws.add(400, 3)  # fewer than one in a hundred
-    assert list(validity_warnings({"validity": counts.table()})) == []
+    assert list_outside({"validity": counts.table()}) == []
     counts.draws.add(400, 30)
-    assert len(list(validity_warnings({"validity": counts.table()}))) == 1
+    assert len(list_outside({"validity": counts.table()})) == 1
     assert read_warnings({}) == ()
 
 
