@@ -8,7 +8,7 @@ import pytest
 
 from needlefit.inference.fit import Fit
 from needlefit.inference.predict import Draws
-from needlefit.planning.aiming import ExecutionDraw, TargetSite, aim_straight, optimize_aim
+from needlefit.planning.aiming import Aim, ExecutionDraw, TargetSite, aim_straight, optimize_aim
 from needlefit.planning.goals import compute_clearances
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.studies import further_insertion
@@ -52,10 +52,15 @@ def few_draws(monkeypatch) -> None:
     monkeypatch.setattr(plan, "TEST_DRAWS", 6)
 
 
+def optimize(where: TargetSite, values: dict[str, float]) -> Aim:
+    return optimize_aim(where, [ExecutionDraw(values)], values)
+
+
 def test_without_a_bevel_the_best_plan_is_the_straight_aim():
-    values = {**SOFT, "bevel_mm": 0.0}
-    found = optimize_aim(site(), [ExecutionDraw(values)], values)
-    aimed = aim_straight(site().entry_plane, (45.0, 3.0), 0.0, 1)
+    found, aimed = (
+        optimize(site(), {**SOFT, "bevel_mm": 0.0}),
+        aim_straight(site().entry_plane, (45.0, 3.0), 0.0, 1),
+    )
     assert found.rms < 1e-3
     assert (found.offset, found.angle, found.depth) == pytest.approx((3.0, 0.0, 45.0), abs=1e-3)
     assert (aimed.offset, aimed.depth) == (3.0, 45.0)
@@ -63,10 +68,7 @@ def test_without_a_bevel_the_best_plan_is_the_straight_aim():
 
 def test_a_target_on_the_other_side_turns_the_bevel_over():
     """Straight ahead, only bending reaches beside the axis."""
-    one, other = (
-        optimize_aim(site(target_mm=[45, y], entry_plane=AHEAD), [ExecutionDraw(SOFT)], SOFT)
-        for y in (1.5, -1.5)
-    )
+    one, other = (optimize(site(target_mm=[45, y], entry_plane=AHEAD), SOFT) for y in (1.5, -1.5))
     assert (one.side, other.side) == (1, -1)
     assert one.rms == pytest.approx(other.rms, abs=1e-4)
     assert one.depth == pytest.approx(other.depth, abs=1e-2)
@@ -75,7 +77,7 @@ def test_a_target_on_the_other_side_turns_the_bevel_over():
 def test_a_plan_passes_by_an_obstacle_on_the_straight_way():
     obstacle = ObstacleRecord(name="vessel", centre_mm=(25.0, 2.0), radius_mm=2.0, margin_mm=0.5)
     where = site(obstacles=[obstacle.model_dump()])
-    (path,) = where.find_paths(optimize_aim(where, [ExecutionDraw(SOFT)], SOFT), [ExecutionDraw(SOFT)], SOFT)
+    (path,) = where.find_paths(optimize(where, SOFT), [ExecutionDraw(SOFT)], SOFT)
     assert compute_clearances(path[None], obstacle)[0] > 0.49
     assert np.linalg.norm(path[-1] - (45.0, 3.0)) < 0.02
 
@@ -131,19 +133,15 @@ def test_the_template_s_specimen_decides_unless_the_study_does(tuned, stated, di
     assert (found is not None) == differs
 
 
-@pytest.mark.sweep
-def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch, few_draws):
-    monkeypatch.setattr(plan, "SEARCH_DRAWS", 8)
-    monkeypatch.setattr(plan, "TEST_DRAWS", 20)
-    answer = plan.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
+def test_the_answer_is_tried_on_fresh_draws_and_written(world):
+    answer = world.restore("plan")
     plans = answer.frames["plans"].set_index("method")
     assert plans["rms_mm"]["expected"] < plans["rms_mm"]["straight"]
     misses = answer.frames["misses"].query("method == 'expected'")["miss_mm"]
-    assert len(misses) == 20
+    assert len(misses) == plan.TEST_DRAWS
     beyond = answer.frames["exceedances"].set_index(["method", "limit_mm"])["share"]
     assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
-    assert "45" in REPORT.summarize(answer)[0]
-    written = {path.name for path in write_run(answer, tmp_path / "out").iterdir()}
+    written = {path.name for path in world.find("plan").iterdir()}
     assert {"plane.pdf", "plane.csv", "within.pdf", "within.csv", "report.pdf"} <= written
 
 

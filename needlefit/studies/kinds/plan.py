@@ -91,20 +91,12 @@ class PlanRecord(TunedAnalysisRecord):
 
 KIND = StudyKind("plan", PlanRecord, __name__)
 
-SEARCH_DRAWS, TEST_DRAWS = 60, 1000
-"""Draws on which a plan is sought, and others on which it is tried."""
-
-FIGURE_NEEDLES = 80
-"""Needles of the plan that are kept to be drawn."""
-
-BOUND_TOLERANCE = 0.05
-"""Values nearer to a bound, mm or degrees, are printed as the bound."""
-
-LAYER_RAYS = 121
-"""Lines along x on which the layers of the plane are found."""
+SEARCH_DRAWS, TEST_DRAWS = 60, 1000  #: draws on which a plan is sought, and others on which it is tried
+FIGURE_NEEDLES = 80  #: needles of the plan that are kept to be drawn
+BOUND_TOLERANCE = 0.05  #: values nearer to a bound, mm or degrees, are printed as the bound
+LAYER_RAYS = 121  #: lines along x on which the layers of the plane are found
 
 EXPECTED, BEST_FIT, HAND_TUNED, STRAIGHT = "expected", "best_fit", "hand_tuned", "straight"
-
 TARGET = "target"
 
 _PLAN_COLUMNS = {"offset": "offset_mm", "angle": "angle_deg", "depth": "depth_mm"}
