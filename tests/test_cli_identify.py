@@ -17,7 +17,7 @@ from needlefit.inference.identifiability.identify import AGREEMENT
 from needlefit.inference.identifiability.precision import KNOWN_BY_PRIOR
 from needlefit.studies import job
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.kinds.identification.report import describe_design
+from needlefit.studies.kinds.identification import describe_design
 
 
 @pytest.fixture

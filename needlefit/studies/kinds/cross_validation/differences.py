@@ -14,8 +14,8 @@ from needlefit.inference.proportions import Proportion, estimate_proportion
 from needlefit.metrics import list_metrics
 from needlefit.reporting.labels import group_name
 from needlefit.studies.csv_tables import TableSchema
+from needlefit.studies.identification_tables import IDENTIFICATION_COMPARISON
 from needlefit.studies.kinds.cross_validation.tables import CONDITIONAL, NOT_DETERMINED
-from needlefit.studies.kinds.identification.differences import IDENTIFICATION_COMPARISON
 from needlefit.studies.run_differences import (
     CRPS_NOISE_FRACTION,
     MIN_SD_CHANGE,

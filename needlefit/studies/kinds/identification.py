@@ -1,0 +1,356 @@
+"""Find which parameters the insertions of a design determine, before any measured shape, and by a fit."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from needlefit.errors import ConfigError, FitError
+from needlefit.inference.fit import Fit
+from needlefit.inference.identifiability.design_gain import ExpectedPrecision, expect_precision
+from needlefit.inference.identifiability.identify import (
+    AGREEMENT,
+    MIN_NAMED_WEIGHT,
+    describe_posterior_sd,
+    profile_parameters,
+)
+from needlefit.inference.identifiability.precision import (
+    MAX_LOG_SD,
+    UNINFORMED_SD_RATIO,
+    add_estimated_noise,
+    describe_combination,
+    format_combination_sd,
+    format_sd,
+    is_determined_by_data,
+    loosen,
+    short_name,
+)
+from needlefit.inference.parameters import is_logarithmic
+from needlefit.project.random_streams import random_stream
+from needlefit.project.result_warnings import read_warnings, warnings_entry
+from needlefit.reporting.document import Block
+from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.number_format import insert_symbols
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_layout import TableLayout
+from needlefit.reporting.text import KindText
+from needlefit.schemas.analyses import TargetRecord
+from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, identify_parameters
+from needlefit.studies.identification_tables import (
+    IDENTIFICATION_COMPARISON,
+    describe_verdicts,
+    format_small_mm,
+    lay_out_identification,
+)
+from needlefit.studies.job import Job, Settings
+from needlefit.studies.kind import StudyKind
+from needlefit.studies.kinds.cross_validation.run import run as cross_validate
+from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
+from needlefit.studies.report import FigurePaths, StudyReport
+from needlefit.studies.run import Run
+from needlefit.studies.targets import begin_run, prepare_target, target_name
+from needlefit.studies.verdict import Verdict
+
+
+class IdentificationRecord(TargetRecord):
+    """`kind = "identification"`: which parameters the insertions determine."""
+
+    kind: Literal["identification"]
+    fit: bool = False
+    """Whether the insertions are fitted too, so that the measured shapes are analysed beside the design."""
+
+
+KIND = StudyKind("identification", IdentificationRecord, __name__)
+"""What `needlefit identify` runs, or a study file."""
+
+FRAMES: Mapping[str, tuple[str, ...]] = {"identify": ("stage", *IDENTIFICATION_COLUMNS)}
+
+
+def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
+    """Find what depths, layers, sides, poses and noise of the insertions identify, and a fit to them.
+
+    Where the dataset states no noise, the residuals of the fit stand for it, and without one there is no
+    answer. They are taken at the fitted values, or at the paper's hand-tuned set, or in the middle of the
+    bounds.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong, or no noise is stated.
+    FitError
+        If the planned insertions have no solution there.
+    """
+    target = target_name(record, settings).removesuffix("-tune")
+    job = prepare_target(record, f"identify-{target}", settings)
+    about = begin_run(name, record, job, f"Identification: {job.record.title or target}")
+    fitted = cross_validate(job.name, job.record, settings) if record.fit else None
+    if fitted is not None and fitted.interrupted:
+        return replace(about, interrupted=True)
+    design = _identify_design(job, settings, None if fitted is None else _fitted_values(fitted))
+    stages = {"design": design.identification}
+    frames = {"directions": design.directions, "profiles": design.profiles}
+    work = design.run | about.run
+    if fitted is not None:
+        stages["fit"] = fitted.frames["identification"]
+        frames |= {"profiles": fitted.frames["profiles"], "profiles_design": design.profiles}
+        work = fitted.run | work
+        work |= warnings_entry([*read_warnings(about.run), *read_warnings(fitted.run)])
+    frames["identify"] = stack_stages(stages)
+    return replace(about, frames=frames, run=work, interrupted=settings.stop())
+
+
+def _fitted_values(fitted: Run) -> dict[str, float]:
+    rows = fitted.frames["parameters"].query("method == 'fitted'")
+    return dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
+
+
+def stack_stages(stages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Return the rows of each stage under one another; an empty column of one of them has no type."""
+    parts = [rows.dropna(axis=1, how="all").assign(stage=stage) for stage, rows in stages.items()]
+    return pd.concat(parts, ignore_index=True).reindex(columns=list(FRAMES["identify"]))
+
+
+class _Design(NamedTuple):
+    """What the planned shapes, a measurement without error, identify."""
+
+    identification: pd.DataFrame
+    profiles: pd.DataFrame
+    directions: pd.DataFrame
+    run: dict[str, Any]
+
+
+def _identify_design(job: Job, settings: Settings, fitted: Mapping[str, float] | None) -> _Design:
+    fold = job.folds[0]
+    if not job.parameters.free:
+        raise ConfigError(
+            "the medium leaves no parameter free: there is nothing to determine",
+            where=job.place_in_medium("parameters"),
+            fix="give at least one parameter bounds instead of `fixed`",
+        )
+    values, place = choose_reference_values(job, fitted)
+    rng = random_stream(job.recipe.seed, job.name, "design")
+    noise = (
+        None if fitted is None else add_estimated_noise(job.problem(fold), job.parameters.theta(values)).noise
+    )
+    expectation = expect_precision(lambda at: simulate_design(job, fold, at, noise), values, rng)
+    problem = simulate_design(job, fold, values, noise)
+    if expectation is None or problem is None:
+        raise FitError(
+            f"the planned insertions have no solution at {place}",
+            fix="name a set of the paper's parameters, or use the fitted values with --fit",
+        )
+    theta = problem.parameters.theta(values)
+    here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
+    sds = dict(zip(expectation.names, expectation.sds[0].tolist(), strict=True))
+    profiles = profile_parameters(problem, here, settings.jobs, settings.stop, settings.part_pool)
+    found = identify_parameters(problem, profiles, sds, loosened=loosen(problem, theta))
+    rows = [
+        {"fold": fold.name, **row, "value": values[n := row["parameter"]], **_sd_range(expectation, n)}
+        for row in found.rows
+    ]
+    parameters = [n for n in job.parameters.names if any(n in row for row in found.points)]
+    depths = [insertion.depth for insertion in fold.tune]
+    stated = {
+        "place": place,
+        "values": dict(problem.values(theta)),
+        "places_near": len(expectation.sds) - 1,
+        "insertions": len(depths),
+        "depths_mm": [min(depths), max(depths)],
+        "layers": "planned" if all(insertion.surfaces for insertion in fold.tune) else "stated",
+    }
+    return _Design(
+        pd.DataFrame(rows, columns=list(IDENTIFICATION_COLUMNS)),
+        pd.DataFrame(
+            [{"fold": fold.name, **row} for row in found.points], columns=[*PROFILE_COLUMNS, *parameters]
+        ),
+        _tabulate_directions(expectation),
+        stated,
+    )
+
+
+def _sd_range(expectation: ExpectedPrecision, name: str) -> dict[str, float]:
+    """Return the range of a parameter's expected deviation over all places."""
+    if name not in expectation.names:
+        return {}
+    column = expectation.sds[:, expectation.names.index(name)]
+    return {"sd_low": float(column.min()), "sd_high": float(column.max())}
+
+
+def _tabulate_directions(expectation: ExpectedPrecision) -> pd.DataFrame:
+    """Return the principal directions: standard deviations at the point and near it, and contraction."""
+    rows = [
+        {
+            "combination": describe_combination(np.array(direction.weights), expectation.names),
+            "sd": direction.sd,
+            "sd_low": float(expectation.direction_sds[:, k].min()),
+            "sd_high": float(expectation.direction_sds[:, k].max()),
+            "prior_sd": direction.prior_sd,
+            "sd_ratio": direction.sd_ratio,
+            "note": direction.words,
+            **{f"weight_{n}": w for n, w in zip(expectation.names, direction.weights, strict=True)},
+        }
+        for k, direction in enumerate(expectation.directions)
+    ]
+    return pd.DataFrame(rows)
+
+
+# ---- the report
+
+TEXT = KindText("identification")
+
+
+def list_stages(found: Run) -> list[str]:
+    """Return "design", and with a fit "fit"."""
+    return list(found.frames["identify"]["stage"].unique())
+
+
+def select_stage(found: Run, stage: str) -> pd.DataFrame:
+    """Return the verdict of one stage, a row per parameter."""
+    rows = found.frames["identify"]
+    return rows[rows["stage"] == stage].reset_index(drop=True)
+
+
+def describe(found: Run) -> dict[str, Any]:
+    """Return what the text prints: what the design determines, or with a fit the measured shapes."""
+    last = list_stages(found)[-1]
+    free = [row for row in to_records(select_stage(found, last)) if row["status"] != "fixed"]
+    design, directions = to_records(select_stage(found, "design")), to_records(found.frames["directions"])
+    depths = dict.fromkeys(f"{depth:.3g}" for depth in found.run["depths_mm"])
+    thickness = found.run["medium"]["thickness_mm"]
+    moved = ((row, row["tip_range_mm"]) for row in design if row["status"] == "fixed")
+    return {
+        "fitted": last == "fit",
+        **{name: [row["parameter"] for row in free if bool(row["determined"]) is is_known]
+           for name, is_known in (("known", True), ("loose", False))},
+        "about": {**found.run, "depths": list(depths), "thickness_mm": thickness},
+        "expected": [_describe_expected(row, directions) for row in design if row["sd_low"] is not None],
+        "fixed": [
+            {
+                "name": short_name(str(row["parameter"])),
+                "moved": "" if tip is None else format_small_mm(tip),
+                "value": row["value"],
+            }
+            for row, tip in moved
+        ],
+    }  # fmt: skip
+
+
+def _describe_expected(row: Row, directions: list[Row]) -> Row:
+    """Return what a design determines about one free parameter."""
+    name, sd, low, high = str(row["parameter"]), row["sd"], row["sd_low"], row["sd_high"]
+    return {
+        **row,
+        "name": short_name(name),
+        "known": describe_posterior_sd(name, sd),
+        "near": "" if high < 1.3 * low else _format_sd_range(name, low, high),
+        "agrees": row["agreement"] == AGREEMENT,
+        "uninformed": row["sd_ratio"] > UNINFORMED_SD_RATIO,
+        "by_data": is_determined_by_data(name, sd, sd / float(row["sd_ratio"])),
+        "only": _find_combination(directions, name),
+    }
+
+
+def _find_combination(directions: list[Row], name: str) -> str:
+    """Return the best-determined combination that contains the parameter, if it is determined."""
+    for one in directions:
+        named = abs(one[f"weight_{name}"]) >= MIN_NAMED_WEIGHT
+        if named and one["sd_ratio"] < UNINFORMED_SD_RATIO and one["sd"] < MAX_LOG_SD:
+            return f"{one['combination']} ({one['note'].split(' is known ', 1)[-1]})"
+    return ""
+
+
+def _format_sd_range(name: str, low: float, high: float) -> str:
+    """Return the range of a deviation over places in words."""
+    first, last = (format_sd(sd, is_logarithmic(name)) for sd in (low, high))
+    last = last.removeprefix("factor ") if first.startswith("factor") else last
+    return f"{first} to {last}".replace("factor", "a factor of")
+
+
+def describe_design(found: Run) -> list[str]:
+    """Return what the design determines: where it was evaluated, then one sentence per parameter."""
+    return TEXT.sentences("design", describe(found))
+
+
+def summarize(found: Run) -> list[str]:
+    """Return what the design determines, then what the measured shapes do."""
+    fitted = describe_verdicts(select_stage(found, "fit")) if "fit" in list_stages(found) else []
+    return [*describe_design(found), *fitted]
+
+
+def judge(found: Run) -> list[Verdict]:
+    """Return which parameters are identifiable, from the measured shapes or else from the design alone."""
+    values = describe(found)
+    count, total = len(values["known"]), len(values["known"]) + len(values["loose"])
+    numbers = {"identifiable": count, "parameters": total}
+    status: Literal["pass", "warn"] = "pass" if count == total else "warn"
+    return [Verdict(TEXT.sentence("verdict", values), status, "", numbers)]
+
+
+def lay_out_tables(found: Run) -> list[TableLayout]:
+    """Return the parameters of the fit, if there is one, then parameters and directions of the design."""
+    tables = []
+    if "fit" in list_stages(found):
+        fitted = lay_out_identification(select_stage(found, "fit"))
+        tables.append(replace(fitted, name="identification_fit"))
+    tables.append(lay_out_identification(select_stage(found, "design"), expected=True))
+    rows = [
+        {
+            **row,
+            **_format_near(row),
+            "combination": insert_symbols(str(row["combination"])),
+            "known_to": insert_symbols(str(row["note"]).split(" is ", 1)[1]),
+        }
+        for row in to_records(found.frames["directions"])
+    ]
+    columns = ("combination", "sd_low", "sd_high", "combination_sd_ratio", "known_to")
+    return [*tables, TEXT.lay_out(Table("directions", "", rows, columns), {})]
+
+
+def _format_near(row: Row) -> Row:
+    """Return the least and greatest deviation of a combination over places, as they are printed."""
+    weights = {key.removeprefix("weight_"): one for key, one in row.items() if key.startswith("weight_")}
+    vector = np.array(list(weights.values()))
+    return {key: format_combination_sd(row[key], vector, list(weights)) for key in ("sd_low", "sd_high")}
+
+
+def draw_figures(found: Run, folder: Path) -> dict[str, Path]:
+    """Draw the profiles of the last stage, and those of the design beside a fit."""
+    last = list_stages(found)[-1]
+    names = {stage: "profiles" if stage == last else f"profiles_{stage}" for stage in list_stages(found)}
+    return {
+        name: draw_profiles(
+            select_stage(found, stage), found.frames[name], found.origin, folder / f"{name}.pdf"
+        )
+        for stage, name in names.items()
+    }
+
+
+def compose_sections(found: Run, figures: FigurePaths) -> list[Block]:
+    """Return the report's sections: tables, then profiles."""
+    return TEXT.compose("report", describe(found), lay_out_tables(found), figures)
+
+
+def identification_to_json(found: Run) -> dict[str, Any]:
+    """Return the verdict as JSON values."""
+    about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title}
+    sentences = {"design": describe_design(found)}
+    if "fit" in list_stages(found):
+        sentences["fit"] = describe_verdicts(select_stage(found, "fit"))
+    rows = {stage: to_records(select_stage(found, stage)) for stage in list_stages(found)}
+    directions = to_records(found.frames["directions"])
+    return {**about, "place": found.run["place"], "sentences": sentences, **rows, "directions": directions}
+
+
+REPORT = StudyReport(
+    summarize,
+    lay_out_tables,
+    draw_figures,
+    compose_sections,
+    to_json=identification_to_json,
+    judge=judge,
+    comparisons={"identify": IDENTIFICATION_COMPARISON},
+)
