@@ -160,6 +160,14 @@ class Check:
     measure: Callable[[np.random.Generator], CheckOutcome]
 
 
+Measure = Callable[[np.random.Generator], CheckOutcome]
+
+
+def define_check(group: Group, title: str, *quantities: Quantity) -> Callable[[Measure], Check]:
+    """Return a decorator that makes a check of the function that measures it."""
+    return lambda measure: Check(group, title, quantities, measure)
+
+
 @dataclass(frozen=True)
 class CheckRow:
     """One row of the table of results."""

@@ -24,7 +24,7 @@ from needlefit.verification.cases import (
     require_converged,
     solve_cases,
 )
-from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, define_check, worst
 
 SHAPES, STRETCHES, THICKNESS_MM = 12, 200, 10.0
 """Random sets of shape parameters and stretches of each, and the thickness."""
@@ -144,7 +144,12 @@ def _make_layers(law: str, depth: float) -> Tissue:
     return Tissue([1.0] * 3, shape, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0], law=law)
 
 
-def _in_lanes(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.REFERENCE,
+    f"{SETS_PER_LAW} parameter sets of every law at once, μ = 0.01 to 100 MPa",
+    *_QUANTITIES,
+)
+def in_lanes(rng: np.random.Generator) -> CheckOutcome:
     """Many parameter sets of one insertion at once; every one against the reference by itself."""
     depth = float(rng.uniform(20, 40))
     steps = (Step(depth, Bevel(0.1), Controls(0.3)),)
@@ -169,19 +174,10 @@ def _in_lanes(rng: np.random.Generator) -> CheckOutcome:
     return CheckOutcome(compare_all(pairs))
 
 
+_SCHEDULES = "schedules, μ = 0.001 to 100 MPa: guides, tracked tip, retraction, friction"
 CHECKS = (
     _check("insertions, constant inputs, μ = 0.001 to 100 MPa", draw_case, 12, 40.0),
-    _check(
-        "schedules, μ = 0.001 to 100 MPa: guides, tracked tip, retraction, friction",
-        draw_schedule,
-        10,
-        25.0,
-    ),
-    Check(
-        Group.REFERENCE,
-        f"{SETS_PER_LAW} parameter sets of every law at once, μ = 0.01 to 100 MPa",
-        _QUANTITIES,
-        _in_lanes,
-    ),
+    _check(_SCHEDULES, draw_schedule, 10, 25.0),
+    in_lanes,
     *LAW_CHECKS,
 )

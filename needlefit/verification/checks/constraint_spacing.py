@@ -18,6 +18,7 @@ from needlefit.verification.check import (
     Group,
     Quantity,
     at_most,
+    define_check,
     within,
     worst,
 )
@@ -64,7 +65,12 @@ def _order(k: float, allowed: float, boundary: float | None = None) -> Check:
     )
 
 
-def _curvature(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.PATH_ANGLE,
+    "Long uniform tissue of k = 96 MPa",
+    Quantity("curvature over θ β, less 1", at_most(0.01), ""),
+)
+def curvature(rng: np.random.Generator) -> CheckOutcome:
     k = 96.0
     beta = (k / 4 / PAPER_NEEDLE.flexural_rigidity) ** 0.25
     rules = ModelOptions(advance="path_angle")
@@ -74,31 +80,16 @@ def _curvature(rng: np.random.Generator) -> CheckOutcome:
     return CheckOutcome((worst(np.abs(turns / (ANGLE * beta) - 1)),))
 
 
-def _continuity(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.PATH_ANGLE,
+    "Depth, and a boundary before tenfold k, moved by 1e-6 mm at and between constraint points",
+    Quantity("change of the tip by the depth", at_most(1e-5), "mm"),
+    Quantity("change of the tip by the boundary", at_most(1e-5), "mm"),
+)
+def continuity(rng: np.random.Generator) -> CheckOutcome:
     deeper = [find_tip(0.66, 1.0, at + NEARLY) - find_tip(0.66, 1.0, at) for at in (*PLACES, DEPTH)]
     shifted = [find_tip(0.66, 1.0, boundary=at + NEARLY) - find_tip(0.66, 1.0, boundary=at) for at in PLACES]
     return CheckOutcome((worst(np.abs(deeper)), worst(np.abs(shifted))))
-
-
-PATH_ANGLE = (
-    *(_order(*one) for one in MODULI.items()),
-    _order(0.66, LAYERED_ERROR, BOUNDARY),
-    Check(
-        Group.PATH_ANGLE,
-        "Long uniform tissue of k = 96 MPa",
-        (Quantity("curvature over θ β, less 1", at_most(0.01), ""),),
-        _curvature,
-    ),
-    Check(
-        Group.PATH_ANGLE,
-        "Depth, and a boundary before tenfold k, moved by 1e-6 mm at and between constraint points",
-        (
-            Quantity("change of the tip by the depth", at_most(1e-5), "mm"),
-            Quantity("change of the tip by the boundary", at_most(1e-5), "mm"),
-        ),
-        _continuity,
-    ),
-)
 
 
 TIP_DEPTH, OFFSET = 50.0, 0.085
@@ -112,23 +103,19 @@ def tip(spacing: float, offset: float) -> float:
     ).tip_lateral
 
 
-def _measure_tips(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.STATED,
+    "The tip in four layers of the paper’s values, 50 mm deep",
+    Quantity(f"deflection, C_int = 1 mm, b = {OFFSET:g} mm", AcceptanceBound(), "mm"),
+    Quantity(f"deflection, C_int = 0.5 mm, b = {OFFSET:g} mm", AcceptanceBound(), "mm"),
+    Quantity(f"deflection, C_int = 0.5 mm, b = {OFFSET / 2:g} mm", AcceptanceBound(), "mm"),
+)
+def tips(rng: np.random.Generator) -> CheckOutcome:
     return CheckOutcome((tip(1.0, OFFSET), tip(0.5, OFFSET), tip(0.5, OFFSET / 2)))
 
 
 CHECKS = (
-    *PATH_ANGLE,
-    Check(
-        Group.STATED,
-        "The tip in four layers of the paper’s values, 50 mm deep",
-        tuple(
-            Quantity(f"deflection, {words}", AcceptanceBound(), "mm")
-            for words in (
-                f"C_int = 1 mm, b = {OFFSET:g} mm",
-                f"C_int = 0.5 mm, b = {OFFSET:g} mm",
-                f"C_int = 0.5 mm, b = {OFFSET / 2:g} mm",
-            )
-        ),
-        _measure_tips,
-    ),
+    *(_order(*one) for one in MODULI.items()),
+    _order(0.66, LAYERED_ERROR, BOUNDARY),
+    *(curvature, continuity, tips),
 )

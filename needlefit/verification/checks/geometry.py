@@ -11,24 +11,34 @@ from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import draw_schedule, interpolate, require_converged
-from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
+from needlefit.verification.check import CheckOutcome, Group, Quantity, at_most, define_check, worst
 
 RANDOM_CASES = 5
 RADIUS_MM = 300.0
 
 
-def _circle(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.GEOMETRY,
+    f"A needle of constant u'' = 1 / {RADIUS_MM:g} mm",
+    Quantity("distance from the circle", at_most(1e-9), "mm"),
+)
+def circle(rng: np.random.Generator) -> CheckOutcome:
     """A deflection of constant u'' is exact in cubic elements, and is a circle of that curvature."""
     x = np.concatenate(([-95.0, -20.0], np.arange(56.0)))
     along = x + 95.0
     still = np.zeros((1, 2))
     shape = NeedleShape(x, along**2 / 2 / RADIUS_MM, along / RADIUS_MM, still, still, "converged", 0)
-    points = compute_positions(shape, np.linspace(x[0], x[-1], 301))
-    radii = np.hypot(points[:, 0] + 95.0, points[:, 1] - RADIUS_MM)
+    place = compute_positions(shape, np.linspace(x[0], x[-1], 301))
+    radii = np.hypot(place[:, 0] + 95.0, place[:, 1] - RADIUS_MM)
     return CheckOutcome((worst(np.abs(radii - RADIUS_MM)),))
 
 
-def _points(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.GEOMETRY,
+    f"{RANDOM_CASES} random schedules, compiled and reference",
+    Quantity("difference of points", at_most(1e-6), "mm"),
+)
+def points(rng: np.random.Generator) -> CheckOutcome:
     differences = []
     for _ in range(RANDOM_CASES):
         shape = draw_schedule(rng).shape()
@@ -45,7 +55,12 @@ def measure_miss(shape: NeedleShape, controls: Controls) -> float:
     return worst(np.abs(compute_positions(shape, held)[:, 1] - interpolate(shape, held)))
 
 
-def _miss(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.GEOMETRY,
+    "The shipped scenes at the entry, guides and tracked tip",
+    Quantity("integral of u' - sin u' from the base", at_most(MAX_MISS_MM), "mm"),
+)
+def miss(rng: np.random.Generator) -> CheckOutcome:
     misses = {}
     for path in sorted((shipped_folder() / "configs" / "scenes").glob("*.toml")):
         scene = Scene.from_record(load(path, SceneRecord))
@@ -57,23 +72,4 @@ def _miss(rng: np.random.Generator) -> CheckOutcome:
     return CheckOutcome((misses[largest],), f"{len(misses)} scenes; the largest is that of {largest}")
 
 
-CHECKS = (
-    Check(
-        Group.GEOMETRY,
-        f"A needle of constant u'' = 1 / {RADIUS_MM:g} mm",
-        (Quantity("distance from the circle", at_most(1e-9), "mm"),),
-        _circle,
-    ),
-    Check(
-        Group.GEOMETRY,
-        f"{RANDOM_CASES} random schedules, compiled and reference",
-        (Quantity("difference of points", at_most(1e-6), "mm"),),
-        _points,
-    ),
-    Check(
-        Group.GEOMETRY,
-        "The shipped scenes at the entry, guides and tracked tip",
-        (Quantity("integral of u' - sin u' from the base", at_most(MAX_MISS_MM), "mm"),),
-        _miss,
-    ),
-)
+CHECKS = (circle, points, miss)

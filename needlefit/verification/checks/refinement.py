@@ -17,7 +17,7 @@ from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import draw_case, require_converged
-from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
+from needlefit.verification.check import CheckOutcome, Group, Quantity, at_most, define_check, worst
 
 REFINEMENT_FACTOR = 8
 RANDOM_CASES = 40
@@ -32,7 +32,11 @@ def measure_error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: 
     return abs(tips[1] - tips[0])
 
 
-def _scenes(rng: np.random.Generator) -> CheckOutcome:
+_LARGEST = Quantity("change of the tip, h = 1 to 0.125 mm", at_most(1e-3), "mm")
+
+
+@define_check(Group.REFINEMENT, "The shipped scenes", _LARGEST)
+def scenes(rng: np.random.Generator) -> CheckOutcome:
     errors = {}
     for path in sorted((shipped_folder() / "configs" / "scenes").glob("*.toml")):
         scene = Scene.from_record(load(path, SceneRecord))
@@ -43,7 +47,13 @@ def _scenes(rng: np.random.Generator) -> CheckOutcome:
     )
 
 
-def _random(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.REFINEMENT,
+    f"{RANDOM_CASES} random insertions, μ = 0.001 to 100 MPa, t = 5 to 80 mm, slopes to {MAX_SLOPE:g}",
+    _LARGEST,
+    Quantity("median of the same", at_most(1e-4), "mm"),
+)
+def random_insertions(rng: np.random.Generator) -> CheckOutcome:
     """Draw insertions that the model is meant for: it assumes small slopes."""
     errors = list[float]()
     steep = 0
@@ -59,13 +69,4 @@ def _random(rng: np.random.Generator) -> CheckOutcome:
     return CheckOutcome((worst(errors), float(np.median(errors))), remark)
 
 
-_LARGEST = Quantity("change of the tip, h = 1 to 0.125 mm", at_most(1e-3), "mm")
-CHECKS = (
-    Check(Group.REFINEMENT, "The shipped scenes", (_LARGEST,), _scenes),
-    Check(
-        Group.REFINEMENT,
-        f"{RANDOM_CASES} random insertions, μ = 0.001 to 100 MPa, t = 5 to 80 mm, slopes to {MAX_SLOPE:g}",
-        (_LARGEST, Quantity("median of the same", at_most(1e-4), "mm")),
-        _random,
-    ),
-)
+CHECKS = (scenes, random_insertions)

@@ -28,7 +28,7 @@ from needlefit.verification.cases import (
     largest_difference,
     require_converged,
 )
-from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, define_check, worst
 
 RANDOM_CASES, RANDOM_POSES = 10, 5
 
@@ -45,22 +45,15 @@ def _sum_over_sizes(values: list[float]) -> float:
     return abs(sum(values)) / float(np.sum(np.abs(values)))
 
 
-def _measure_balance(rng: np.random.Generator) -> CheckOutcome:
+@define_check(
+    Group.SYMMETRIES,
+    "Tissue, base, guides and tracked tip balance, schedules of all inputs",
+    Quantity(f"sum of forces over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
+    Quantity(f"sum of moments over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
+)
+def balance(rng: np.random.Generator) -> CheckOutcome:
     forces, moments = zip(*(compute_imbalance(draw_schedule(rng)) for _ in range(RANDOM_CASES)), strict=True)
     return CheckOutcome((worst(forces), worst(moments)))
-
-
-BALANCE = (
-    Check(
-        Group.SYMMETRIES,
-        "Tissue, base, guides and tracked tip balance, schedules of all inputs",
-        (
-            Quantity(f"sum of forces over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
-            Quantity(f"sum of moments over their sizes, {RANDOM_CASES} random cases", at_most(1e-5), ""),
-        ),
-        _measure_balance,
-    ),
-)
 
 
 _STAGE, _AXIS = 1.0, -2.0  # degrees to the insertion axis, of the stage and of the template
@@ -104,23 +97,16 @@ def _complex(points: NDArray[np.float64]) -> NDArray[np.complex128]:
     return z
 
 
-def _measure_poses(rng: np.random.Generator) -> CheckOutcome:
-    poses = [(complex(*rng.uniform(-200, 200, 2)), float(rng.uniform(-3, 3))) for _ in range(RANDOM_POSES)]
-    in_c, in_world = zip(*(compare_poses(*pose) for pose in poses), strict=True)
-    return CheckOutcome((worst(in_c), worst(in_world)))
-
-
-POSES = (
-    Check(
-        Group.SYMMETRIES,
-        f"Entry, template and stage moved together, {RANDOM_POSES} random poses",
-        (
-            Quantity("change of the deflection in its own frame", at_most(1e-7), "mm"),
-            Quantity("distance from the needle moved by hand", at_most(1e-7), "mm"),
-        ),
-        _measure_poses,
-    ),
+@define_check(
+    Group.SYMMETRIES,
+    f"Entry, template and stage moved together, {RANDOM_POSES} random poses",
+    Quantity("change of the deflection in its own frame", at_most(1e-7), "mm"),
+    Quantity("distance from the needle moved by hand", at_most(1e-7), "mm"),
 )
+def poses(rng: np.random.Generator) -> CheckOutcome:
+    drawn = [(complex(*rng.uniform(-200, 200, 2)), float(rng.uniform(-3, 3))) for _ in range(RANDOM_POSES)]
+    in_c, in_world = zip(*(compare_poses(*pose) for pose in drawn), strict=True)
+    return CheckOutcome((worst(in_c), worst(in_world)))
 
 
 def mirrored(case: RandomCase) -> float:
@@ -191,14 +177,15 @@ def _make_symmetry(
 ) -> Check:
     words = f"difference of the deflection, {RANDOM_CASES} random cases"
 
+    @define_check(Group.SYMMETRIES, title, Quantity(words, at_most(bound), "mm"))
     def largest(rng: np.random.Generator) -> CheckOutcome:
         return CheckOutcome((worst([measure(draw(rng, 50.0, 1e-3)) for _ in range(RANDOM_CASES)]),))
 
-    return Check(Group.SYMMETRIES, title, (Quantity(words, at_most(bound), "mm"),), largest)
+    return largest
 
 
 CHECKS = (
-    *BALANCE,
+    balance,
     _make_symmetry("Mirror: bevel, base and its tilt to the other side", mirrored, 1e-9),
     _make_symmetry("EI and every mu doubled", doubled, 1e-7),
     _make_symmetry("A layer cut into two equal ones", cut_in_two, 1e-4),
@@ -207,5 +194,5 @@ CHECKS = (
     _make_symmetry(
         "A Session gives the bits of follow, schedules of all inputs", one_by_one, 0.0, draw_schedule
     ),
-    *POSES,
+    poses,
 )
