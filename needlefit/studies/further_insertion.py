@@ -63,31 +63,18 @@ def check_reach(job: Job, like: Insertion, depths: Mapping[str, float]) -> None:
 PLANNING_EFFORT = Effort(draws=500, min_ess=1000.0)
 """More draws than a prediction needs: what data tell is seen by how few of them are left."""
 
-DROPPED_WEIGHT = 1e-3
-"""The lightest draws, of this weight together, are left out."""
+DROPPED_WEIGHT = 1e-3  #: the lightest draws, of this weight together, are left out
 
 
 @dataclass(frozen=True)
 class WeightedPosterior:
-    """A posterior as weighted draws.
+    """A posterior as weighted draws."""
 
-    Attributes
-    ----------
-    problem : Problem
-        Of the insertions made so far.
-    learned : Learned
-    thetas : (B, P) array
-    weights : (B,) array
-        They sum to 1.
-    k : float
-        Pareto's k of the weights.
-    """
-
-    problem: Problem
+    problem: Problem  #: of the insertions made so far
     learned: PosteriorFit
-    thetas: Floats
-    weights: Floats
-    k: float
+    thetas: Floats  #: (B, P)
+    weights: Floats  #: (B,), their sum is 1
+    k: float  #: Pareto's k of the weights
 
     @property
     def sets(self) -> list[dict[str, float]]:

@@ -111,8 +111,7 @@ class AdaptationRecord(AnalysisRecord):
 
 KIND = StudyKind("adaptation", AdaptationRecord, __name__)
 
-RESAMPLES = 2000
-"""Times that orders and needles are drawn again."""
+RESAMPLES = 2000  #: times that orders and needles are drawn again
 
 APPROACHES = ("inflated", "new", "none")
 

@@ -89,8 +89,7 @@ from needlefit.studies.score import (
 from needlefit.studies.simulated_data import simulate_dataset
 from needlefit.studies.verdict import Verdict, headline_fault
 
-PATH_ANGLE = "path_angle"
-"""The candidate that advances by the path angle, in the tissue law of the medium."""
+PATH_ANGLE = "path_angle"  #: the candidate that advances by the path angle, in the tissue law of the medium
 
 
 def _list_default_candidates() -> tuple[str, ...]:
@@ -143,8 +142,7 @@ class ComparisonRecord(AnalysisRecord):
 
 KIND = StudyKind("comparison", ComparisonRecord, __name__)
 
-SIGNIFICANT_SE = 2.0
-"""Standard errors from which on a difference is taken for one."""
+SIGNIFICANT_SE = 2.0  #: standard errors from which on a difference is taken for one
 
 AHEAD, BEHIND, TIE, REFERENCE = "ahead", "behind", "tie", "reference"
 

@@ -122,8 +122,7 @@ class SensitivityRecord(AnalysisRecord):
 
 KIND = StudyKind("sensitivity", SensitivityRecord, __name__)
 
-BASE_VARIATION = "as decided"
-"""The variation that changes nothing."""
+BASE_VARIATION = "as decided"  #: the variation that changes nothing
 
 _WHERE = ("aspect", "variation", "tuned")
 FRAMES: Mapping[str, tuple[str, ...]] = {
@@ -313,11 +312,8 @@ def _parameter_ratios(parameters: pd.DataFrame) -> pd.DataFrame:
 
 # ---- the report
 
-MIN_CHANGE_FLOORS = 0.1
-"""Least change that is reported as one, as a fraction of the noise floor."""
-
-MAX_CHANGE_FLOORS = 20.0
-"""Noise floors up to which the scale of the figure goes."""
+MIN_CHANGE_FLOORS = 0.1  #: least change that is reported as one, as a fraction of the noise floor
+MAX_CHANGE_FLOORS = 20.0  #: noise floors up to which the scale of the figure goes
 
 _GROUPINGS = {"validation": "Held out", "tuning_by_layers": "By layers", "tuning_by_media": "By media"}
 _TUNED = {"again": "re-fitted", "kept": "kept"}
