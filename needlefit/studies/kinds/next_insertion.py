@@ -580,13 +580,12 @@ def draw(result: Run) -> dict[str, Drawing]:
         name: Look(name, SERIES_COLOURS[place % len(SERIES_COLOURS)]) for place, name in enumerate(names)
     }
     looks |= {REPEAT: Look(REPEAT, INK, marker="D", filled=False)} if REPEAT in looks else {}
-    panels = [
-        Panel("expected gain about all parameters (nats)", "nats", "nats", low="nats_low", high="nats_high")
-    ]
+    panels = [Panel("expected gain (nats)", "nats", "nats", low="nats_low", high="nats_high")]
     for tip in frame["tip"].dropna().unique():
         now = (float(frame["sd_now_mm"].iloc[0]), "now")
-        panels.append(Panel(f"expected SD of the {tip} (mm)", "sd_after_mm", "sd_after_mm", reference=now))
+        panels.append(Panel(f"SD of the {tip} (mm)", "sd_after_mm", "sd_after_mm", reference=now))
     options = {"x": "depth_mm", "by": "series", "panels": panels, "looks": looks, "columns": len(panels)}
+    options["size"] = (7.16, 2.9)
     return {"gains": Drawing("curves", frame, {**options, "x_label": "depth (mm)"}, _name_series)}
 
 
