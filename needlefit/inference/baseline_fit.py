@@ -83,8 +83,8 @@ def _residuals(
     return np.concatenate(differences)
 
 
+#: bound of theta's coefficients: a curve that turns by this many rad over 100 mm is none of a needle
 MAX_COEFFICIENT = 10.0
-"""Bound of theta's coefficients: a curve that turns by this many rad over 100 mm is none of a needle."""
 
 
 @dataclass(frozen=True)

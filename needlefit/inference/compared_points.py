@@ -42,9 +42,8 @@ from needlefit.mechanics.batch import (
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 
 DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one
-
+#: constraint points that a moved guide must have between two readings: they tell where the tip stood
 MIN_CONSTRAINT_POINTS = 2
-"""Constraint points that a moved guide must have between two readings: they tell where the tip stood."""
 
 
 def read_points(insertion: Insertion | None, shape: NeedleShape, s: Floats) -> Floats:
@@ -151,8 +150,8 @@ def _check_readings(track: TipTrack, spacing: float) -> None:
 
 Curve = Callable[[Floats], Floats]
 
+#: part of the scored points, from the entry side, whose line is x in a free comparison
 ENTRY_SIDE_FRACTION = 0.2
-"""Part of the scored points, from the entry side, whose line is x in a free comparison."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +231,6 @@ def compare_points(
 
     Parameters
     ----------
-    pose : "known", "free" or "tracker"
     drop : float
         Proximal length left out where the pose is free, mm.
     curve : callable

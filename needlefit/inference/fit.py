@@ -15,9 +15,8 @@ from needlefit.schemas.recipe import ObjectiveName
 INTERRUPTED = "interrupted"
 
 MET_BY_PROFILE = "profile"  #: of a start that stands for a better point, which the profiles about the fit met
-
+#: reasons to end after which no further gain is expected
 CONVERGED_REASONS = ("tolerance", "bound", "flat", "roundoff")
-"""Reasons to end after which no further gain is expected."""
 
 
 @dataclass(frozen=True)

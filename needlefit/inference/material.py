@@ -71,20 +71,14 @@ class AlphaProfile:
 
 ALPHA_RANGE = (-50.0, 50.0)  #: values of alpha that are looked at
 ALPHA_GRID_POINTS = 401  #: values of alpha at which the profile is searched for minima: every 0.25
-
+#: about a minimum the profile is followed this many standard deviations to each side, on so many values
 DENSE_REACH_SD, DENSE_GRID_POINTS = 8.0, 161
-"""About a minimum the profile is followed this many standard deviations to each side, on so many values."""
-
 MAX_ALPHA_WIDTH = 10.0  #: a 95 % region wider than this, and than alpha itself, leaves alpha open
-
+#: no curve counts as fewer points: two are fitted, and two remain to estimate the noise
 MIN_EFFECTIVE_POINTS = 4.0
-"""No curve counts as fewer points: two are fitted, and two remain to estimate the noise."""
-
 MIN_ALPHA_DISTANCE = 1e-3  #: minima nearer than this in alpha are one
-
+#: part of the largest stress that counts as noise at least: a file has so many digits
 MIN_NOISE_FRACTION = 1e-7
-"""Part of the largest stress that counts as noise at least: a file has so many digits."""
-
 UPPER_QUANTILE_95 = 0.975  #: quantile of intervals of 95 %
 NORMAL_95_HALF_WIDTH_SD = 1.959964  #: value of the standard normal distribution at that quantile
 
@@ -346,9 +340,8 @@ def _nearest_positive(matrix: Floats) -> Floats:
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
+#: a fixed alpha that a test identifies becomes free within this many standard deviations
 ALPHA_REACH_SD = 4.0
-"""A fixed alpha that a test identifies becomes free within this many standard deviations."""
-
 TEST_LAW = "ogden"  #: the law that alpha and mu of a compression test belong to
 
 NUMBER_FORMAT = ".6g"

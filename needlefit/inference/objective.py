@@ -42,13 +42,10 @@ class ObjectiveFunction:
 
 
 POSTERIOR_TOLERANCE = 1e-9  #: change of the log posterior under which a search for its peak ends
-
+#: the same on the way to where a search begins, by what it minimises. For a posterior it is small enough to
+#: see which starts met. The minima of a metric objective lie elsewhere, so that a closer approach is lost
+#: work.
 APPROACH_TOLERANCES: dict[ObjectiveName, float] = {"posterior": 1e-6, "metric": 1e-3}
-"""The same on the way to where a search begins, by what it minimises.
-
-For a posterior it is small enough to see which starts met. The minima of a metric objective lie elsewhere, so
-that a closer approach is lost work.
-"""
 
 
 def make_objective(problem: "Problem", minimized: ObjectiveName) -> ObjectiveFunction:
@@ -83,11 +80,10 @@ def make_posterior_objective(
 
 Value = TypeVar("Value")
 
+#: exceptions that count as a failed evaluation; any other one is a bug and ends the search
 EVALUATION_ERRORS = (NeedlefitError, ArithmeticError, np.linalg.LinAlgError)
-"""Exceptions that count as a failed evaluation; any other one is a bug and ends the search."""
-
+#: failed points that one start, or one ensemble of the sampler, keeps; the others are only counted
 MAX_FAILED_POINTS = 20
-"""Failed points that one start, or one ensemble of the sampler, keeps; the others are only counted."""
 
 
 def half_square(residuals: Floats) -> float:
@@ -105,36 +101,20 @@ class EvaluationRecorder:
 
     Every call of the objective function is one evaluation: of the value, of the residuals, or, counted among
     the `gradients` too, of either with its derivatives (which costs about as much as two values).
-
-    Attributes
-    ----------
-    budget : int
-        Evaluations allowed; the next one ends the search.
-    constant : float
-        What half the sum of squares lacks to be the value; known once `find_constant` was called.
-    theta : (P,) array or None
-        Best point evaluated, None before any evaluation succeeded.
-    linearized : (R,) and (R, P) arrays or None
-        Residuals and Jacobian at `theta`, where they were evaluated.
-    objective, worst : float
-        Smallest and largest finite value.
-    evaluations, gradients, failures : int
-    failed : list of tuple of float
-        The first `MAX_FAILED_POINTS` points that failed.
-    reason : str
-        Why the recorder ended the search; empty if it did not.
     """
 
     def __init__(self, objective_function: ObjectiveFunction, budget: int, stop: Callable[[], bool]) -> None:
         self.objective_function, self._stop = objective_function, stop
-        self.budget = budget
+        self.budget = budget  #: evaluations allowed; the next one ends the search
+        #: what half the sum of squares lacks to be the value; known once `find_constant` was called
         self.constant = 0.0
-        self.theta: Floats | None = None
+        self.theta: Floats | None = None  #: (P,) best point evaluated, None before any evaluation succeeded
+        #: (R,), (R, P) residuals and Jacobian at `theta`, where they were evaluated
         self.linearized: tuple[Floats, Floats] | None = None
-        self.objective, self.worst = math.inf, -math.inf
+        self.objective, self.worst = math.inf, -math.inf  #: smallest and largest finite value
         self.evaluations = self.gradients = self.failures = 0
-        self.failed: list[tuple[float, ...]] = []
-        self.reason = ""
+        self.failed: list[tuple[float, ...]] = []  #: the first `MAX_FAILED_POINTS` points that failed
+        self.reason = ""  #: why the recorder ended the search; empty if it did not
 
     def value(self, theta: Floats) -> float:
         """Return the objective, infinite where it failed.

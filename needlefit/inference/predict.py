@@ -26,10 +26,8 @@ from needlefit.inference.sampling.posterior import Posterior
 
 INTERVAL_PROBABILITIES = (0.50, 0.95)  #: probabilities of the central intervals that are reported
 CURVES = 2000  #: curves that are drawn, at least, where the whole curve is asked about
-
+#: draws, at most, whose pairs show how much the Gaussians add to the distances between draws
 PAIR_DRAWS = 125
-"""Draws, at most, whose pairs show how much the Gaussians add to the distances between draws."""
-
 BRACKET_SD = 9.0  #: deviations beyond which a Gaussian has next to nothing: 1e-19 on each side
 TINY_MM = 1e-9  #: the bracket of a quantile has at least this width where draws leave nothing open
 

@@ -42,8 +42,8 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRecord
 
+#: distance below which a distance counts as squared, mm: less than any measured centreline is known to
 SMOOTHING_MM = 1e-4
-"""Distance below which a distance counts as squared, mm: less than any measured centreline is known to."""
 
 
 def metric_misfit(simulated: Floats, measured: Floats, weights: WeightsRecord) -> float:
@@ -73,8 +73,8 @@ def _station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
 
 GUIDE_DISTANCE = "guide_distance_mm"
 
+#: noise with the same deviation at all points, mm; its size hardly matters
 UNIFORM_NOISE = Noise(point_sd=0.1)
-"""Noise with the same deviation at all points, mm; its size hardly matters."""
 
 
 @dataclass(frozen=True)

@@ -44,9 +44,8 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import Effort, WeightedDraws, sample_by_importance
 from needlefit.inference.sampling.log_density import approximate_by_laplace
 
+#: values of each spread, evenly spaced up to this many deviations of its prior
 GRID_POINTS, LARGEST_SPREAD = 48, 8.0
-"""Values of each spread, evenly spaced up to this many deviations of its prior."""
-
 MAX_REDRAWS = 100  #: times that a specimen outside the bounds is drawn again; then it is put on them
 
 

@@ -43,11 +43,10 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.tissue import Tissue
 
+#: standard deviation that is added to every parameter's prior: draws may tie two parameters exactly
 MIN_PRIOR_SD = 1e-3
-"""Standard deviation that is added to every parameter's prior: draws may tie two parameters exactly."""
-
+#: of Gauss-Newton: the largest step of a logarithm, and the change, in posterior deviations, that ends it
 MAX_ITERATIONS, MAX_HALVINGS, MAX_STEP, TOLERANCE = 12, 5, 1.0, 1e-2
-"""Of Gauss-Newton: the largest step of a logarithm, and the change, in posterior deviations, that ends it."""
 
 
 class TrackedNeedle(NamedTuple):
@@ -164,8 +163,6 @@ def estimate_parameters(
     ----------
     readings : (n, 2) array
         Depth and deflection of the tip as it was first there, mm, in C.
-    prior : TrackingEstimate
-    noise : TipNoise
     start : TrackingEstimate, optional
         Where Gauss-Newton begins: the last estimate; by default the prior.
     max_iterations : int

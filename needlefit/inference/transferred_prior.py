@@ -28,9 +28,8 @@ from needlefit.inference.parameters import Parameters, Prior, make_gaussian_prio
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 
+#: spread that is always added, so that what the old medium fixes or ties keeps a density in the new one
 MIN_SPREAD = 1e-3
-"""Spread that is always added, so that what the old medium fixes or ties keeps a density in the new one."""
-
 
 BOUND_TOLERANCE = 1e-9  #: part of a bound by which a fit at it may miss it
 

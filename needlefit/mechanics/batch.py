@@ -214,11 +214,11 @@ def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
     return native.compute_positions(*parts)
 
 
+#: kinds of parameters that `wrt` accepts, in the order of the Jacobian's columns
 DERIVATIVE_KINDS = (
     "mu", "shape", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
     "stage_slope", "guides",
 )  # fmt: skip
-"""Kinds of parameters that `wrt` accepts, in the order of the Jacobian's columns."""
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
@@ -510,16 +510,8 @@ def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
         a["u"][wrong] = a["slope"][wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1] = np.nan
     scales = compute_scales(batch.tissue, evaluation.insertion.depth, batch.rules.spacing)
-    return NeedleShapes(
-        a["x"],
-        a["u"],
-        a["slope"],
-        a["constraints"],
-        a["track"],
-        a["status"],
-        a["passes"],
-        np.tile(scales, (len(batch), 1)),
-    )
+    names = ("x", "u", "slope", "constraints", "track", "status", "passes")
+    return NeedleShapes(*(a[name] for name in names), scales=np.tile(scales, (len(batch), 1)))
 
 
 def _find_valid(batch: Batch) -> Bools:

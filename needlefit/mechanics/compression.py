@@ -25,8 +25,8 @@ import numpy as np
 
 from needlefit.arrays import Floats
 
+#: force over the area before compression (engineering stress), or over the area now (Cauchy's)
 StressMeasure = Literal["nominal", "true"]
-"""Force over the area before compression (engineering stress), or over the area now (Cauchy's)."""
 
 STRESS_MEASURES: tuple[StressMeasure, ...] = get_args(StressMeasure)
 

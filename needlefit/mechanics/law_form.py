@@ -23,16 +23,15 @@ from needlefit.mechanics.native import (
     measure_table_range,
 )
 
+#: |e| / t that every table must reach: the kernel's series may go so far
 LEAST_COMPRESSION = MAX_SERIES_COMPRESSION
-"""|e| / t that every table must reach: the kernel's series may go so far."""
-
 TABLE_TOLERANCE = SERIES_TOLERANCE / 10  #: relative error of k in a table
 
 _PIECE = TABLE_COMPRESSION / TABLE_PIECES
 _END = 1e-12  # a table ends within its last good piece, not at the beginning of the next one
+#: on [-1, 1]: the points, and where the error of the polynomial through them is largest
 _POINTS = np.cos(np.pi * (2 * np.arange(TABLE_TERMS) + 1) / (2 * TABLE_TERMS))
 _BETWEEN = np.cos(np.pi * np.array([0, 1, TABLE_TERMS // 2, TABLE_TERMS - 1, TABLE_TERMS]) / TABLE_TERMS)
-"""On [-1, 1]: the points, and where the error of the polynomial through them is largest."""
 _TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_POINTS, TABLE_TERMS - 1)).T
 _TO_BETWEEN = chebyshev.chebvander(_BETWEEN, TABLE_TERMS - 1).T
 _STRETCH = 1 - _PIECE * (np.arange(TABLE_PIECES)[:, None] + 0.5 * (1 + np.concatenate((_POINTS, _BETWEEN))))

@@ -24,20 +24,19 @@ from needlefit.errors import NeedlefitError
 
 FOLDER = Path(__file__).parent / "native"
 ABI_VERSION = 1
+#: environment variable: a library to use instead of the package's own, such as one with sanitizers
 LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
-"""Environment variable: a library to use instead of the package's own, such as one with sanitizers."""
 
 _FIX = "install needlefit again; of a checkout: pip install -e ."
 
 SAME_DEPTH_MM = 1e-9  #: two depths that differ by less than this, mm, are the same
+#: a guide in the tissue holds the needle once the tip is this far past it: a length of the model
 GUIDE_ENGAGEMENT_MM = 0.05
-"""A guide in the tissue holds the needle once the tip is this far past it: a length of the model."""
 LINEAR_CUT = -1.0  #: in place of a `switch`: the cut is linear between its constraint points
+#: of a law's table: its pieces of equal length, the Chebyshev terms of each, |e| / t at its end
 TABLE_PIECES, TABLE_TERMS, TABLE_COMPRESSION = 16, 20, 0.8
-"""Of a law's table: its pieces of equal length, the Chebyshev terms of each, |e| / t at its end."""
+#: of the polynomial fitted to a law: its terms, its relative error, and |e| / t at the end of the longest
 SERIES_TERMS, SERIES_TOLERANCE, MAX_SERIES_COMPRESSION = 6, 1e-10, 0.2
-"""Of the polynomial fitted to a law: its terms, its relative error, and |e| / t at the end of the longest."""
-
 MAX_SHAPES = 16  #: most shape parameters of a law
 
 CONVERGED, NON_FINITE = 0, 3
@@ -99,8 +98,8 @@ def check_fault(fault: int) -> None:
         raise TypeError(FAULTS[fault])
 
 
+#: place of the laws' shape parameters in `column_of`: `ColumnKind` of `native/derivatives.hpp`
 SHAPE_COLUMN = 1
-"""Place of the laws' shape parameters in `column_of`: `ColumnKind` of `native/derivatives.hpp`."""
 _SET_ARRAYS = {name for name, (_, shape) in _ARRAYS.items() if "sets" in shape}
 
 

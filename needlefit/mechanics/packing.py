@@ -156,7 +156,6 @@ def pack_problem(
     ----------
     packed : PackedStops
         Of the steps on the lattice.
-    sets : int
     values : mapping of arrays, optional
         What differs between sets, by the names of `batch.Batch`, whose arrays they are.
     columns : Columns, optional
@@ -253,8 +252,8 @@ def _pack_shared(
     return sizes, arrays
 
 
+#: Newton tolerance of shapes that are differentiated, mm; at this, `simulate_steps` gives the same shape
 MAX_TOLERANCE_MM = 1e-9
-"""Newton tolerance of shapes that are differentiated, mm; at this, `simulate_steps` gives the same shape."""
 
 
 class PreparedInsertion:

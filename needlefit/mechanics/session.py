@@ -44,8 +44,6 @@ class Session:
 
     Parameters
     ----------
-    needle : Needle
-    tissue : Tissue
     bevel : Bevel
         As the insertion begins.
     first_cell : float
@@ -54,16 +52,6 @@ class Session:
         one.
     controls : Controls
         As the insertion begins.
-    rules : ModelOptions
-
-    Attributes
-    ----------
-    last : Step
-        Where the needle stands, and under which inputs.
-    failures : Counter
-        How many steps failed, by reason.
-    solved : int
-        Equilibria asked of the solver so far.
     """
 
     # What the kernel reads, and the controls that it holds; `_hold` makes them.
@@ -83,9 +71,10 @@ class Session:
     ) -> None:
         self.needle, self.tissue, self.rules = needle, tissue, rules
         self.lattice = Lattice(first_cell, rules.spacing)
+        #: where the needle stands, and under which inputs
         self.last = Step(0.0, bevel, controls)
-        self.failures: Counter[str] = Counter()
-        self.solved = 0
+        self.failures: Counter[str] = Counter()  #: how many steps failed, by reason
+        self.solved = 0  #: equilibria asked of the solver so far
         self._boundaries = tissue.boundaries.tolist()
         self._scales = [  # of a tip in each layer
             compute_scales(tissue, end, rules.spacing) for end in (*self._boundaries, math.inf)
@@ -125,7 +114,6 @@ class Session:
         ----------
         insert : float
             How far the tip goes in, mm; out, where it is negative.
-        bevel : Bevel
         base : (y, slope)
             Of the base in C, mm and 1.
         guides : tuple of Guide
@@ -185,7 +173,6 @@ class Session:
 
         Parameters
         ----------
-        tissue : Tissue, optional
         offset, cut_angle : float, optional
             b, mm, or theta, rad, of every step.
         """
@@ -265,19 +252,13 @@ class Session:
         self._held, self._cut = controls, self.last.bevel
         step = Step(self._deepest, self.last.bevel, controls)
         self._problem = pack_problem(
-            self.needle,
-            self.tissue,
-            (step,),
-            self.lattice,
-            self.rules,
-            _NO_STOPS,
-            rays=self._rays,
-            guides=MAX_GUIDES,
-        )
+            self.needle, self.tissue, (step,), self.lattice, self.rules, _NO_STOPS,
+            rays=self._rays, guides=MAX_GUIDES,
+        )  # fmt: skip
 
 
+#: a session's stops are planned by the kernel
 _NO_STOPS = PackedStops(np.zeros(1, native.STOP), (0,), (0,), TipStop(0.0, 0, False, 0, False, 0, 0), 1)
-"""A session's stops are planned by the kernel."""
 
 
 class _InputIds(Generic[T]):

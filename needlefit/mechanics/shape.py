@@ -21,22 +21,18 @@ from needlefit.mechanics.tissue import Tissue
 if TYPE_CHECKING:
     from needlefit.mechanics.batch import NeedleShapes
 
+#: greatest slope |u'| for the assumption of small slopes: u' and its sine then differ by 1.5 %
 MAX_SLOPE = 0.3
-"""Greatest slope |u'| for the assumption of small slopes: u' and its sine then differ by 1.5 %."""
-
+#: at this deflection a cantilever under an end force has a slope of 0.3, and linear theory is 4 % off
 MAX_DEFLECTION_PER_LENGTH = 0.2
-"""At this deflection a cantilever under an end force has a slope of 0.3, and linear theory is 4 % off."""
-
+#: the needle's points lie nearer to the entry than the model assumes. Beyond half of the thinnest layer, most
+#: of that layer's load is assigned to another layer.
 MAX_SHORTENING_PER_LAYER = 0.5
-"""The needle's points lie nearer to the entry than the model assumes. Beyond half of the thinnest layer, most
-of that layer's load is assigned to another layer."""
-
+#: guides hold deflections, integrals of u'; the needle's points are integrals of sin u'. They may miss guides
+#: and entry by so much, mm: few know the place of a guide better.
 MAX_MISS_MM = 0.1
-"""Guides hold deflections, integrals of u'; the needle's points are integrals of sin u'. They may miss guides
-and entry by so much, mm: few know the place of a guide better."""
-
+#: |e| / t: compression tests of soft tissue, the basis of the laws, end at about half of the thickness
 MAX_COMPRESSION = 0.5
-"""|e| / t: compression tests of soft tissue, the basis of the laws, end at about half of the thickness."""
 
 
 @dataclass(frozen=True)

@@ -56,10 +56,11 @@ from needlefit.studies.score import Row
 
 FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
-
+#: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
-"""Expected width of the 95 % interval of the tip after one measured insertion into the new specimen."""
-
+#: columns: `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` of a shape
+#: nearer, at its worst point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %;
+#: `points_in_*` is the part of points within their own interval, which are no independent trials
 PREDICTIVE_COLUMNS = (
     "fold", "insertion", "specimen", "medium", "layers", "depth_mm", "specimen_treatment", "between_sd_ln_mu",
     "between_sd_ln_b", "other_specimens", AFTER_ONE_COLUMN, "draw_source", "certified", "draws",
@@ -67,9 +68,6 @@ PREDICTIVE_COLUMNS = (
     "tip_95_high_mm", "tip_pit", "tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm",
     "shape_pit", "shape_in_50", "shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm",
 )  # fmt: skip
-"""Columns: `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` of a shape
-nearer, at its worst point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %;
-`points_in_*` is the part of points within their own interval, which are no independent trials."""
 
 
 def draw_fold_parameters(

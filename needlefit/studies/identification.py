@@ -57,8 +57,6 @@ def identify_parameters(
 
     Parameters
     ----------
-    problem : Problem
-    examination : Examination
     sds : mapping
         Standard deviations of the posterior as expected from the information, bounds and prior included.
     verdict : Verdict, optional

@@ -10,8 +10,8 @@ from needlefit.project.locate import find_file, list_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.reporting.text import KindText
 
+#: width of the 95 % interval of a tip up to which it serves for aiming, whatever the deflection
 MAX_AIMING_WIDTH_MM = 2.0
-"""Width of the 95 % interval of a tip up to which it serves for aiming, whatever the deflection."""
 
 
 def measure_width(tips: Floats) -> float:

@@ -26,8 +26,8 @@ from needlefit.studies.folds import Fold
 from needlefit.studies.job import Job
 from needlefit.studies.score import Row
 
+#: insertions of a specimen that its estimate uses, the deepest and others evenly over depths
 MAX_INSERTIONS = 4
-"""Insertions of a specimen that its estimate uses, the deepest and others evenly over depths."""
 
 
 @dataclass

@@ -30,25 +30,18 @@ from needlefit.schemas.medium import MediumRecord
 PATH_POINTS = 101  #: points of a needle among which its crossings are looked for
 TABLE_POINTS = 9  #: parallels to the entry axis along which the places of surfaces are tabulated
 OUTERMOST = (0.002, 0.998)  #: quantiles of the points of all draws between which surfaces are tabulated
-
+#: distance of the outermost parallels from the outermost draws, mm, and of surfaces that no tip reaches
 TABLE_MARGIN_MM = 0.5
-"""Distance of the outermost parallels from the outermost draws, mm, and of surfaces that no tip reaches."""
-
 BEYOND_TIP_MM = 10.0  #: length of the parallels beyond the tip, mm
-
+#: where each depth is simulated besides its middle, in units of so many deviations over the draws
 NODE_PLACES, NODE_SD = (-1.0, 1.0), 1.2
-"""Where each depth is simulated besides its middle, in units of so many deviations over the draws."""
-
 MIN_NODE_MM = 0.05  #: least distance of the depths at which needles are simulated, mm
 NODE_DRAWS = 96  #: draws, at most, that are simulated with other depths than the middle
-
+#: draws of these that are chosen because they lie farthest from the others: nothing is extrapolated far
 FAR_DRAWS = 32
-"""Draws of these that are chosen because they lie farthest from the others: nothing is extrapolated far."""
-
 SAME_DRAW = 1e-6  #: deviations of parameters (ln of positive ones) below which draws do not differ
-
+#: rounds in which the crossings of interpolated needles converge; each changes them by a slope less
 CROSSING_ROUNDS = 6
-"""Rounds in which the crossings of interpolated needles converge; each changes them by a slope less."""
 
 
 @dataclass(frozen=True)

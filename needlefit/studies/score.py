@@ -28,11 +28,10 @@ from needlefit.studies.validity import ValidityCounts
 
 Row = dict[str, Any]
 
+#: the methods that simulate a needle: both fits, the paper's parameters, and these with b fitted again
 MODEL_METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
-"""The methods that simulate a needle: both fits, the paper's parameters, and these with b fitted again."""
-
+#: an insertion -> a curve by kind of boundaries ("measured", "planned"); None where the solve failed
 Predictor = Callable[[Insertion], Mapping[str, Curve | None]]
-"""An insertion -> a curve by kind of boundaries ("measured", "planned"); None where the solve failed."""
 
 
 def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: Dataset) -> Predictor:

@@ -49,9 +49,8 @@ from needlefit.synthetic.truth import bevel_offset, draw_specimen
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
-
+#: standard deviations of the shift, mm, and the slope of a tracker's frame
 TRACKER_FRAME_SD = (FREE_POSE_SHIFT_SD_MM, 0.1)
-"""Standard deviations of the shift, mm, and the slope of a tracker's frame."""
 
 
 def simulate_measurement(

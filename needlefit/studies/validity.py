@@ -7,10 +7,8 @@ from typing import Any
 from needlefit.mechanics.shape import LIMITS, Validity
 
 VALIDITY_KEY = "validity"  #: key in `run.json`
-
+#: rivals of which a warning is given; how far a published set strains the model is counted only
 FITTED_METHODS = ("fitted", "fitted_metric")
-"""Rivals of which a warning is given; how far a published set strains the model is counted only."""
-
 MAX_LISTED_ROWS = 20  #: scored simulations outside that are listed; the others are counted
 
 _WORDS = {
@@ -63,8 +61,8 @@ class ValidityCounts:
         return table
 
 
+#: share of draws, or of needles predicted by them, that may be outside without a warning: their tails are
 MAX_OUTSIDE_SHARE = 0.01
-"""Share of draws, or of needles predicted by them, that may be outside without a warning: their tails are."""
 
 
 def list_outside(run: Mapping[str, Any]) -> list[str]:

@@ -37,8 +37,8 @@ from needlefit.inference.likelihood.marginal import load_effects, log_marginals,
 from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.problem import Problem
 
+#: part of a variance below which none falls, so that it stays positive in spite of rounding
 MIN_RELATIVE_VARIANCE = 1e-12
-"""Part of a variance below which none falls, so that it stays positive in spite of rounding."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,8 @@ def linearized_gain(covariance: Floats, slopes: Floats) -> float:
     return 0.5 * float(np.linalg.slogdet(whole)[1])
 
 
+#: values (Pa, mm) -> the problem of insertions as these would shape them; None where one has no solution
 DesignFunction = Callable[[Mapping[str, float]], Problem | None]
-"""Values (Pa, mm) -> the problem of insertions as these would shape them; None where one has no solution."""
-
 OTHER_POINTS = 8  #: places besides the one asked for
 MAX_POINT_SD = 1.0  #: standard deviation of the places along directions that the design leaves open, in theta
 

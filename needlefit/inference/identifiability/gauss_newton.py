@@ -19,9 +19,8 @@ from needlefit.inference.objective import EVALUATION_ERRORS
 if TYPE_CHECKING:
     from needlefit.inference.problem import Problem
 
+#: a minimum is reached where a further step would lessen the sum of squares by less than this
 MIN_GAIN = 1e-3
-"""A minimum is reached where a further step would lessen the sum of squares by less than this."""
-
 FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
 MAX_EVALUATIONS = 40  #: evaluations after which a descent gives up
 

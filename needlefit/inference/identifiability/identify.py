@@ -57,15 +57,12 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.project.progress import Stop, never_stop
 from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
 
+#: largest range among equal starts, in these standard deviations, of a parameter called determined
 MAX_RANGE_SD = 4.0
-"""Largest range among equal starts, in these standard deviations, of a parameter called determined."""
-
+#: a start is within tolerance of the best if its log posterior is within this of the best one's
 LOG_POSTERIOR_TOLERANCE = 0.1
-"""A start is within tolerance of the best if its log posterior is within this of the best one's."""
-
+#: the same for the metric objective: within 1 % or 0.002 mm of the best one's
 METRIC_RELATIVE_TOLERANCE, METRIC_TOLERANCE_MM = 0.01, 0.002
-"""The same for the metric objective: within 1 % or 0.002 mm of the best one's."""
-
 MIN_NAMED_WEIGHT = 0.1  #: weight from which on a direction is named in the note of a parameter
 
 
@@ -242,9 +239,8 @@ def free_shape(problem: Problem, name: str) -> Problem:
     )
 
 
+#: most ends of other starts from which profiles are tried again, beside the middle of the bounds
 MAX_OTHER_STARTS = 2
-"""Most ends of other starts from which profiles are tried again, beside the middle of the bounds."""
-
 MIN_SEPARATION = 0.05  #: ends closer than this part of the bounds, in every parameter, are one place
 
 
@@ -335,9 +331,8 @@ def _select_separate(problem: Problem, thetas: Sequence[Sequence[float]]) -> lis
 
 
 NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
-
+#: half widths of intervals, and standard deviations, that differ by less than this factor agree
 AGREEMENT_FACTOR = 1.5
-"""Half widths of intervals, and standard deviations, that differ by less than this factor agree."""
 
 AGREEMENT = "standard deviation, information and profile agree"
 

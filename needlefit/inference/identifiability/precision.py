@@ -25,18 +25,14 @@ from needlefit.inference.parameters import (
 )
 from needlefit.inference.problem import Problem
 
+#: steps of the differences: in a logarithm, and in a shape parameter, on which needles hardly depend
 LOG_STEP, SHAPE_STEP = 1e-3, 5e-2
-"""Steps of the differences: in a logarithm, and in a shape parameter, on which needles hardly depend."""
-
+#: SD of a combination's logarithm (of a sum with shape parameters) above which it is called nearly free
 NEARLY_FREE_SD = 0.5
-"""SD of a combination's logarithm (of a sum with shape parameters) above which it is called nearly free."""
-
+#: posterior SD / prior SD from which on the data add nothing to what ties, priors and bounds say
 UNINFORMED_SD_RATIO = 0.9
-"""Posterior SD / prior SD from which on the data add nothing to what ties, priors and bounds say."""
-
+#: what is added to the words of such a direction
 KNOWN_BY_PRIOR = ", by the stated ties, priors or bounds alone"
-"""What is added to the words of such a direction."""
-
 MIN_RELATIVE_WEIGHT = 0.05  #: weights below this part of the largest are left out of the words
 
 
@@ -182,16 +178,13 @@ def _print_term(name: str, weight: float) -> str:
     return f"{sign} {name}" if abs(abs(weight) - 1) < 0.005 else f"{sign} {abs(weight):.2g} {name}"
 
 
+#: largest standard deviations, of a logarithm and of a shape parameter, of one called determined
 MAX_LOG_SD, MAX_SHAPE_SD = 0.3, 0.5
-"""Largest standard deviations, of a logarithm and of a shape parameter, of one called determined."""
-
+#: largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine
 MAX_SD_RATIO = 0.5
-"""Largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine."""
-
 BOUND_FRACTION = 1e-3  #: a parameter closer to a bound than this part of its range lies at it
-
+#: a 95 % interval that ends closer to a bound than this part of the bounds is cut off there
 CUT_OFF_FRACTION = 0.01
-"""A 95 % interval that ends closer to a bound than this part of the bounds is cut off there."""
 
 
 def is_determined_by_data(name: str, sd: float, prior_sd: float) -> bool:
@@ -307,16 +300,15 @@ def prior_and_noise_information(problem: Problem) -> Floats:
     return known + np.diag([2.0 * rows * (name == NOISE_SCALE) for name in problem.names])
 
 
+#: length over which the model's error fades along the needle: about that of a layer
 MODEL_ERROR_LENGTH_MM = 15.0
-"""Length over which the model's error fades along the needle: about that of a layer."""
-
+#: standard deviation of the model's error, as part of the rms deflection of the tips, at least: a fit takes
+#: up much of what its model misses, so that its residuals are too small to say
 MIN_MODEL_ERROR = 0.01
-"""Standard deviation of the model's error, as part of the rms deflection of the tips, at least: a fit takes
-up much of what its model misses, so that its residuals are too small to say."""
 
+#: assumptions without which a parameter is not determined
 STATED_TIES = "determined only under the stated ties"
 NO_MODEL_ERROR = "determined only if the model has no error"
-"""Assumptions without which a parameter is not determined."""
 
 LOOSENED = "ties loosened and a model error"
 

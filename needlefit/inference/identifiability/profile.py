@@ -36,27 +36,20 @@ class ProfileSteps:
     min_gain: float = MIN_GAIN  #: fall of the sum of squares below which a point counts as minimised
 
 
+#: for a 95 % interval: far enough above its threshold to see where it is passed
 INTERVAL_STEPS = ProfileSteps(stop_deviance=1.5 * float(2 * gammaincinv(0.5, 0.95)), root_rise=0.6)
-"""For a 95 % interval: far enough above its threshold to see where it is passed."""
-
+#: a step is at most this times the one before, and this part of the parameter's range
 MAX_STEP_GROWTH, MAX_STEP_FRACTION = 3.0, 0.34
-"""A step is at most this times the one before, and this part of the parameter's range."""
-
 MIN_STEP_FRACTION = 1e-4  #: and at least this part of the range
 MAX_SIDE_POINTS = 24  #: most points of one side
-
+#: largest jump of the root of the deviance beyond the expected one; above it other starts are tried too
 MAX_ROOT_JUMP = 1.0
-"""Largest jump of the root of the deviance beyond the expected one; above it other starts are tried too."""
-
 MIN_IMPROVEMENT = 5 * MIN_GAIN  #: a value is lower than another one if it is so by more than this
-
+#: a minimum of the cheaper problem that is higher than another by more is so in the full one too
 MAX_BRANCH_RISE = 10.0
-"""A minimum of the cheaper problem that is higher than another by more is so in the full one too."""
-
+#: ends of two searches are one minimum if neither their values, nor the squares of their distance in standard
+#: deviations, differ by more
 SAME_MINIMUM_GAP = 0.1
-"""Ends of two searches are one minimum if neither their values, nor the squares of their distance in standard
-deviations, differ by more."""
-
 MAX_RESTARTS = 3  #: largest number of restarts of a profile after a better optimum was found
 
 
@@ -296,10 +289,8 @@ def _deviance_root(settings: _PathSettings, optimum: LocalMinimum, point: LocalM
 End = Literal["closed", "bound", "lost"]
 
 DEVIANCE_95 = float(2 * gammaincinv(0.5, 0.95))  #: deviance at the ends of a 95 % interval, 3.84
-
+#: deviance by which the profile must fall away from the optimum to be said to have another minimum
 MIN_DEPTH = 0.2
-"""Deviance by which the profile must fall away from the optimum to be said to have another minimum."""
-
 MIN_POINT_DISTANCE = 1e-6  #: points closer than this part of the range are one
 CURVE_POINTS = 401  #: points on which the curve between the computed ones is searched and drawn
 

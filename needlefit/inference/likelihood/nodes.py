@@ -32,16 +32,12 @@ NODE_POSITIONS_SD: dict[DepthTreatment, tuple[float, ...]] = {
     "linear": (-1.0, 1.0),
     "quadrature": QUADRATURE_NODES,
 }  #: where each axis is simulated besides its centre, in standard deviations
-
+#: stand in place of a layer where what is shared is the tracker's frame, or the bevel of one insertion that
+#: was measured at several depths
 FRAME, BEVEL = -1, -2
-"""Stand in place of a layer where what is shared is the tracker's frame, or the bevel of one insertion that
-was measured at several depths."""
-
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
-
+#: least bevel of an insertion, as part of the mean: a normal distribution does not end at zero
 MIN_BEVEL_FACTOR = 0.05
-"""Least bevel of an insertion, as part of the mean: a normal distribution does not end at zero."""
-
 MIN_GAP_MM = 1e-3  #: smallest distance, mm, of moved boundaries from each other and from the entry
 
 

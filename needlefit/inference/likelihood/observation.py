@@ -47,10 +47,9 @@ from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 
 SHARED_ERROR_LENGTH_MM = 7.5  #: length over which errors that neighbouring cross-sections share fade, mm
-
+#: cross-sections within so many deviations of the depth from the needle's base are left out: a depth that
+#: errs must not move them off the needle
 DEPTH_ERRORS_KEPT = 4.0
-"""Cross-sections within so many deviations of the depth from the needle's base are left out: a depth that
-errs must not move them off the needle."""
 
 
 @dataclass(frozen=True)
@@ -133,14 +132,12 @@ def bias_covariance(measurement: MeasurementRecord, s: Floats, insertions: int) 
     return Discrepancy(size, measurement.bias_length_mm).covariance(s)
 
 
+#: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
 HEADING_STEP_MM = 0.25
-"""Length over which the direction of a simulated path is taken, mm: shorter than constraints are apart."""
-
+#: prior deviation of a session's slope and of its headings' offset, rad: registrations err by less
 SESSION_SD_RAD = 0.2
-"""Prior deviation of a session's slope and of its headings' offset, rad: registrations err by less."""
-
+#: degree of the polynomial whose slope is taken for the needle's: that of the noisy points would be rough
 SLOPE_DEGREE = 3
-"""Degree of the polynomial whose slope is taken for the needle's: that of the noisy points would be rough."""
 
 
 def pose_modes(measured: Floats, slope: Floats | None = None) -> Floats:

@@ -18,24 +18,18 @@ from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
 
+#: where each axis is simulated besides its centre, in standard deviations. Of several spacings tried on
+#: synthetic insertions these came closest to brute force.
 QUADRATURE_NODES = (-0.7, 0.7, -1.6, 1.6)
-"""Where each axis is simulated besides its centre, in standard deviations.
-
-Of several spacings tried on synthetic insertions these came closest to brute force.
-"""
-
 RANGE_SD = 3.2  #: standard deviations up to which each axis is integrated: 0.14 % of its prior lies beyond
-
+#: most points of one axis, and of the whole table: with more than three axes they become fewer on each
 MAX_AXIS_POINTS, MAX_TABLE_POINTS = 17, 30_000
-"""Most points of one axis, and of the whole table: with more than three axes they become fewer on each."""
-
+#: most axes of one table, of 7 points each. Six have 5, which err by 0.08 in the log where a deviation of
+#: each depth moves the curve by one whitened unit; eight err by 1, and by 3 at two units.
 MAX_AXES = 5
-"""Most axes of one table, of 7 points each. Six have 5, which err by 0.08 in the log where a deviation of
-each depth moves the curve by one whitened unit; eight err by 1, and by 3 at two units."""
 
-
+#: entries of tables that are held at once: thousands of parameter sets must not take gigabytes
 MAX_ENTRIES_AT_ONCE = 1_000_000
-"""Entries of tables that are held at once: thousands of parameter sets must not take gigabytes."""
 
 
 @dataclass(frozen=True)

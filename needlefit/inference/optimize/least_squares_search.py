@@ -16,23 +16,18 @@ from scipy.optimize import least_squares, lsq_linear
 from needlefit.arrays import Floats
 from needlefit.inference.objective import EvaluationRecorder, SearchEnded, half_square
 
+#: relative change of the sum of squares, and of theta, under which it ends, unless more is negligible
 MIN_TOLERANCE = 1e-15
-"""Relative change of the sum of squares, and of theta, under which it ends, unless more is negligible."""
-
+#: about as large as half the squares are at their least: a part of them is negligible
 TYPICAL_HALF_SQUARES = 1e2
-"""About as large as half the squares are at their least: a part of them is negligible."""
-
 NEAR_TOLERANCE = 1e-2  #: relative change of the sum of squares by a step under which a minimum is near
 MAX_FAILED_STEPS = 3  #: Newton's steps in a row from which the sum of squares rises: there its method is left
-
+#: cosine between a step and the change of the gradient below which that gives no curvature along the step
 MIN_COSINE = 1e-6
-"""Cosine between a step and the change of the gradient below which that gives no curvature along the step."""
-
 VALUE_ROUNDING = 1e-9  #: rise of the sum of squares, as a part of it, that may be rounding of the simulation
-
+#: differences between value and sum of squares from which on one does not stand for the other: of the best
+#: value, and of the first one, next to which the constant between them was found
 SUM_TOLERANCE, CONSTANT_ROUNDING = 1e-6, 1e-12
-"""Differences between value and sum of squares from which on one does not stand for the other: of the best
-value, and of the first one, next to which the constant between them was found."""
 
 
 def run_least_squares(recorder: EvaluationRecorder, start: Floats, _tolerance: float = 0.0) -> str:

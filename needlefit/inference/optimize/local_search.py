@@ -33,18 +33,14 @@ from needlefit.schemas.recipe import RecipeRecord
 
 FIRST_STEP = 0.25  #: initial step of a local search without gradients, as a part of each parameter's range
 FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, likewise
-
+#: step, likewise, under which a search by gradients for the peak of a posterior ends
 GRADIENT_STEP_TOLERANCE = 1e-12
-"""Step, likewise, under which a search by gradients for the peak of a posterior ends."""
-
+#: relative gain of a search by gradients begun anew that is none, where nothing is said to be negligible
 MIN_RELATIVE_GAIN = 1e-6
-"""Relative gain of a search by gradients begun anew that is none, where nothing is said to be negligible."""
-
+#: shown to nlopt for a value that is not finite, until finite ones are known; then 2 * worst + 1 is
 PENALTY = 1e3
-"""Shown to nlopt for a value that is not finite, until finite ones are known; then 2 * worst + 1 is."""
-
+#: relative change of the value under which a search ends, as a part of the recipe's tolerance
 VALUE_TOLERANCE = 0.1
-"""Relative change of the value under which a search ends, as a part of the recipe's tolerance."""
 
 
 def run_nlopt(
@@ -230,16 +226,14 @@ def select_algorithms(name: str, objective_function: ObjectiveFunction) -> tuple
     )
 
 
+#: largest gain of the value that a further step may promise; in units of the mean square where that is above
+#: 1, because rounding grows with it, or where nothing says what is negligible
 MAX_REMAINING_GAIN = 1e-6
-"""Largest gain of the value that a further step may promise; in units of the mean square where that is above
-1, because rounding grows with it, or where nothing says what is negligible."""
-
+#: a further step that changes no parameter by more than this part of it promises nothing
 NEGLIGIBLE_STEP = 1e-8
-"""A further step that changes no parameter by more than this part of it promises nothing."""
-
+#: a parameter whose whole scale moves the residuals by less than this part of them has no effect; neither has
+#: a combination of parameters whose effects cancel to this part of each
 FLAT_FRACTION = 1e-8
-"""A parameter whose whole scale moves the residuals by less than this part of them has no effect; neither
-has a combination of parameters whose effects cancel to this part of each."""
 
 
 def certify_minimum(recorder: EvaluationRecorder, reason: str) -> str:

@@ -29,8 +29,8 @@ from needlefit.project.progress import Stop
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
+#: differences of the easier goal, and of every parameter of theta, up to which two ends are one
 SAME_OBJECTIVE, SAME_THETA = 1e-3, 1e-2
-"""Differences of the easier goal, and of every parameter of theta, up to which two ends are one."""
 
 
 def group_approaches(ends: Sequence[Start]) -> dict[int, int]:

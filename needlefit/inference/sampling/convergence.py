@@ -17,15 +17,13 @@ from scipy.special import ndtri
 
 from needlefit.arrays import Floats
 
+#: the rule: R-hat below, at least this many autocorrelation times long, and more independent draws than this
+#: in the bulk and in the tails of every ensemble
 MAX_R_HAT, MIN_LENGTH_TAU, MIN_ESS = 1.01, 50, 400
-"""The rule: R-hat below, at least this many autocorrelation times long, and more independent draws than this
-in the bulk and in the tails of every ensemble."""
-
 MIN_ENSEMBLES = 4  #: fewest ensembles whose agreement means something
 TAIL_QUANTILES = (0.05, 0.95)  #: quantiles whose indicators tell how well the tails are known
-
+#: autocorrelations are summed up to this many autocorrelation times (Sokal): beyond is noise
 WINDOW_TAU = 5.0
-"""Autocorrelations are summed up to this many autocorrelation times (Sokal): beyond is noise."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +71,6 @@ def assess_convergence(thetas: Floats, log_density: Floats, names: Sequence[str]
 
     Parameters
     ----------
-    thetas : (E, S, W, P) array
-    log_density : (E, S, W) array
     names : sequence of str
         P of them.
     """

@@ -27,10 +27,8 @@ RandomState = np.random.RandomState
 
 DEGREES_OF_FREEDOM = 5.0  #: degrees of freedom: tails heavier than those of most posteriors
 MAX_CENTRES = 400  #: most points that a proposal density is fitted to
-
+#: scale of the wide Student-t in standard deviations, and the part of the proposals drawn from it
 WIDE_SCALE, WIDE_FRACTION = 1.5, 0.2
-"""Scale of the wide Student-t in standard deviations, and the part of the proposals drawn from it."""
-
 MIN_VARIANCE = 1e-8  #: added to the variances of whitened places: walkers that stood still have none
 
 
@@ -103,17 +101,15 @@ def fit_proposal(visited: Floats) -> ProposalDensity:
     return ProposalDensity(mean, factor, mean + math.sqrt(1 - width**2) * (chosen - mean), width)
 
 
+#: what walkers (N, P) propose by looking at parts of the others, and the logarithm (N,) of its correction
 Proposal = Callable[[Floats, Sequence[Floats], RandomState], tuple[Floats, Floats]]
-"""What walkers (N, P) propose by looking at parts of the others, and the logarithm (N,) of its correction."""
 
 INDEPENDENT = "independent"
 
+#: parts of the steps that moves get without a factor, in relation: emcee's authors advise 0.8 and 0.2
 MOVE_WEIGHTS = {"stretch": 1.0, "de": 0.8, "snooker": 0.2, INDEPENDENT: 1.0}
-"""Parts of the steps that moves get without a factor, in relation: emcee's authors advise 0.8 and 0.2."""
-
+#: length of a snooker step in differences of two others; ter Braak & Vrugt, Stat. Comput. 18 (2008) 435.
 SNOOKER_LENGTH = 1.7
-"""Length of a snooker step in differences of two others; ter Braak & Vrugt, Stat. Comput. 18 (2008) 435."""
-
 ENSEMBLE_PARTS = 2  #: parts of an ensemble that move in turn, each looking at the other
 
 _MOVE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[a-z]+)\s*")

@@ -54,10 +54,8 @@ from needlefit.project.tasks import THIS_PROCESS, TaskPool, TaskStop
 
 MAX_PARETO_K = 0.7  #: largest k of weights whose means come to rest at any practical number of draws
 MIN_TAIL_WEIGHTS = 5  #: fewer weights make no tail
-
+#: the estimated k is shrunk to this shape, with the weight of so many further weights
 PRIOR_SHAPE, PRIOR_WEIGHTS = 0.5, 10.0
-"""The estimated k is shrunk to this shape, with the weight of so many further weights."""
-
 GRID_COARSENESS = 3.0  #: the grid of the profile likelihood is that of a first quartile divided by this
 
 
@@ -99,8 +97,8 @@ def fit_pareto(values: Floats) -> tuple[float, float]:
     return (n * shape + PRIOR_WEIGHTS * PRIOR_SHAPE) / (n + PRIOR_WEIGHTS), -shape / best
 
 
+#: degrees of freedom: heavy enough for posteriors within bounds, at a small loss on Gaussian ones
 DEGREES_OF_FREEDOM = 5.0
-"""Degrees of freedom: heavy enough for posteriors within bounds, at a small loss on Gaussian ones."""
 
 
 @dataclass(frozen=True)
@@ -203,8 +201,8 @@ class WeightedDraws:
         return self.k <= MAX_PARETO_K and self.effective_sample_size >= self.min_ess
 
 
+#: independent draws that the weights must be worth for each of those taken without replacement
 MIN_ESS_PER_DISTINCT_DRAW = 3.0
-"""Independent draws that the weights must be worth for each of those taken without replacement."""
 
 
 def resample(found: WeightedDraws, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -293,16 +291,12 @@ def _weight_rounds(rounds: Sequence[_Round], min_ess: float) -> WeightedDraws:
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
 MIN_ESS_PER_COMPONENT = 12.0  #: independent draws per component that a flatter density is chosen by
 FLAT_ROUNDS = 5  #: in so many rounds the mixture follows a flat density only
-
+#: the half of a mixture that follows a steeper density has as many times fewer components
 COMPONENTS_PER_STEEP_ONE = 6
-"""The half of a mixture that follows a steeper density has as many times fewer components."""
-
+#: in the first rounds the mixture follows this power of the density, and no weights are good enough yet
 EARLY_ROUNDS, EARLY_POWER = 2, 0.5
-"""In the first rounds the mixture follows this power of the density, and no weights are good enough yet."""
-
+#: factors on the scales in the first rounds and later, so that tails are reached
 EARLY_WIDENING, WIDENING = 1.5, 1.2
-"""Factors on the scales in the first rounds and later, so that tails are reached."""
-
 MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
 
 
@@ -368,17 +362,15 @@ def _flatten_weights(found: WeightedDraws, power: float, fewest: float) -> Float
     return weights
 
 
+#: a start that ended with a log density this much below the best one's found no mode
 MAX_LOG_DENSITY_GAP = 10.0
-"""A start that ended with a log density this much below the best one's found no mode."""
-
 MIN_MODE_DISTANCE = 1e-3  #: ends nearer to each other than this part of the bounds are one mode
-
+#: profiles along which draws begin: coarse ones, down to densities of a thousandth of the peak's
 PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.05)
-"""Profiles along which draws begin: coarse ones, down to densities of a thousandth of the peak's."""
 
 EFFORT = Effort()
+#: effort of the second attempt; still far less than MCMC needs
 LARGER_EFFORT = Effort(draws=1000, components=30)
-"""Effort of the second attempt; still far less than MCMC needs."""
 
 
 def find_modes(fit: Fit, width: Floats) -> Floats:
@@ -499,8 +491,8 @@ class PredictiveDensity:
     effective_sample_size: float  #: effective number of independent draws: the fewer of the two integrals'
 
 
+#: density of data that cannot be predicted
 ZERO_DENSITY = PredictiveDensity(-math.inf, math.inf, math.inf, math.nan, 0.0)
-"""Density of data that cannot be predicted."""
 
 
 def compute_predictive_density(both: WeightedDraws, first: WeightedDraws) -> PredictiveDensity:

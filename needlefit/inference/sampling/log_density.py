@@ -60,12 +60,10 @@ class Evaluator:
             return np.concatenate([self._guarded(theta[None]) for theta in thetas])
 
 
+#: log densities (W,) of thetas (W, P), -inf where there is none
 LogDensityFunction = Callable[[Floats], Floats]
-"""Log densities (W,) of thetas (W, P), -inf where there is none."""
-
+#: largest fall of the log density over one step: one standard deviation, if all other parameters are held
 MAX_LOG_DENSITY_DROP = 0.5
-"""Largest fall of the log density over one step: one standard deviation, if all other parameters are held."""
-
 STEP_FRACTIONS = 0.25 * 0.5 ** np.arange(0, 16)  #: steps that are tried, as parts of the range
 UNIFORM_PRECISION = 12.0  #: precision of a uniform distribution, by its width squared
 BOUND_MARGIN = 1e-3  #: a point at a bound is taken this part of the range inside: differences need both sides

@@ -193,8 +193,8 @@ def _make_datasets(posterior: Posterior) -> "dict[str, xarray.Dataset]":
     }
 
 
+#: variables of the group `convergence` by what holds them
 _PER_CHAIN = {"autocorrelation_time": "tau", "ess_bulk": "ess_bulk", "ess_tail": "ess_tail"}
-"""Variables of the group `convergence` by what holds them."""
 
 
 def _attributes(posterior: Posterior) -> dict[str, str | int]:

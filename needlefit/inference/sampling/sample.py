@@ -134,15 +134,13 @@ def _to_tuples(lists: list[list[list[float]]]) -> Failed:
     return tuple(tuple(tuple(theta) for theta in ensemble) for ensemble in lists)
 
 
+#: standard deviations of the Laplace approximation by which ensembles are scattered about their point, and
+#: the walkers of each about its middle
 ENSEMBLE_SCATTER_SD, WALKER_SCATTER_SD = 2.0, 1.0
-"""Standard deviations of the Laplace approximation by which ensembles are scattered about their point, and
-the walkers of each about its middle."""
-
+#: no ensemble begins about a point whose log density is this much below the best point's
 MAX_LOG_DENSITY_GAP = 10.0
-"""No ensemble begins about a point whose log density is this much below the best point's."""
-
+#: redraws of walkers that begin where the density is 0, each time at half the scatter after ten
 MAX_ATTEMPTS = 100
-"""Redraws of walkers that begin where the density is 0, each time at half the scatter after ten."""
 
 
 def initialize_walkers(
@@ -210,8 +208,8 @@ def _reflect_at_bounds(thetas: Floats, lower: Floats, upper: Floats) -> Floats:
     return lower + (1 - np.abs(1 - cube)) * (upper - lower)
 
 
+#: steps after which proposals are fitted anew, to the second half of them
 ADAPTATION_STEPS = (50, 150, 500, 1200, 3000)
-"""Steps after which proposals are fitted anew, to the second half of them."""
 
 
 def list_adaptation_steps(settings: SampleRecord) -> tuple[int, ...]:
