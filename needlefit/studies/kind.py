@@ -77,7 +77,7 @@ class StudyKind:
         begin, complete = time.time(), False
         try:
             with add_study_context(name):
-                result: Run = self._import("run").run(name, record, settings)
+                result = self.compute(name, record, settings)
             complete = not result.interrupted
         finally:
             if settings.checkpoint is not None and not complete:
@@ -87,6 +87,11 @@ class StudyKind:
         revision = find_source_revision()
         state |= {"source_revision": revision} if revision else {}
         return replace(result, run=result.run | state, timing=timing | result.timing)
+
+    def compute(self, name: str, record: FileRecord, settings: "Settings") -> "Run":
+        """Run a study as a part of another one, which has the checkpoint and states the surroundings."""
+        result: Run = self._import("run").run(name, record, settings)
+        return result
 
     def make_record(self, **options: object) -> FileRecord:
         """Return the study file that the options of a command stand for."""

@@ -47,8 +47,7 @@ from needlefit.studies.identification_tables import (
     lay_out_identification,
 )
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kind import StudyKind
-from needlefit.studies.kinds.cross_validation.run import run as cross_validate
+from needlefit.studies.kind import StudyKind, find_kind
 from needlefit.studies.planned_insertions import choose_reference_values, simulate_design
 from needlefit.studies.report import FigurePaths, StudyReport
 from needlefit.studies.run import Run
@@ -87,7 +86,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     target = target_name(record, settings).removesuffix("-tune")
     job = prepare_target(record, f"identify-{target}", settings)
     about = begin_run(name, record, job, f"Identification: {job.record.title or target}")
-    fitted = cross_validate(job.name, job.record, settings) if record.fit else None
+    fitted = find_kind("fit").compute(job.name, job.record, settings) if record.fit else None
     if fitted is not None and fitted.interrupted:
         return replace(about, interrupted=True)
     design = _identify_design(job, settings, None if fitted is None else _fitted_values(fitted))
