@@ -6,8 +6,6 @@ from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
-import pandas as pd
-
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset, split_boundary_sd
 from needlefit.datasets.sections import describe_measurement
@@ -18,9 +16,6 @@ from needlefit.metrics import METRICS
 from needlefit.registry import plugin_versions
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Job
-from needlefit.studies.kinds.cross_validation.result_rows import ResultRows
-from needlefit.studies.summary import count_reasons
-from needlefit.studies.validity import VALIDITY_KEY
 
 PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
 """Whose versions decide the result of a study."""
@@ -109,43 +104,3 @@ def _describe_advance(medium: MediumRecord) -> str:
     if tangent in (0, 1):
         return "along the tangent" if tangent else "a shift in x"
     return f"along {tangent:g} of the tip's slope"
-
-
-def _describe_draws(draws: pd.DataFrame) -> dict[str, Any]:
-    """Return of each fold where its draws come from, Pareto's k, and their effective number."""
-    first = draws.drop_duplicates("fold")
-    return {
-        str(row["fold"]): {
-            "draw_source": row["draw_source"],
-            "pareto_k": None if pd.isna(row["pareto_k"]) else float(row["pareto_k"]),
-            "ess": None if pd.isna(row["ess"]) else float(row["ess"]),
-            "certified": bool(row["certified"]),
-        }
-        for _, row in first.iterrows()
-    }
-
-
-def summarize_searches(tables: ResultRows, interrupted: bool) -> dict[str, Any]:
-    """Return the results of the searches by fold and fit, and the failures in them and in the sampler."""
-    every = [search for fold in tables.searches.values() for search in fold.values()]
-    sampled = {
-        "failed_solves_of_sampler": sum(p.failures for p in tables.posteriors.values()),
-        "not_converged": {fold: list(p.faults) for fold, p in tables.posteriors.items() if p.faults},
-    }
-    return {
-        "searches": tables.searches,
-        "evaluations": sum(search["evaluations"] for search in every),
-        "not_determined": {
-            fold: [name for name, known in verdict.determined.items() if not known]
-            for fold, verdict in tables.verdicts.items()
-        },
-        "failed_solves": sum(search["failed_solves"] for search in every),
-        **(sampled if tables.posteriors else {}),
-        "sampled": bool(tables.posteriors),
-        "draws": _describe_draws(tables.frame("draws")),
-        "search_faults": tables.search_faults,
-        VALIDITY_KEY: tables.counts.table(),
-        "recorded_failures": count_reasons(tables.frame("failures")),
-        "interrupted": interrupted,
-        "budget_limited": False,  # every budget is counted in evaluations, none in time
-    }

@@ -32,7 +32,8 @@ from needlefit.studies.job import Job, Settings
 from needlefit.studies.new_specimens import NewSpecimens
 from needlefit.studies.parameter_intervals import NO_SOURCE, add_intervals, intervals_of_draws
 from needlefit.studies.score import Row, Scorer, make_predictors
-from needlefit.studies.validity import ValidityCounts
+from needlefit.studies.summary import count_reasons
+from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
 
 
 @dataclass
@@ -318,3 +319,43 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
                 }
             )
     return rows
+
+
+def summarize_searches(tables: ResultRows, interrupted: bool) -> dict[str, Any]:
+    """Return the results of the searches by fold and fit, and the failures in them and in the sampler."""
+    every = [search for fold in tables.searches.values() for search in fold.values()]
+    sampled = {
+        "failed_solves_of_sampler": sum(p.failures for p in tables.posteriors.values()),
+        "not_converged": {fold: list(p.faults) for fold, p in tables.posteriors.items() if p.faults},
+    }
+    return {
+        "searches": tables.searches,
+        "evaluations": sum(search["evaluations"] for search in every),
+        "not_determined": {
+            fold: [name for name, known in verdict.determined.items() if not known]
+            for fold, verdict in tables.verdicts.items()
+        },
+        "failed_solves": sum(search["failed_solves"] for search in every),
+        **(sampled if tables.posteriors else {}),
+        "sampled": bool(tables.posteriors),
+        "draws": _describe_draws(tables.frame("draws")),
+        "search_faults": tables.search_faults,
+        VALIDITY_KEY: tables.counts.table(),
+        "recorded_failures": count_reasons(tables.frame("failures")),
+        "interrupted": interrupted,
+        "budget_limited": False,  # every budget is counted in evaluations, none in time
+    }
+
+
+def _describe_draws(draws: pd.DataFrame) -> dict[str, Any]:
+    """Return of each fold where its draws come from, Pareto's k, and their effective number."""
+    first = draws.drop_duplicates("fold")
+    return {
+        str(row["fold"]): {
+            "draw_source": row["draw_source"],
+            "pareto_k": None if pd.isna(row["pareto_k"]) else float(row["pareto_k"]),
+            "ess": None if pd.isna(row["ess"]) else float(row["ess"]),
+            "certified": bool(row["certified"]),
+        }
+        for _, row in first.iterrows()
+    }

@@ -35,6 +35,7 @@ from needlefit.studies.kinds.cross_validation.result_rows import (
     ResultRows,
     has_fit,
     record_failures,
+    summarize_searches,
     tabulate_draws,
     tabulate_fold,
     tabulate_predictions,
@@ -106,10 +107,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             "needles": tabulate_needles(needles.values()),
         },
         posteriors=tables.posteriors,
-        run=work
-        | {"layers": _list_layers(job)}
-        | _find_truth(job)
-        | provenance.summarize_searches(tables, interrupted),
+        run=work | {"layers": _list_layers(job)} | _find_truth(job) | summarize_searches(tables, interrupted),
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
         interrupted=interrupted,
     )
