@@ -511,7 +511,8 @@ def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
         a["u"][wrong] = a["slope"][wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1] = np.nan
     scales = compute_scales(batch.tissue, evaluation.insertion.depth, batch.rules.spacing)
     names = ("x", "u", "slope", "constraints", "track", "status", "passes")
-    return NeedleShapes(*(a[name] for name in names), scales=np.tile(scales, (len(batch), 1)))
+    parts = [*(a[name] for name in names), np.tile(scales, (len(batch), 1))]
+    return NeedleShapes(*parts)
 
 
 def _find_valid(batch: Batch) -> Bools:
