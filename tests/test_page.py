@@ -802,7 +802,7 @@ def test_band_and_gaps_stand_out_from_every_layer(server, chromium, scheme: str)
         return float(linear @ [0.2126, 0.7152, 0.0722])
 
     with opened(chromium, server, color_scheme=scheme) as page:
-        colours = page.evaluate("import('/page/palette.js').then(({ palette }) => ({ ...palette }))")
+        colours = page.evaluate("import('/page/painters/strokes.js').then(({ palette }) => ({ ...palette }))")
     for drawn in ("band", "gap", "plan", "bad"):
         for behind in ("soft", "stiff"):
             low, high = sorted(luminance(colours[name]) for name in (drawn, behind))
@@ -864,7 +864,7 @@ def test_the_three_steps_to_try_follow_what_is_done_and_can_be_skipped(page) -> 
 def test_the_smoothed_load_has_the_force_of_the_raw_one(page) -> None:
     go_to(page, 30)
     sums = page.evaluate(
-        """import("/page/painters/load.js").then(({ smooth }) => {
+        """import("/page/painters/needle.js").then(({ smooth }) => {
             const { x, n_per_mm: load } = window.needlefit.state.load;
             const add = (one, what) => one.slice(1).reduce((all, at, i) => all + what(at, one[i], i), 0);
             const sum = (one) => add(one, (at, to, i) => ((at + to) / 2) * (x[i + 1] - x[i]));
@@ -893,7 +893,7 @@ def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None
     page.click("#fit-drag")
     script = """async () => {
         const { toPx, toPy } = await import("/page/view.js");
-        const { points } = await import("/page/measured_points.js");
+        const { points } = await import("/page/handles.js");
         const box = document.getElementById("canvas").getBoundingClientRect();
         const [x, y] = points.places()[3];
         return [box.left + toPx(x), box.top + toPy(y)];
@@ -906,7 +906,7 @@ def test_a_fit_on_the_page_lowers_the_error_and_its_ridge_is_drawn(page) -> None
     page.mouse.move(x, y - 10, steps=4)
     page.mouse.up()
     until(page, f"state => state.bevel.offset_mm !== {b}", 30)
-    assert page.evaluate("import('/page/measured_points.js').then(({ points }) => points.offsets[3])") > 0
+    assert page.evaluate("import('/page/handles.js').then(({ points }) => points.offsets[3])") > 0
     page.locator("#fit-note", has_text="times the stated errors").wait_for()
     page.click("#fit-back")
     until(page, f"state => Math.abs(state.bevel.offset_mm / {b} - 1) < 1e-3", 30)

@@ -1,9 +1,9 @@
 /** What buttons, keys and gestures ask for in the same words. */
 
+import { part } from "./dom.js";
 import { redoGoal, undoGoal } from "./aim.js";
-import { amount } from "./amounts.js";
-import { strengthOf } from "./bevel.js";
-import { degrees, slope } from "./numbers.js";
+import { amount } from "./fields.js";
+import { degrees, heightAt, slope, strengthOf } from "./quantities.js";
 import { change, command, move, newGesture, wanted } from "./steering.js";
 import { now } from "./store.js";
 
@@ -16,7 +16,7 @@ const REACH = 0.6; // of the needle's length: a new guide stands nearer than tha
 let lastNudge = { what: null, at: -Infinity, gesture: 0 };
 
 /** Speed of insertion, mm/s. */
-export const speed = amount(document.getElementById("speed"));
+export const speed = amount(part("speed"));
 
 /** Insert (1) or retract (-1) as long as it is held. */
 export const hold = (direction) => move(direction * speed());
@@ -60,7 +60,7 @@ export function nudgeOffset(steps, at) {
 /** Put a guide on the needle at x (mm), where it changes next to nothing yet; by default between base and skin. */
 export function addGuide(x = freePlace(), at = performance.now()) {
   const item = freeNumber();
-  const place = [["guide_x_mm", item, x], ["guide_y_mm", item, needleAt(x)]];
+  const place = [["guide_x_mm", item, x], ["guide_y_mm", item, heightAt(now.state, x)]];
   change([...place, ["guide_turns_freely", item, 1]], { at });
 }
 
@@ -73,15 +73,6 @@ export const undo = () => undoGoal() || command({ do: "undo" });
 export const redo = () => redoGoal() || command({ do: "redo" });
 export const reset = () => command({ do: "reset" });
 export const play = () => command({ do: "play", speed_mm_s: speed() });
-
-/** Where the needle is at x, mm; the picture's points, joined by straight lines. */
-export function needleAt(x) {
-  const { x: xs, y: ys } = now.state;
-  const after = xs.findIndex((one) => one >= x);
-  if (after <= 0) return after === 0 ? ys[0] : ys.at(-1);
-  const share = (x - xs[after - 1]) / (xs[after] - xs[after - 1]);
-  return ys[after - 1] + share * (ys[after] - ys[after - 1]);
-}
 
 /** The first number that no guide has; the scene's own guides keep theirs. */
 function freeNumber() {

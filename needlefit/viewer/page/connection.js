@@ -1,6 +1,7 @@
 /** The line to the server, which comes back by itself; its socket is held by a thread of its own. */
 
 import { makeMailbox, take as takeText } from "./mailbox.js";
+import { token } from "./requests.js";
 import { now, take, publish } from "./store.js";
 
 const FIRST_WAIT = 0.25; // s
@@ -21,13 +22,6 @@ let greeted = false; // whether the server has named the needle of this window
 let farewell = null; // the last message of the program, when it stopped
 const sentAt = new Map();
 let patience = -Infinity; // ms, until when a frame waits
-
-/** The token that the address brought; kept, so that a page opened without it still knows it. */
-export function token() {
-  const given = new URLSearchParams(location.hash.slice(1)).get("token");
-  if (given) sessionStorage.setItem("needlefit.token", given);
-  return given ?? sessionStorage.getItem("needlefit.token") ?? "";
-}
 
 /** Which needle this window holds, or null. */
 export const needle = () => sessionStorage.getItem("needlefit.needle");

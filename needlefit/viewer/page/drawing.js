@@ -1,23 +1,17 @@
 /** The picture: a background, drawn when the view or the tissue changes, and a foreground of every frame. */
 
-import { paintAxes } from "./painters/axes.js";
-import { paintGoal, paintPlan, paintReach } from "./painters/aim.js";
-import { paintBase, paintGuides } from "./painters/supports.js";
-import { paintHint } from "./painters/hint.js";
-import { paintLoad } from "./painters/load.js";
-import { paintNeedle, paintPath, paintPoints, paintTip } from "./painters/needle.js";
-import { paintBand, paintGaps, paintMeasured, paintPoints as paintMeasuredPoints } from "./painters/overlay.js";
-import { paintTissue } from "./painters/tissue.js";
-import { paintTrackedTip } from "./painters/tracked_tip.js";
-import { palette, readPalette } from "./palette.js";
+import { part } from "./dom.js";
+import { paintAxes, paintTissue } from "./painters/background.js";
+import * as needle from "./painters/needle.js";
+import * as overlay from "./painters/overlay.js";
+import { palette, readPalette } from "./painters/strokes.js";
 import { slice } from "./slice.js";
 import { listen, now, publish } from "./store.js";
-import { paintArrow, paintInset } from "./painters/inset.js";
 import { fit, follow, resize, seesTip, takeChange, touch, view } from "./view.js";
 
-const picture = document.getElementById("picture");
-const background = document.getElementById("background");
-const foreground = document.getElementById("canvas");
+const picture = part("picture");
+const background = part("background");
+const foreground = part("canvas");
 const behind = background.getContext("2d", { alpha: false });
 const before = foreground.getContext("2d");
 
@@ -56,26 +50,26 @@ function paintBackground() {
 function paintForeground(state) {
   before.clearRect(0, 0, picture.clientWidth, picture.clientHeight);
   within(before, () => {
-    if (shown.reach) paintReach(before);
-    paintGoal(before);
-    if (shown.plan) paintPlan(before);
-    paintNeedle(before, state);
-    if (shown.band && now.band) paintBand(before, now.band, now.band.step !== state.step);
-    if (shown.load) paintLoad(before, state, shown.raw);
-    paintTip(before, state);
-    if (shown.path) paintPath(before, state);
-    if (shown.points) paintPoints(before, state);
+    if (shown.reach) overlay.paintReach(before);
+    overlay.paintGoal(before);
+    if (shown.plan) overlay.paintPlan(before);
+    needle.paintNeedle(before, state);
+    if (shown.band && now.band) overlay.paintBand(before, now.band, now.band.step !== state.step);
+    if (shown.load) needle.paintLoad(before, state, shown.raw);
+    needle.paintTip(before, state);
+    if (shown.path) needle.paintPath(before, state);
+    if (shown.points) needle.paintPoints(before, state);
     if (shown.measured && now.scene.measured) {
-      paintMeasured(before, now.scene.measured);
-      paintMeasuredPoints(before);
-      if (shown.errors) paintGaps(before, state, now.scene.measured);
+      overlay.paintMeasured(before, now.scene.measured);
+      overlay.paintMeasuredPoints(before);
+      if (shown.errors) overlay.paintGaps(before, state, now.scene.measured);
     }
-    paintGuides(before, state);
-    paintBase(before, state);
-    paintTrackedTip(before);
-    paintHint(before, state);
-    if (view.magnified > 1) paintInset(before, state);
-    if (!seesTip()) paintArrow(before, state);
+    needle.paintGuides(before, state);
+    needle.paintBase(before, state);
+    overlay.paintTrackedTip(before);
+    needle.paintHint(before, state);
+    if (view.magnified > 1) overlay.paintInset(before, state);
+    if (!seesTip()) overlay.paintArrow(before, state);
   });
 }
 

@@ -1,6 +1,8 @@
 /** What can be saved: files of the server, and the picture as it is shown. */
 
-import { needle, token } from "./connection.js";
+import { needle } from "./connection.js";
+import { button, element, part } from "./dom.js";
+import { post } from "./requests.js";
 import { listen, now } from "./store.js";
 
 const FILES = {
@@ -8,75 +10,44 @@ const FILES = {
   "picture.png": "picture, PNG", "animation.gif": "animation, GIF",
   "share.html": "share, one HTML file",
 };
-const group = document.getElementById("exports");
-const note = document.getElementById("export-note");
+const [group, note] = [part("exports"), part("export-note")];
 
-async function save(file, button) {
-  button.setAttribute("aria-busy", "true");
-  button.disabled = true;
+async function save(file, pressed) {
+  pressed.ariaBusy = "true";
+  pressed.disabled = true;
   note.classList.remove("bad");
   note.textContent = `Making ${file} …`;
   try {
-    const { blob, name } = await ask(file);
-    keep(blob, name);
+    const blob = await (file === "picture.png" ? takePicture() : ask(file));
+    const name = `${(now.scene?.recording ?? "needle").replace(/\.csv$/, "")}.${file}`;
+    const link = element("a", { href: URL.createObjectURL(blob), download: name });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
     note.textContent = `Saved ${name}.`;
-  } catch (error) {
+  } catch ({ what, expected, fix }) {
     note.classList.add("bad");
-    note.textContent = error.message;
+    note.textContent = `${file} was not made: ${[what, expected && `expected ${expected}`, fix].filter(Boolean).join("; ")}`;
   } finally {
-    button.removeAttribute("aria-busy");
-    button.disabled = !now.connected;
+    pressed.ariaBusy = null;
+    pressed.disabled = !now.connected;
   }
 }
 
 /** The picture as it is shown, with its band and whatever else is drawn. */
-async function picture() {
-  const [background, foreground] = ["background", "canvas"].map((id) => document.getElementById(id));
-  const both = Object.assign(document.createElement("canvas"), { width: background.width, height: background.height });
-  const context = both.getContext("2d");
-  for (const part of [background, foreground]) context.drawImage(part, 0, 0);
-  return { blob: await new Promise((done) => both.toBlob(done, "image/png")), name: `${stem()}.picture.png` };
+function takePicture() {
+  const layers = [part("background"), part("canvas")];
+  const both = element("canvas", { width: layers[0].width, height: layers[0].height });
+  for (const layer of layers) both.getContext("2d").drawImage(layer, 0, 0);
+  return new Promise((done) => both.toBlob(done, "image/png"));
 }
 
-async function ask(file) {
-  if (file === "picture.png") return picture();
-  const answer = await fetch(`/export/${file}`, {
-    method: "POST",
-    headers: { Authorization: `Bearer ${token()}`, "Content-Type": "application/json" },
-    body: JSON.stringify({ needle: needle() }),
-  }).catch(() => {
-    throw new Error(`${file} was not made: there is no line to the program.`);
-  });
-  if (!answer.ok) throw new Error(`${file} was not made: ${await reason(answer)}`);
-  const given = /filename="?([^";]+)/.exec(answer.headers.get("Content-Disposition") ?? "");
-  return { blob: await answer.blob(), name: given?.[1] ?? `${stem()}.${file}` };
-}
-
-async function reason(answer) {
-  const body = await answer.text();
-  try {
-    const { what, expected, fix } = JSON.parse(body);
-    return [what, expected && `expected ${expected}`, fix].filter(Boolean).join("; ");
-  } catch {
-    return body || answer.statusText;
-  }
-}
-
-const stem = () => (now.scene?.recording ?? "needle").replace(/\.csv$/, "");
-
-function keep(blob, name) {
-  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-}
+const ask = async (file) => (await post(`/export/${file}`, { needle: needle() })).blob();
 
 for (const [file, called] of Object.entries(FILES)) {
-  const button = document.createElement("button");
-  Object.assign(button, { type: "button", textContent: called, disabled: true });
-  button.dataset.file = file;
-  button.addEventListener("click", () => save(file, button));
-  group.append(button);
+  const made = button(called, () => save(file, made), { disabled: true });
+  made.dataset.file = file;
+  group.append(made);
 }
 listen("line", ({ open }) => {
-  for (const button of group.children) button.disabled = !open || button.hasAttribute("aria-busy");
+  for (const one of group.children) one.disabled = !open || one.hasAttribute("aria-busy");
 });

@@ -1,10 +1,30 @@
 /** A number that can be set: a name, a field, and where it has limits a slider with a mark. */
 
 import { define, DEFINITIONS } from "./definitions.js";
+import { part } from "./dom.js";
 import { newGesture } from "./steering.js";
 import { publish } from "./store.js";
 
-const template = document.getElementById("field-template");
+/** Watch a field; returns a function that returns its number, also while another one is being typed. */
+export function amount(input) {
+  let last = input.value;
+  const valid = () => input.value !== "" && input.checkValidity();
+  const settle = () => {
+    if (valid() && input.value !== last) publish("accepted");
+    if (valid()) last = input.value;
+    else if (input.value !== last) giveBack();
+  };
+  const giveBack = () => {
+    const expected = `a number, ${input.min} or above`;
+    publish("notice", { what: `No ${input.ariaLabel}: ${last} is kept.`, expected });
+    input.value = last;
+  };
+  input.addEventListener("change", settle);
+  input.addEventListener("blur", settle);
+  return () => Number(valid() ? input.value : last);
+}
+
+const template = part("field-template");
 const STEPS = 1000; // of a slider
 const THUMB = 16; // px, which the slider's thumb takes of its length
 const LINEAR = [(x) => x, (x) => x];
@@ -47,7 +67,7 @@ export function show(field, value) {
   const text = (field.text = field.write(value));
   if (!field.editing && field.number.value !== text) field.number.value = text;
   field.slider.value = Math.round(STEPS * field.share(value));
-  field.slider.setAttribute("aria-valuetext", `${text} ${field.unit}`.trim());
+  field.slider.ariaValueText = `${text} ${field.unit}`.trim();
   markHome(field);
 }
 
@@ -78,10 +98,10 @@ function name({ part, number, slider, back, of, name: called, symbol, unit, limi
   part.querySelector(".name").append(term);
   part.querySelector(".unit").textContent = unit;
   const spoken = [of, called].filter(Boolean).join(" ") + (unit && `, ${unit}`);
-  number.setAttribute("aria-label", spoken);
-  slider.setAttribute("aria-label", spoken);
+  number.ariaLabel = spoken;
+  slider.ariaLabel = spoken;
   slider.max = STEPS;
-  back.setAttribute("aria-label", `${spoken}: back to its initial value`);
+  back.ariaLabel = `${spoken}: back to its initial value`;
   if (!limits) part.querySelector(".track").remove();
 }
 

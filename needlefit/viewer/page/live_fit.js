@@ -1,19 +1,17 @@
 /** The live fit: to the measured needle, whose points can be dragged, or to more of them; and its ridge. */
 
-import { strengthOf } from "./bevel.js";
+import { part, say } from "./dom.js";
 import { invalidate } from "./drawing.js";
-import { brief } from "./numbers.js";
-import { palette } from "./palette.js";
+import { points } from "./handles.js";
+import { palette } from "./painters/strokes.js";
 import { layerInputs } from "./panel.js";
+import { brief, strengthOf } from "./quantities.js";
 import { change, command } from "./steering.js";
 import { listen, now, publish } from "./store.js";
-import { say } from "./announcements.js";
-import { points } from "./measured_points.js";
 
 const SCOPES = { insertion: "this needle", specimen: "its specimen", dataset: "all of its medium" };
 const PAD = 34; // px of the ridge's axes
 const MISFIT = 2; // rms residual, in stated errors, above which a fit is doubted
-const part = (id) => document.getElementById(id);
 let ridge = null;
 let mode = null;
 let asked = null; // id of the fit asked for last
@@ -27,7 +25,7 @@ points.send = () => begin({ do: "points", scope: part("fit-scope").value, offset
 function begin(message) {
   asked = command(message);
   if (asked === null) return;
-  part("fit").setAttribute("aria-busy", "true");
+  part("fit").ariaBusy = "true";
   part("fit-note").textContent = "Fitting …";
   forgetRidge();
 }
@@ -40,7 +38,7 @@ function forgetRidge() {
 
 /** A fit that failed, or was refused, leaves no result. */
 function end(words = "") {
-  part("fit").removeAttribute("aria-busy");
+  part("fit").ariaBusy = null;
   part("fit-note").textContent = words;
 }
 
@@ -117,7 +115,7 @@ function drawRidge() {
 part("fit-now").addEventListener("click", () => now.state && ask());
 part("fit-drag").addEventListener("click", ({ currentTarget }) => {
   points.shown = !points.shown;
-  currentTarget.setAttribute("aria-pressed", String(points.shown));
+  currentTarget.ariaPressed = String(points.shown);
   invalidate();
 });
 part("fit-back").addEventListener("click", () => points.reset());
@@ -131,7 +129,7 @@ listen("scene", ({ fit }) => {
   points.begin();
   forgetRidge();
   end();
-  part("fit-drag").setAttribute("aria-pressed", "false");
+  part("fit-drag").ariaPressed = "false";
   if (!fit) return;
   const scopes = Object.keys(SCOPES).filter((one) => one === "insertion" || fit[one] > 1);
   part("fit-scope").replaceChildren(...scopes.map((one) => new Option(fit[one] > 1 ? `${SCOPES[one]} (${fit[one]})` : SCOPES[one], one)));

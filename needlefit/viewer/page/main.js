@@ -1,23 +1,22 @@
-/** Starts the page: the line to the server, the picture, and the readouts beside it. */
+/** Starts the page: the line to the server, the picture, the readouts beside it, the line at the foot. */
 
 import { open } from "./connection.js";
-import * as described from "./description.js";
+import { part, write } from "./dom.js";
 import { paint } from "./drawing.js";
 import "./exports.js";
 import * as frames from "./frames.js";
-import * as guides from "./guides.js";
+import "./keyboard.js";
 import "./live_fit.js";
-import "./keys.js";
 import "./notices.js";
-import "./opening.js";
 import * as panel from "./panel.js";
 import * as planning from "./planning.js";
 import "./pointers.js";
+import { grouped } from "./quantities.js";
 import * as readouts from "./readouts.js";
-import * as status from "./status.js";
 import { askFrame } from "./steering.js";
 import { listen, now } from "./store.js";
 import "./toolbar.js";
+import "./tour.js";
 import "./tracking.js";
 import * as transport from "./transport.js";
 
@@ -25,9 +24,8 @@ const READOUTS = [ // beside the picture, and how often they are refreshed, ms
   { every: 100, refresh: readouts.refresh },
   { every: 100, refresh: transport.refresh },
   { every: 200, refresh: panel.refresh },
-  { every: 200, refresh: guides.refresh },
   { every: 200, refresh: planning.refresh },
-  { every: 1000, refresh: described.refresh },
+  { every: 1000, refresh: readouts.refreshDescription },
 ];
 const STATUS_EVERY = 500; // ms
 const BETWEEN = 20; // ms between two readouts that no frame refreshes
@@ -46,15 +44,28 @@ function refreshOne(t) {
   due.refresh();
 }
 
+/** Write whether the page is connected, how fast it draws, how fast the solver is. */
+function refreshStatus() {
+  const { perSecond, latency } = frames.rates();
+  write("line", now.connected ? "connected" : now.state ? "not connected" : "connecting …");
+  part("line").classList.toggle("up", now.connected);
+  write("frame-rate", perSecond === null ? "" : `${perSecond.toFixed(0)} frames/s`);
+  write("latency", latency === null ? "" : `input to picture ${latency.toFixed(0)} ms`);
+  if (!now.state) return;
+  const { steps, rate_per_s: rate, failed } = now.state.solver;
+  write("solver", `${grouped(steps)} solver steps${failed ? `, ${failed} failed` : ""}`);
+  write("solver-rate", rate ? `solver can do ${grouped(rate)} steps/s` : "");
+  write("recording", now.scene?.recording ? `recording ${now.scene.recording}` : "");
+}
+
 listen("refused", () => { // fields go back to what is
   READOUTS.forEach((one) => (one.step = null));
   refreshOne(performance.now());
 });
-
 frames.start((fresh, t) => {
   if (now.state) askFrame(); // the needle goes on while this frame is drawn
   paint(fresh);
   refreshOne(t);
 });
-setInterval(status.refresh, STATUS_EVERY);
+setInterval(refreshStatus, STATUS_EVERY);
 open();

@@ -1,13 +1,14 @@
 /** What the reader must know at once: refused inputs, and a line that is down. */
 
+import { part } from "./dom.js";
 import { open } from "./connection.js";
 import { listen, now } from "./store.js";
 
 const LASTS = 9000; // ms
-const refusal = document.getElementById("refusal");
-const banner = document.getElementById("banner");
-const text = document.getElementById("banner-text");
-const act = document.getElementById("banner-act");
+const refusal = part("refusal");
+const banner = part("banner");
+const text = part("banner-text");
+const act = part("banner-act");
 let fading = 0;
 let refused = Infinity; // number of the message that was refused last
 

@@ -1,18 +1,16 @@
-/** The fields of bevel, tissue, base and tip, and what they ask for. */
+/** The fields of bevel, tissue, base, tip and guides, and what they ask for. */
 
 import * as act from "./actions.js";
-import { makeField, setHome, show } from "./fields.js";
-import { strengthOf } from "./bevel.js";
 import { DEFINITIONS } from "./definitions.js";
-import { asMpa, degrees, fromMpa, slope } from "./numbers.js";
+import { part, write } from "./dom.js";
+import { makeField, setHome, show } from "./fields.js";
+import { asMpa, counted, degrees, fromMpa, numbered, slope, strengthOf } from "./quantities.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
 
-const part = (id) => document.getElementById(id);
-const asMm = (value) => value.toFixed(3);
-const asShape = (value) => value.toFixed(2);
-const asDegrees = (value) => value.toFixed(2);
-
+const digits = (count) => (value) => value.toFixed(count);
+const ANGLE = { shown: degrees, meant: slope };
+const guides = new Map(); // rows of the list, by number
 let fields = []; // [field, () => value], of the scene that is shown
 
 /** A field of one input; `shown` and `meant` turn its value into what is read, and back. */
@@ -23,83 +21,105 @@ function inputField(into, [input, item], about, current, { shown = (x) => x, mea
   return field;
 }
 
-const ANGLE = { shown: degrees, meant: slope };
-
-function build(scene) {
-  for (const id of ["bevel-fields", "tissue-fields", "base-fields", "tip-fields"]) part(id).replaceChildren();
+listen("scene", (scene) => {
+  for (const id of ["bevel-fields", "tissue-fields", "base-fields", "tip-fields", "guides"]) part(id).replaceChildren();
   fields = [];
+  guides.clear();
   buildBevel(scene);
   buildTissue(scene);
-  buildBase(scene);
-  buildTip();
-}
+  buildHeld("base", scene.limits.base_y_mm, [-10, 10]);
+  const angle = buildHeld("tip");
+  angle.ask = (value, how) => change([["tip_held", null, 1], ["tip_slope", null, slope(value)]], how); // held at a place
+});
 
 function buildBevel({ limits, fitted }) {
-  const { key, symbol, unit, digits, step, here, throughout, value } = strengthOf(fitted);
-  const about = { unit, write: (number) => number.toFixed(digits), limits: limits[key], step };
-  const strength = () => now.state.bevel[key];
+  const { key, symbol, unit, digits: count, step, here, throughout, value } = strengthOf(fitted);
+  const about = { unit, write: digits(count), limits: limits[key], step, symbol };
   for (const [name, input] of [[`${symbol} from here on`, here], [`${symbol} throughout`, throughout]]) {
-    setHome(inputField("bevel-fields", [input, null], { ...about, name, symbol }, strength), value);
+    setHome(inputField("bevel-fields", [input, null], { ...about, name }, () => now.state.bevel[key]), value);
   }
 }
 
 function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted, shape_parameters: shapes }) {
   for (let i = 0; i <= tops.length; i += 1) {
     const called = names[i] || `layer ${i + 1}`;
-    const layer = () => now.state.layers[i];
-    const modulus = { unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05 };
-    const mu = { ...modulus, name: `${called} μ`, symbol: "μ", limits: limits.mu_pa };
-    setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted.layers[i].mu_pa);
+    const modulus = { unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05, limits: limits.mu_pa };
+    const add = (name, about) => {
+      const field = inputField("tissue-fields", [name, i + 1], about, () => now.state.layers[i][name]);
+      setHome(field, fitted.layers[i][name]);
+    };
+    add("mu_pa", { ...modulus, name: `${called} μ`, symbol: "μ" });
     for (const { name, symbol, unit, explanation } of shapes) {
       DEFINITIONS[symbol] ??= `${explanation}.`;
       const [low, high] = limits[name];
       const step = Math.min(0.1, (high - low) / 100);
-      const about = { name: `${called} ${symbol}`, symbol, unit, write: asShape, limits: limits[name], step };
-      setHome(inputField("tissue-fields", [name, i + 1], about, () => layer()[name]), fitted.layers[i][name]);
+      add(name, { name: `${called} ${symbol}`, symbol, unit, write: digits(2), limits: limits[name], step });
     }
   }
+}
+
+/** Fields of where the base or the tip is held, and its angle, which is returned. */
+function buildHeld(of, yLimits, angleLimits) {
+  const place = () => now.state[of];
+  const y = { of, name: "y", symbol: `${of} y`, unit: "mm", write: digits(3), step: 0.1, limits: yLimits };
+  inputField(`${of}-fields`, [`${of}_y_mm`, null], y, () => place().input_y);
+  const angle = { of, name: "slope", symbol: `${of} slope`, unit: "°", write: digits(2), step: 0.1, limits: angleLimits };
+  const current = () => (of === "base" ? place().input_slope : place().rotation);
+  return inputField(`${of}-fields`, [`${of}_slope`, null], angle, current, ANGLE);
 }
 
 /** The names of the inputs of a layer, in the order of fitted values. */
 export const layerInputs = () => ["mu_pa", ...now.scene.shape_parameters.map(({ name }) => name)];
 
-function buildBase({ limits }) {
-  const y = { of: "base", name: "y", symbol: "base y", unit: "mm", write: asMm, limits: limits.base_y_mm, step: 0.1 };
-  inputField("base-fields", ["base_y_mm", null], y, () => now.state.base.input_y);
-  const angle = { of: "base", name: "slope", symbol: "base slope", unit: "°", write: asDegrees, limits: [-10, 10], step: 0.1 };
-  inputField("base-fields", ["base_slope", null], angle, () => now.state.base.input_slope, ANGLE);
-}
-
-function buildTip() {
-  const y = { of: "tip", name: "y", symbol: "tip y", unit: "mm", write: asMm, step: 0.1 };
-  inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.input_y);
-  const angle = { of: "tip", name: "slope", symbol: "tip slope", unit: "°", write: asDegrees, step: 0.1 };
-  const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.rotation, ANGLE);
-  field.ask = (value, how) => { // a direction is held at a place
-    change([["tip_held", null, 1], ["tip_slope", null, slope(value)]], how);
-  };
-}
-
 /** Let every field say what is, or what was asked for last. */
 export function refresh() {
   for (const [field, current] of fields) show(field, current());
   const changed = fields.filter(([{ home, back }]) => home !== null && !back.disabled).map(([{ name }]) => name);
-  const words = changed.length ? `Changed by hand: ${changed.join(", ")}.` : "";
-  if (part("by-hand").textContent !== words) part("by-hand").textContent = words;
+  write("by-hand", changed.length ? `Changed by hand: ${changed.join(", ")}.` : "");
   const { held } = now.state.tip;
   part("release").disabled = !held;
   part("tip-note").hidden = held;
+  for (const [item, row] of guides) {
+    if (now.state.guides.some((guide) => guide.item === item)) continue;
+    row.part.remove();
+    guides.delete(item);
+  }
+  for (const guide of now.state.guides) refreshGuide(guide);
+  part("no-guides").hidden = now.state.guides.length > 0;
 }
 
-function allHome(event) {
-  const { layers } = now.scene.fitted;
-  const { throughout, value } = strengthOf(now.scene.fitted);
-  const set = layers.flatMap((layer, i) => Object.entries(layer).map(([name, value]) => [name, i + 1, value]));
-  change([...set, [throughout, null, value]], { at: event.timeStamp });
+/** A row of the list of guides: where one stands, whether the needle turns freely in it, and how to take it away. */
+function makeGuide({ item, name: called = numbered(item) }) {
+  const row = part("guide-template").content.firstElementChild.cloneNode(true);
+  const [free, remove, into] = [".free", ".remove", ".fields"].map((one) => row.querySelector(one));
+  row.querySelector("strong").textContent = called;
+  remove.ariaLabel = `Remove ${called}`;
+  free.ariaLabel = `Needle turns freely in ${called}`;
+  const field = (name, unit, count, input, meant = (x) => x) => makeField(into, {
+    of: called, name, symbol: "guide", unit, step: 0.1, write: digits(count),
+    ask: (value, how) => change([[input, item, meant(value)]], how),
+  });
+  remove.addEventListener("click", () => {
+    change([["guide_engaged", item, 0]]);
+    part("add-guide").focus(); // its own button is about to go
+  });
+  free.addEventListener("click", () => change([["guide_turns_freely", item, free.ariaPressed === "true" ? 0 : 1]]));
+  part("guides").append(row);
+  return {
+    part: row, free, x: field("x", "mm", 2, "guide_x_mm"), y: field("y", "mm", 3, "guide_y_mm"),
+    slope: field("slope", "°", 2, "guide_slope", slope),
+  };
 }
 
-function takeFit({ fault, layers, offset_mm: offset, insertions }) {
-  if (!fault) takeFitted(layers, offset, `fitted on this page to ${insertions} measured needle${insertions > 1 ? "s" : ""}`);
+function refreshGuide(guide) {
+  const { item, x, y, slope: along, turns_freely: free } = guide;
+  if (!guides.has(item)) guides.set(item, makeGuide(guide));
+  const row = guides.get(item);
+  show(row.x, wanted("guide_x_mm", item, x));
+  show(row.y, wanted("guide_y_mm", item, y));
+  show(row.slope, degrees(wanted("guide_slope", item, along ?? 0)));
+  row.slope.part.hidden = free;
+  row.free.ariaPressed = String(free);
 }
 
 /** After a fit on the page its values ([mu, shape parameters] of each layer, strength of the bevel) are the ones to go back to. */
@@ -113,7 +133,13 @@ export function takeFitted(layers, strength, source) {
   part("note").textContent = `Parameters: ${source}.`;
 }
 
-listen("scene", build);
-listen("fit", takeFit);
-part("home-all").addEventListener("click", allHome);
-part("release").addEventListener("click", (event) => act.toggleTip(event.timeStamp));
+listen("fit", ({ fault, layers, offset_mm: offset, insertions }) => {
+  if (!fault) takeFitted(layers, offset, `fitted on this page to ${counted(insertions, "measured needle")}`);
+});
+part("home-all").addEventListener("click", ({ timeStamp }) => {
+  const { throughout, value } = strengthOf(now.scene.fitted);
+  const layers = now.scene.fitted.layers.flatMap((layer, i) => Object.entries(layer).map(([name, one]) => [name, i + 1, one]));
+  change([...layers, [throughout, null, value]], { at: timeStamp });
+});
+part("release").addEventListener("click", ({ timeStamp }) => act.toggleTip(timeStamp));
+part("add-guide").addEventListener("click", () => now.state && act.addGuide());

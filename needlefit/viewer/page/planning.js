@@ -1,18 +1,15 @@
 /** The panel of target and plan: places, obstacles, the plan's probability, and a game against the planner. */
 
+import { part, say, write } from "./dom.js";
 import { ownDepth, speed } from "./actions.js";
 import { aim, moveTo, nameOf, place, put, run, sendAfterGoal, setAim, tipError, touches } from "./aim.js";
-import { amount } from "./amounts.js";
-import { say } from "./announcements.js";
-import { makeField, show } from "./fields.js";
-import { signed } from "./numbers.js";
+import { amount, makeField, show } from "./fields.js";
+import { signed } from "./quantities.js";
 import { command } from "./steering.js";
 import { listen, now } from "./store.js";
 
-const entry = amount(document.getElementById("plan-entry"));
+const entry = amount(part("plan-entry"));
 const AHEAD = 10; // mm before the tip
-const part = (id) => document.getElementById(id);
-const write = (id, text) => part(id).textContent === text || (part(id).textContent = text);
 const asMm = (value) => value.toFixed(2);
 const percent = (share) => (100 * share).toFixed(0);
 let fields = []; // [field, () => value]
@@ -44,7 +41,7 @@ function obstacleRow(_, number) {
   const head = Object.assign(document.createElement("div"), { className: "head" });
   const name = Object.assign(document.createElement("strong"), { textContent: nameOf(number) });
   const remove = Object.assign(document.createElement("button"), { type: "button", textContent: "Remove" });
-  remove.setAttribute("aria-label", `Remove ${nameOf(number)}`);
+  remove.ariaLabel = `Remove ${nameOf(number)}`;
   remove.addEventListener("click", () => {
     setAim({ obstacles: aim.obstacles.filter((_, i) => i !== number) });
     part("put-obstacle").focus(); // its own button has gone
@@ -66,7 +63,7 @@ export function refresh() {
   build();
   for (const [one, current] of fields) show(one, current());
   for (const [id, what] of [["put-target", "target"], ["put-obstacle", "obstacle"]]) {
-    part(id).setAttribute("aria-pressed", String(aim.placing === what));
+    part(id).ariaPressed = String(aim.placing === what);
   }
   const ahead = aim.plan?.anew || aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) || false;
   part("make-plan").disabled = !aim.target || aim.planning;

@@ -1,10 +1,12 @@
 /** Mouse, pen and fingers on the picture: handles, background, wheel, pinch, double click. */
 
-import { addGuide, insert, needleAt } from "./actions.js";
-import { amount } from "./amounts.js";
+import { part } from "./dom.js";
+import { addGuide, insert } from "./actions.js";
 import { put } from "./aim.js";
-import { handleAt } from "./handles.js";
 import { awaitAnswer } from "./connection.js";
+import { amount } from "./fields.js";
+import { handleAt } from "./handles.js";
+import { heightAt } from "./quantities.js";
 import { change, newGesture } from "./steering.js";
 import { now } from "./store.js";
 import { fromPx, fromPy, pan, toPy, zoom } from "./view.js";
@@ -14,8 +16,8 @@ const FINE = 0.1;
 const ON_NEEDLE = 24; // px
 const TWICE = { within: 350, apart: 24 }; // ms and px between the taps of a double one
 
-const canvas = document.getElementById("canvas");
-const notch = amount(document.getElementById("notch"));
+const canvas = part("canvas");
+const notch = amount(part("notch"));
 const fingers = new Map(); // pointers that are down, and where
 let drag = null; // {handle, from, gesture, pointer}
 let lastTap = { at: -Infinity, px: 0, py: 0 };
@@ -81,7 +83,7 @@ function tapped(event, [px, py]) {
   lastTap = twice ? { at: -Infinity, px, py } : { at: event.timeStamp, px, py };
   if (!twice || !now.state || handleAt(px, py, event.pointerType)) return;
   const x = fromPx(px);
-  if (Math.abs(toPy(needleAt(x)) - py) < ON_NEEDLE) addGuide(x, event.timeStamp);
+  if (Math.abs(toPy(heightAt(now.state, x)) - py) < ON_NEEDLE) addGuide(x, event.timeStamp);
 }
 
 function hover(event) {

@@ -1,9 +1,10 @@
-/** The numbers below the picture, refreshed often enough to read and no more. */
+/** The numbers below the picture, limits of the model that are exceeded, and the picture in words. */
 
 import { define, DEFINITIONS } from "./definitions.js";
-import { signed, toDegrees } from "./numbers.js";
+import { element, entry, part, say, write } from "./dom.js";
+import { signed, strengthOf, toDegrees } from "./quantities.js";
 import { listen, now } from "./store.js";
-import "./validity.js";
+import { toPy, view } from "./view.js";
 
 /** What is read of the needle: a name, a unit, and how it is written from a state. */
 const NEEDLE = [
@@ -16,63 +17,84 @@ const NEEDLE = [
   ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
 ];
 
-/** What is read of the comparison with a measured needle: every metric that the scene names. */
-let compared = [];
-let errors = [];
-
-function listErrors(metrics) {
-  const digits = (unit) => (unit === "%" ? 2 : 3);
-  const each = metrics.map(([name, label, unit, text]) => {
-    DEFINITIONS[label] = text;
-    return [label, unit, (e) => e[name]?.toFixed(digits(unit)) ?? "–"];
-  });
-  const list = document.getElementById("errors");
-  list.replaceChildren();
-  compared = [...each, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]];
-  errors = fill(list, compared);
-}
-
-const needle = fill(document.getElementById("readouts"), NEEDLE);
-const against = document.getElementById("against");
-
-/** Put the names and units of readouts into a list; returns where their numbers stand. */
-function fill(list, readouts) {
-  return readouts.map(([name, unit]) => {
-    const tags = ["div", "dt", "dd", "span", "small"];
-    const [row, term, value, number, small] = tags.map((tag) => document.createElement(tag));
-    term.append(define(name));
-    small.textContent = unit;
-    number.textContent = "–";
-    value.append(number, " ", small);
-    row.append(term, value);
-    list.append(row);
+/** Put readouts into a list; returns what writes them from a state, dashes without one. */
+export function fillReadouts(list, readouts) {
+  const numbers = readouts.map(([name, unit]) => {
+    const number = element("span", {}, "–");
+    list.append(entry(define(name), [number, " ", element("small", {}, unit)]));
     return number;
   });
+  return (from) => readouts.forEach(([, , read], i) => write(numbers[i], from ? read(from) : "–"));
 }
 
-function write(numbers, readouts, from) {
-  readouts.forEach(([, , say], i) => showText(numbers[i], from ? say(from) : "–"));
-}
-
-function showText(part, text) {
-  if (part.textContent !== text) part.textContent = text;
-}
+const writeNeedle = fillReadouts(part("readouts"), NEEDLE);
+let writeErrors = () => {}; // of the comparison with a measured needle: every metric that the scene names
 
 /** Write what has changed. */
 export function refresh() {
   const { state, scene } = now;
-  write(needle, NEEDLE, state);
+  writeNeedle(state);
   if (!scene.measured) return;
-  write(errors, compared, state.errors);
-  showText(against, `against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
+  writeErrors(state.errors);
+  write("against", `against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
 }
 
 /** Up to where errors compare: whole, or the part of the measured needle that the needle has reached. */
-export function comparedUpTo({ whole, upto_mm: upto }) {
-  return whole ? "over the whole insertion" : `over the first ${upto.toFixed(1)} mm`;
-}
+const comparedUpTo = ({ whole, upto_mm: upto }) =>
+  whole ? "over the whole insertion" : `over the first ${upto.toFixed(1)} mm`;
 
 listen("scene", ({ measured }) => {
-  document.getElementById("compared").hidden = measured === null;
-  if (measured) listErrors(measured.metrics);
+  part("compared").hidden = measured === null;
+  if (!measured) return;
+  const metrics = measured.metrics.map(([name, label, unit, text]) => {
+    DEFINITIONS[label] = text;
+    return [label, unit, (errors) => errors[name]?.toFixed(unit === "%" ? 2 : 3) ?? "–"];
+  });
+  part("errors").replaceChildren();
+  writeErrors = fillReadouts(part("errors"), [...metrics, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]]);
 });
+
+let announced = false; // whether it was said of this needle that it exceeds limits of the model
+
+/** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
+const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
+
+listen("scene", () => (announced = false));
+listen("state", (state) => {
+  const words = exceeded(state);
+  write("beyond", words && `${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`);
+  part("beyond").classList.toggle("low", toPy(state.tip.y) < view.box.top + view.box.height / 2); // not on the tip
+  if (announced || !words) return;
+  announced = true;
+  say(`The needle is ${words}.`);
+});
+
+const angle = ({ rotation }) => `${signed(toDegrees(rotation), 1)} degrees`;
+
+/** The needle's state in a few sentences, for who does not see the picture. */
+export function inWords() {
+  const { state, scene } = now;
+  if (!state) return "The needle has not been drawn yet.";
+  const { tip, bevel, base, guides, errors } = state;
+  const held = guides.length === 1 ? "1 guide" : `${guides.length} guides`;
+  const { symbol, value, digits, unit } = strengthOf(bevel);
+  const sentences = [
+    `The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,
+    `Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm < 0 ? "right" : "left"}${tip.held ? " and held there" : ""}, at ${angle(tip)}.`,
+    `The bevel turns the cut toward ${bevel.side > 0 ? "+y" : "−y"}, ${symbol} is ${value.toFixed(digits)} ${unit}.`,
+    `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
+    `Tip force ${signed(state.forces.tip_n, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
+  ];
+  if (exceeded(state)) sentences.push(`The needle is ${exceeded(state)}.`);
+  if (errors) {
+    const [mean, tipError] = [errors.ipe_mean_mm.toFixed(2), errors.te_mm.toFixed(2)];
+    sentences.push(`Against the measured needle ${comparedUpTo(errors)}: IPE mean ${mean} mm, TE ${tipError} mm.`);
+  }
+  return sentences.join(" ");
+}
+
+/** Keep the text alternative true. */
+export const refreshDescription = () => write("described", inWords());
+
+/** Say the needle's state now. */
+export const describe = () => say(inWords());

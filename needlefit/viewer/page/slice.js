@@ -1,6 +1,7 @@
 /** The scan's slice that lies behind the needle. */
 
-import { needle, token } from "./connection.js";
+import { needle } from "./connection.js";
+import { post } from "./requests.js";
 import { listen, now, publish } from "./store.js";
 
 let held = null; // {image, extent} of the scene it belongs to
@@ -11,14 +12,13 @@ export const slice = () => held;
 listen("scene", async (scene) => {
   held = null;
   if (!scene.slice) return;
-  const answer = await fetch("/slice", {
-    method: "POST",
-    headers: { Authorization: `Bearer ${token()}`, "Content-Type": "application/json" },
-    body: JSON.stringify({ needle: needle() }),
-  });
-  if (!answer.ok) return publish("notice", { what: `No slice of the scan: ${await answer.text()}` });
-  const image = await createImageBitmap(await answer.blob());
-  if (now.scene !== scene) return; // another one is shown by now
-  held = { image, extent: answer.headers.get("X-Extent-MM").split(",").map(Number) };
-  publish("slice", held);
+  try {
+    const answer = await post("/slice", { needle: needle() });
+    const image = await createImageBitmap(await answer.blob());
+    if (now.scene !== scene) return; // another one is shown by now
+    held = { image, extent: answer.headers.get("X-Extent-MM").split(",").map(Number) };
+    publish("slice", held);
+  } catch ({ what }) {
+    publish("notice", { what: `No slice of the scan: ${what}` });
+  }
 });

@@ -1,49 +1,55 @@
 /** The buttons above the picture: what part is seen, and what of it. */
 
 import { aim } from "./aim.js";
+import { button, element, part } from "./dom.js";
 import { invalidate, shown } from "./drawing.js";
-import { listen, now } from "./store.js";
+import { listen } from "./store.js";
 import { drawTrue, fit, refit, touch, view, zoom } from "./view.js";
 
+/** What can be shown and hidden: its name, what the button is called and explained, whether it has a swatch. */
+const CHIPS = [
+  ["load", "lateral load"], ["raw", "raw load", "The load between constraint points, not its mean over two spacings", false],
+  ["points", "constraint points"], ["path", "tip path"], ["measured", "measured"],
+  ["errors", "errors", "Gaps at the tip (TE) and along the shaft (IPE)"], ["band", "95 % band"], ["plan", "plan"],
+  ["reach", "reachable"], ["slice", "scan"], ["true", "true scale", "Draws y as large as x", false],
+];
 const fits = document.querySelectorAll("[data-fit]");
-const refitButton = document.getElementById("refit"); // a shared page has none
-const shows = document.querySelectorAll("[data-show]");
+const refitButton = part("refit"); // a shared page has none
+const chips = Object.fromEntries(CHIPS.map(([name, called, title = "", marked = true]) => {
+  const swatch = marked ? [element("i", { ariaHidden: "true", className: `swatch ${name}` })] : [];
+  const pressed = String(shown[name] ?? false);
+  const chip = button([...swatch, called], () => toggle(name), { title, ariaPressed: pressed });
+  chip.dataset.show = name;
+  return [name, chip];
+}));
+part("chips").append(...Object.values(chips));
 
 /** Let the buttons say which view is seen. */
 export function pressed() {
   if (refitButton) refitButton.hidden = view.fit !== null;
-  for (const button of fits) button.setAttribute("aria-pressed", String(button.dataset.fit === view.fit));
+  for (const one of fits) one.ariaPressed = String(one.dataset.fit === view.fit);
 }
 
-function toggle(button) {
-  const on = button.getAttribute("aria-pressed") !== "true";
-  button.setAttribute("aria-pressed", String(on));
-  if (button.dataset.show === "true") return drawTrue(on);
-  shown[button.dataset.show] = on;
-  button.dataset.show === "slice" ? touch() : invalidate();
+function toggle(name) {
+  const on = chips[name].ariaPressed !== "true";
+  chips[name].ariaPressed = String(on);
+  if (name === "true") return drawTrue(on);
+  shown[name] = on;
+  name === "slice" ? touch() : invalidate();
 }
 
-for (const button of fits) button.addEventListener("click", () => (fit(button.dataset.fit), pressed()));
+/** Offer what there is, by name; a fit or an estimate on the page has a band, too. */
+const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[name].hidden = !is));
+
+offer({ measured: false, errors: false, band: false, plan: false, reach: false, slice: false });
+for (const one of fits) one.addEventListener("click", () => (fit(one.dataset.fit), pressed()));
 refitButton?.addEventListener("click", () => (refit(), pressed()));
-for (const button of shows) button.addEventListener("click", () => toggle(button));
-for (const button of document.querySelectorAll("[data-zoom]")) {
-  button.addEventListener("click", () => (zoom(button.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
+for (const one of document.querySelectorAll("[data-zoom]")) {
+  one.addEventListener("click", () => (zoom(one.dataset.zoom === "in" ? 1.25 : 0.8), pressed()));
 }
-
-listen("scene", ({ measured, band, slice }) => {
-  const there = { measured: measured !== null, errors: measured !== null, band, slice, plan: false, reach: false };
-  for (const button of shows) button.hidden = there[button.dataset.show] === false;
-});
-const showBand = () => { // a fit or an estimate on the page has a band, too
-  for (const button of shows) if (button.dataset.show === "band") button.hidden = false;
-};
-listen("ridge", showBand);
-listen("tracking", ({ readings }) => readings && showBand());
-listen("aimed", () => {
-  for (const button of shows) {
-    if (button.dataset.show === "plan") button.hidden = aim.plan === null;
-    if (button.dataset.show === "reach") button.hidden = aim.reach === null;
-  }
-});
+listen("scene", ({ measured, band, slice }) => offer({ measured, errors: measured, band, slice, plan: false, reach: false }));
+listen("ridge", () => offer({ band: true }));
+listen("tracking", ({ readings }) => readings && offer({ band: true }));
+listen("aimed", () => offer({ plan: aim.plan, reach: aim.reach }));
 listen("redraw", pressed);
-listen("state", () => now.state && pressed());
+listen("state", pressed);

@@ -1,6 +1,7 @@
-/** Three things to try on a new page, one after the other; each can be skipped. */
+/** What a new page begins with: an insertion that moves, then three things to try. */
 
-import { say } from "./announcements.js";
+import { part, say } from "./dom.js";
+import * as act from "./actions.js";
 import { invalidate } from "./drawing.js";
 import { listen, now } from "./store.js";
 import { pressed } from "./toolbar.js";
@@ -24,7 +25,6 @@ const STEPS = [
     hint: "along", button: "insert", shows: "whole", done: (from, to) => to.depth_mm > from.depth_mm + INSERTED,
   },
 ];
-const part = (id) => document.getElementById(id);
 let step = -1;
 let [from, before] = [null, null]; // the state as the step began, the view before the tour
 
@@ -71,3 +71,21 @@ part("tour-begin").addEventListener("click", () => {
 export function offer() {
   if (!localStorage.getItem(SEEN)) show(0);
 }
+
+const PART = 0.6; // of the scene's or the measured depth
+let begun = false;
+let moving = false; // until the first insertion has come to its end
+
+/** A needle that nobody has moved yet is inserted, unless the user wants less motion, or a tracker moves it. */
+listen("state", ({ depth_mm: depth, undo, moving: speed }) => {
+  if (moving && depth > 0 && !speed) {
+    moving = false;
+    offer();
+  }
+  if (begun) return;
+  begun = true;
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (still || now.scene.tracked || depth !== 0 || undo) return;
+  act.goTo(PART * act.ownDepth());
+  moving = true;
+});

@@ -1,30 +1,24 @@
 /** A needle that a tracker moves: its connections, why it is frozen, and the running estimate of mu and b. */
 
-import { strengthOf } from "./bevel.js";
-import { asMpa, brief } from "./numbers.js";
+import { entry, part, write } from "./dom.js";
 import { layerInputs, takeFitted } from "./panel.js";
+import { asMpa, brief, counted, strengthOf } from "./quantities.js";
 import { command } from "./steering.js";
 import { listen, now } from "./store.js";
 
-const part = (id) => document.getElementById(id);
 let estimated = 0; // readings of the estimate that the fields show
 
-function write(id, text) {
-  if (part(id).textContent !== text) part(id).textContent = text;
-}
-
-function take(message) {
+listen("tracking", (message) => {
   for (const id of ["tracking", "research"]) part(id).hidden = false;
-  part("frozen").hidden = !message.frozen;
-  part("tracking-release").hidden = !message.frozen;
+  for (const id of ["frozen", "tracking-release"]) part(id).hidden = !message.frozen;
   write("tracking-frozen", message.frozen && `Frozen: ${message.frozen}.`);
   const devices = Object.entries(message.devices).map(([role, age]) => (age < 1 ? role : `${role} ${age.toFixed(0)} s ago`));
   const heard = devices.length ? `Tracked: ${devices.join(", ")}.` : "No pose has come yet.";
-  const peers = `${message.peers} connection${message.peers === 1 ? "" : "s"}`;
   const ignored = message.ignored ? ` ${message.ignored} messages ignored.` : "";
-  write("tracking-note", `${peers}. ${heard} ${message.readings} tip reading${message.readings === 1 ? "" : "s"}.${ignored}`);
+  const [peers, readings] = [counted(message.peers, "connection"), counted(message.readings, "tip reading")];
+  write("tracking-note", `${peers}. ${heard} ${readings}.${ignored}`);
   if (now.scene) showEstimate(message);
-}
+});
 
 /** Write the estimate, and let the fields of mu and b go back to it. */
 function showEstimate(message) {
@@ -32,13 +26,8 @@ function showEstimate(message) {
   const { key, symbol, unit, digits } = strengthOf(fitted);
   const rows = message.mu_pa.map((values, i) => [`${names[i] || `layer ${i + 1}`} μ`, values.map(asMpa).map((one) => brief(one, 3)), "MPa"]);
   rows.push([symbol, message[key].map((one) => one.toFixed(digits)), unit]);
-  part("tracking-estimate").replaceChildren(...rows.map(([name, [low, median, high], of]) => {
-    const [row, term, value] = ["div", "dt", "dd"].map((tag) => document.createElement(tag));
-    term.textContent = name;
-    value.textContent = `${median} (${low} to ${high}) ${of}`;
-    row.append(term, value);
-    return row;
-  }));
+  const entries = rows.map(([name, [low, median, high], of]) => entry(name, `${median} (${low} to ${high}) ${of}`));
+  part("tracking-estimate").replaceChildren(...entries);
   if (!message.readings || message.readings === estimated || !now.state) return;
   estimated = message.readings;
   const [, ...shapes] = layerInputs();
@@ -48,5 +37,4 @@ function showEstimate(message) {
 
 part("tracking-release").addEventListener("click", () => command({ do: "release_tracker" }));
 part("tracking-forget").addEventListener("click", () => command({ do: "forget_estimate" }));
-listen("tracking", take);
 listen("scene", () => (estimated = 0));

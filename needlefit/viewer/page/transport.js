@@ -1,13 +1,12 @@
 /** The buttons and fields of the insertion: held to move, or pressed once. */
 
+import { part, write } from "./dom.js";
 import * as act from "./actions.js";
 import { canRedoGoal, canUndoGoal } from "./aim.js";
-import { brief } from "./numbers.js";
+import { brief } from "./quantities.js";
 import { command, halt, letGo } from "./steering.js";
 import { listen, now } from "./store.js";
 
-const part = (id) => document.getElementById(id);
-const write = (id, text) => part(id).textContent === text || (part(id).textContent = text);
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it
 
 /** A button that moves the needle as long as it is held, by pointer, space or enter. */

@@ -1,10 +1,10 @@
-/** The needle in its true diameter, its bevel, its tip path and its constraint points. */
+/** The needle, what holds it, what the tissue puts on its shaft, and a hint at a handle. */
 
-import { bevelPlace } from "../handles.js";
-import { palette } from "../palette.js";
+import { basePlace, bevelPlace, guidePlace } from "../handles.js";
+import { brief, roundStep, shortName } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { line, ring, straight, turned } from "./strokes.js";
+import { cross, faintly, label, line, palette, polygon, ring, segments, setFont, stroke, turned } from "./strokes.js";
 
 const THINNEST = 2; // px
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
@@ -12,6 +12,14 @@ const LONGEST_BEVEL = 2.5; // diameters
 const WIDE = 7; // px; from here on the body is drawn faint
 const FAINT = 0.24; // opacity
 const AXIS = 2; // px
+const HANDLE = 7; // px
+const NAME_HEIGHT = 15; // px
+const [TALLEST, LOWEST] = [64, 18]; // px, of the load's curve
+const LEAST_LOAD = 1e-6; // N/mm; less is drawn as nothing
+const HINT_RADIUS = 22; // px
+const UP = Math.PI / 2;
+
+let perNewton = null; // px per N/mm
 
 /** How thick the needle is drawn, px. */
 export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THINNEST);
@@ -23,28 +31,18 @@ export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THIN
  */
 export function paintNeedle(context, { x, y, bevel, faults }) {
   const outside = faults?.length > 0; // of the model: it looks different
-  const colour = outside ? palette.bad : palette.needle;
+  const shown = outside ? palette.bad : palette.needle;
   const width = thickness();
   const shaft = shortened(x.map(toPx), y.map(toPy), LONGEST_BEVEL * Math.max(width, 3));
   const axis = new Path2D();
   for (const [px, py] of shaft.points) axis.lineTo(px, py);
   context.lineJoin = "round";
   context.lineCap = "butt";
-  if (width >= WIDE) {
-    context.globalAlpha = FAINT;
-    stroke(context, axis, colour, width);
-    context.globalAlpha = 1;
-  }
+  if (width >= WIDE) faintly(context, FAINT, () => stroke(context, shown, width, axis));
   context.setLineDash(outside ? [9, 5] : []);
-  stroke(context, axis, colour, width < WIDE ? width : AXIS);
+  stroke(context, shown, width < WIDE ? width : AXIS, axis);
   context.setLineDash([]);
   paintBevel(context, shaft, Math.max(width, 3) / 2, bevel.side);
-}
-
-function stroke(context, path, colour, width) {
-  context.strokeStyle = colour;
-  context.lineWidth = width;
-  context.stroke(path);
 }
 
 /** The needle's points (px) without its last `length` px, and its tip. */
@@ -65,49 +63,172 @@ function paintBevel(context, { points, tip }, half, side) {
   const [dx, dy] = [(tip[0] - x) / size, (tip[1] - y) / size];
   const at = ([px, py], to) => [px + to * dy * half, py - to * dx * half]; // canvas y runs downwards
   const [back, near, point] = [at([x, y], -side), at([x, y], side), at(tip, side)];
-  context.fillStyle = palette.needle;
-  context.beginPath();
-  for (const corner of [back, near, point]) context.lineTo(...corner);
-  context.fill();
-  straight(context, back, point, palette.tip, 2);
+  polygon(context, [back, near, point], palette.needle);
+  segments(context, [[back, point]], palette.tip, 2);
 }
 
 /** Draw to which side the bevel turns the cut, and whether the tip is held. */
 export function paintTip(context, state) {
   const { tip, turn, angle } = bevelPlace(state);
-  straight(context, tip, turn, palette.tip, 1);
-  turned(context, ...turn, angle, () => paintTurn(context, -state.bevel.side)); // canvas y runs downwards
+  const to = -state.bevel.side; // canvas y runs downwards
+  segments(context, [[tip, turn]], palette.tip, 1);
+  turned(context, ...turn, angle, () => polygon(context, [[-6, -3 * to], [0, 6 * to], [6, -3 * to]], palette.tip));
   if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
-/** An arrow head toward the side to which the bevel turns the cut. */
-function paintTurn(context, to) {
-  context.beginPath();
-  context.moveTo(-6, -3 * to);
-  context.lineTo(0, 6 * to);
-  context.lineTo(6, -3 * to);
-  context.closePath();
-  context.fillStyle = palette.tip;
-  context.fill();
-}
-
 /** Draw where the tip has been. */
-export function paintPath(context, { tip_path: [x, y] }) {
-  line(context, x, y, palette.path, 1.5);
-}
+export const paintPath = (context, { tip_path: [x, y] }) => line(context, x, y, palette.path, 1.5);
 
 /** Draw the points that hold the needle in the tissue, as crosses. */
 export function paintPoints(context, { constraints: [x, y] }) {
   const half = Math.min(Math.max(CROSS.of * now.scene.spacing_mm * view.scale, CROSS.least), CROSS.most);
-  context.strokeStyle = palette.points;
-  context.lineWidth = half > 2 ? 1.4 : 1;
-  context.beginPath();
-  for (let i = 0; i < x.length; i += 1) {
-    const [px, py] = [toPx(x[i]), toPy(y[i])];
-    context.moveTo(px - half, py - half);
-    context.lineTo(px + half, py + half);
-    context.moveTo(px - half, py + half);
-    context.lineTo(px + half, py - half);
+  const crosses = x.flatMap((one, i) => cross(toPx(one), toPy(y[i]), half, true));
+  segments(context, crosses, palette.points, half > 2 ? 1.4 : 1);
+}
+
+/** Draw the hub, the rail along which the stage moves it, and the ring that turns it. */
+export function paintBase(context, state) {
+  const { place: [px, py], turn, angle } = basePlace(state);
+  const half = Math.max(thickness() / 2 + 4, 7);
+  segments(context, [[[px, py - 46], [px, py + 46]]], palette.quiet, 2);
+  for (const to of [-1, 1]) {
+    const end = py + 46 * to;
+    polygon(context, [[px - 5, end], [px, end + 7 * to], [px + 5, end]], palette.quiet);
   }
-  context.stroke();
+  segments(context, [[[px, py], turn]], palette.ink, 1.5);
+  turned(context, px, py, angle, () => box(context, -22, -half, 26, 2 * half, 4, palette.ink));
+  ring(context, ...turn, HANDLE, palette.ink, palette.air);
+}
+
+function box(context, px, py, width, height, radius, fill) {
+  context.fillStyle = fill;
+  context.beginPath();
+  context.roundRect(px, py, width, height, radius);
+  context.fill();
+}
+
+/** Draw each guide: two jaws along its direction if it clamps, two points if the needle turns in it. */
+export function paintGuides(context, { guides }) {
+  const gap = thickness() / 2 + 2;
+  for (const guide of guides) {
+    const { place, turn, angle } = guidePlace(guide);
+    const clamps = !guide.turns_freely;
+    if (clamps) segments(context, [[place, turn]], palette.guide, 1.5);
+    turned(context, ...place, angle, () => {
+      for (const to of [-1, 1]) {
+        const from = gap * to;
+        if (clamps) box(context, -13, Math.min(from, from + 7 * to), 26, 7, 2, palette.guide);
+        else polygon(context, [[0, from], [-7, from + 11 * to], [7, from + 11 * to]], palette.guide);
+      }
+    });
+    if (clamps) ring(context, ...turn, HANDLE, palette.guide, palette.air);
+  }
+  writeNames(context, guides);
+}
+
+/** Under each guide its number, or the name that its scene gives it; of two that would overlap, the first. */
+function writeNames(context, guides) {
+  setFont(context, "strong");
+  const written = [];
+  for (const guide of guides.toSorted((one, other) => one.item - other.item)) {
+    const [px, py] = [toPx(guide.x), toPy(guide.y) + thickness() / 2 + 26];
+    if (px < view.box.left || px > view.box.left + view.box.width) continue; // out of the picture
+    const name = shortName(guide);
+    const half = context.measureText(name).width / 2 + 3;
+    const overlaps = (one) => Math.abs(one.px - px) < one.half + half && Math.abs(one.py - py) < NAME_HEIGHT;
+    if (written.some(overlaps)) continue;
+    written.push({ px, py, half });
+    label(context, name, px, py, palette.guide);
+  }
+}
+
+/**
+ * Draw the load normal to the shaft, N/mm, on the side to which it pushes: a filled curve with a scale of its own.
+ *
+ * Between constraint points the load of the model is a sawtooth; its mean over two spacings is what the
+ * tissue means to the shaft. `raw` draws the load itself.
+ */
+export function paintLoad(context, { load: { x, y, n_per_mm: values } }, raw) {
+  const load = raw ? values : smooth(x, values, now.scene.spacing_mm);
+  const greatest = load.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
+  if (greatest < LEAST_LOAD || x.length < 2) return;
+  rescale(greatest);
+  const [px, py] = [x.map(toPx), y.map(toPy)];
+  const surface = beside(px, py, load, 0);
+  const ends = beside(px, py, load, perNewton);
+  const [areas, edges] = [new Path2D(), new Path2D()];
+  for (const [from, to] of runs(load)) {
+    const curve = [surface[from], ...ends.slice(from, to), surface[to - 1]];
+    curve.forEach((place, i) => (i ? edges.lineTo(...place) : edges.moveTo(...place)));
+    curve.push(...surface.slice(from, to).reverse());
+    curve.forEach((place, i) => (i ? areas.lineTo(...place) : areas.moveTo(...place)));
+  }
+  context.fillStyle = palette.load;
+  faintly(context, 0.32, () => context.fill(areas));
+  stroke(context, palette.load, 1.25, edges);
+  paintKey(context);
+}
+
+/** The mean of a load over so many mm to either side of each of its places; less at the ends. */
+export function smooth(x, load, reach) {
+  const sums = [0]; // of the load up to each place, trapezia
+  for (let i = 1; i < x.length; i += 1) sums.push(sums[i - 1] + ((load[i] + load[i - 1]) / 2) * (x[i] - x[i - 1]));
+  const sumTo = (at, i) => { // i: the first place beyond `at`
+    if (i === 0) return 0;
+    if (i === x.length) return sums.at(-1);
+    const part = (at - x[i - 1]) / (x[i] - x[i - 1] || 1);
+    return sums[i - 1] + (load[i - 1] + (part * (load[i] - load[i - 1])) / 2) * (at - x[i - 1]);
+  };
+  let [from, to] = [0, 0];
+  return x.map((at) => {
+    const half = Math.min(reach, at - x[0], x.at(-1) - at);
+    if (half <= 0) return load[at === x[0] ? 0 : x.length - 1];
+    while (from < x.length && x[from] <= at - half) from += 1;
+    while (to < x.length && x[to] <= at + half) to += 1;
+    return (sumTo(at + half, to) - sumTo(at - half, from)) / (2 * half);
+  });
+}
+
+/** Where the load pushes to one side without a break: first point, and one behind the last. */
+function runs(load) {
+  const starts = load.map((_, i) => i).filter((i) => i === 0 || load[i] * load[i - 1] <= 0);
+  return starts.map((from, n) => [from, starts[n + 1] ?? load.length]);
+}
+
+/** Places beside the shaft, px: on its normal, as far from the surface that is pushed as the load is great. */
+function beside(px, py, load, scale) {
+  const [last, surface] = [px.length - 1, thickness() / 2];
+  return px.map((_, i) => {
+    const [before, after] = [Math.max(i - 1, 0), Math.min(i + 1, last)];
+    const [dx, dy] = [px[after] - px[before], py[after] - py[before]];
+    const size = (load[i] * scale + Math.sign(load[i]) * surface) / (Math.hypot(dx, dy) || 1);
+    return [px[i] + dy * size, py[i] - dx * size];
+  });
+}
+
+/** Keep the scale while the curve is neither too tall nor too low: a load that grows shall look so. */
+function rescale(greatest) {
+  const height = greatest * (perNewton ?? 0);
+  if (height > TALLEST || height < LOWEST) perNewton = (0.75 * TALLEST) / (2 * roundStep(greatest));
+}
+
+/** The length of a round load, at the upper left. */
+function paintKey(context) {
+  const size = roundStep(40 / perNewton);
+  const [px, py, height] = [view.box.left + 14, view.box.top + 14, size * perNewton];
+  context.fillStyle = palette.load;
+  context.fillRect(px, py, 2, height);
+  for (const end of [py, py + height - 1.5]) context.fillRect(px - 3, end, 8, 1.5);
+  setFont(context, "small", "left");
+  label(context, `${brief(size)} N/mm`, px + 10, py + height / 2);
+}
+
+/** Draw a ring about the handle that `now.hint` names (the bevel's arrow, the base), and the ways it can go. */
+export function paintHint(context, state) {
+  if (!now.hint) return;
+  const place = now.hint === "bevel" ? bevelPlace(state).turn : basePlace(state).place;
+  const ways = { bevel: [-state.bevel.side * UP], across: [UP, -UP], along: [0] }[now.hint];
+  ring(context, ...place, HINT_RADIUS, palette.accent, "transparent");
+  const head = [[HINT_RADIUS + 3, -8], [HINT_RADIUS + 14.2, 0], [HINT_RADIUS + 3, 8]];
+  for (const way of ways) turned(context, ...place, way, () => polygon(context, head, palette.accent));
 }

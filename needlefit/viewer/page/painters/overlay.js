@@ -1,13 +1,23 @@
-/** What the needle is compared with: the measured curve, and the fitted needle's 95 % band. */
+/** What the needle is compared with and aimed at, a tracked tip, and what the picture itself does not show. */
 
-import { points } from "../measured_points.js";
-import { palette } from "../palette.js";
+import { aim, nameOf } from "../aim.js";
+import { points } from "../handles.js";
+import { heightAt } from "../quantities.js";
+import { listen, now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { thickness } from "./needle.js";
-import { label, line, ring } from "./strokes.js";
+import { cross, faintly, fillBetween, label, line, palette, polygon, ring, segments, setFont, stroke, turned } from "./strokes.js";
 
 const GAPS = 12; // parts of the shaft between which gaps are drawn
 const MARGIN = 40; // px, half of what is written beside the tip
+const FAN = 0.3; // opacity of the plan's draws
+const PALE = 0.35; // of a plan that the needle has left
+const [CROSS, TRACKED_CROSS] = [5, 9]; // px
+const INSET = { width: 170, height: 46, edge: 10 }; // px
+const ARROW = 11; // px
+let tracked = null;
+
+listen("tracking", (message) => (tracked = message));
 
 /** Draw the measured needle, over a halo that sets it off from the needle and from a scan. */
 export function paintMeasured(context, { x, y }) {
@@ -18,23 +28,17 @@ export function paintMeasured(context, { x, y }) {
 }
 
 /** Draw the points of the measured needle that can be dragged. */
-export function paintPoints(context) {
+export function paintMeasuredPoints(context) {
   if (!points.shown) return;
   for (const [x, y] of points.places()) ring(context, toPx(x), toPy(y), 6, palette.measured, palette.air);
 }
 
 /** Draw the band; pale as long as it belongs to an earlier step. */
 export function paintBand(context, { x, low, high }, pale) {
-  context.beginPath();
-  for (let i = 0; i < x.length; i += 1) context.lineTo(toPx(x[i]), toPy(low[i]));
-  for (let i = x.length - 1; i >= 0; i -= 1) context.lineTo(toPx(x[i]), toPy(high[i]));
-  context.closePath();
-  context.globalAlpha = pale ? 0.1 : 0.22;
-  context.fillStyle = palette.band;
-  context.fill();
-  context.globalAlpha = pale ? 0.4 : 1;
-  for (const edge of [low, high]) line(context, x, edge, palette.band, 1.5, [3, 2]);
-  context.globalAlpha = 1;
+  faintly(context, pale ? 0.1 : 0.22, () => fillBetween(context, x, low, high, palette.band));
+  faintly(context, pale ? 0.4 : 1, () => {
+    for (const edge of [low, high]) line(context, x, edge, palette.band, 1.5, [3, 2]);
+  });
 }
 
 /** Draw what the errors are: the gap at the tip (TE), and gaps along the shaft, whose mean is the IPE. */
@@ -42,22 +46,13 @@ export function paintGaps(context, state, measured) {
   const { errors, tip } = state;
   if (!errors) return;
   const reach = Math.min(tip.x, measured.x.at(-1));
-  context.strokeStyle = palette.gap;
-  context.lineWidth = 1.25;
-  context.beginPath();
-  for (let n = 1; n < GAPS; n += 1) {
-    const x = (reach * n) / GAPS;
-    context.moveTo(toPx(x), toPy(heightAt(state, x)));
-    context.lineTo(toPx(x), toPy(heightAt(measured, x)));
-  }
-  context.stroke();
+  const places = Array.from({ length: GAPS - 1 }, (_, n) => (reach * (n + 1)) / GAPS);
+  const gaps = places.map((x) => [state, measured].map((curve) => [toPx(x), toPy(heightAt(curve, x))]));
+  segments(context, gaps, palette.gap, 1.25);
   const [x, y] = errors.whole ? [measured.x.at(-1), measured.y.at(-1)] : [reach, heightAt(measured, reach)];
   const end = errors.whole ? [tip.x, tip.y] : [reach, heightAt(state, reach)];
-  line(context, [x, end[0]], [y, end[1]], palette.halo, 5);
-  line(context, [x, end[0]], [y, end[1]], palette.gap, 2.5);
-  context.font = "600 12px system-ui, sans-serif";
-  context.textAlign = "center";
-  context.textBaseline = "middle";
+  for (const [shown, width] of [[palette.halo, 5], [palette.gap, 2.5]]) line(context, [x, end[0]], [y, end[1]], shown, width);
+  setFont(context, "strong");
   const { left, width } = view.box;
   const px = Math.min(Math.max(toPx(x), left + MARGIN), left + width - MARGIN);
   const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
@@ -65,10 +60,82 @@ export function paintGaps(context, state, measured) {
   label(context, `TE ${errors.te_mm.toFixed(2)} mm`, px, state.bevel.side > 0 ? bottom + away : top - away, palette.gap);
 }
 
-/** The y of a curve at x, its points joined by straight lines. */
-function heightAt({ x: xs, y: ys }, x) {
-  const after = xs.findIndex((one) => one >= x);
-  if (after <= 0) return after === 0 ? ys[0] : ys.at(-1);
-  const share = (x - xs[after - 1]) / (xs[after] - xs[after - 1]);
-  return ys[after - 1] + share * (ys[after] - ys[after - 1]);
+/** Shade where the tip can come to stand: the more of the draws, the stronger. */
+export function paintReach(context) {
+  if (!aim.reach) return;
+  const { x, low, high } = aim.reach;
+  faintly(context, 0.12, () => low.forEach((edge, level) => fillBetween(context, x, edge, high[level], palette.reach)));
+}
+
+/** Draw the needles of the draws, and over them the one of the parameters shown; in a challenge nothing. */
+export function paintPlan(context) {
+  if (!aim.plan || aim.challenge?.hidden) return;
+  const pale = aim.plan.left ? PALE : 1;
+  faintly(context, FAN * pale, () => {
+    for (const [x, y] of aim.plan.fan) line(context, x, y, palette.plan, 1);
+  });
+  faintly(context, pale, () => {
+    line(context, aim.plan.x, aim.plan.y, palette.halo, 4);
+    line(context, aim.plan.x, aim.plan.y, palette.plan, 2, [10, 4]);
+  });
+}
+
+/** Draw target and obstacles. */
+export function paintGoal(context) {
+  aim.obstacles.forEach(([x, y, radius], i) => paintCircle(context, x, y, radius, palette.tip, nameOf(i), 0.28));
+  if (!aim.target) return;
+  const [x, y] = aim.target;
+  paintCircle(context, x, y, aim.radius, palette.guide, "target");
+  segments(context, cross(toPx(x), toPy(y), CROSS), palette.guide, 2);
+}
+
+function paintCircle(context, x, y, radius, shown, name, opacity = 0) {
+  const [px, py, across] = [toPx(x), toPy(y), radius * view.scale];
+  context.beginPath();
+  context.ellipse(px, py, across, across * view.magnified, 0, 0, 2 * Math.PI);
+  context.fillStyle = shown;
+  faintly(context, opacity, () => context.fill());
+  stroke(context, palette.halo, 4);
+  stroke(context, shown, 2);
+  setFont(context, "strong");
+  label(context, name, px, toPy(y + radius) - 9, shown);
+}
+
+/** Draw where the tracker has the tip: a cross, grey while it is frozen. */
+export function paintTrackedTip(context) {
+  if (!tracked?.tip) return;
+  const lines = cross(toPx(tracked.tip[0]), toPy(tracked.tip[1]), TRACKED_CROSS, true);
+  segments(context, lines, palette.halo, 5);
+  segments(context, lines, tracked.frozen ? palette.quiet : palette.measured, 2);
+}
+
+/** Draw the inserted part of the needle with y as large as x, in the lower left. */
+export function paintInset(context, { x, y }) {
+  const { left, top, height } = view.box;
+  const [px, py] = [left + INSET.edge, top + height - INSET.height - INSET.edge];
+  context.fillStyle = palette.air;
+  context.fillRect(px, py, INSET.width, INSET.height);
+  context.strokeStyle = palette.quiet;
+  context.lineWidth = 1;
+  context.strokeRect(px + 0.5, py + 0.5, INSET.width - 1, INSET.height - 1);
+  const scale = (INSET.width - 2 * INSET.edge) / Math.max(now.scene.depth_mm, now.state.depth_mm, 1);
+  context.beginPath();
+  x.forEach((one, i) => one >= 0 && context.lineTo(px + INSET.edge + one * scale, py + INSET.height / 2 + 6 - y[i] * scale));
+  stroke(context, palette.needle, 1.5);
+  setFont(context, "small", "left", "top");
+  label(context, "true scale", px + 6, py + 4);
+}
+
+/** Draw at the edge of the window where the tip is. */
+export function paintArrow(context, { tip }) {
+  const { left, top, width, height } = view.box;
+  const [middle, centre] = [left + width / 2, top + height / 2];
+  const angle = Math.atan2(toPy(tip.y) - centre, toPx(tip.x) - middle);
+  const reach = Math.min(
+    (width / 2 - 2 * ARROW) / Math.max(Math.abs(Math.cos(angle)), 1e-9),
+    (height / 2 - 2 * ARROW) / Math.max(Math.abs(Math.sin(angle)), 1e-9),
+  );
+  const [px, py] = [middle + reach * Math.cos(angle), centre + reach * Math.sin(angle)];
+  const head = [[ARROW, 0], [-ARROW, ARROW * 0.8], [-ARROW, -ARROW * 0.8]];
+  turned(context, px, py, -angle, () => polygon(context, head, palette.tip));
 }

@@ -1,23 +1,93 @@
-/** Lines and shapes on the canvas, given in mm. */
+/** Colours, lines and shapes on the canvas, given in mm or px. */
 
-import { palette } from "../palette.js";
+import { colour } from "../dom.js";
 import { toPx, toPy } from "../view.js";
 
-/** Begin a path along points (x, y). */
-export function trace(context, x, y) {
-  context.beginPath();
-  for (let i = 0; i < x.length; i += 1) context.lineTo(toPx(x[i]), toPy(y[i]));
+const NAMES = [
+  "air", "gutter", "ink", "quiet", "grid", "edge", "needle", "points", "path", "tip", "guide", "load",
+  "measured", "band", "plan", "reach", "gap", "bad", "halo", "soft", "stiff", "label", "accent",
+];
+const FONTS = { small: "11px system-ui, sans-serif", plain: "12px system-ui, sans-serif", strong: "600 12px system-ui, sans-serif" };
+
+/** Colours by name, as the style sheet has them for light and for dark; read anew when the reader's scheme changes. */
+export const palette = {};
+
+/** Read the colours from the style sheet. */
+export function readPalette() {
+  for (const name of NAMES) palette[name] = colour(name);
 }
 
-/** Draw a line along points. */
-export function line(context, x, y, colour, width, dash = []) {
+/** One colour a layer: the stiffer, the darker, over one decade at least. */
+export function shades(layers) {
+  const stiffness = layers.map(({ mu_pa: mu }) => Math.log10(mu));
+  const least = Math.min(...stiffness);
+  const decades = Math.max(Math.max(...stiffness) - least, 1);
+  return stiffness.map((one) => between(palette.soft, palette.stiff, (one - least) / decades));
+}
+
+function between(one, other, share) {
+  const parts = [1, 3, 5].map((at) => {
+    const [low, high] = [one, other].map((colour) => parseInt(colour.slice(at, at + 2), 16));
+    return Math.round(low + share * (high - low));
+  });
+  return `rgb(${parts.join(" ")})`;
+}
+
+/** Carry out drawing at an opacity. */
+export function faintly(context, opacity, draw) {
+  context.globalAlpha = opacity;
+  draw();
+  context.globalAlpha = 1;
+}
+
+/** Draw a path (by default the current one) as a line. */
+export function stroke(context, colour, width, path = null) {
   context.strokeStyle = colour;
   context.lineWidth = width;
+  if (path) context.stroke(path);
+  else context.stroke();
+}
+
+/** Draw a line along points (mm). */
+export function line(context, x, y, colour, width, dash = []) {
   context.setLineDash(dash);
-  trace(context, x, y);
-  context.stroke();
+  context.beginPath();
+  for (let i = 0; i < x.length; i += 1) context.lineTo(toPx(x[i]), toPy(y[i]));
+  stroke(context, colour, width);
   context.setLineDash([]);
 }
+
+/** Fill what lies between two curves over the same x (mm). */
+export function fillBetween(context, x, low, high, colour) {
+  context.beginPath();
+  x.forEach((one, i) => context.lineTo(toPx(one), toPy(low[i])));
+  for (let i = x.length - 1; i >= 0; i -= 1) context.lineTo(toPx(x[i]), toPy(high[i]));
+  context.closePath();
+  context.fillStyle = colour;
+  context.fill();
+}
+
+/** Fill a polygon (px). */
+export function polygon(context, corners, colour) {
+  context.fillStyle = colour;
+  context.beginPath();
+  for (const corner of corners) context.lineTo(...corner);
+  context.fill();
+}
+
+/** Draw straight lines between pairs of places (px). */
+export function segments(context, pairs, colour, width) {
+  context.beginPath();
+  for (const [from, to] of pairs) {
+    context.moveTo(...from);
+    context.lineTo(...to);
+  }
+  stroke(context, colour, width);
+}
+
+/** The two lines of a cross about a place (px), upright or oblique. */
+export const cross = (px, py, arm, oblique = false) => (oblique ? [[arm, arm], [arm, -arm]] : [[arm, 0], [0, arm]])
+  .map(([dx, dy]) => [[px - dx, py - dy], [px + dx, py + dy]]);
 
 /** Draw a ring with a filled inside, as handles have it. */
 export function ring(context, px, py, radius, edge, inside) {
@@ -25,19 +95,7 @@ export function ring(context, px, py, radius, edge, inside) {
   context.arc(px, py, radius, 0, 2 * Math.PI);
   context.fillStyle = inside;
   context.fill();
-  context.strokeStyle = edge;
-  context.lineWidth = 2;
-  context.stroke();
-}
-
-/** Draw a straight line between two places in px. */
-export function straight(context, [fromX, fromY], [toX, toY], colour, width) {
-  context.strokeStyle = colour;
-  context.lineWidth = width;
-  context.beginPath();
-  context.moveTo(fromX, fromY);
-  context.lineTo(toX, toY);
-  context.stroke();
+  stroke(context, edge, 2);
 }
 
 /** Carry out drawing with the origin at a place in px, x along a direction (rad, counterclockwise). */
@@ -49,11 +107,18 @@ export function turned(context, px, py, angle, draw) {
   context.restore();
 }
 
+/** Set how words are written. */
+export function setFont(context, font, align = "center", baseline = "middle") {
+  context.font = FONTS[font];
+  context.textAlign = align;
+  context.textBaseline = baseline;
+}
+
 /** Write on the picture, set off from what lies behind. */
 export function label(context, text, px, py, colour = palette.label) {
+  context.lineJoin = "round";
   context.strokeStyle = palette.halo;
   context.lineWidth = 4;
-  context.lineJoin = "round";
   context.strokeText(text, px, py);
   context.fillStyle = colour;
   context.fillText(text, px, py);

@@ -1,14 +1,15 @@
 /** The page of a scan: its state, its tools, and what follows from a click. */
 
+import { part } from "../dom.js";
 import { showFault, showLists, showSaved, showVerdict, showWaiting } from "./panel.js";
-import { ask } from "./server.js";
+import { post } from "../requests.js";
 import { Views } from "./views.js";
 
+const ask = async (name, content = {}) => (await post(`/scan/${name}`, content)).json();
 const NOTHING = { needle: null, balls: null, contact: null, tip: null };
 const SAME_BALL_MM = 2;
 const KEYS = { l: "look", n: "needle", e: "contact", t: "tip", b: "ball" };
 
-const byId = (name) => document.getElementById(name);
 const state = {
   found: null,
   corrections: { ...NOTHING }, // as they stand on the page
@@ -29,7 +30,7 @@ const HINTS = {
   tip: "Click where the needle ends, best in the slice along the needle.",
   ball: "Click the centre of a marker ball; Remove in the list deletes one.",
 };
-const views = new Views(byId("views"), state, { use, look });
+const views = new Views(part("views"), state, { use, look });
 
 /** What was found of a ball that was placed at `at`: the program moves it to the ball that it sees there. */
 function nearBall(at) {
@@ -52,7 +53,7 @@ function look(place) {
 /** Say what a click does, and where the crosshair is. */
 function hint() {
   const at = state.cursor ? ` Crosshair: ${state.cursor.map((x, n) => `${"LPS"[n]} ${x.toFixed(1)}`).join(", ")} mm.` : "";
-  byId("hint").textContent = HINTS[state.tool] + at;
+  part("hint").textContent = HINTS[state.tool] + at;
 }
 
 function correct(change) {
@@ -77,11 +78,11 @@ const isNew = () => JSON.stringify(state.corrections) !== state.applied;
 const isCorrected = () => Object.values(state.corrections).some((one) => one !== null);
 
 function refresh() {
-  byId("undo").disabled = state.busy || !state.history.length;
-  byId("clear").disabled = state.busy || !isCorrected();
-  byId("again").disabled = state.busy || !isNew();
-  byId("save").disabled = state.busy || isNew() || !isCorrected();
-  byId("again").classList.toggle("on", !byId("again").disabled);
+  part("undo").disabled = state.busy || !state.history.length;
+  part("clear").disabled = state.busy || !isCorrected();
+  part("again").disabled = state.busy || !isNew();
+  part("save").disabled = state.busy || isNew() || !isCorrected();
+  part("again").classList.toggle("on", !part("again").disabled);
   forbid("contact", state.found.entry_stated && "The table of scans states the entry (entry_x_mm ...)");
   forbid("ball", !state.found.has_markers && "The scan has no known places of markers: start the page with --markers");
   showLists(state, act);
@@ -102,9 +103,9 @@ function take(found) {
   state.corrections = { ...NOTHING, ...found.corrections };
   state.applied = JSON.stringify(state.corrections);
   state.busy = false;
-  byId("title").textContent = found.id;
-  byId("where").textContent = found.volume;
-  byId("synthetic").hidden = !found.synthetic;
+  part("title").textContent = found.id;
+  part("where").textContent = found.volume;
+  part("synthetic").hidden = !found.synthetic;
   document.title = `${found.id} – needlefit view`;
   showVerdict(state);
   views.make();
@@ -125,8 +126,8 @@ async function run(work, failed) {
 }
 
 function again() {
-  byId("verdict").classList.remove("refused");
-  byId("verdict").textContent = "Reconstructing again …";
+  part("verdict").classList.remove("refused");
+  part("verdict").textContent = "Reconstructing again …";
   return run(async () => take(await ask("again", state.corrections)), "Not used");
 }
 
@@ -135,7 +136,7 @@ function choose(tool) {
   state.tool = tool;
   hint();
   for (const one of document.querySelectorAll("[data-tool]")) {
-    one.setAttribute("aria-pressed", String(one.dataset.tool === tool));
+    one.ariaPressed = String(one.dataset.tool === tool);
   }
 }
 
@@ -146,15 +147,15 @@ for (const one of document.querySelectorAll("[data-window]")) {
   one.addEventListener("click", () => {
     state.shade = one.dataset.window;
     for (const other of document.querySelectorAll("[data-window]")) {
-      other.setAttribute("aria-pressed", String(other === one));
+      other.ariaPressed = String(other === one);
     }
     views.load();
   });
 }
-byId("undo").addEventListener("click", undo);
-byId("clear").addEventListener("click", () => correct({ ...NOTHING }));
-byId("again").addEventListener("click", again);
-byId("save").addEventListener("click", () => run(async () => showSaved(state, await ask("save", state.corrections)), "Not saved"));
+part("undo").addEventListener("click", undo);
+part("clear").addEventListener("click", () => correct({ ...NOTHING }));
+part("again").addEventListener("click", again);
+part("save").addEventListener("click", () => run(async () => showSaved(state, await ask("save", state.corrections)), "Not saved"));
 addEventListener("keydown", (event) => {
   if (event.target.matches("input:not([type=range])")) return;
   if ((event.ctrlKey || event.metaKey) && event.key === "z") undo();

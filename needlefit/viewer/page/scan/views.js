@@ -1,7 +1,8 @@
 /** The pictures: slices with what was found drawn over them; clicks become places. */
 
 import { NeedleSlice, PlaneSlice } from "./geometry.js";
-import { ask } from "./server.js";
+import { colour, element } from "../dom.js";
+import { post } from "../requests.js";
 
 const NEAR = 2.5; // mm from a slice within which points are drawn on it
 const LINE_NEAR = 4; // mm, of lines
@@ -11,34 +12,25 @@ const BARS = [50, 20, 10, 5, 2, 1]; // mm, lengths of a scale bar
 const WIDEST_BAR = 0.3; // of a picture's width
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
 class View {
   constructor(slice, state, act) {
     this.slice = slice;
     this.state = state;
     this.image = null;
     this.asked = 0;
-    this.figure = document.createElement("figure");
-    this.figure.className = slice.name;
-    const caption = document.createElement("figcaption");
-    const name = slice.name === "needle" ? "along the needle" : slice.name;
-    const more = Object.assign(document.createElement("span"), { className: "long", textContent: ", drawn straight" });
-    this.output = document.createElement("output");
-    this.range = Object.assign(document.createElement("input"), { type: "range", min: 0, step: 1 });
-    this.range.setAttribute("aria-label", slice.name === "needle" ? "angle about the needle" : `${name} slice`);
-    this.range.max = slice.name === "needle" ? 179 : slice.count - 1;
-    const title = document.createElement("span");
-    title.append(name, ...(slice.name === "needle" ? [more] : []));
-    caption.append(title, this.range, this.output);
-    this.canvas = document.createElement("canvas");
-    this.canvas.tabIndex = 0;
-    this.canvas.setAttribute("role", "application");
-    this.canvas.setAttribute("aria-label", `${name}: click, or Enter, uses the tool; arrows move the point`);
-    const frame = document.createElement("div");
-    frame.className = "frame";
-    frame.append(this.canvas);
-    this.figure.append(caption, frame);
+    const along = slice.name === "needle";
+    const name = along ? "along the needle" : slice.name;
+    this.output = element("output");
+    this.range = element("input", {
+      type: "range", min: 0, step: 1, max: along ? 179 : slice.count - 1,
+      ariaLabel: along ? "angle about the needle" : `${name} slice`,
+    });
+    this.canvas = element("canvas", {
+      tabIndex: 0, role: "application", ariaLabel: `${name}: click, or Enter, uses the tool; arrows move the point`,
+    });
+    const more = along ? [element("span", { className: "long" }, ", drawn straight")] : [];
+    const caption = element("figcaption", {}, element("span", {}, name, more), this.range, this.output);
+    this.figure = element("figure", { className: slice.name }, caption, element("div", { className: "frame" }, this.canvas));
     this.range.addEventListener("input", () => {
       if (slice.name === "needle") slice.angle = Number(this.range.value);
       else slice.index = Number(this.range.value);
@@ -92,8 +84,8 @@ class View {
     this.asked += 1;
     const number = this.asked;
     try {
-      const blob = await ask("cut", { ...slice.request, low, high });
-      const image = await createImageBitmap(blob);
+      const answer = await post("/scan/cut", { ...slice.request, low, high });
+      const image = await createImageBitmap(await answer.blob());
       if (number !== this.asked) return;
       this.image = image;
     } catch {
@@ -114,18 +106,18 @@ class View {
     this.paint = paint;
     this.unit = unit;
     for (const one of state.found.tubes) {
-      if (!one.chosen) this.line(one.line, colour("--other"), 1);
+      if (!one.chosen) this.line(one.line, colour("other"), 1);
     }
-    if (state.found.axis) this.line(state.found.axis, colour("--needle"), 1.2);
+    if (state.found.axis) this.line(state.found.axis, colour("needle"), 1.2);
     const kind = canvas.clientWidth > WIDE ? "boundary " : "";
-    state.found.layers.forEach((one, n) => this.dot(one.at, colour("--layer"), 4, slice.name === "needle" ? `${kind}${n + 1}` : "", 1));
-    for (const one of state.found.proposed) this.dot(one.at, colour("--proposed"), 3, "");
-    state.balls().forEach((ball, n) => this.cross(ball.at, colour("--ball"), 7, `ball ${n + 1}`));
+    state.found.layers.forEach((one, n) => this.dot(one.at, colour("layer"), 4, slice.name === "needle" ? `${kind}${n + 1}` : "", 1));
+    for (const one of state.found.proposed) this.dot(one.at, colour("proposed"), 3, "");
+    state.balls().forEach((ball, n) => this.cross(ball.at, colour("ball"), 7, `ball ${n + 1}`));
     for (const [kind, name] of [["contact", "entry"], ["tip", "tip"]]) {
       const at = state.place(kind);
-      if (at) this.dot(at, colour(`--${kind}`), 5, name);
+      if (at) this.dot(at, colour(`${kind}`), 5, name);
     }
-    if (state.corrections.needle) this.cross(state.corrections.needle, colour("--needle"), 8);
+    if (state.corrections.needle) this.cross(state.corrections.needle, colour("needle"), 8);
     if (state.cursor) this.hair(state.cursor);
     if (slice.letters) this.letters();
     this.scaleBar();

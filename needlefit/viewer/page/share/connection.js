@@ -1,6 +1,5 @@
 /** Of a shared file: there is no program to talk to. */
 
-export const token = () => "";
 export const needle = () => null;
 export const send = () => null;
 export const open = () => {};

@@ -1,16 +1,13 @@
 /** A shared recording: plays its states, which the file holds. */
 
-import { strengthOf } from "../bevel.js";
-import { define } from "../definitions.js";
-import { inWords } from "../description.js";
+import { part } from "../dom.js";
 import { paint } from "../drawing.js";
-import { degrees, signed } from "../numbers.js";
-import * as readouts from "../readouts.js";
+import { degrees, signed, strengthOf } from "../quantities.js";
+import { fillReadouts, refresh, refreshDescription } from "../readouts.js";
 import { now, take } from "../store.js";
 import "../toolbar.js";
 
 const SHORTEST = 2; // s that a recording lasts at least while it is played
-const part = (id) => document.getElementById(id);
 const { scene, states, needlefit } = JSON.parse(part("data").textContent);
 const [slider, button] = [part("scrub"), part("play")];
 let [at, playing, fresh, last, clock] = [0, false, true, null, 0];
@@ -21,23 +18,14 @@ const lasts = Math.max(ends / pace, SHORTEST);
 const timeOf = (index) => (ends > 0 ? (states[index][0].time_s / ends) * lasts : (index / states.length) * lasts);
 
 /** What is put in at a state. */
-const INPUTS = [
-  ["bevel", ({ bevel }) => (bevel.side > 0 ? "▲ to +y" : "▼ to −y"), ""],
-  [strengthOf(scene.fitted).symbol, ({ bevel }) => strengthOf(bevel).value.toFixed(strengthOf(bevel).digits), strengthOf(scene.fitted).unit],
-  ["base y", ({ base }) => signed(base.input_y, 2), "mm"],
-  ["base slope", ({ base }) => signed(degrees(base.input_slope), 2), "°"],
-  ["guides", ({ guides }) => String(guides.length), ""],
-];
-
-const written = INPUTS.map(([name, , unit]) => {
-  const [row, term, value, number, small] = ["div", "dt", "dd", "span", "small"].map((tag) => document.createElement(tag));
-  term.append(define(name));
-  small.textContent = unit;
-  value.append(number, " ", small);
-  row.append(term, value);
-  part("inputs").append(row);
-  return number;
-});
+const { symbol, unit } = strengthOf(scene.fitted);
+const writeInputs = fillReadouts(part("inputs"), [
+  ["bevel", "", ({ bevel }) => (bevel.side > 0 ? "▲ to +y" : "▼ to −y")],
+  [symbol, unit, ({ bevel }) => strengthOf(bevel).value.toFixed(strengthOf(bevel).digits)],
+  ["base y", "mm", ({ base }) => signed(base.input_y, 2)],
+  ["base slope", "°", ({ base }) => signed(degrees(base.input_slope), 2)],
+  ["guides", "", ({ guides }) => String(guides.length)],
+]);
 
 function showState(index) {
   at = index;
@@ -45,11 +33,11 @@ function showState(index) {
   take(state);
   take(band ?? { kind: "band", x: [] });
   slider.value = index;
-  slider.setAttribute("aria-valuetext", `${state.time_s.toFixed(1)} s, ${state.depth_mm.toFixed(1)} mm deep`);
+  slider.ariaValueText = `${state.time_s.toFixed(1)} s, ${state.depth_mm.toFixed(1)} mm deep`;
   part("time").textContent = `${state.time_s.toFixed(1)} s of ${ends.toFixed(1)} s`;
-  INPUTS.forEach(([, say], i) => (written[i].textContent = say(state)));
-  readouts.refresh();
-  part("described").textContent = inWords();
+  writeInputs(state);
+  refresh();
+  refreshDescription();
   fresh = true;
 }
 

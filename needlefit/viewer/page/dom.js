@@ -1,0 +1,38 @@
+/** Parts of the page: found, made, written, and announced to screen readers. */
+
+export const part = (id) => document.getElementById(id);
+
+/** Write a text into a part, if it is another one. */
+export function write(id, text) {
+  const place = typeof id === "string" ? part(id) : id;
+  if (place.textContent !== text) place.textContent = text;
+}
+
+/** Make an element with these properties (`ariaLabel` and the like among them) and contents. */
+export function element(tag, properties = {}, ...contents) {
+  const made = Object.assign(document.createElement(tag), properties);
+  made.append(...contents.flat());
+  return made;
+}
+
+/** A button that does something when it is pressed. */
+export function button(text, press, properties = {}) {
+  const made = element("button", { type: "button", ...properties }, text);
+  made.addEventListener("click", press);
+  return made;
+}
+
+/** A term and what stands beside it in a list. */
+export const entry = (term, value) => element("div", {}, element("dt", {}, term), element("dd", {}, value));
+
+/** Announce words now, also where they are those announced before. */
+export function say(words) {
+  part("announced").textContent = "";
+  requestAnimationFrame(() => (part("announced").textContent = words));
+}
+
+/** A colour of the style sheet: light-dark(one, other), or one for both. */
+export function colour(name) {
+  const both = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(/#\w+/g) ?? [""];
+  return both[matchMedia("(prefers-color-scheme: dark)").matches ? both.length - 1 : 0];
+}

@@ -1,0 +1,131 @@
+/** What stands still: air, layers, the scan's slice, skin, axes in mm, and a scale bar. */
+
+import { asMpa, brief, roundStep } from "../quantities.js";
+import { now } from "../store.js";
+import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
+import { faintly, label, palette, segments, setFont, shades, turned } from "./strokes.js";
+
+const NAME_PAD = 14; // px between a name and its layer's edges
+const LOW = 160; // px; in a lower window μ would lie on the needle
+const TICK = 5; // px
+const TICKS_APART = 48; // px between ticks, at least, where there is room for so few
+const QUARTER = Math.PI / 2;
+
+/** Draw the layers, over the slice where there is one. */
+export function paintTissue(context, slice) {
+  const { left, top, width, height } = view.box;
+  context.fillStyle = palette.air;
+  context.fillRect(left, top, width, height);
+  const layers = seenLayers();
+  for (const { from, to, shade } of layers) {
+    context.fillStyle = shade;
+    context.fillRect(from, top, to - from, height);
+  }
+  if (slice) {
+    const [x0, x1, y0, y1] = slice.extent;
+    const draw = () => context.drawImage(slice.image, toPx(x0), toPy(y1), toPx(x1) - toPx(x0), toPy(y0) - toPy(y1));
+    faintly(context, 0.85, draw);
+  }
+  paintEdges(context, layers);
+  paintNames(context, layers);
+}
+
+/** The layers that are in the window: their edges (px), shades and numbers. */
+function seenLayers() {
+  const { boundaries_mm: tops, layer_names: names } = now.scene;
+  const { left, width } = view.box;
+  const depths = [0, ...tops, Infinity];
+  const layers = shades(now.state.layers).map((shade, i) => ({
+    shade, number: i + 1, name: names[i] || `layer ${i + 1}`, mu: now.state.layers[i].mu_pa,
+    top: toPx(depths[i]), from: Math.max(toPx(depths[i]), left), to: Math.min(toPx(depths[i + 1]), left + width),
+  }));
+  return layers.filter(({ from, to }) => to > from);
+}
+
+function paintEdges(context, layers) {
+  const { left, top, width, height } = view.box;
+  for (const { from, number, top: edge } of layers) {
+    if (edge < left) continue; // its upper side lies outside
+    context.fillStyle = number === 1 ? palette.ink : palette.edge;
+    context.fillRect(Math.round(from) - 0.5, top, number === 1 ? 1.5 : 1, height);
+  }
+  const axis = Math.round(toPy(0)) + 0.5;
+  context.setLineDash([5, 4]);
+  segments(context, [[[left, axis], [left + width, axis]]], palette.quiet, 1);
+  context.setLineDash([]);
+}
+
+/** All layers are called in the same way: by their names if these fit, or by their numbers. */
+function paintNames(context, layers) {
+  const { left, top, height } = view.box;
+  setFont(context, "plain", "center", "alphabetic");
+  const fits = (text, layer) => context.measureText(text).width + NAME_PAD < layer.to - layer.from;
+  const named = layers.every((layer) => fits(layer.name, layer));
+  for (const layer of layers) {
+    const middle = (layer.from + layer.to) / 2;
+    label(context, named ? layer.name : String(layer.number), middle, top + 18);
+    const mu = `μ ${asMpa(layer.mu)} MPa`;
+    if (height >= LOW && fits(mu, layer)) label(context, mu, middle, top + 34);
+  }
+  const skin = toPx(0);
+  if (skin <= left + 40) return;
+  context.textAlign = "left";
+  turned(context, skin - 6, top + height - 10, QUARTER, () => label(context, "skin", 0, 0));
+}
+
+/** Draw ticks and names outside the box, and the scale bar inside. */
+export function paintAxes(context) {
+  const { left, top, width, height } = view.box;
+  const bottom = top + height;
+  context.lineWidth = 1;
+  context.strokeStyle = palette.quiet;
+  context.strokeRect(left - 0.5, top - 0.5, width + 1, height + 1);
+  context.fillStyle = palette.label;
+
+  setFont(context, "small", "center", "top");
+  const along = ticks(fromPx(left), fromPx(left + width), view.scale, width).map((x) => [x, Math.round(toPx(x)) + 0.5]);
+  segments(context, along.map(([, px]) => [[px, bottom], [px, bottom + TICK]]), palette.quiet, 1);
+  for (const [x, px] of along) context.fillText(written(x), px, bottom + TICK + 2);
+  context.textBaseline = "bottom";
+  context.fillText("x along the entry (mm)", left + width / 2, bottom + 37);
+
+  setFont(context, "small", "right");
+  const scale = view.scale * view.magnified;
+  const across = ticks(fromPy(bottom), fromPy(top), scale, height).map((y) => [y, Math.round(toPy(y)) + 0.5]);
+  segments(context, across.map(([, py]) => [[left - TICK, py], [left, py]]), palette.quiet, 1);
+  for (const [y, py] of across) context.fillText(written(y), left - TICK - 2, py);
+  context.textAlign = "center";
+  turned(context, 11, top + height / 2, QUARTER, () => context.fillText(nameAcross(context, height), 0, 0));
+  paintScaleBar(context);
+}
+
+/** Ticks along so many px at a scale in px per mm; their step is rounded down, by 2.5 at most. */
+function ticks(low, high, scale, length) {
+  const step = roundStep((2.5 * Math.min(TICKS_APART, length / 6)) / scale);
+  const first = Math.ceil(low / step);
+  return Array.from({ length: Math.max(Math.floor(high / step) - first + 1, 0) }, (_, i) => (first + i) * step);
+}
+
+const written = (value) => brief(value, 6).replace("-", "−");
+
+/** What stands along the axis, as long as there is room for. */
+function nameAcross(context, room) {
+  if (view.magnified === 1) return "y (mm)";
+  const long = `y (mm), drawn ${view.magnified}× as large as x`;
+  return context.measureText(long).width < room ? long : `y (mm), drawn ${view.magnified}×`;
+}
+
+/** A bar of a round length at the lower right; magnified, it holds along x alone. */
+function paintScaleBar(context) {
+  const { left, top, width, height } = view.box;
+  const length = roundStep((0.2 * width) / view.scale);
+  const [right, py] = [left + width - 14, top + height - 14];
+  const start = right - length * view.scale;
+  context.fillStyle = palette.ink;
+  context.fillRect(start, py, right - start, 2);
+  for (const px of [start, right - 1.5]) context.fillRect(px, py - 4, 1.5, 6);
+  setFont(context, "small", "center", "bottom");
+  const text = `${brief(length)} mm${view.magnified === 1 ? "" : " along x"}`;
+  const middle = Math.min((start + right) / 2, right + 8 - context.measureText(text).width / 2);
+  label(context, text, middle, py - 5);
+}

@@ -1,0 +1,64 @@
+/** What quantities, guides and the bevel's strength are called, and how numbers are written and read. */
+
+/** With its sign, a true minus, and none at zero. */
+export function signed(value, digits) {
+  const size = Math.abs(value).toFixed(digits);
+  if (Number(size) === 0) return size;
+  return (value < 0 ? "−" : "+") + size;
+}
+
+/** A number of so many significant digits, without idle zeros, as a field holds it. */
+export function brief(value, digits = 4) {
+  return String(Number(Number(value).toPrecision(digits)));
+}
+
+/** So many of something. */
+export const counted = (count, one) => `${count} ${one}${count === 1 ? "" : "s"}`;
+
+/** Groups of three digits, apart by thin spaces. */
+export function grouped(value) {
+  return Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u2009");
+}
+
+/** A modulus, Pa, as it is read: in MPa. */
+export const asMpa = (pascal) => brief(pascal * 1e-6);
+export const fromMpa = (text) => Number(text) * 1e6;
+
+export const toDegrees = (rotation) => (rotation * 180) / Math.PI;
+export const degrees = (slope) => (Math.atan(slope) * 180) / Math.PI;
+export const slope = (angle) => Math.tan((Math.min(Math.max(angle, -90), 90) * Math.PI) / 180);
+
+/** The y of a curve at x, its points joined by straight lines. */
+export function heightAt({ x: xs, y: ys }, x) {
+  const after = xs.findIndex((one) => one >= x);
+  if (after <= 0) return after === 0 ? ys[0] : ys.at(-1);
+  const share = (x - xs[after - 1]) / (xs[after] - xs[after - 1]);
+  return ys[after - 1] + share * (ys[after] - ys[after - 1]);
+}
+
+/** The nearest 1, 2 or 5 times a power of ten that is not greater. */
+export function roundStep(value) {
+  const decade = 10 ** Math.floor(Math.log10(value));
+  const times = value / decade;
+  return decade * (times >= 5 ? 5 : times >= 2 ? 2 : 1);
+}
+
+/** The name of a guide that its scene gives none. */
+export const numbered = (item) => `guide ${item}`;
+
+/** What is written beside a guide in the picture: its scene's name for it, or its number alone. */
+export const shortName = ({ item, name }) => (name && name !== numbered(item) ? name : String(item));
+
+const OFFSET = { key: "offset_mm", symbol: "b", unit: "mm", digits: 3, step: 0.005 };
+const ANGLE = { key: "cut_angle_deg", symbol: "θ", unit: "°", digits: 2, step: 0.1 };
+const INPUTS = {
+  offset_mm: ["bevel_offset_mm", "offset_throughout_mm"],
+  cut_angle_deg: ["cut_angle_deg", "cut_angle_throughout_deg"],
+};
+
+/** How the strength is called, written and stepped, its inputs from here on and throughout, given what has it. */
+export function strengthOf(values) {
+  const about = "cut_angle_deg" in values ? ANGLE : OFFSET;
+  const [here, throughout] = INPUTS[about.key];
+  return { ...about, here, throughout, value: values[about.key] };
+}
