@@ -27,12 +27,10 @@ COMMANDS = (
         "verify",
         "material",
         "paper",
-        "init",
-        "reconstruct",
     ),
-    *("twin", "new"),
+    *("init", "reconstruct", "twin", "new"),
 )
-MODULES = ("simulate", "check", "tune", "validate", "reconstruct", "view", "import_data", "start")
+MODULES = ("simulate", "check", "studies", "results", "reconstruct", "view", "import_data", "start")
 
 
 def run(*words: str) -> int:

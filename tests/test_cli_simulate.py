@@ -68,8 +68,6 @@ def test_layers_are_numbered_from_1(capsys):
     plain = answer(capsys, "chicken")
     stiffer = answer(capsys, "chicken", "--set", "layers.1.mu_pa=3e5")
     assert stiffer["tip_lateral_mm"] > 1.2 * plain["tip_lateral_mm"]
-    assert run("simulate", "chicken", "--set", "layers.0.mu_pa=3e5") == 3
-    assert "numbered from 1" in capsys.readouterr().err
 
 
 def test_an_empty_value_removes_a_key_and_with_it_the_law_is_switched(capsys):
@@ -78,30 +76,68 @@ def test_an_empty_value_removes_a_key_and_with_it_the_law_is_switched(capsys):
     assert "bevel.offset_mm" in capsys.readouterr().err
     found = answer(capsys, "phantom1", *path_angle, "--set", "bevel.offset_mm=")
     assert found["converged"] and abs(found["tip_lateral_mm"]) > 1
-    needed = run("simulate", "phantom1", "--set", "bevel.offset_mm=")
-    assert needed == 3 and "bevel.offset_mm" in capsys.readouterr().err
-
-
-def test_an_unknown_key_lists_the_nearest(capsys):
-    assert run("simulate", "phantom1", "--set", "bevel.ofset_mm=0.1") == 3
-    assert "bevel.offset_mm" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("setting", "expected"),
+    ("scene", "setting", "expected"),
     [
-        ("layers.2.mu_pa=-1", "`layers.2.mu_pa`"),
-        ("layers.2.mu_pa=soft", "`layers.2.mu_pa`"),
-        ("bevel.side=0", "`bevel.side`"),
-        ("layers.2.top_mm=50", "top_mm must increase"),
-        ("needle.youngs_modulus_gpa=nan", "`needle.youngs_modulus_gpa`"),
-        ("law=rubber", "`rubber`"),
-        ("rules.element_mm=0.3", "constraint spacing"),
+        ("phantom1", "bevel.ofset_mm=0.1", ["bevel.offset_mm"]),  # the nearest
+        ("chicken", "layers.0.mu_pa=3e5", ["numbered from 1"]),
+        ("phantom1", "bevel.offset_mm=", ["bevel.offset_mm"]),
+        ("phantom1", "layers.2.mu_pa=-1", ["`layers.2.mu_pa`"]),
+        ("phantom1", "layers.2.mu_pa=soft", ["`layers.2.mu_pa`"]),
+        ("phantom1", "bevel.side=0", ["`bevel.side`"]),
+        ("phantom1", "layers.2.top_mm=50", ["top_mm must increase"]),
+        ("phantom1", "needle.youngs_modulus_gpa=nan", ["`needle.youngs_modulus_gpa`"]),
+        ("phantom1", "law=rubber", ["`rubber`"]),
+        ("phantom1", "rules.element_mm=0.3", ["constraint spacing"]),
+        ("phantom1", "depth_mm=150", ["a depth below 150 mm"]),
+        ("phantom2", "depth_mm=9e8", ["`depth_mm`", "expected", "900000000.0"]),
+        ("phantom2", "needle.length_mm=1e7", ["`needle.length_mm`", "expected", "10000000.0"]),
+        ("phantom2", "rules.element_mm=1e-6", ["`rules.element_mm`", "expected", "1e-06"]),
+        (
+            "phantom2",
+            "rules.constraint_spacing_mm=1e-3",
+            ["`rules.constraint_spacing_mm`", "expected", "0.001"],
+        ),
+        (
+            "phantom2",
+            "rules.constraint_spacing_mm=1e9",
+            ["`rules.constraint_spacing_mm`", "expected", "1000000000.0"],
+        ),
+        ("figure1", "steps.2.guides.templat.y_mm=1", ["steps.2.guides.template.y_mm"]),
+        ("figure1", "guides.1.x_mm=5", ["key `guides.1`", "x = 5.0 mm"]),
+        ("figure1", "steps.2.guides.template.x_mm=5", ["key `steps.2.guides.template`", "x = 5.0 mm"]),
+        ("figure1", "steps.3.guides.template.in_tissue=true", ["key `steps.3.guides.template`"]),
+        ("figure1", "guides.1.angle_deg=100", ["80 degrees"]),
+        ("figure1", "controls.stage_angle_deg=46", ["key `controls.stage_angle_deg`"]),
+        (
+            "figure1",
+            "controls.guide_distance_mm=15",
+            ["`guides.1`", "`controls.guide_distance_mm`", "x = -15 mm"],
+        ),
+        (
+            "figure1",
+            "steps.2.depth_mm=135",
+            ["`steps.2.depth_mm`", "`steps.2.guides.template`", "150 mm", "135 mm", "15 mm"],
+        ),
+        ("figure1", "guides.1.x_mm=-120", ["30 mm", "110 mm"]),
+        (
+            "figure1",
+            "needle.length_mm=0.15",
+            ["`needle.length_mm`", "`guides.1`", "0.15 mm", "15 mm", "55 mm", "40 mm"],
+        ),
+        ("figure1", "steps.2.side=2", ["`steps.2.side`"]),
+        ("figure1", "steps.2.tip_slope_deg=2", ["tip_slope_deg", "tip_y_mm"]),
+        ("figure1", "depth_mm=30", ["steps.3.depth_mm"]),
+        ("figure1", "guides.1.name=stencil", ["steps.2.guides.template"]),
+        ("figure1", "guides.1.name=2", ["`guides.1.name`"]),
     ],
 )
-def test_a_wrong_value_names_its_key(setting, expected, capsys):
-    assert run("simulate", "phantom1", "--set", setting) == 3
-    assert expected in capsys.readouterr().err
+def test_a_wrong_value_names_its_key(scene, setting, expected, capsys):
+    assert run("simulate", scene, "--set", setting) == 3
+    err = capsys.readouterr().err
+    assert [part for part in expected if part not in err] == []
 
 
 def test_a_shipped_scene_goes_by_its_name_in_messages(tmp_path, monkeypatch, capsys):
@@ -111,9 +147,7 @@ def test_a_shipped_scene_goes_by_its_name_in_messages(tmp_path, monkeypatch, cap
     assert printed.startswith("needlefit: scene figure1 (shipped)") and "key `bevel.side`" in printed
 
 
-def test_a_needle_too_short_is_reported_with_its_largest_depth(capsys):
-    assert run("simulate", "phantom1", "--depth", "150") == 3
-    assert "a depth below 150 mm" in capsys.readouterr().err
+def test_a_needle_too_short_before_a_guide_is_reported_with_its_largest_depth(capsys):
     assert run("simulate", "phantom1", "--depth", "120", "--set", "controls.guide_distance_mm=40") == 3
     assert "a depth below 110 mm" in capsys.readouterr().err
 
@@ -249,24 +283,6 @@ def test_a_step_outside_the_model_marks_the_whole_insertion(capsys):
 
 
 @pytest.mark.parametrize(
-    ("setting", "key"),
-    [
-        ("depth_mm=9e8", "depth_mm"),
-        ("needle.length_mm=1e7", "needle.length_mm"),
-        ("rules.element_mm=1e-6", "rules.element_mm"),
-        ("rules.constraint_spacing_mm=1e-3", "rules.constraint_spacing_mm"),
-        ("rules.constraint_spacing_mm=1e9", "rules.constraint_spacing_mm"),
-    ],
-)
-def test_absurd_sizes_are_refused_at_once(setting, key, capsys):
-    assert run("simulate", "phantom2", "--set", setting) == 3
-    printed = capsys.readouterr().err
-    assert (
-        f"`{key}`" in printed and "expected" in printed and f"{float(setting.partition('=')[2])}" in printed
-    )
-
-
-@pytest.mark.parametrize(
     ("depth", "spacing", "count"),
     [(12, 10, 1), (39, 8, 0), (31, 8, 1), (149, 10, 0), (2.5, 0.5, 0), (3, 1, 1)],
 )
@@ -356,33 +372,3 @@ def test_guides_and_steps_are_set_by_name_and_number(capsys):
     assert moved["steps"][2]["iterations"] > 0
     freed = answer(capsys, "figure1", "--set", "guides.1.turns_freely=true")
     assert freed["tip_lateral_mm"] != plain["tip_lateral_mm"]
-    assert run("simulate", "figure1", "--set", "steps.2.guides.templat.y_mm=1") == 3
-    assert "steps.2.guides.template.y_mm" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("setting", "expected"),
-    [
-        ("guides.1.x_mm=5", ["key `guides.1`", "x = 5.0 mm"]),
-        ("steps.2.guides.template.x_mm=5", ["key `steps.2.guides.template`", "x = 5.0 mm"]),
-        ("steps.3.guides.template.in_tissue=true", ["key `steps.3.guides.template`"]),
-        ("guides.1.angle_deg=100", ["80 degrees"]),
-        ("controls.stage_angle_deg=46", ["key `controls.stage_angle_deg`"]),
-        ("controls.guide_distance_mm=15", ["`guides.1`", "`controls.guide_distance_mm`", "x = -15 mm"]),
-        (
-            "steps.2.depth_mm=135",
-            ["`steps.2.depth_mm`", "`steps.2.guides.template`", "150 mm", "135 mm", "15 mm"],
-        ),
-        ("guides.1.x_mm=-120", ["30 mm", "110 mm"]),
-        ("needle.length_mm=0.15", ["`needle.length_mm`", "`guides.1`", "0.15 mm", "15 mm", "55 mm", "40 mm"]),
-        ("steps.2.side=2", ["`steps.2.side`"]),
-        ("steps.2.tip_slope_deg=2", ["tip_slope_deg", "tip_y_mm"]),
-        ("depth_mm=30", ["steps.3.depth_mm"]),
-        ("guides.1.name=stencil", ["steps.2.guides.template"]),
-        ("guides.1.name=2", ["`guides.1.name`"]),
-    ],
-)
-def test_a_wrong_step_or_guide_names_its_key(setting, expected, capsys):
-    assert run("simulate", "figure1", "--set", setting) == 3
-    err = capsys.readouterr().err
-    assert [part for part in expected if part not in err] == []

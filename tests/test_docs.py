@@ -12,7 +12,15 @@ from needlefit.project.locate import shipped_folder
 
 DOCS = shipped_folder() / "docs"
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not run from the repository")
-PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("guides/*.md")), *sorted(DOCS.glob("../*/README.md"))]
+README = DOCS.parent / "README.md"
+PAGES = [
+    README,
+    *sorted(DOCS.glob("*.md")),
+    *sorted(DOCS.glob("guides/*.md")),
+    *sorted(DOCS.glob("../*/README.md")),
+]
+TEXT = README.read_text("utf-8") if README.is_file() else ""
+EXAMPLES = re.findall(r"```python\n(.*?)```\s*```text\n(.*?)```", TEXT, re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -97,3 +105,23 @@ def test_a_notebook_runs():
     pytest.importorskip("nbclient")
     words = [sys.executable, DOCS / "notebooks.py", DOCS / "notebooks/3_simulate.ipynb"]
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+
+
+def test_the_examples_of_the_readme_print_the_output_below_them(capsys):
+    assert EXAMPLES
+    for code, prints in EXAMPLES:
+        exec(compile(code, str(README), "exec"), {})
+        assert capsys.readouterr().out == prints
+
+
+def test_one_command_of_the_readme_runs_everything_and_one_runs_the_tests():
+    run, test = (
+        re.search(rf"<!-- command:{name} -->\n```\w*\n(.*?)```", TEXT, re.DOTALL)[1].strip()
+        for name in ("run", "test")
+    )
+    assert "\n" not in run + test and all(words.startswith("python3 -m venv") for words in (run, test))
+    assert run.endswith("needlefit validate all") and " -m pytest " in test
+
+
+def test_the_results_of_the_readme_are_the_stored_ones():
+    assert load_script(DOCS / "readme_results.py").write_page() == TEXT, "run `python docs/readme_results.py`"

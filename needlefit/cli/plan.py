@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, options, screen
+from needlefit.cli import exit_codes, screen
 from needlefit.cli.execution import require_no_faults
-from needlefit.cli.options import complete_view_targets
-from needlefit.cli.screen import print_warnings
+from needlefit.cli.options import complete_view_targets, takes
 from needlefit.project.outputs import require_output_files
 
 if TYPE_CHECKING:
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from needlefit.viewer.opening import ViewedScene
 
 
+@takes("jobs json quiet verbose")
 def plan(
     context: typer.Context,
     name: Annotated[
@@ -76,10 +76,6 @@ def plan(
         Path | None,
         typer.Option(metavar="FILE", help="Write the plan as a recording for `view` and `simulate`: .csv."),
     ] = None,
-    jobs: options.Jobs = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
 ) -> None:
     """Plan how to steer a needle to a target: entry, path of the base, turns of the bevel, depth.
 
@@ -97,16 +93,17 @@ def plan(
     aim = _make_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry, base, base_angle, turns)
     insertion = begin_insertion(shown)
-    found = plan_steering(insertion, aim.goal, limits, jobs)
+    invocation = context.find_root().obj
+    found = plan_steering(insertion, aim.goal, limits, invocation.jobs)
     summary = _summarize(shown, aim, found, len(insertion.samples[0]))
-    if json:
+    if invocation.json:
         screen.show_json(summary)
     else:
         screen.print_text(mark_faults(shown.faults) + _describe(shown, found, summary))
-    print_warnings(context.find_root().obj, shown.warnings)
+    screen.print_warnings(invocation, shown.warnings)
     if not found.hits:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
-    if not json:
+    if not invocation.json:
         _show_steps(shown, aim, summary)
     if recording is not None:
         write_plan(shown, found, recording)
@@ -234,11 +231,13 @@ def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, An
         known = f"The parameters of {shown.name} are taken as exact ({why}): the tip"
         reaches = "would reach" if shown.faults else "reaches"
         return f"The plan {reaches} the target{past}. {known} ends {nominal}.{bound}"
+    quantiles = (summary["median_mm"], summary["miss_95_mm"])
+    median, most = ("-" if value is None else f"{value:.2f}" for value in quantiles)
     return (
         f"The tip ends {within}{past} with probability {100 * found.probability:.0f} % (95 % CI "
         f"{100 * found.low:.0f} to {100 * found.high:.0f} %), by {len(found.needles)} posterior draws for "
         f"{_SPECIMENS[shown.specimen]}. "
-        f"Median miss {_format(summary['median_mm'])} mm, 95 % below {_format(summary['miss_95_mm'])} mm. "
+        f"Median miss {median} mm, 95 % below {most} mm. "
         f"Model error is not included.{bound}"
     )
 
@@ -260,7 +259,3 @@ _SPECIMENS = {
     "same": "a specimen that was fitted",
     "": "this insertion",
 }
-
-
-def _format(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"

@@ -6,12 +6,13 @@ from typing import Annotated
 
 import typer
 
-from needlefit.cli import options, screen
+from needlefit.cli import screen
+from needlefit.cli.options import takes
 
 
+@takes("verbose")
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder; it is made if it is missing.")],
-    verbose: options.Verbose = False,
 ) -> None:
     """Write an editable copy of the project to DIR.
 
@@ -24,6 +25,7 @@ def init(
     screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
 
 
+@takes("verbose")
 def new_dataset(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that does not exist yet.")],
     source: Annotated[
@@ -36,7 +38,6 @@ def new_dataset(
             "layout: needlefit import.",
         ),
     ] = None,
-    verbose: options.Verbose = False,
 ) -> None:
     """Write an example dataset to DIR, to be filled with your own measurements.
 

@@ -11,8 +11,7 @@ import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import complete_view_targets
-from needlefit.cli.screen import print_warnings
+from needlefit.cli.options import complete_view_targets, takes
 from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.project.outputs import require_writable
 
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from needlefit.viewer.trials import TrialRegistry
 
 
+@takes("out quiet verbose")
 def view(
     context: typer.Context,
     target: Annotated[
@@ -87,9 +87,6 @@ def view(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page, or only print its address.")
     ] = True,
-    out: options.Out = Path("reports"),
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
 ) -> None:
     """Steer a needle by hand, or examine and correct a scan, in the browser.
 
@@ -100,6 +97,7 @@ def view(
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
+    out = context.find_root().obj.out
     named = options.name_scan_files(markers, fiducials, layers, layers_in, mask, series, medium)
     if recording is None and target is not None and names_scan(target):
         if openigtlink is not None or tracker is not None:
@@ -232,7 +230,7 @@ def _trials(
 
     source = None if recording is None else read_recording(recording)
     shown = open_target(target, specimen=specimen) if source is None else open_recording(source)
-    print_warnings(invocation, shown.warnings)
+    screen.print_warnings(invocation, shown.warnings)
 
     def reopen(insertion: str) -> "ViewedScene":
         return open_target(shown.name, insertion, specimen)

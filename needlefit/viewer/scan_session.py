@@ -16,13 +16,12 @@ from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats
 from needlefit.datasets.faults import as_error
-from needlefit.errors import DataError, NeedlefitError
+from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.findings import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
-from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.registration.rigid import MIN_MARKERS
 from needlefit.imaging.scans import Scan, placed_contact_fault, write_scan_table
 from needlefit.imaging.volume import Volume, grid_to_json, to_index
@@ -167,12 +166,11 @@ class Corrections:
     @property
     def any(self) -> bool:
         """Whether anything was corrected."""
-        return any(part is not None for part in (self.needle, self.balls, self.contact, self.tip))
+        return any(part is not None for part in vars(self).values())
 
     def to_json(self) -> dict[str, Any]:
         """Return the places as JSON values."""
-        parts = {"needle": self.needle, "balls": self.balls, "contact": self.contact, "tip": self.tip}
-        return {name: None if part is None else part.tolist() for name, part in parts.items()}
+        return {name: None if part is None else part.tolist() for name, part in vars(self).items()}
 
 
 def read_corrections(content: object) -> Corrections:
@@ -185,48 +183,24 @@ def read_corrections(content: object) -> Corrections:
     """
     if not isinstance(content, Mapping):
         raise DataError("the corrections are no table", expected="needle, balls, contact, tip")
-    return Corrections(
-        needle=_read_point(content.get("needle"), "needle"),
-        balls=_read_points(content.get("balls")),
-        contact=_read_point(content.get("contact"), "contact"),
-        tip=_read_point(content.get("tip"), "tip"),
-    )
+    balls = content.get("balls")
+    if balls is not None:
+        if not isinstance(balls, Sequence) or isinstance(balls, str) or len(balls) > MAX_BALLS:
+            raise DataError("balls are no list of places", expected=f"at most {MAX_BALLS} places, LPS, mm")
+        points = [_read_point(ball, "a ball") for ball in balls if ball is not None]
+        balls = np.array(points).reshape(-1, 3)
+    places = {name: content.get(name) for name in ("needle", "contact", "tip")}
+    read = {name: None if at is None else _read_point(at, name) for name, at in places.items()}
+    return Corrections(balls=balls, **read)
 
 
-def _read_point(given: object, name: str) -> Floats | None:
-    if given is None:
-        return None
-    if not isinstance(given, Sequence) or len(given) != 3 or not all(_is_number(x) for x in given):
+def _read_point(given: object, name: str) -> Floats:
+    def is_number(value: object) -> bool:
+        return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e6
+
+    if not isinstance(given, Sequence) or len(given) != 3 or not all(map(is_number, given)):
         raise DataError(f"{name} is {json.dumps(given)[:60]}", expected="three numbers, LPS, mm")
     return np.array([round(float(x), DIGITS) for x in given])
-
-
-def _read_points(given: object) -> Floats | None:
-    if given is None:
-        return None
-    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) > MAX_BALLS:
-        raise DataError("balls are no list of places", expected=f"at most {MAX_BALLS} places, LPS, mm")
-    points = [_read_point(one, "a ball") for one in given]
-    return np.array([one for one in points if one is not None]).reshape(-1, 3)
-
-
-def _is_number(given: object) -> bool:
-    return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e6
-
-
-def _require_balls(count: int, scan: Scan) -> None:
-    if scan.markers is None:
-        raise DataError(
-            "balls were placed, but the scan has no known places to lay them on",
-            expected="the markers' known places in the world",
-            fix="start the page with --markers FILE, or with a table of scans that names them",
-        )
-    if count < MIN_MARKERS:
-        raise DataError(
-            f"{count} of at least {MIN_MARKERS} balls are left",
-            expected=f"{MIN_MARKERS} or more that are not on a line: they register the scan to the world",
-            fix="add balls, or take the removal back",
-        )
 
 
 def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
@@ -237,14 +211,24 @@ def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
     DataError
         If balls are given to a scan without markers, or too few, or an entry beside that of the stage.
     """
-    if corrections.balls is not None:
-        _require_balls(len(corrections.balls), scan)
+    balls, fiducials = corrections.balls, scan.fiducials
+    if balls is not None and scan.markers is None:
+        raise DataError(
+            "balls were placed, but the scan has no known places to lay them on",
+            expected="the markers' known places in the world",
+            fix="start the page with --markers FILE, or with a table of scans that names them",
+        )
+    if balls is not None and len(balls) < MIN_MARKERS:
+        raise DataError(
+            f"{len(balls)} of at least {MIN_MARKERS} balls are left",
+            expected=f"{MIN_MARKERS} or more that are not on a line: they register the scan to the world",
+            fix="add balls, or take the removal back",
+        )
     if corrections.contact is not None and scan.stage is not None:
         raise as_error([placed_contact_fault(scan.id)], scan.volume)
-    fiducials = scan.fiducials
-    if corrections.balls is not None:
+    if balls is not None:
         fiducials = folder / BALLS_FILE
-        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.{DIGITS}f}" for x in ball) for ball in corrections.balls)]
+        lines = ["x_mm,y_mm,z_mm", *(",".join(f"{x:.{DIGITS}f}" for x in ball) for ball in balls)]
         fiducials.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return replace(
         scan,
@@ -381,17 +365,22 @@ class ScanSession:
                 "tissue": [tissue - TISSUE_WINDOW_HU, tissue + TISSUE_WINDOW_HU],
                 "metal": [-1000.0, MAX_HU],
             },
-            "error": _describe_error(found.error),
+            "error": found.error
+            and {key: getattr(found.error, key) for key in ("what", "where", "expected", "fix")},
             "warnings": list(found.reconstruction.warnings if found.reconstruction else volume.warnings),
-            "tubes": self._describe_tubes(),
-            "entries": self._describe_entries(),
-            "axis": None if found.needle_axis is None else _thin(found.needle_axis.points).tolist(),
-            "tip": self._describe_tip(),
-            "contact": self._describe_contact(),
-            "balls": self._describe_balls(),
-            "layers": _describe_layers(found),
-            "proposed": _describe_proposals(found.reconstruction),
-            "inserted": _describe_inserted(found.reconstruction),
+            "tubes": [
+                {
+                    "length": tube.length,
+                    "width": tube.width,
+                    "chosen": tube.chosen,
+                    "line": tube.ends.tolist(),
+                    "middle": tube.ends.mean(axis=0).tolist(),
+                }
+                for tube in list_tubes(volume, self.recipe, found.selection)
+            ],
+            **_describe_needle(found),
+            "balls": _describe_balls(found),
+            **_describe_reconstruction(found),
             "course": self._describe_course(),
             "corrections": self.corrections.to_json(),
             "has_markers": self.scan.markers is not None,
@@ -420,53 +409,6 @@ class ScanSession:
         axis = self.found.needle_axis
         return None if axis is None else make_course(axis.points)
 
-    def _describe_tubes(self) -> list[dict[str, Any]]:
-        lines = []
-        for one in list_tubes(self.volume, self.recipe, self.found.selection):
-            about = {"length": one.length, "width": one.width, "chosen": one.chosen}
-            lines.append({**about, "line": one.ends.tolist(), "middle": one.ends.mean(axis=0).tolist()})
-        return lines
-
-    def _describe_entries(self) -> list[dict[str, Any]]:
-        axis = self.found.needle_axis
-        if axis is None:
-            return []
-        entries = list_entries(axis, self.found.profile)
-        places = place_entries(axis.points, entries)
-        return [
-            {"depth": one.depth, "sd": one.sd, "change": one.change, "at": at.tolist()}
-            for one, at in zip(entries, places, strict=True)
-        ]
-
-    def _describe_tip(self) -> dict[str, Any] | None:
-        axis = self.found.needle_axis
-        if axis is None:
-            return None
-        along, across = axis.tip_sd.tolist()
-        placed = self.found.scan.tip is not None
-        return {"at": axis.tip.tolist(), "along_sd": along, "across_sd": across, "placed": placed}
-
-    def _describe_contact(self) -> dict[str, Any] | None:
-        one = self.found.reconstruction
-        if one is None:
-            return None
-        at = one.patient.to_local(one.points[:1])[0]
-        placed = self.found.scan.contact is not None
-        return {"at": at.tolist(), "along_sd": one.pose.along_sd, "source": one.pose.source, "placed": placed}
-
-    def _describe_balls(self) -> list[dict[str, Any]]:
-        markers, registration = self.found.markers, self.found.registration
-        if markers is None:
-            return []
-        missed: dict[int, float] = {}
-        if registration is not None:
-            lengths = np.linalg.norm(registration.residuals, axis=1)
-            missed = dict(zip(registration.pairs[:, 0].tolist(), lengths.tolist(), strict=True))
-        return [
-            {"at": center.tolist(), "sd": float(sd), "residual": missed.get(n), "source": markers.source}
-            for n, (center, sd) in enumerate(zip(markers.centers, markers.sd, strict=True))
-        ]
-
     def _describe_course(self) -> dict[str, Any] | None:
         course = self.course
         if course is None:
@@ -489,38 +431,57 @@ def _make_new_folder(folder: Path) -> Path:
             return new
 
 
-def _thin(points: Floats) -> Floats:
-    kept = np.unique(np.linspace(0, len(points) - 1, SHOWN_POINTS).round().astype(np.int64))
-    return points[kept]
+def _describe_needle(found: Examination) -> dict[str, Any]:
+    """Return the needle's axis, where the tissue may begin, and the tip."""
+    axis = found.needle_axis
+    if axis is None:
+        return {"entries": [], "axis": None, "tip": None}
+    entries = list_entries(axis, found.profile)
+    places = zip(entries, place_entries(axis.points, entries), strict=True)
+    along, across = axis.tip_sd.tolist()
+    tip = {"at": axis.tip.tolist(), "along_sd": along, "across_sd": across}
+    kept = np.unique(np.linspace(0, len(axis.points) - 1, SHOWN_POINTS).round().astype(np.int64))
+    return {
+        "entries": [
+            {"depth": one.depth, "sd": one.sd, "change": one.change, "at": at.tolist()} for one, at in places
+        ],
+        "axis": axis.points[kept].tolist(),
+        "tip": tip | {"placed": found.scan.tip is not None},
+    }
 
 
-def _describe_error(error: NeedlefitError | None) -> dict[str, str] | None:
-    if error is None:
-        return None
-    return {"what": error.what, "where": error.where, "expected": error.expected, "fix": error.fix}
+def _describe_balls(found: Examination) -> list[dict[str, Any]]:
+    markers, registration = found.markers, found.registration
+    if markers is None:
+        return []
+    missed: dict[int, float] = {}
+    if registration is not None:
+        lengths = np.linalg.norm(registration.residuals, axis=1)
+        missed = dict(zip(registration.pairs[:, 0].tolist(), lengths.tolist(), strict=True))
+    return [
+        {"at": center.tolist(), "sd": float(sd), "residual": missed.get(n), "source": markers.source}
+        for n, (center, sd) in enumerate(zip(markers.centers, markers.sd, strict=True))
+    ]
 
 
-def _describe_layers(found: Examination) -> list[dict[str, Any]]:
+def _describe_reconstruction(found: Examination) -> dict[str, Any]:
+    """Return entry, layers, interfaces that the scan shows where they were asked for, and the depth."""
     one = found.reconstruction
     if one is None:
-        return []
-    places = one.patient.to_local(one.layers.points.reshape(-1, 3))
+        return {"contact": None, "layers": [], "proposed": [], "inserted": None}
+    at = one.patient.to_local(one.points[:1])[0].tolist()
+    contact = {"at": at, "along_sd": one.pose.along_sd, "source": one.pose.source}
+    places = one.patient.to_local(one.layers.points.reshape(-1, 3)).tolist()
     crossed = zip(one.layers.boundaries, one.layers.sd, places, strict=True)
-    return [{"depth": float(depth), "sd": float(sd), "at": at.tolist()} for depth, sd, at in crossed]
-
-
-def _describe_proposals(one: Reconstruction | None) -> list[dict[str, Any]]:
-    """Return the interfaces that the scan shows; none where nobody asked for them."""
-    rows = []
-    for found in () if one is None else one.proposals or ():
-        assert one is not None
-        world = interpolate_at_arc(one.points, np.array([found.at]))
-        depth, at = float(one.frame.to_local(world)[0, 0]), one.patient.to_local(world)[0]
-        rows.append({"depth": depth, "sd": found.sd, "step": found.step, "at": at.tolist()})
-    return rows
-
-
-def _describe_inserted(one: Reconstruction | None) -> dict[str, float] | None:
-    if one is None:
-        return None
-    return {"depth": one.depth, "sd": one.depth_sd, "length": float(arc_length(one.needle_axis.points)[-1])}
+    proposed = []
+    for interface in one.proposals or ():
+        world = interpolate_at_arc(one.points, np.array([interface.at]))
+        row = {"depth": float(one.frame.to_local(world)[0, 0]), "sd": interface.sd, "step": interface.step}
+        proposed.append(row | {"at": one.patient.to_local(world)[0].tolist()})
+    length = float(arc_length(one.needle_axis.points)[-1])
+    return {
+        "contact": contact | {"placed": found.scan.contact is not None},
+        "layers": [{"depth": float(depth), "sd": float(sd), "at": at} for depth, sd, at in crossed],
+        "proposed": proposed,
+        "inserted": {"depth": one.depth, "sd": one.depth_sd, "length": length},
+    }
