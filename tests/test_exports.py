@@ -170,7 +170,8 @@ def test_a_picture_before_first_contact_has_no_load(tmp_path) -> None:
 def test_pictures_have_the_colours_of_the_page() -> None:
     moment_figure = (files("needlefit.viewer") / "page" / "style.css").read_text()
     for name, colour in look.COLOURS.items():
-        assert re.search(rf"--{name}: (#\w+);", moment_figure).group(1) == colour  # the first: by light
+        found = re.search(rf"--{name}: (?:light-dark\()?(#\w+)", moment_figure)
+        assert found.group(1) == colour  # the first: by light
 
 
 @pytest.mark.parametrize(("entry", "axis"), [(Entry(), "y (mm)"), (TURNED, "y in the world (mm)")])
