@@ -61,8 +61,8 @@ nitpicky = True
 nitpick_ignore_regex = [
     # Types of others, which signatures name: without a network there is nothing to link them to.
     ("py:.*", r"(numpy|np|scipy|pandas|xarray|arviz|matplotlib|pydantic|pydantic_core|typer)\..*"),
-    ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp)\..*"),
-    ("py:.*", r"(collections|contextlib|ctypes|dataclasses|pathlib|types|typing)\..*"),
+    ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp|jinja2|markupsafe)\..*"),
+    ("py:.*", r"(collections|concurrent|contextlib|ctypes|dataclasses|pathlib|types|typing)\..*"),
     # Bounds in the types of keys.
     ("py:class", r"(annotated_types\.)?(Ge|Gt|Le|Lt|MaxLen|MinLen)|FieldInfo|NoneType"),
     # What begins with an underscore has no entry, even where a signature names it.

@@ -10,7 +10,7 @@ from needlefit.mechanics.batch import DERIVATIVE_KINDS, _evaluate, find_columns
 from needlefit.mechanics.packing import pack_problem, plan_insertion
 
 
-def make_problem(rng: np.random.Generator) -> native.Problem:
+def make_problem(rng: np.random.Generator) -> native.KernelProblem:
     """Return a random insertion with all derivatives, or one with several parameter sets."""
     if rng.random() < 0.5:
         return _evaluate(random_batch(rng, int(rng.integers(2, 12)), within=True, friction=0.3), None).problem
@@ -22,12 +22,12 @@ def make_problem(rng: np.random.Generator) -> native.Problem:
     return pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
 
 
-def read_numbers(problem: native.Problem) -> dict[str, float]:
+def read_numbers(problem: native.KernelProblem) -> dict[str, float]:
     """Return the sizes and numbers of a problem."""
     return {name: getattr(problem, name) for name in (*native._SIZES, *native._NUMBERS)}
 
 
-def compute(problem: native.Problem, lanes: int | None = None) -> dict[str, np.ndarray]:
+def compute(problem: native.KernelProblem, lanes: int | None = None) -> dict[str, np.ndarray]:
     """Return the shapes, and their derivatives if the problem has some, of all sets."""
     points = int(problem.arrays["stops"]["cell"][problem.stop_count - 1]) + 1
     shapes, lanes = native.make_shapes(problem, points), lanes or native.count_lanes()

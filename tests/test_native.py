@@ -204,7 +204,7 @@ def damage(rng: np.random.Generator, numbers: dict[str, float], arrays: dict[str
         arrays[name] = array
 
 
-def use(rng: np.random.Generator, problem: native.Problem) -> None:
+def use(rng: np.random.Generator, problem: native.KernelProblem) -> None:
     """Call the kernel with whatever has been accepted."""
     compute(problem, int(rng.choice([1, native.count_lanes()])))
     if problem.sets == 1:
@@ -229,7 +229,7 @@ def run_fuzz(seed: int) -> bool:
     if any(numbers[name] > limit for name, limit in limits.items()) or numbers["element"] < 1e-3:
         numbers["stop_count"] = 0  # would only take long, or fill the memory
     try:
-        use(rng, native.Problem.make(numbers, arrays))
+        use(rng, native.KernelProblem.make(numbers, arrays))
     except TypeError:
         return False
     return True
@@ -283,7 +283,7 @@ def test_damaged_arguments_of_the_other_functions_are_errors(seed: int) -> None:
 
 
 def test_a_session_refuses_what_it_has_no_room_for() -> None:
-    def pack(depth: float) -> native.Problem:
+    def pack(depth: float) -> native.KernelProblem:
         steps = (Step(depth, Bevel(0.1)),)
         lattice, packed = plan_insertion(steps, NEEDLE.length, ModelOptions())
         return pack_problem(NEEDLE, TISSUE, steps, lattice, ModelOptions(), packed)

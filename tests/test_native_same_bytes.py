@@ -65,7 +65,7 @@ def round_digits(values: np.ndarray) -> np.ndarray:
     return np.array([float(f"{value:.9g}") for value in np.ravel(values)]).reshape(np.shape(values))
 
 
-def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.Problem:
+def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.KernelProblem:
     """Return an insertion with everything that the kernel knows."""
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.0, 0.3]))
@@ -100,11 +100,11 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray]) -> native.P
             shape = arrays[name].shape
             rows = [tables[rng.integers(len(tables))] for _ in range(arrays[name].size // shape[-1])]
             arrays[name] = np.array(rows).reshape(shape)
-        problem = native.Problem.make(read_numbers(problem), arrays)
+        problem = native.KernelProblem.make(read_numbers(problem), arrays)
     return problem
 
 
-def list_problems(count: int) -> Iterator[tuple[native.Problem, int, np.ndarray]]:
+def list_problems(count: int) -> Iterator[tuple[native.KernelProblem, int, np.ndarray]]:
     """Return problems, their numbers of constraint points and where positions are wanted."""
     tables = [make_table(stiffening) for stiffening in range(1, 7)]
     for seed in range(count):
@@ -114,7 +114,7 @@ def list_problems(count: int) -> Iterator[tuple[native.Problem, int, np.ndarray]
         yield problem, int(last["cell"]) + 1, s
 
 
-def write_problem(problem: native.Problem, points: int, s: np.ndarray) -> bytes:
+def write_problem(problem: native.KernelProblem, points: int, s: np.ndarray) -> bytes:
     """Return what the drivers read: 64-bit numbers, and each array behind the number of its bytes."""
     head = [points, *(getattr(problem, name) for name in native._SIZES)]
     parts = [np.array(head, np.int64).tobytes()]
@@ -125,7 +125,7 @@ def write_problem(problem: native.Problem, points: int, s: np.ndarray) -> bytes:
     return b"".join(parts)
 
 
-def compute_results(problem: native.Problem, points: int, s: np.ndarray) -> bytes:
+def compute_results(problem: native.KernelProblem, points: int, s: np.ndarray) -> bytes:
     """Return the bytes that the drivers write, by the library of this process."""
     shapes, lanes = native.make_shapes(problem, points), native.count_lanes()
     for array in shapes.arrays.values():

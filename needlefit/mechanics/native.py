@@ -103,7 +103,7 @@ SHAPE_COLUMN = 1
 _SET_ARRAYS = {name for name, (_, shape) in _ARRAYS.items() if "sets" in shape}
 
 
-class Problem(ctypes.Structure):
+class KernelProblem(ctypes.Structure):
     """An insertion and its parameter sets: `struct Problem` of `native/needle.hpp` describes each field."""
 
     _fields_ = [
@@ -119,7 +119,7 @@ class Problem(ctypes.Structure):
     sizes: dict[str, int]
 
     @classmethod
-    def make(cls, numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> "Problem":
+    def make(cls, numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> "KernelProblem":
         """Return the structure of these numbers and arrays, which it keeps alive.
 
         Raises TypeError if an array is missing, has not the type, shape or layout that the kernel reads, or
@@ -152,14 +152,14 @@ class Problem(ctypes.Structure):
         problem.room, problem.max_points, problem.max_quadrature = found
         return problem
 
-    def with_sets(self, sets: int, arrays: Mapping[str, np.ndarray]) -> "Problem":
+    def with_sets(self, sets: int, arrays: Mapping[str, np.ndarray]) -> "KernelProblem":
         """Return the same insertion with other parameter sets; `arrays` are those with an axis of sets.
 
         Raises TypeError if one of them is missing, or is not as `make` asks for.
         """
         if arrays.keys() != self.arrays.keys() & _SET_ARRAYS:
             raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
-        problem = Problem.from_buffer_copy(self)
+        problem = KernelProblem.from_buffer_copy(self)
         problem.sets, problem.arrays = sets, {**self.arrays, **arrays}
         problem.room, problem.nodes, problem.max_points = self.room, self.nodes, self.max_points
         problem.max_quadrature = self.max_quadrature
@@ -283,7 +283,9 @@ def count_lanes() -> int:
     return int(load_library().nf_lanes())
 
 
-def simulate(problem: Problem, shapes: Shapes, first: int, lanes: int, memory: Floats | None = None) -> None:
+def simulate(
+    problem: KernelProblem, shapes: Shapes, first: int, lanes: int, memory: Floats | None = None
+) -> None:
     """Insert the needles of the sets from `first` on, `lanes` (as `count_lanes`, or 1) of them.
 
     Raises TypeError if there are no such sets or lanes, or `shapes` or `memory` (`measure_memory`) are too
@@ -303,14 +305,14 @@ def simulate(problem: Problem, shapes: Shapes, first: int, lanes: int, memory: F
     )
 
 
-def measure_memory(problem: Problem, lanes: int) -> int:
+def measure_memory(problem: KernelProblem, lanes: int) -> int:
     """Return the bytes that `simulate` needs to work in."""
     if lanes not in (1, count_lanes()):
         raise TypeError(f"{lanes} lanes; the kernel has {count_lanes()}, or 1")
     return int(load_library().nf_memory(byref(problem), c_int64(lanes)))
 
 
-def make_shapes(problem: Problem, points: int) -> Shapes:
+def make_shapes(problem: KernelProblem, points: int) -> Shapes:
     """Return room for the shapes of a problem, with so many constraint points behind the tip and under it."""
     if not 0 <= points <= problem.max_points:
         raise TypeError(f"{points} constraint points; the problem has {problem.max_points}")
@@ -331,7 +333,7 @@ class CutRay(NamedTuple):
 class SessionMemory:
     """The state of one needle from step to step; each step reads one copy and writes the other."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: KernelProblem) -> None:
         self._library = load_library()
         self._laws = problem.arrays["law"]  # the state points to them
         self._sizes = self._measure(problem)
@@ -339,12 +341,12 @@ class SessionMemory:
         self._library.nf_session_begin(byref(problem), *map(_at, (self._fixed, self._now, self._scratch)))
         self._lay_out(problem)
 
-    def _measure(self, problem: Problem) -> tuple[int, ...]:
+    def _measure(self, problem: KernelProblem) -> tuple[int, ...]:
         sizes = (c_int64 * 3)()
         self._library.nf_session_memory(byref(problem), sizes)
         return tuple(sizes)
 
-    def _lay_out(self, problem: Problem) -> None:
+    def _lay_out(self, problem: KernelProblem) -> None:
         """Make once what a step writes to and the arguments of its call."""
         self._next = make_memory(self._sizes[1])
         self._shapes, self._done = Shapes.make(1, problem.room, problem.max_points), (c_int64 * 3)()
@@ -353,7 +355,7 @@ class SessionMemory:
         self._at = [_at(part) for part in (self._fixed, self._now, self._next, self._scratch)]
         self._fits, self._problem = problem, byref(problem)
 
-    def advance(self, problem: Problem, depth: float, bevel: int, controls: int) -> tuple[int, int]:
+    def advance(self, problem: KernelProblem, depth: float, bevel: int, controls: int) -> tuple[int, int]:
         """Move the tip to `depth`, mm, under the inputs of the problem, whose numbers are given.
 
         The needle stays where it was until `accept`.
@@ -412,11 +414,11 @@ class SessionMemory:
         other._take(self, self._fits)
         return other
 
-    def grow(self, problem: Problem) -> None:
+    def grow(self, problem: KernelProblem) -> None:
         """Make room for the rays that `problem` has; it is otherwise as the one before."""
         self._take(self, problem)
 
-    def _take(self, other: "SessionMemory", problem: Problem) -> None:
+    def _take(self, other: "SessionMemory", problem: KernelProblem) -> None:
         """Take the state of `other`, in memory with room for the rays that `problem` has."""
         sizes = other._measure(problem)
         now, scratch = make_memory(sizes[1]), make_memory(sizes[2])
@@ -432,7 +434,11 @@ class RayRoomError(Exception):
 
 
 def find_equilibrium(
-    problem: Problem, depths: Floats, y: Floats, state: Floats | None = None, target: Floats | None = None
+    problem: KernelProblem,
+    depths: Floats,
+    y: Floats,
+    state: Floats | None = None,
+    target: Floats | None = None,
 ) -> tuple[Floats, Floats, int, int]:
     """Solve for one equilibrium against given constraint points.
 
@@ -474,7 +480,9 @@ def find_equilibrium(
     return x[:count].copy(), found[:count].copy(), int(ended[0]), int(ended[1])
 
 
-def list_quadrature(problem: Problem, nodes: Floats, depths: Floats) -> tuple[Floats, Floats, Ints, Ints]:
+def list_quadrature(
+    problem: KernelProblem, nodes: Floats, depths: Floats
+) -> tuple[Floats, Floats, Ints, Ints]:
     """Return place, weight, layer and constraint point of the quadrature points, for nodes in the tissue."""
     library, room = load_library(), problem.max_quadrature
     (x, weight), (layer, near) = np.empty((2, room)), np.empty((2, room), np.int64)
@@ -509,7 +517,7 @@ def _check_shape(x: Floats, u: Floats, slope: Floats) -> None:
         check_array(name, array, float, (max(len(x), 2),))
 
 
-def compute_load(problem: Problem, shape: tuple[Floats, Floats, Floats, Floats], s: Floats) -> Floats:
+def compute_load(problem: KernelProblem, shape: tuple[Floats, Floats, Floats, Floats], s: Floats) -> Floats:
     """Return the tissue's load (K,), N/mm, on a needle (x, u, slope, constraint points) at `s` (K,)."""
     needle, kept = _bend(shape)
     found, memory = np.empty(len(s)), make_memory(measure_memory(problem, 1))
@@ -520,7 +528,7 @@ def compute_load(problem: Problem, shape: tuple[Floats, Floats, Floats, Floats],
 
 
 def balance_nodes(
-    problem: Problem, shape: tuple[Floats, Floats, Floats, Floats], front: int, load: Floats
+    problem: KernelProblem, shape: tuple[Floats, Floats, Floats, Floats], front: int, load: Floats
 ) -> Floats:
     """Return force and moment (N, 2) at each node that the load at the quadrature points leaves over."""
     needle, kept = _bend(shape)

@@ -147,7 +147,7 @@ def pack_problem(
     values: Mapping[str, Floats] | None = None,
     columns: Columns | None = None,
     **sizes: float,
-) -> native.Problem:
+) -> native.KernelProblem:
     """Return an insertion as the kernel reads it.
 
     Raises ModelError if a law cannot be interpolated at its shape parameters.
@@ -161,7 +161,7 @@ def pack_problem(
     columns : Columns, optional
         Of the derivatives that are asked for.
     **sizes : float
-        Fields of `native.Problem` that are to have other values than the insertion gives them.
+        Fields of `native.KernelProblem` that are to have other values than the insertion gives them.
     """
     counts, arrays = _pack_shared(tissue, steps, packed, columns)
     more, of_sets = pack_sets(needle, tissue, steps, rules, packed, sets=sets, values=values, columns=columns)
@@ -173,7 +173,7 @@ def pack_problem(
     }  # fmt: skip
     if columns is not None and columns.total:
         arrays["turn_by"] = _differentiate_turns(steps, packed, rules)
-    return native.Problem.make(counts | numbers | sizes, arrays | of_sets)
+    return native.KernelProblem.make(counts | numbers | sizes, arrays | of_sets)
 
 
 def pack_sets(
@@ -286,9 +286,9 @@ class PreparedInsertion:
         self.depth = self._packed.last.tip
         # about: it orders insertions by their cost
         self.nodes_solved = float(self._packed.stops["tip"].sum())
-        self._problem: native.Problem | None = None
+        self._problem: native.KernelProblem | None = None
 
-    def pack(self, sets: int, values: Mapping[str, Floats]) -> native.Problem:
+    def pack(self, sets: int, values: Mapping[str, Floats]) -> native.KernelProblem:
         """Return the problem of so many parameter sets; `values` are named as in `batch.Batch`.
 
         Every call gives values of the same names.

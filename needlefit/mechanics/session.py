@@ -55,7 +55,7 @@ class Session:
     """
 
     # What the kernel reads, and the controls that it holds; `_hold` makes them.
-    _problem: native.Problem
+    _problem: native.KernelProblem
     _held: Controls
     _cut: Bevel
     _memory: native.SessionMemory

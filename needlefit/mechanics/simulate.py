@@ -100,7 +100,7 @@ def equilibrium(
 
 def pack_equilibrium(
     needle: Needle, tissue: Tissue, depths: Floats, controls: Controls, rules: ModelOptions
-) -> native.Problem:
+) -> native.KernelProblem:
     """Return the problem of a needle with constraint points at `depths` (M + 1,), mm, the last at the tip."""
     spacing, depth = rules.spacing, float(depths[-1])
     stop = TipStop(depth, 1, False, 0, False, 0, 0)

@@ -527,7 +527,7 @@ def register(
     `found`: (M, 3); centres found in the scan, LPS, mm; some may be missing, some may be no markers.
     `known`: (N, 3); places in the world, mm, in any order.
     `found_sd`, `known_sd`: float or (M,), (M, 3), (M, 3, 3) array (of known: N); deviation per direction, mm
-      (or covariances, mm^2), along the axes of the scan and of the world.
+    (or covariances, mm^2), along the axes of the scan and of the world.
     `pairs`: (P, 2); which is which, if it is known (found, known; from 0); tested like any other pairing.
     `rough`: the scan's axes and origin in the world, roughly.
 
