@@ -225,7 +225,7 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
 def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     """Write a volume, whole or not at all; the same volume gives the same bytes.
 
-    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder (no suffix) for a DICOM series.
+    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder for a DICOM series.
     `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
 
     NRRD, NIfTI and MetaImage keep values to the bit. DICOM holds 16 bits: whole numbers in their range
