@@ -59,10 +59,34 @@ def gel(folder: Path, sides=(1, 1, -1), **changes) -> Path:
     return write_dataset(folder, record(**tables), rows, dict.fromkeys("abc", CURVE), {}, checksums=False)
 
 
-def kinds(path: Path) -> list[str]:
+def write_rows(folder: Path, *rows, curves=None, noise=NOISE, gel=(), **tables) -> Path:
+    """Write needles with these rows into `gel`, all of the same curve where none are given."""
+    tables = {"media": {"gel": dict(gel)}, "noise": noise} | tables
+    curves = curves or {one.id: CURVE for one in rows}
+    return write_dataset(folder, record(**tables), rows, curves, {}, checksums=False)
+
+
+def into_gel(name="a", **changes):
+    return row(name, "gel", **({"layers": 1, "bevel": UP} | changes))
+
+
+FREE = {"entry": None, "direction": None, "pose_source": "none", "bevel": None}
+
+
+def find_warnings(path: Path) -> list[ResultWarning]:
+    """Return the warnings of a dataset without faults."""
     faults, warnings = check_all(path)
     assert faults == []
-    return [one.kind for one in warnings]
+    return warnings
+
+
+def kinds(path: Path) -> list[str]:
+    return [one.kind for one in find_warnings(path)]
+
+
+def place_of(file: Path, text: str) -> str:
+    """Return the place of the first line that holds a text."""
+    return f"{file}:{next(n for n, line in enumerate(file.read_text().split(chr(10)), 1) if text in line)}"
 
 
 def edit(file: Path, pattern: str, new: str) -> int:
@@ -108,20 +132,14 @@ def test_one_reversed_insertion_gives_no_warning_for_its_medium():
 
 
 def test_insertions_that_cannot_be_judged_do_not_count_together(tmp_path):
-    rows = [row(name, "gel", layers=1, bevel=UP, side=-1, base_moved=2.0) for name in "abcd"]
-    file = write_dataset(
-        tmp_path, record(media={"gel": {}}, noise=NOISE), rows, dict.fromkeys("abcd", CURVE), {}
-    )
-    assert kinds(file) == []
+    assert kinds(write_rows(tmp_path, *(into_gel(name, side=-1, base_moved=2.0) for name in "abcd"))) == []
 
 
 @pytest.mark.parametrize(
     "change", [{"base_moved": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}], ids=str
 )
 def test_a_deflection_with_another_possible_cause_gives_no_warning(tmp_path, change):
-    rows = [row("a", "gel", layers=1, bevel=UP, side=-1, **change)]
-    tables = record(media={"gel": {}}, noise=NOISE)
-    assert kinds(write_dataset(tmp_path, tables, rows, {"a": CURVE}, {})) == []
+    assert kinds(write_rows(tmp_path, into_gel(side=-1, **change))) == []
 
 
 def test_a_copy_of_a_centreline_is_named(tmp_path):
@@ -132,14 +150,11 @@ def test_a_copy_of_a_centreline_is_named(tmp_path):
 
 
 def test_free_shapes_and_straight_needles_give_no_bevel_warning(tmp_path):
-    free = record(media={"gel": {}}, noise=NOISE, frame={"pose": "free"})
-    rows = [row("a", "gel", layers=1, entry=None, direction=None, pose_source="none", side=-1)]
-    assert kinds(write_dataset(tmp_path / "free", free, rows, {"a": CURVE}, {})) == []
-    rng = np.random.default_rng(1)
-    straight = np.column_stack([X, 0.02 * rng.normal(size=(len(X), 2))])
-    rows = [row("a", "gel", layers=1, bevel=UP, side=-1)]
-    noisy = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
-    assert "bevel_side" not in kinds(write_dataset(tmp_path / "straight", noisy, rows, {"a": straight}, {}))
+    assert kinds(write_rows(tmp_path / "free", into_gel(side=-1, **FREE), frame={"pose": "free"})) == []
+    straight = np.column_stack([X, 0.02 * np.random.default_rng(1).normal(size=(len(X), 2))])
+    noise = {"point_sd_mm": 0.02}
+    file = write_rows(tmp_path / "straight", into_gel(side=-1), curves={"a": straight}, noise=noise)
+    assert "bevel_side" not in kinds(file)
 
 
 @pytest.mark.parametrize(
@@ -246,8 +261,8 @@ def test_a_needle_shorter_than_its_depths_is_named(tmp_path, length, unit):
 def test_a_stated_error_that_cannot_be_right_is_named_with_its_line(tmp_path, line, count):
     file = gel(tmp_path, noise=NOISE | {"correlated_sd_mm": 0.02, "correlation_length_mm": 5.0})
     number = edit(file, line.split()[0], line)
-    faults, warnings = check_all(file)
-    assert faults == [] and [one.where for one in warnings] == [f"{file}:{number}"] * count
+    warnings = find_warnings(file)
+    assert [one.where for one in warnings] == [f"{file}:{number}"] * count
     assert all(line.split()[0] in one.what for one in warnings)
 
 
@@ -263,10 +278,7 @@ def test_a_stated_error_that_cannot_be_right_is_named_with_its_line(tmp_path, li
 def test_a_deviation_of_a_row_that_cannot_be_right_is_named_with_line_and_column(
     tmp_path, column, value, count
 ):
-    rows = [row("a", "gel", layers=1, bevel=UP), row("b", "gel", layers=1, bevel=UP, **{column: value})]
-    tables = record(media={"gel": {}}, noise=NOISE)
-    file = write_dataset(tmp_path, tables, rows, dict.fromkeys("ab", CURVE), {})
-    _, warnings = check_all(file)
+    _, warnings = check_all(write_rows(tmp_path, into_gel(), into_gel("b", **{column: value})))
     assert [one.where for one in warnings] == [f"{tmp_path}/insertions.csv:3"] * count
     assert all(f"`{column}_" in one.what for one in warnings)
 
@@ -281,9 +293,8 @@ def test_a_deviation_of_a_row_that_cannot_be_right_is_named_with_line_and_column
 def test_a_mistyped_column_of_the_insertions_is_named_with_the_nearest(tmp_path, old, new, count):
     table = gel(tmp_path).parent / "insertions.csv"
     table.write_text(table.read_text().replace(old, new, 1))
-    faults, warnings = check_all(tmp_path)
-    found = [one for one in warnings if one.kind == "column"]
-    assert faults == [] and [one.where for one in found] == [f"{table}:1"] * count
+    found = [one for one in find_warnings(tmp_path) if one.kind == "column"]
+    assert [one.where for one in found] == [f"{table}:1"] * count
     assert all(f"`{new}`" in one.what and f"`{old}`" in one.what for one in found)
 
 
@@ -308,40 +319,25 @@ def test_a_mistyped_column_of_centrelines_is_named_once(tmp_path, name, count):
 
 @pytest.mark.parametrize("gauge", [18, 22, 25])
 def test_usual_needles_have_no_doubtful_diameter(tmp_path, gauge):
-    assert (
-        kinds(gel(tmp_path, needle=record().needle.model_dump() | {"outer_diameter_mm": GAUGES_MM[gauge]}))
-        == []
-    )
-
-
-@pytest.mark.parametrize(("depth", "count"), [(0.025, 1), (2.5e4, 1), (0.5, 0), (25.0, 0)])
-def test_a_boundary_in_metres_or_micrometres(tmp_path, depth, count):
-    rows = [row("a", "gel", layers=1 if depth > 50 else 2, bevel=UP)]
-    tables = record(media={"gel": {"boundaries_mm": [depth]}}, noise=NOISE)
-    file = write_dataset(tmp_path, tables, rows, {"a": CURVE}, {})
-    _, warnings = check_all(file)
-    assert [one.kind for one in warnings] == ["units"] * count
-    if count:
-        line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "boundaries_mm" in text)
-        assert warnings[0].where == f"{file}:{line}"
+    needle = record().needle.model_dump() | {"outer_diameter_mm": GAUGES_MM[gauge]}
+    assert kinds(gel(tmp_path, needle=needle)) == []
 
 
 @pytest.mark.parametrize(
     ("boundaries", "count"),
     [
+        *[([0.025], 1), ([2.5e4], 1), ([0.5], 0), ([25.0], 0)],  # metres, micrometres
         *[([1.0, 3.0], 1), ([2.0, 20.0], 0)],  # all of them at the top
         *[([20.0, 55.0], 1), ([20.0, 49.0], 0)],  # below every insertion
         *[([20.0, 20.01], 1), ([20.0, 20.5], 0)],  # nearly one
     ],
 )
 def test_boundaries_that_no_tissue_has_are_named_with_their_line(tmp_path, boundaries, count):
-    rows = [row("a", "gel", layers=1 + sum(one < 50 for one in boundaries), bevel=UP)]
-    file = write_dataset(
-        tmp_path, record(media={"gel": {"boundaries_mm": boundaries}}, noise=NOISE), rows, {"a": CURVE}, {}
-    )
+    one = into_gel(layers=1 + sum(depth < 50 for depth in boundaries))
+    file = write_rows(tmp_path, one, gel={"boundaries_mm": boundaries})
     _, warnings = check_all(file)
-    line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "boundaries_mm" in text)
-    assert [(one.kind, one.where) for one in warnings] == [("units", f"{file}:{line}")] * count
+    places = [("units", place_of(file, "boundaries_mm"))] * count
+    assert [(one.kind, one.where) for one in warnings] == places
     assert all(f"{boundaries[-1]:g}" in one.what for one in warnings)
 
 
@@ -357,12 +353,11 @@ def test_boundaries_that_no_tissue_has_are_named_with_their_line(tmp_path, bound
 def test_boundaries_in_a_unit_that_alone_gives_the_layers_listed(tmp_path, boundaries, unit):
     """Needles of 50 and 70 mm through boundaries at 20 and 60 mm meet two layers and three."""
     deep = np.column_stack([X * 1.4, 4e-4 * X**2, 0 * X])
-    rows = [row("a", "gel", layers=2, bevel=UP), row("b", "gel", layers=3, bevel=UP, depth=70.0)]
-    tables = record(media={"gel": {"boundaries_mm": boundaries}}, noise=NOISE)
-    file = write_dataset(tmp_path, tables, rows, {"a": CURVE, "b": deep}, {}, checksums=False)
+    rows = into_gel(layers=2), into_gel("b", layers=3, depth=70.0)
+    curves = {"a": CURVE, "b": deep}
+    file = write_rows(tmp_path, *rows, curves=curves, gel={"boundaries_mm": boundaries})
     (fault,) = check(file)
-    line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "boundaries_mm" in text)
-    assert fault.where == f"{file}:{line}" and fault.what.endswith(f" {unit}")
+    assert fault.where == place_of(file, "boundaries_mm") and fault.what.endswith(f" {unit}")
 
 
 def test_the_user_s_own_column_is_named(tmp_path):
@@ -397,9 +392,8 @@ def test_open_values_are_found_in_any_case_and_in_the_table(tmp_path):
     lines = [f"{head},remark", *(f"{one},{cell}" for one, cell in zip(rows, cells, strict=True))]
     table.write_text("\n".join(lines))
     _, warnings = check_all(file)
-    number = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if text.startswith("title"))
     assert [one.kind for one in warnings] == ["placeholder"] * 2
-    assert [one.where for one in warnings] == [f"{file}:{number}", f"{table}:3"]
+    assert [one.where for one in warnings] == [place_of(file, "title"), f"{table}:3"]
     assert "`remark`" in warnings[1].what and " 2 " in warnings[1].what
 
 
@@ -412,21 +406,18 @@ def test_no_noise_is_a_warning_and_no_noise_of_tracks_a_fault(tmp_path, capsys):
 
 def test_points_without_any_error_are_a_fault(tmp_path):
     curves = {"a": np.column_stack([CURVE, np.where(X > 0, 0.1, 0.0)])}
-    rows = [row("a", "gel", layers=1, bevel=UP)]
     for name, noise, count in (("none", {}, 1), ("some", {"point_sd_mm": 0.02}, 0)):
-        file = write_dataset(tmp_path / name, record(media={"gel": {}}, noise=noise), rows, curves, {})
+        file = write_rows(tmp_path / name, into_gel(), curves=curves, noise=noise)
         assert [one.where for one in check(file)] == [f"{file.parent / 'insertions.csv'}:2"] * count
     edit(file, "^point_sd_mm", "point_sd_mm = 1e-9")
     assert "point_sd_mm" in check(file)[0].what
 
 
 def test_nothing_left_of_a_free_shape_is_a_fault(tmp_path):
-    free = record(media={"gel": {}}, noise=NOISE, frame={"pose": "free", "drop_proximal_mm": 60.0})
-    rows = [row("a", "gel", layers=1, entry=None, direction=None, pose_source="none")]
-    file = write_dataset(tmp_path, free, rows, {"a": CURVE}, {})
+    frame = {"pose": "free", "drop_proximal_mm": 60.0}
+    file = write_rows(tmp_path, into_gel(**FREE), frame=frame)
     (fault,) = check(file)
-    line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "drop_proximal" in text)
-    assert fault.where == f"{file}:{line}"
+    assert fault.where == place_of(file, "drop_proximal")
 
 
 def layered(folder: Path, surfaces, files=None, layers=2) -> Path:
