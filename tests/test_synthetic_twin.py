@@ -18,7 +18,7 @@ from needlefit.synthetic.insertion import TWIN_SEED
 
 TWIN = shipped_folder() / "data" / "twin"
 PACKAGE = Path(needlefit.__file__).parent
-MAKE_TWINS = [PACKAGE / "validation/analyses" / name for name in ("seeds", "specimens.py")]
+MAKE_TWINS = {"calibration", "seeds", "specimens", "simulated_data"}
 
 FEW = ("phantom2-16", "chicken-04")
 """The shortest needles."""
@@ -161,12 +161,12 @@ def test_the_truth_is_not_the_model_that_is_fitted(truth):
 
 
 def test_fitting_code_never_reads_the_truth():
+    """Some kinds of study make twins, and so know the truth beside their fit."""
     for path in PACKAGE.rglob("*.py"):
         part = path.relative_to(PACKAGE).parts[0]
         text = path.read_text(encoding="utf-8")
-        if part != "synthetic":
-            assert not re.search(r"truth\.toml|truth_file", text), path
-        if any(one in (path, *path.parents) for one in MAKE_TWINS):  # and so know the truth beside the fit
-            continue
-        if part in {"inference", "validation", "datasets"}:
-            assert "needlefit.synthetic" not in text and not re.search(r"['\"]truth", text), path
+        assert part == "synthetic" or "truth.toml" not in text, path
+        if part in {"inference", "datasets", "studies", "planning"} and path.stem not in MAKE_TWINS:
+            assert "needlefit.synthetic" not in text, path
+        if part in {"inference", "datasets"}:
+            assert not re.search(r"['\"]truth", text), path
