@@ -421,20 +421,12 @@ def _find_count_fault(one: ListedInsertion, record: DatasetRecord) -> Iterator[F
     allowed = {insertion.layers, insertion.layers_alternative}
     if met in allowed:
         return
-    listed = " or ".join(map(str, sorted(allowed)))
+    listed = f"{' or '.join(map(str, sorted(allowed)))} {'is' if len(allowed) == 1 else 'are'} listed"
     depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
     order = " > ".join(map(str, insertion.sequence))
-    yield Fault(
-        one.where,
-        f"{insertion.id} meets {_name_count(met)} ({order}; boundaries at {depths} mm), but {listed} "
-        f"{'is' if len(allowed) == 1 else 'are'} listed",
-        f"{met} in `layers` or in `layers_alternative`: the layers that the centreline meets",
-        _propose_count(insertion, record),
-    )
-
-
-def _name_count(count: int) -> str:
-    return f"{count} layer{'' if count == 1 else 's'}"
+    what = f"{insertion.id} meets {met} layer{'' if met == 1 else 's'} ({order}; boundaries at {depths} mm)"
+    expected = f"{met} in `layers` or in `layers_alternative`: the layers that the centreline meets"
+    yield Fault(one.where, f"{what}, but {listed}", expected, _propose_count(insertion, record))
 
 
 def _propose_count(insertion: Insertion, record: DatasetRecord) -> str:

@@ -103,12 +103,8 @@ CONVERTED_NOTE = """\
 """
 
 
-def _ignore_note(_note: str) -> None:
-    """Do nothing with a note."""
-
-
 def write_template(
-    folder: Path, source: Path | None = None, tell: Callable[[str], None] = _ignore_note
+    folder: Path, source: Path | None = None, tell: Callable[[str], object] | None = None
 ) -> Path:
     """Write a dataset that passes `check` into `folder`; return its `dataset.toml`. Nothing is written if it
     does not pass.
@@ -142,8 +138,9 @@ def write_template(
         faults = _write_note(_write_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
         if faults:
             raise as_error([trace_fault(fault, read.curves, fresh) for fault in faults], source)
-    for note in read.notes:
-        tell(f"{source}: {note}")
+    if tell is not None:
+        for note in read.notes:
+            tell(f"{source}: {note}")
     return folder / "dataset.toml"
 
 

@@ -203,7 +203,11 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
     import trimesh  # late: it takes 0.3 s to load, and most commands read no surface
 
     try:
-        mesh = _load_mesh(BytesIO(data), ending.lstrip(".")) if ending != ".vtk" else _load_polydata(data)
+        mesh = (
+            _load_mesh(BytesIO(data), ending.lstrip("."))
+            if ending != ".vtk"
+            else make_mesh(*read_polydata(data))
+        )
     except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
         raise _mesh_error(path, _describe_damage(data, ending)) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or mesh.vertices.shape[1:] != (3,):
@@ -235,10 +239,6 @@ def _load_mesh(data: BytesIO, kind: str) -> object:
     import trimesh
 
     return trimesh.load_mesh(data, file_type=kind, process=False, resolver=None, skip_materials=True)
-
-
-def _load_polydata(data: bytes) -> "trimesh.Trimesh":
-    return make_mesh(*read_polydata(data))
 
 
 def _check_ply(data: bytes, path: Path) -> None:

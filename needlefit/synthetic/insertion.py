@@ -8,7 +8,6 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.frames import Frame, make_entry_frame
-from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, compute_positions
@@ -86,9 +85,10 @@ def insert_needle(
     """
     frame = true_frame(planned, deviations)
     bevel = Bevel(bevel_offset(specimen, planned))
-    curve = _straight_points(frame, planned.depth)
+    curve = frame.to_world(np.outer(centerline_stations(planned.depth), [1.0, 0.0, 0.0]))
     for _ in range(MAX_ROUNDS):
-        boundaries, sequence = _find_crossed_layers(curve, frame, specimen.surfaces)
+        met = find_crossings(curve, specimen.surfaces)
+        boundaries, sequence = frame.to_local(met.points)[:, 0], met.sequence
         tissue = _tissue_along(curve, frame, specimen, boundaries, sequence)
         shape = simulate(needle, tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
         last, curve = curve, needle_points(shape, frame, deviations, centerline_stations(shape.depth))
@@ -130,17 +130,6 @@ def needle_points(shape: NeedleShape, frame: Frame, deviations: PlanDeviations, 
     # powers 2 and 3 leave position and slope at the entry unchanged
     aside = amplitude * (deviations.out_of_plane @ np.stack([along**2, along**3]))
     return frame.to_world(np.column_stack([compute_positions(shape, s), aside]))
-
-
-def _straight_points(frame: Frame, depth: float) -> Floats:
-    return frame.to_world(np.outer(centerline_stations(depth), [1.0, 0.0, 0.0]))
-
-
-def _find_crossed_layers(
-    curve: Floats, frame: Frame, surfaces: tuple[Surface, ...]
-) -> tuple[Floats, tuple[int, ...]]:
-    met = find_crossings(curve, surfaces)
-    return frame.to_local(met.points)[:, 0], met.sequence
 
 
 def _tissue_along(

@@ -148,7 +148,8 @@ def expose(insertion: SyntheticInsertion, setup: ScanSetup, seed: int) -> Exposu
     shaft = sample_whole_needle(insertion)
     needle = Needle3D(
         points=world.to_world(shaft),
-        bevel_deg=_draw_bevel_deg(seed),
+        bevel_deg=Needle3D.bevel_deg
+        + BEVEL_SD_DEG * float(random_stream(seed, "twin", "ct", "bevel").normal()),
         bevel_toward=world.rotation @ insertion.true_insertion.frame.rotation[:, 1],
         hu=rng.uniform(*NEEDLE_RANGE_HU),
     )
@@ -204,11 +205,6 @@ def _draw_scanner(grid: VoxelGrid, rng: np.random.Generator) -> Scanner:
         streaks=rng.uniform(*STREAKS_RANGE),
         cupping_hu=rng.uniform(*CUPPING_RANGE_HU),
     )
-
-
-def _draw_bevel_deg(seed: int) -> float:
-    """Return the angle of the one needle's bevel, degrees."""
-    return Needle3D.bevel_deg + BEVEL_SD_DEG * float(random_stream(seed, "twin", "ct", "bevel").normal())
 
 
 STATED_COLUMNS = (
