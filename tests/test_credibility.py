@@ -79,21 +79,10 @@ def alone(left, tmp_path):
     return copytree(left, tmp_path / left.name)
 
 
-def test_the_factors_are_those_of_the_standard_and_of_the_question_of_interest():
-    assert [sum(one.part.startswith(part) for one in FACTORS) for part in ("Question", "Verif", "Valid")] == [
-        *(4, 5),
-        *(3 + 8 + 5,),
-    ]
-    assert [one.key for one in FACTORS if one.part == "Applicability"] == [
-        "relevance_of_quantities",
-        "relevance_of_validation",
-    ]
+def test_without_evidence_every_gap_names_the_missing_evidence(bare):
     assert {one.key for one in FACTORS if one.needs_statement} == {
         *CredibilityStatementsRecord.model_fields
     } - {"schema_"}
-
-
-def test_without_evidence_every_gap_names_the_missing_evidence(bare):
     for key in ("question_of_interest", "context_of_use", "relevance_of_quantities"):
         words, gaps = bare[key]
         assert words == "" and len(gaps) == 1 and key in gaps[0] and "--statements" in gaps[0]
@@ -264,39 +253,22 @@ def test_a_validated_range_is_no_statement_of_relevance(bare):
     assert words and "relevance_of_validation" in gaps[0]
 
 
-def test_credibility_writes_the_same_bytes_and_prints_json(alone, tmp_path, capsys, monkeypatch):
+def test_a_bundle_claims_nothing_and_records_what_it_read(alone, tmp_path, capsys, monkeypatch):
     leave_verification(tmp_path)
     monkeypatch.chdir(tmp_path)
     stated = "Planning of a phantom study."
     (tmp_path / "about.toml").write_text(f'schema = 1\ncontext_of_use = "{stated}"\n')
-    wanted = ("credibility", str(alone), "--statements", "about.toml")
-    assert run(*wanted) == 0
-    assert "reports/credibility-study1/" in capsys.readouterr().out
-    folder = tmp_path / "reports/credibility-study1"
-    first = read_files(folder)
-    assert set(first) == {
-        *("credibility.csv", "credibility.tex", "evidence.csv", "evidence.tex", "needlefit.json"),
-        *("example.tex", "numbers.tex", "report.html", "report.pdf", "results.json.gz", "run.json"),
-    }
-    assert run(*wanted, "--json") == 0
+    assert run("credibility", str(alone), "--statements", "about.toml", "--json") == 0
     answer = json.loads(capsys.readouterr().out)
-    assert read_files(folder) == first
-    assert run("report", str(folder)) == 0
-    assert read_files(folder) == first
     assert {row["factor"] for row in answer["factors"]} == {one.name for one in FACTORS}
-    words = " ".join(re.sub(r"<[^>]*>", " ", first["report.html"].decode()).split())
-    assert DISCLAIMER.replace("&", "&amp;") in words
-    rest = words.replace(DISCLAIMER.replace("&", "&amp;"), "") + first["credibility.csv"].decode()
-    assert not re.search(r"compl(y|ies|ian)", rest)
+    folder = tmp_path / "reports/credibility-study1"
+    page, table = ((folder / name).read_text() for name in ("report.html", "credibility.csv"))
+    words, claim = " ".join(re.sub(r"<[^>]*>", " ", page).split()), DISCLAIMER.replace("&", "&amp;")
+    assert claim in words and not re.search(r"compl(y|ies|ian)", words.replace(claim, "") + table)
     assert stated in words and str(tmp_path) not in words
-    about = json.loads(first["run.json"])
-    assert about["stated"]["context_of_use"] and about["digests"]["verification"].keys() == {
-        *("run.json", "verification.csv")
-    }
-
-
-def read_files(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
+    about = json.loads((folder / "run.json").read_text())
+    assert about["stated"]["context_of_use"]
+    assert about["digests"]["verification"].keys() == {"run.json", "verification.csv"}
 
 
 def test_a_bundle_about_a_run_that_changed_is_not_reported_again(alone, tmp_path, capsys, monkeypatch):

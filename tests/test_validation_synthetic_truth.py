@@ -1,7 +1,5 @@
 """Calibration on synthetic truths: what a replicate is, how dependent tips count, what is refused."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -127,32 +125,24 @@ def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
 
 
 @pytest.mark.sweep
-def test_two_replicates_are_reported(small, capsys):
-    command = ("calibrate", "small", "--truth", "synthetic", "--jobs", "1", "-q")
-    assert run(*command, "--replicates", "2", "--json") == 5  # too few
-    output = json.loads(capsys.readouterr().out)
-    assert {row["quantity"] for row in output["coverage"]} == {HELD_OUT_TIP, "mu1_pa", "bevel_mm"}
-    assert len(output["predictions"]) == 4 and output["not_predicted"] == 0
-    folder = small / "reports/calibrate-small-synthetic"
-    rows = pd.read_csv(folder / "predictions.csv").query("quantity == 'tip'")
-    assert rows["pit"].between(0, 1).all() and set(rows["insertion"]) == {"chicken-02", "chicken-03"}
-    seeds = pd.read_csv(folder / "replicates.csv")["seed"].unique()
-    truths = pd.read_csv(folder / "parameters.csv").query("parameter == 'mu1_pa'")["truth"]
-    drawn = [1e6 * draw_specimen(int(seed), "chicken", "chicken-piece1").mu[0] for seed in seeds]
-    assert len(seeds) == 2 and truths.to_numpy() == pytest.approx(drawn, rel=1e-6)
-
-
-@pytest.mark.sweep
-def test_an_interrupted_run_resumes_to_the_same_frames(small):
+def test_two_replicates_have_their_own_truths_and_resume_to_the_same_frames(small):
     record = CalibrationRecord(schema=2, kind="calibration", target="small", replicates=2, truth="synthetic")
     calibration = find_kind("calibration")
     whole = calibration.run("one", record, Settings())
+    frames = whole.frames
+    assert set(frames["coverage"]["quantity"]) == {HELD_OUT_TIP, "mu1_pa", "bevel_mm"}
+    assert len(frames["predictions"]) == 4 and whole.run["not_predicted"] == 0
+    assert frames["predictions"]["tip_pit"].between(0, 1).all()
+    seeds = frames["replicates"]["seed"].unique()
+    truths = frames["parameters"].query("parameter == 'mu1_pa'")["truth"]
+    drawn = [1e6 * draw_specimen(int(seed), "chicken", "chicken-piece1").mu[0] for seed in seeds]
+    assert len(seeds) == 2 and truths.to_numpy() == pytest.approx(drawn, rel=1e-6)
     asked = iter([False, True])
     kept = Settings(checkpoint=small / "kept", stop=lambda: next(asked))
     assert calibration.run("one", record, kept).interrupted
     resumed = calibration.run("one", record, Settings(checkpoint=small / "kept", resume=True))
     assert not resumed.interrupted and whole.run_json == resumed.run_json
-    for name, frame in whole.frames.items():
+    for name, frame in frames.items():
         pd.testing.assert_frame_equal(frame, resumed.frames[name], check_exact=True)
 
 
