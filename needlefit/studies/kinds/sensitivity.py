@@ -35,21 +35,9 @@ from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.base import Name, Record
 from needlefit.schemas.limits import MAX_CONSTRAINT_SPACING_MM, MAX_STARTS, MIN_ELEMENT_MM
 from needlefit.schemas.medium import use_path_angle
+from needlefit.studies import paper_cells
 from needlefit.studies.job import Job, Settings, adapt_parameters
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.paper_cells import (
-    CELL_KEYS,
-    ERROR_COLUMNS,
-    compute_floors,
-    find_paper_numbers,
-    prepare_jobs,
-    run_search,
-    score_methods,
-    tabulate_cells,
-    tabulate_generalisation,
-    with_insertions,
-    with_starts,
-)
 from needlefit.studies.provenance import describe_model_options
 from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Frames, Run
@@ -126,14 +114,14 @@ BASE_VARIATION = "as decided"  #: the variation that changes nothing
 
 _WHERE = ("aspect", "variation", "tuned")
 FRAMES: Mapping[str, tuple[str, ...]] = {
-    "errors": (*_WHERE, *ERROR_COLUMNS),  # and the columns of metrics
+    "errors": (*_WHERE, *paper_cells.ERROR_COLUMNS),  # and the columns of metrics
     "parameters": (*_WHERE, "study", "parameter", "value", "at_bound", "comparable"),
 }
 """`tuned`: "again" under the variation, or "kept" as they stood. `comparable` is false where b means another
 thing."""
 
 CHANGE_COLUMNS = (
-    *(*_WHERE, *CELL_KEYS, "metric", "unit", "value"),
+    *(*_WHERE, *paper_cells.CELL_KEYS, "metric", "unit", "value"),
     *("baseline_value", "change", "floor", "change_in_floors"),
 )
 
@@ -151,7 +139,7 @@ def apply_variation(job: Job, variation: VariationRecord) -> Job:
     rigidity = needle.flexural_rigidity * _rigidity_factor(job, variation)
     dataset = replace(job.dataset, needle=Needle(needle.length, rigidity))
     shift = variation.boundary_shift_sd or 0.0
-    moved = with_insertions(
+    moved = paper_cells.with_insertions(
         job, lambda one: replace(one, boundaries=one.boundaries + shift * one.boundary_sd)
     )
     if variation.advance is None:
@@ -173,7 +161,7 @@ def _rigidity_factor(job: Job, variation: VariationRecord) -> float:
 def refit(job: Job, before: Fit, starts: int, settings: Settings) -> Fit:
     """Return the best fit from a few random starts and from the end of the fit before."""
     problem = job.problem(job.folds[0])
-    found = run_search(with_starts(job, starts), "fitted", settings)
+    found = paper_cells.run_search(paper_cells.with_starts(job, starts), "fitted", settings)
     goal = make_objective(problem, job.recipe.minimize)
     begin = before.theta if set(job.parameters.free) <= set(before.values) else found.theta
     near = search(goal, job.recipe, StartPoint(starts, begin), settings.stop)
@@ -194,8 +182,8 @@ class BaseFits:
 
 def find_base(jobs: Mapping[str, Job], settings: Settings) -> BaseFits:
     """Fit everything as it stands: needed by every variation, found by whichever task needs it first."""
-    fits = {name: run_search(job, "fitted", settings) for name, job in jobs.items()}
-    return BaseFits(jobs, compute_floors(jobs.values()), fits)
+    fits = {name: paper_cells.run_search(job, "fitted", settings) for name, job in jobs.items()}
+    return BaseFits(jobs, paper_cells.compute_floors(jobs.values()), fits)
 
 
 def run(name: str, record: SensitivityRecord, settings: Settings) -> Run:
@@ -209,7 +197,7 @@ def run(name: str, record: SensitivityRecord, settings: Settings) -> Run:
         If a search finds no point that can be solved.
     """
     with add_study_context(name, "studies, fits"):
-        jobs = prepare_jobs(record.studies, record.fits, settings)
+        jobs = paper_cells.prepare_jobs(record.studies, record.fits, settings)
     base = Shared(partial(find_base, jobs, settings))
     variations = {f"{one.factor}: {one.name}": one for one in record.variations}
     tasks: dict[str, AnalysisTask] = {BASE_VARIATION: partial(_run_base, base)}
@@ -220,7 +208,7 @@ def run(name: str, record: SensitivityRecord, settings: Settings) -> Run:
         key: describe_model_options(apply_variation(first, one).medium) for key, one in variations.items()
     }
     frames = {**FRAMES, "errors": (*FRAMES["errors"], *list_score_columns())}
-    conclude = partial(_conclude, find_paper_numbers(jobs))
+    conclude = partial(_conclude, paper_cells.find_paper_numbers(jobs))
     plan = AnalysisPlan(list(jobs.values()), tasks, frames, conclude, {"variations": options}, shared=[base])
     return run_analysis(name, record, settings, plan)
 
@@ -260,14 +248,16 @@ def _score_fit(job: Job, base: BaseFits, fit: Fit, where: Row) -> FrameRows:
         row = {"study": job.name, "parameter": name, "value": value, "at_bound": ends}
         parameters.append({**where, **row, "comparable": comparable})
     return {
-        "errors": [{**where, **row} for row in score_methods(job, {"fitted": method}, base.floors)],
+        "errors": [
+            {**where, **row} for row in paper_cells.score_methods(job, {"fitted": method}, base.floors)
+        ],
         "parameters": parameters,
     }
 
 
 def _conclude(numbers: Mapping[str, int], frames: Frames) -> tuple[str, ...]:
     errors = frames["errors"]
-    frames["cells"] = _compare_with_base(tabulate_cells(errors, numbers, _WHERE))
+    frames["cells"] = _compare_with_base(paper_cells.tabulate_cells(errors, numbers, _WHERE))
     frames["studies"] = tabulate_study_changes(errors)
     frames["parameter_changes"] = _parameter_ratios(frames["parameters"])
     failed = int((~errors["converged"].astype(bool)).sum())
@@ -276,7 +266,7 @@ def _conclude(numbers: Mapping[str, int], frames: Frames) -> tuple[str, ...]:
 
 def tabulate_study_changes(errors: pd.DataFrame) -> pd.DataFrame:
     """Return one row per variation, study and headline metric: the error, and its change."""
-    studies = tabulate_generalisation(errors, _WHERE)
+    studies = paper_cells.tabulate_generalisation(errors, _WHERE)
     decided = studies[studies["aspect"] == BASE_VARIATION].set_index("study")
     changed = studies["generalises"] != studies["study"].map(decided["generalises"])
     head = studies[[*_WHERE, "study"]]
@@ -292,7 +282,7 @@ def tabulate_study_changes(errors: pd.DataFrame) -> pd.DataFrame:
 
 def _compare_with_base(every: pd.DataFrame) -> pd.DataFrame:
     """Return every cell with its change against the one as decided."""
-    keys = [*CELL_KEYS, "metric"]
+    keys = [*paper_cells.CELL_KEYS, "metric"]
     decided = every[every["aspect"] == BASE_VARIATION].set_index(keys)["value"].rename("baseline_value")
     found = every.join(decided, on=keys)
     change = found["value"] - found["baseline_value"]
