@@ -6,6 +6,7 @@ A reader takes the path that a user would name. It is imported late: a worker pr
 import gzip
 import json
 import os
+import pickle
 import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -57,11 +58,11 @@ _INPUTS: dict[str, tuple[Seed, ...]] = {}
 def inputs(name: str, stored: Path) -> tuple[Seed, ...]:
     """Return the valid inputs of a reader: built once, then taken from the folder `stored`."""
     if name not in _INPUTS:
-        file = stored / f"{name}.json"
+        file = stored / f"{name}.pickle"
         if not file.is_file():
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(seeds.dumps(reader(name).seeds()))
-        _INPUTS[name] = seeds.loads(file.read_text())
+            file.write_bytes(pickle.dumps(tuple(reader(name).seeds())))
+        _INPUTS[name] = pickle.loads(file.read_bytes())
     return _INPUTS[name]
 
 

@@ -1,6 +1,5 @@
 """Valid inputs of every kind, small, with the same bytes in every run."""
 
-import base64
 import gzip
 import json
 import tempfile
@@ -20,32 +19,6 @@ class Seed:
     files: Mapping[str, bytes]
     opened: str
     damaged: tuple[str, ...]
-
-
-def dumps(inputs: Sequence[Seed]) -> str:
-    """Return inputs as JSON text."""
-    return json.dumps(
-        [
-            {
-                "files": {name: base64.b64encode(data).decode() for name, data in one.files.items()},
-                "opened": one.opened,
-                "damaged": one.damaged,
-            }
-            for one in inputs
-        ]
-    )
-
-
-def loads(text: str) -> tuple[Seed, ...]:
-    """Return the inputs of a JSON text of `dumps`."""
-    return tuple(
-        Seed(
-            {name: base64.b64decode(data) for name, data in one["files"].items()},
-            one["opened"],
-            tuple(one["damaged"]),
-        )
-        for one in json.loads(text)
-    )
 
 
 def one_file(name: str, data: bytes | str) -> Seed:
