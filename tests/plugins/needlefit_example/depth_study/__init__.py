@@ -1,6 +1,16 @@
 """A kind of study: how deep the insertions of a dataset go."""
 
-from needlefit.studies.kind import StudyKind
-from needlefit_example.depth_study.schema import DepthRecord
+from typing import Literal
 
-KIND = StudyKind("depth_study", DepthRecord, __name__)
+from needlefit.schemas.analyses import AnalysisRecord
+from needlefit.studies.kind import StudyKind
+
+
+class DepthRecord(AnalysisRecord):
+    """`studies/<name>.toml` with `kind = "depth_study"`."""
+
+    kind: Literal["depth_study"]
+    dataset: str
+
+
+KIND = StudyKind("depth_study", DepthRecord, f"{__name__}.study")

@@ -1,12 +1,16 @@
-"""Tabulate how deep the insertions of a dataset go."""
+"""Tabulate how deep the insertions of a dataset go, and report it."""
 
 import pandas as pd
 
 from needlefit.datasets.read import read
 from needlefit.project.locate import find_file
+from needlefit.reporting.table import Table
+from needlefit.reporting.table_files import to_records
+from needlefit.reporting.text import KindText
 from needlefit.studies.job import Settings
+from needlefit.studies.report import report_from_text
 from needlefit.studies.run import Run
-from needlefit_example.depth_study.schema import DepthRecord
+from needlefit_example.depth_study import DepthRecord
 
 FRAMES = {"depths": ("medium", "insertions", "depth_mm")}
 
@@ -26,3 +30,14 @@ def run(name: str, record: DepthRecord, settings: Settings) -> Run:
         run={"name": name, "study": record.model_dump(mode="json", by_alias=True)},
         timing={},
     )
+
+
+def describe(result: Run) -> dict[str, object]:
+    return {"deepest_mm": float(result.frames["depths"]["depth_mm"].max())}
+
+
+def tabulate(result: Run) -> list[Table]:
+    return [Table("depths", "", to_records(result.frames["depths"]), FRAMES["depths"])]
+
+
+REPORT = report_from_text(KindText("depth_study", "needlefit_example.depth_study"), describe, tabulate)
