@@ -10,8 +10,7 @@ from needlefit.errors import ConfigError
 from needlefit.project import locate
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
-from needlefit.studies.paper import checks
-from needlefit.studies.paper.claims import CLAIM_BOUNDS, Claim, PublishedTables, select_rows
+from needlefit.studies.paper.claims import Claim, PublishedTables, check_all, select_rows
 
 TableName = Literal[
     "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"
@@ -81,7 +80,7 @@ def check_claims() -> list[Claim]:
     """Return every claim of the paper that was checked against its tables, whether it holds or not."""
     published: PublishedTables = {name: read_published_table(name) for name in TABLE_TITLES}
     with convert_stored_errors(_find_file("parameters").parent):
-        return [check(published) for check in _CHECKS]
+        return check_all(published)
 
 
 def find_contradictions() -> list[Claim]:
@@ -91,23 +90,6 @@ def find_contradictions() -> list[Claim]:
     is left out.
     """
     return [claim for claim in check_claims() if not claim.agrees]
-
-
-_CHECKS = (
-    checks.check_four_and_three_layers,
-    checks.check_tuning_count,
-    checks.check_chicken_counts,
-    checks.check_tuning_insertions,
-    checks.check_largest_average,
-    checks.check_table_halves,
-    *(bound.check for bound in CLAIM_BOUNDS),
-    checks.check_edp_falls_with_depth,
-    checks.check_chicken_depth,
-    checks.check_edp_everywhere,
-    checks.check_edp_two_layers,
-    checks.check_edp_depth,
-    checks.check_table_numbers,
-)
 
 
 def _is_number(value: object) -> bool:

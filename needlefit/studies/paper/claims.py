@@ -1,12 +1,15 @@
-"""Compare the paper's claims with its own tables."""
+"""Compare the paper's claims with its own tables; the words stand in `reporting/text/paper.md.j2`."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
+from needlefit.reporting.text import KindText
+
 Row = dict[str, Any]
+TEXT = KindText("paper")
 PublishedTables = Mapping[str, pd.DataFrame]
 
 
@@ -180,3 +183,128 @@ CLAIM_BOUNDS = (
         studies=(5,),
     ),
 )
+
+
+# ---- counts of insertions, averages, and explanations of a large EDP: whether they agree, and the numbers
+
+Finding = tuple[bool, Row]
+
+
+def _four_and_three_layers(t: PublishedTables) -> Finding:
+    counts, design = _count_phantom2(t), select_rows(t, "study_design", study=2)
+    validated = {row["validate_layers"]: row["validate_insertions"] for row in design}
+    known = {"listed": [counts[4], counts[3]], "validated": [validated[4], validated[3]]}
+    return known["listed"] == known["validated"], known
+
+
+def _tuning_count(t: PublishedTables) -> Finding:
+    first, fourth = _count_tuned(t, 1), _count_tuned(t, 4)
+    one, four = ({**select_rows(t, "parameters", set=name)[0], "set": ""} for name in ("study1", "study4"))
+    return first == fourth, {"first": first, "fourth": fourth, "same_parameters": one == four}
+
+
+def _chicken_counts(t: PublishedTables) -> Finding:
+    total = int(select_rows(t, "insertions", medium="chicken")[0]["insertions"])
+    study = select_rows(t, "study_design", study=5)[0]
+    tuned, rest = int(study["tune_insertions"]), int(study["validate_insertions"])
+    return 3 * tuned == total, {"total": total, "tuned": tuned, "rest": rest}
+
+
+def _tuning_insertions(t: PublishedTables) -> Finding:
+    second, third = _count_tuned(t, 2), _count_tuned(t, 3)
+    known = {"second": second, "third": third, "three_layers": _count_phantom2(t)[3]}
+    return second > 1 and third > 1, known
+
+
+def _count_phantom2(t: PublishedTables) -> dict[int, int]:
+    """Return the number of insertions into phantom 2 by number of layers."""
+    return {int(r["layers"]): int(r["insertions"]) for r in select_rows(t, "insertions", medium="phantom2")}
+
+
+def _count_tuned(t: PublishedTables, study: int) -> int:
+    return int(select_rows(t, "study_design", study=study)[0]["tune_insertions"])
+
+
+def _largest_average(t: PublishedTables) -> Finding:
+    layers, media = select_rows(t, "tuning_by_layers"), select_rows(t, "tuning_by_media")
+    mean, peak = (
+        f"{max(r[column] for r in layers):.2f} mm and {max(r[column] for r in media):.2f} mm"
+        for column in ("ipe_mean_mm", "ipe_max_mm")
+    )
+    statement = "0.62 mm and 0.60 mm"
+    return mean == statement, {"statement": statement, "mean": mean, "peak": peak}
+
+
+def _table_halves(t: PublishedTables) -> Finding:
+    counts = _count_phantom2(t)
+    by_layers = select_rows(t, "tuning_by_layers")
+    ipe, te = (
+        sum(counts[r["layers"]] * r[column] for r in by_layers) / sum(counts.values())
+        for column in ("ipe_mean_mm", "te_mm")
+    )
+    printed = select_rows(t, "tuning_by_media", medium="phantom2")[0]
+    # half a digit in the cells averaged, half in their mean
+    agrees = abs(ipe - printed["ipe_mean_mm"]) <= 0.01
+    return agrees, {"counts": list(counts.values()), "ipe": ipe, "te": te, "printed": printed}
+
+
+def _edp_falls_with_depth(t: PublishedTables) -> Finding:
+    edp = {r["layers"]: r["edp_percent"] for r in select_rows(t, "tuning_by_layers")}
+    depth = {r["layers"]: r for r in select_rows(t, "insertions", medium="phantom2")}
+    layers = [
+        {"name": name, "edp": edp[n], "low": depth[n]["depth_min_mm"], "high": depth[n]["depth_max_mm"]}
+        for n, name in ((4, "four"), (3, "three"))
+    ]
+    return edp[4] < edp[3], {"layers": layers}
+
+
+def _chicken_depth(t: PublishedTables) -> Finding:
+    chicken = select_rows(t, "insertions", medium="chicken")[0]["depth_max_mm"]
+    phantoms = max(r["depth_max_mm"] for r in select_rows(t, "insertions") if r["medium"] != "chicken")
+    return chicken < phantoms, {"chicken": chicken, "phantoms": phantoms}
+
+
+def _edp_everywhere(t: PublishedTables) -> Finding:
+    largest: dict[int, float] = {}
+    for row in select_rows(t, "validation"):
+        largest[int(row["study"])] = max(row["edp_percent"], largest.get(row["study"], 0.0))
+    below = [(study, edp) for study, edp in largest.items() if edp <= 100]
+    return not below, {"below": below}
+
+
+def _edp_two_layers(t: PublishedTables) -> Finding:
+    edp = select_rows(t, "validation", study=1, validate_layers=2)[0]["edp_percent"]
+    return edp > 100, {"edp": edp}
+
+
+def _edp_depth(t: PublishedTables) -> Finding:
+    row = select_rows(t, "validation", study=3)[0]
+    group = select_rows(t, "insertions", medium=row["validate_medium"])[0]
+    others = [r["depth_min_mm"] for r in select_rows(t, "insertions") if r["medium"] != group["medium"]]
+    known = {"edp": row["edp_percent"], "low": group["depth_min_mm"], "high": group["depth_max_mm"]}
+    known |= {"others": max(others), "implied": 100 * row["te_mm"] / row["edp_percent"]}
+    return group["depth_min_mm"] < max(others), known
+
+
+_BEFORE: tuple[Callable[[PublishedTables], Finding], ...] = (
+    *(_four_and_three_layers, _tuning_count, _chicken_counts, _tuning_insertions),
+    *(_largest_average, _table_halves),
+)
+_AFTER: tuple[Callable[[PublishedTables], Finding], ...] = (
+    *(_edp_falls_with_depth, _chicken_depth, _edp_everywhere, _edp_two_layers, _edp_depth),
+)
+
+
+def check_all(tables: PublishedTables) -> list[Claim]:
+    """Return every claim that was checked against the tables, in the order of their places."""
+    before, after = (
+        [_write_claim(check.__name__.removeprefix("_"), *check(tables)) for check in checks]
+        for checks in (_BEFORE, _AFTER)
+    )
+    bounds = [bound.check(tables) for bound in CLAIM_BOUNDS]
+    return [*before, *bounds, *after, _write_claim("table_numbers", False, {})]
+
+
+def _write_claim(key: str, agrees: bool, values: Row) -> Claim:
+    topic, place, statement, other_place, other, *note = TEXT.sentences(key, values)
+    return Claim(topic, place, statement, other_place, other, agrees, *note)
