@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from needlefit.reporting.number_format import format_mm
+from needlefit.reporting.text import KindText
 from needlefit.studies.kind import find_kind
 
 if TYPE_CHECKING:
@@ -111,52 +111,33 @@ def judge_errors(
     run that is complete and without faults.
     """
     few = insertions < MIN_INSERTIONS
-    opening, compared = _open_prediction(error_mm, floor_ratio, best)
-    if (few or not reliable) and opening != _FAILS:
-        opening = _NOT_SHOWN
-    errors = f"TE {format_tip_error(error_mm)} on {where} (n = {insertions}{', too few' if few else ''})"
-    return Verdict(f"{opening}: {errors}{format_floor_ratio(floor_ratio)}{compared}", _STATUS[opening])
+    opening, compared = _compare(error_mm, floor_ratio, best)
+    if (few or not reliable) and opening != "fail":
+        opening = "open"
+    values = {"opening": opening, "compared": compared, "error_mm": error_mm, "floor_ratio": floor_ratio}
+    values |= {"where": where, "insertions": insertions, "few": few, "best": best}
+    status: Status = opening if opening in ("pass", "fail") else "warn"
+    return Verdict(KindText("verdicts").sentence("errors", values), status)
 
 
-_PASSES, _IN_PART, _NOT_SHOWN, _FAILS = (
-    *("Generalises", "Generalises in part"),
-    *("Not shown to generalise", "Does not generalise"),
-)
-_STATUS: Mapping[str, Status] = {_PASSES: "pass", _IN_PART: "warn", _NOT_SHOWN: "warn", _FAILS: "fail"}
+Opening = Literal["pass", "part", "open", "fail"]
+"""Generalises; in part; not shown to; does not."""
 
 
-def _open_prediction(
-    error_mm: float, floor_ratio: float | None, best: BestBaseline | None
-) -> tuple[str, str]:
-    """Return the first words of a verdict, and its clause about the best baseline.
+def _compare(error_mm: float, floor_ratio: float | None, best: BestBaseline | None) -> tuple[Opening, str]:
+    """Return the opening of a verdict, and how the best baseline compares.
 
     Within the noise floor a difference is not significant, whatever its standard error.
     """
-    accurate = floor_ratio is None or floor_ratio <= MAX_FLOOR_RATIO
-    better_than_all = _PASSES if accurate else _IN_PART
+    better_than_all: Opening = "pass" if floor_ratio is None or floor_ratio <= MAX_FLOOR_RATIO else "part"
     if best is None:
         return better_than_all, ""
     within_floor = floor_ratio is not None and floor_ratio <= 1
-    closer = best.error_mm is not None and best.error_mm < error_mm
-    error = format_tip_error(best.error_mm)
     if best.verdict == "better" and not within_floor:
-        return _FAILS, f"; {best.description} does better ({error})"
-    if closer:
-        within = "within the noise floor" if best.verdict == "better" else "but not significantly"
-        return _NOT_SHOWN, f"; {best.description} is closer ({error}), {within}"
-    if best.verdict == "worse" or within_floor:
-        return better_than_all, f"; best baseline: {best.description}, {error}"
-    return _NOT_SHOWN, f"; no significant difference from {best.description} ({error})"
-
-
-def format_tip_error(error_mm: float | None) -> str:
-    """Return an error with its unit, small ones with three decimals."""
-    return f"{format_mm(error_mm, 3 if error_mm is not None and error_mm < 0.1 else 2)} mm"
-
-
-def format_floor_ratio(ratio: float | None) -> str:
-    """Return an error over its noise floor as the end of a phrase; empty where it is not known."""
-    return "" if ratio is None else f", {ratio:.2g} × the noise floor"
+        return "fail", "better"
+    if best.error_mm is not None and best.error_mm < error_mm:
+        return "open", "within floor" if best.verdict == "better" else "closer"
+    return (better_than_all, "worse") if best.verdict == "worse" or within_floor else ("open", "tie")
 
 
 def qualify(verdict: Verdict, sentence: str) -> Verdict:
