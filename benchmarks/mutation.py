@@ -87,7 +87,7 @@ AREAS = {
     "mechanics": Area(("mechanics",), MECHANICS),
     "native": Area((NATIVE,), MECHANICS, cpp=True),
     "studies": Area(
-        ("studies",),
+        ("studies", "planning"),
         (
             *("validation_division", "validation_score", "verdict", "paper", "validation_differences"),
             *("validation_coverage", "fit_warnings", "columnar", "planning", "credibility"),
