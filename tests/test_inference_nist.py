@@ -10,8 +10,7 @@ from needlefit.inference.optimize import search
 
 EVERY = list(regressions().values())
 EASIER = [one for one in EVERY if one.level != "higher"]
-SECOND = {"enso": 478.25015804}
-"""Half the squares at minima that are not the certified ones."""
+SECOND = {"enso": 478.25015804}  #: half the squares at minima that are not the certified ones
 
 
 @pytest.mark.parametrize("one", EVERY, ids=lambda one: one.name)

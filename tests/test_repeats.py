@@ -56,8 +56,7 @@ def test_repeats_have_exact_gradients_and_one_condition_a_hole():
     assert alone.log_posterior(theta) != pytest.approx(p.log_posterior(theta), abs=0.5)
 
 
-BENT = math.log(1.15)
-"""Logarithm of the bevel's factor in the last hole."""
+BENT = math.log(1.15)  #: logarithm of the bevel's factor in the last hole
 
 
 @pytest.fixture(scope="module")

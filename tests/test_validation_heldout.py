@@ -37,8 +37,7 @@ from needlefit.studies.planned_draws import draw_conditions, simulate_planned
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 
-COPIES = 200
-"""Draws that are all the same one."""
+COPIES = 200  #: draws that are all the same one
 
 
 @pytest.fixture(scope="module")

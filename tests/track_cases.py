@@ -17,8 +17,8 @@ NEEDLE = Needle(200.0, 2.5e4)
 NOISE = Noise(point_sd=0.02)
 TRUTH = {"mu1_pa": 3e4, "alpha1": 1.0, "bevel_mm": 0.03, "guide_distance_mm": 20.0}
 DEPTH = np.arange(0.0, 61.0, 5.0)
+#: where the guide stood on the way to each reading, mm
 GUIDE = np.array([0.0, 0, 1, 3, 4, 4, 2, 0, -1, -2, -2, 0, 1])
-"""Where the guide stood on the way to each reading, mm."""
 
 MEDIUM = MediumRecord.model_validate(
     {
