@@ -9,12 +9,7 @@ from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.specimens import (
-    SpecimenEstimate,
-    SpecimenSpread,
-    learn_spread,
-    move_to_new_specimen,
-)
+from needlefit.inference.specimens import SpecimenEstimate, SpecimenSpread, learn_spread, move_to_new_specimen
 from needlefit.schemas.medium import MediumRecord
 
 PRIOR = (math.log(2.0), math.log(1.2))

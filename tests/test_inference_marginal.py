@@ -135,8 +135,7 @@ def test_thin_layers_stay_in_order():
 
 
 @pytest.mark.parametrize(
-    ("axes", "size"),
-    [*product((1, 2, 4), (0.5, 1.0, 2.0)), (MAX_AXES, 0.5), (MAX_AXES, 1.0)],
+    ("axes", "size"), [*product((1, 2, 4), (0.5, 1.0, 2.0)), (MAX_AXES, 0.5), (MAX_AXES, 1.0)]
 )
 def test_what_acts_linearly_is_integrated_exactly(axes, size):
     """`size` is the whitened length of what one standard deviation does."""
@@ -271,8 +270,7 @@ def shared_case(bevels, centred, seed=7, depths="linear"):
 
 
 @pytest.mark.parametrize(
-    ("bevels", "centred"),
-    [("abc", True), ("abb", True), ("aaa", True), ("abc", False), ("aab", False)],
+    ("bevels", "centred"), [("abc", True), ("abb", True), ("aaa", True), ("abc", False), ("aab", False)]
 )
 def test_bevels_that_are_shared_or_sum_to_zero_have_the_density_of_their_covariance(bevels, centred):
     made, whites, covariance, parts = shared_case(bevels, centred)

@@ -40,10 +40,7 @@ def line(**changed: object) -> Known:
 
 def banana() -> Known:
     """y follows x^2 within 0.1, x is 1 within 0.5."""
-    return Known(
-        lambda x, y: [(x - 1) / 0.5, (y - x**2) / 0.1],
-        lambda x, y: [[2, 0], [-20 * x, 10]],
-    )
+    return Known(lambda x, y: [(x - 1) / 0.5, (y - x**2) / 0.1], lambda x, y: [[2, 0], [-20 * x, 10]])
 
 
 def found(target: Known, k: int, start: tuple[float, float] = (0.5, 0.5), elsewhere=()) -> LikelihoodProfile:

@@ -7,12 +7,7 @@ import pytest
 from mechanics_cases import NEEDLE, RULES, assert_derivatives, random_case
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.batch import (
-    DERIVATIVE_KINDS,
-    differentiate_positions,
-    linearize,
-    linearize_steps,
-)
+from needlefit.mechanics.batch import DERIVATIVE_KINDS, differentiate_positions, linearize, linearize_steps
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.law_form import compile_law, differentiate_law
 from needlefit.mechanics.laws import LAWS, PowerLaw

@@ -8,11 +8,7 @@ from inference_cases import TRUTH, two_layers
 
 from needlefit.inference.predict import Draws
 from needlefit.reporting.interval_text import NO_INTERVAL, format_interval
-from needlefit.studies.parameter_intervals import (
-    ParameterInterval,
-    add_intervals,
-    intervals_of_draws,
-)
+from needlefit.studies.parameter_intervals import ParameterInterval, add_intervals, intervals_of_draws
 
 PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": True}
 

@@ -190,11 +190,7 @@ class PreparedModel:
         return points
 
     def differentiate(
-        self,
-        sets: Sequence[Mapping[str, float]],
-        parameters: Parameters,
-        s: Sequence[Floats],
-        jobs: int = 1,
+        self, sets: Sequence[Mapping[str, float]], parameters: Parameters, s: Sequence[Floats], jobs: int = 1
     ) -> tuple[list[Floats], list[Floats]]:
         """Return `read_points` of each insertion, and the derivatives (B, K, 2, P) by theta."""
         pairs = linearize_batches(self._make_batches(sets), _select_kinds(parameters), jobs)

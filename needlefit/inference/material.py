@@ -398,8 +398,7 @@ def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecor
         raise ConfigError(f"there is no layer `{layer}`", expected=f"a number from 1 to {medium.layers}")
     if medium.law != TEST_LAW:
         raise ConfigError(
-            f"the medium's law is `{medium.law}`",
-            expected=f"`{TEST_LAW}`: the prior is of its alpha",
+            f"the medium's law is `{medium.law}`", expected=f"`{TEST_LAW}`: the prior is of its alpha"
         )
     table = state_usual_bounds(medium) | medium.parameters
     for name, stated in ((f"mu{layer}_pa", material.mu_pa), (f"alpha{layer}", material.alpha)):

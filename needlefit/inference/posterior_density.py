@@ -17,11 +17,7 @@ from needlefit.inference.likelihood.marginal import (
     solve_shared,
 )
 from needlefit.inference.likelihood.nodes import BEVEL, NodeGroup, Nodes, group_nodes
-from needlefit.inference.likelihood.observation import (
-    Observation,
-    whiten_derivatives,
-    whiten_residuals,
-)
+from needlefit.inference.likelihood.observation import Observation, whiten_derivatives, whiten_residuals
 from needlefit.inference.parameters import (
     BEVEL_SPREAD,
     BEVEL_SPREAD_BOUNDS,

@@ -21,13 +21,7 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import Columns, Evaluation, PreparedInsertion, run_evaluations
 from needlefit.mechanics.plan import Lattice, count_element_solves
-from needlefit.mechanics.shape import (
-    NeedleShape,
-    Status,
-    Validity,
-    compute_scales,
-    compute_validity,
-)
+from needlefit.mechanics.shape import NeedleShape, Status, Validity, compute_scales, compute_validity
 from needlefit.mechanics.simulate import STATUS_NAMES, read_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.processes import count_cores

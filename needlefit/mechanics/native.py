@@ -579,8 +579,7 @@ def compute_position_derivatives(
     found = np.empty((count, len(s), 2, columns))
     memory = make_memory(8 * count_lanes() * (6 * nodes + (4 * nodes + 2) * columns))
     load_library().nf_position_derivatives(
-        *map(c_int64, (count, nodes, len(s), columns)),
-        *map(_at, (*parts, memory, found)),
+        *map(c_int64, (count, nodes, len(s), columns)), *map(_at, (*parts, memory, found))
     )
     return found
 

@@ -19,12 +19,7 @@ from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.table_layout import TableLayout
 from needlefit.studies.csv_tables import TableSchema
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS
-from needlefit.studies.run_differences import (
-    MIN_SD_CHANGE,
-    ROUNDING_FRACTION,
-    Difference,
-    TableComparison,
-)
+from needlefit.studies.run_differences import MIN_SD_CHANGE, ROUNDING_FRACTION, Difference, TableComparison
 
 
 def describe_verdicts(identification: pd.DataFrame) -> list[str]:

@@ -43,11 +43,7 @@ class PosteriorFit:
 
 
 def fit_posterior(
-    job: Job,
-    problem: Problem,
-    key: tuple[str, ...],
-    settings: Settings,
-    draws: int = PREDICTION_DRAWS,
+    job: Job, problem: Problem, key: tuple[str, ...], settings: Settings, draws: int = PREDICTION_DRAWS
 ) -> PosteriorFit:
     """Fit the free parameters of a problem, and draw from their posterior, by the recipe of the job.
 

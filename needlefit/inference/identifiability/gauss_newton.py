@@ -81,10 +81,7 @@ def _step(at: LocalMinimum, moving: NDArray[np.bool_], step_bounds: tuple[Floats
     # least squares needs a root of the information: eigenvalues are kept above rounding, 1e-300 guards a zero
     # matrix
     root = np.sqrt(np.maximum(precision, 1e-12 * max(float(precision[-1]), 1e-300)))
-    rows, wanted = (
-        root[:, None] * axes.T,
-        -0.5 * (axes.T @ at.slope[moving]) / root,
-    )
+    rows, wanted = (root[:, None] * axes.T, -0.5 * (axes.T @ at.slope[moving]) / root)
     # bvls solves the box exactly; the default, trf, only approaches active bounds
     return lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
 

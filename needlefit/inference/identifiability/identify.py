@@ -352,9 +352,7 @@ class Assessment:
 
 
 def assess_parameter(
-    parameter: ParameterProfile,
-    sds: tuple[float, float],
-    equal: tuple[float, float] | None = None,
+    parameter: ParameterProfile, sds: tuple[float, float], equal: tuple[float, float] | None = None
 ) -> Assessment:
     """Return the identifiability of one parameter, and where the measures disagree.
 

@@ -18,11 +18,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.special import gammaincinv
 
 from needlefit.arrays import Floats
-from needlefit.inference.identifiability.gauss_newton import (
-    MIN_GAIN,
-    LocalMinimum,
-    minimize_squares,
-)
+from needlefit.inference.identifiability.gauss_newton import MIN_GAIN, LocalMinimum, minimize_squares
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import map_side_by_side
 

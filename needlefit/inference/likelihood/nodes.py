@@ -18,12 +18,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.errors import ConfigError
-from needlefit.inference.likelihood.quadrature import (
-    MAX_AXES,
-    QUADRATURE_NODES,
-    QuadratureRule,
-    make_rule,
-)
+from needlefit.inference.likelihood.quadrature import MAX_AXES, QUADRATURE_NODES, QuadratureRule, make_rule
 
 DepthTreatment = Literal["fixed", "linear", "quadrature"]
 

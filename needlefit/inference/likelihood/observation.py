@@ -374,15 +374,7 @@ def _observe_sections(
     varies = likelihood.bevel_spread > 0
     nodes = make_nodes(insertion, known.s, likelihood.depths, bevel=varies, constants=len(curves))
     return Observation(
-        known.planar,
-        cov,
-        pose,
-        free,
-        whitening @ known.operator,
-        log_norm,
-        dataset.pose,
-        nodes,
-        curves,
+        known.planar, cov, pose, free, whitening @ known.operator, log_norm, dataset.pose, nodes, curves
     )
 
 

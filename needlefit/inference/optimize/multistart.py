@@ -16,11 +16,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import FitError
 from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
-from needlefit.inference.objective import (
-    EVALUATION_ERRORS,
-    ObjectiveFunction,
-    make_objective,
-)
+from needlefit.inference.objective import EVALUATION_ERRORS, ObjectiveFunction, make_objective
 from needlefit.inference.optimize.local_search import search, select_algorithms
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import run_side_by_side
@@ -79,10 +75,7 @@ def _coincide(end: Start, other: Start) -> bool:
 
 @one_thread
 def minimize(
-    problem: Problem,
-    recipe: RecipeRecord,
-    rng: np.random.Generator,
-    callbacks: Callbacks | None = None,
+    problem: Problem, recipe: RecipeRecord, rng: np.random.Generator, callbacks: Callbacks | None = None
 ) -> Fit:
     """Minimise the recipe's objective from every start, and return the best point of all.
 

@@ -40,11 +40,7 @@ from needlefit.inference.sampling.ensembles import (
     parse_moves,
     run_ensembles,
 )
-from needlefit.inference.sampling.log_density import (
-    Evaluator,
-    LaplaceApproximation,
-    approximate_by_laplace,
-)
+from needlefit.inference.sampling.log_density import Evaluator, LaplaceApproximation, approximate_by_laplace
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.limits import MAX_STORED_NUMBERS
