@@ -145,11 +145,11 @@ class CurveDensity:
         closest = fit_baseline(self.name, pose, drop, self.insertions).coefficients
         scaled = np.array(closest) * (1 / np.array(self.baseline.scales))
         starts = [np.array([*scaled, np.log(scale)]) for scale in (1.0, min(10.0, self.max_scale))]
-        ends = [minimize(self._negative_log_density, at, method="Nelder-Mead", tol=1e-6) for at in starts]
+        ends = [
+            minimize(lambda theta: -float(self(theta[None])[0]), at, method="Nelder-Mead", tol=1e-6)
+            for at in starts
+        ]
         return min(ends, key=lambda end: float(end.fun)).x
-
-    def _negative_log_density(self, theta: Floats) -> float:
-        return -float(self(theta[None])[0])
 
 
 def log_likelihoods(density: CurveDensity, observation: Observation, thetas: Floats) -> Floats:
@@ -163,8 +163,6 @@ def log_likelihoods(density: CurveDensity, observation: Observation, thetas: Flo
 
 def _whitened_residuals(observation: Observation, curve: FittedBaseline) -> Floats:
     """Return the whitened residuals (m, R) of a curve at all nodes."""
-    pairs: Sequence[tuple[Insertion, Floats]] = list(
-        zip(observation.nodes.insertions, observation.nodes.s, strict=True)
-    )
+    pairs = zip(observation.nodes.insertions, observation.nodes.s, strict=True)
     points = np.array([curve.curve(insertion)(s) for insertion, s in pairs])
     return np.concatenate([whiten_residuals(observation, points), observation.pose_curves])

@@ -114,7 +114,8 @@ class Scene:
         with _name_keys(where, "law"):
             compile_law(tissue.law, tissue.shape)  # refused here, where the key is known
         steps = tuple(_make_step(whole, needle, entry, where) for whole in resolve_steps(record))
-        with _name_keys(where, *_list_size_keys(record)):
+        deepest = "steps" if record.steps else "depth_mm"
+        with _name_keys(where, deepest, "rules.constraint_spacing_mm", "rules.element_mm"):
             check_size(tuple(step.depth for step in steps), rules)
         names = tuple(layer.name for layer in record.layers)
         return cls(needle, tissue, steps, rules, entry, names)
@@ -162,22 +163,13 @@ def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) ->
         tip = TrackedTip(
             inputs.tip_y_mm, None if inputs.tip_slope_deg is None else _to_slope(inputs.tip_slope_deg)
         )
-    with _name_keys(where, *_list_repeated_guide_keys(guides)):
+    repeated = [key for key, guide in guides if sum(guide.x == other.x for _, other in guides) > 1]
+    with _name_keys(where, *repeated):
         ordered_guides = tuple(guide for _, guide in guides)
         controls = Controls(inputs.base_y_mm, _to_slope(inputs.base_slope_deg), stage, ordered_guides, tip)
     with _name_keys(where, *_list_reach_keys(whole, needle, guides)):
         check_reach(needle.length, whole.depth_mm, controls)
         return Step(whole.depth_mm, Bevel.from_record(whole.bevel), controls)
-
-
-def _list_size_keys(record: SceneRecord) -> list[str]:
-    """Return the keys that decide how many elements are solved for."""
-    return ["steps" if record.steps else "depth_mm", "rules.constraint_spacing_mm", "rules.element_mm"]
-
-
-def _list_repeated_guide_keys(guides: Sequence[tuple[str, Guide]]) -> list[str]:
-    """Return the keys of the guides that stand where another one does."""
-    return [key for key, guide in guides if sum(guide.x == other.x for _, other in guides) > 1]
 
 
 def _list_reach_keys(whole: ResolvedStep, needle: Needle, guides: Sequence[tuple[str, Guide]]) -> list[str]:

@@ -116,7 +116,8 @@ def describe_combination(weights: Floats, names: Sequence[str]) -> str:
     scaled = weights / np.max(np.abs(weights))
     parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= MIN_RELATIVE_WEIGHT]
     if all(is_logarithmic(name) for name, _ in parts):
-        return " * ".join(_print_power(short_name(name), weight) for name, weight in parts)
+        powers = ((short_name(n), "" if abs(w - 1) < 0.005 else f"^{w:.2g}") for n, w in parts)
+        return " * ".join(map("".join, powers))
     terms = [_print_term(f"ln {short_name(n)}" if is_logarithmic(n) else short_name(n), w) for n, w in parts]
     return " ".join(terms).removeprefix("+ ")
 
@@ -167,10 +168,6 @@ def _describe_direction(sd: float, weights: Floats, names: Sequence[str]) -> str
 def _print_factor(sd: float) -> str:
     factor = math.exp(min(sd, math.log(1e6)))
     return "more than 1e6" if factor >= 1e6 else f"{factor:.2g}" if factor < 10 else f"{factor:.0f}"
-
-
-def _print_power(name: str, weight: float) -> str:
-    return name if abs(weight - 1) < 0.005 else f"{name}^{weight:.2g}"
 
 
 def _print_term(name: str, weight: float) -> str:
