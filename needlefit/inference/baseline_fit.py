@@ -144,11 +144,12 @@ class CurveDensity:
         pose, drop = self.dataset.pose, self.dataset.drop_proximal
         closest = fit_baseline(self.name, pose, drop, self.insertions).coefficients
         scaled = np.array(closest) * (1 / np.array(self.baseline.scales))
+
+        def negative_log_density(theta: Floats) -> float:
+            return -float(self(theta[None])[0])
+
         starts = [np.array([*scaled, np.log(scale)]) for scale in (1.0, min(10.0, self.max_scale))]
-        ends = [
-            minimize(lambda theta: -float(self(theta[None])[0]), at, method="Nelder-Mead", tol=1e-6)
-            for at in starts
-        ]
+        ends = [minimize(negative_log_density, at, method="Nelder-Mead", tol=1e-6) for at in starts]
         return min(ends, key=lambda end: float(end.fun)).x
 
 
