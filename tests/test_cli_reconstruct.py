@@ -15,16 +15,19 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-import trimesh
+from pydicom import dcmread
+from pydicom.encaps import encapsulate
+from pydicom.uid import UID
 from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
 
 from needlefit.cli import main
 from needlefit.cli.application import repeat_option
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
+from needlefit.datasets.markups import Markups
 from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.datasets.sources import ScanVolume, find_volume
 from needlefit.geometry.surfaces import make_sheet, read_surface, write_surface
-from needlefit.imaging.image_files import write_image
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.scans import make_scans
@@ -194,34 +197,22 @@ def test_a_scan_without_markers_defines_its_own_world_frame(tmp_path, capsys):
     assert "shaft" in warnings_of(tmp_path / "out")
 
 
-@pytest.fixture(scope="module")
-def resumed(tmp_path_factory):
-    """A command but for its last word, and its results: of two scans, one of which was truncated at first."""
-    folder = tmp_path_factory.mktemp("resumed")
-    truncated, out = folder / "truncated.nrrd", folder / "out"
-    truncated.write_bytes(VOLUME.read_bytes()[:40_000])
-    shutil.copy(VOLUME, folder / "whole.nrrd")
-    words = ("reconstruct", truncated, folder / "whole.nrrd", "--jobs", "1", "-q", "--out")
+@pytest.mark.sweep
+def test_one_failure_loses_nothing_and_resumed_results_equal_those_of_one_run(tmp_path):
+    """Of two scans one is truncated at first."""
+    cut, out = tmp_path / "truncated.nrrd", tmp_path / "out"
+    cut.write_bytes(VOLUME.read_bytes()[:40_000])
+    shutil.copy(VOLUME, tmp_path / "whole.nrrd")
+    words = ("reconstruct", cut, tmp_path / "whole.nrrd", "--jobs", "1", "-q", "--out")
     with redirect_stderr(StringIO()) as errors:
         assert run(*words, out) == 3
     assert "1 of 2 scans failed" in errors.getvalue() and "fix" in errors.getvalue()
-    assert f"kept in {folder / 'out.partial'}; to go on: " in errors.getvalue()
+    assert f"kept in {tmp_path / 'out.partial'}; to go on: " in errors.getvalue()
     assert [one.id for one in read_dataset(out).insertions] == ["whole"]
-    shutil.copy(VOLUME, truncated)
+    shutil.copy(VOLUME, cut)
     assert run(*words, out, "--resume") == 0
-    return words, out
-
-
-@pytest.mark.sweep
-def test_one_failure_loses_nothing_and_resume_completes_it(resumed):
-    _, out = resumed
     assert [one.id for one in read_dataset(out).insertions] == ["truncated", "whole"]
     assert not out.with_name("out.partial").exists()
-
-
-@pytest.mark.sweep
-def test_resumed_results_equal_those_of_one_run(resumed):
-    words, out = resumed
     again = out.with_name("again") / "out"
     assert run(*words, again) == 0
     found, at_once = files(out), files(again)
@@ -311,16 +302,8 @@ def mirrored_markers(folder):
     return [VOLUME, "--markers", known(folder, lambda points: points * [1, -1, 1])]
 
 
-def wrong_markers(folder):
-    rng = np.random.default_rng(1)
-    return [VOLUME, "--markers", known(folder, lambda points: rng.uniform(-20, 20, points.shape))]
-
-
-def fiducials_as(folder, system):
-    """The markers in the scan, written as LPS coordinates in a file that says `system`."""
-    from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
-    from needlefit.datasets.markups import Markups
-
+def ras_as_lps(folder):
+    """The markers in the scan, written as LPS coordinates in a file that says RAS."""
     points = find_markers(read_volume(VOLUME), ReconstructionRecord(schema=1)).centers
     path = folder / "fiducials.mrk.json"
     names = tuple(f"m{n}" for n in range(len(points)))
@@ -329,21 +312,8 @@ def fiducials_as(folder, system):
     )
     text = path.read_text()
     assert text.count('"LPS"') >= 1
-    path.write_text(text.replace('"LPS"', f'"{system}"'))
+    path.write_text(text.replace('"LPS"', '"RAS"'))
     return [VOLUME, "--markers", MARKERS, "--fiducials", path]
-
-
-def ras_as_lps(folder):
-    return fiducials_as(folder, "RAS")
-
-
-def holes(folder):
-    mesh = trimesh.load_mesh(LAYERS[2])
-    keep = np.ones(len(mesh.faces), dtype=bool)
-    keep[10:14] = False
-    mesh.update_faces(keep)
-    mesh.export(folder / "holes.stl")
-    return [VOLUME, "--markers", MARKERS, "--layers", f"{folder / 'holes.stl'}=solid:2"]
 
 
 def truncated(folder):
@@ -351,20 +321,7 @@ def truncated(folder):
     return [folder / "cut.nrrd"]
 
 
-def not_finite(folder):
-    """As other programs mark what lies outside the scan."""
-    volume = read_volume(VOLUME)
-    values = volume.values.copy()
-    values[3:6, 10:20, 5:8] = np.nan
-    write_image(dataclasses.replace(volume, values=values), folder / "outside.nrrd", "")
-    return [folder / "outside.nrrd"]
-
-
 def no_decoder(folder):
-    from pydicom import dcmread
-    from pydicom.encaps import encapsulate
-    from pydicom.uid import UID
-
     write_volume(read_volume(VOLUME), folder / "series")
     for path in sorted((folder / "series").iterdir()):
         data = dcmread(path)
@@ -372,24 +329,6 @@ def no_decoder(folder):
         data.PixelData = encapsulate([data.PixelData])
         data.save_as(path)
     return [folder / "series"]
-
-
-def bomb(folder):
-    header = VOLUME.read_bytes().split(b"\n\n", 1)[0].decode()
-    lines = [
-        line if not line.startswith("sizes:") else "sizes: 90000 90000 90000" for line in header.split("\n")
-    ]
-    (folder / "bomb.nrrd").write_bytes("\n".join(lines).encode() + b"\n\n" + b"\x1f\x8b" + bytes(100))
-    return [folder / "bomb.nrrd"]
-
-
-def two_series(folder):
-    for number, name in enumerate("ab"):
-        write_volume(read_volume(VOLUME), folder / name, description=name)
-        for path in sorted((folder / name).iterdir()):
-            path.rename(folder / f"{number}_{path.name}")
-        (folder / name).rmdir()
-    return [folder]
 
 
 def short_needle(folder):
@@ -405,15 +344,10 @@ def short_needle(folder):
         (tip_outside, "leaves the volume"),
         (two_markers, "2 markers"),
         (mirrored_markers, "mirror"),
-        (wrong_markers, "pairing"),
         pytest.param(ras_as_lps, r"fiducials\.mrk\.json: .*RAS", marks=pytest.mark.sweep),
-        pytest.param(two_series, "--series", marks=pytest.mark.sweep),
         pytest.param(short_needle, r"sample\.nrrd: gives no insertion.*20 mm long", marks=pytest.mark.sweep),
-        (holes, "hole"),
         (truncated, "cut short|shorter|ends"),
-        (not_finite, "90 voxels"),
         (no_decoder, "decod|transfer syntax|compress"),
-        (bomb, "claims"),
     ],
 )
 @pytest.mark.usefixtures("searched_once")
@@ -435,7 +369,7 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
     assert {name: after[name] for name in after.keys() - pages} == before
     assert {"out.refused/refused.csv", "out.refused/candidates.csv"} < pages
     assert sum(name.startswith("out.refused/quality/") for name in pages) == 1
-    cannot_be_read = spoil in (two_series, truncated, not_finite, no_decoder, bomb)
+    cannot_be_read = spoil in (truncated, no_decoder)
     assert ("needlefit view" in printed) != cannot_be_read
 
 
@@ -594,6 +528,7 @@ def test_layers_are_all_words_up_to_the_next_option(words, taken):
         (["--layers", *LAYERS, VOLUME], "put SCAN first"),
         ([f"--layers={LAYERS[0]}", VOLUME], "put SCAN first"),
         (["--markers", MARKERS], "Missing argument"),
+        ([VOLUME, "--layers-in", "scn"], "'world', 'scan'"),
     ],
 )
 def test_layers_and_scans_are_distinguished(words, expected, tmp_path, capsys):
@@ -602,11 +537,6 @@ def test_layers_and_scans_are_distinguished(words, expected, tmp_path, capsys):
     assert expected in printed
     assert run("reconstruct", "--out", tmp_path / "out", *words) == 2
     assert not (tmp_path / "out").exists()
-
-
-def test_an_invalid_frame_is_refused(tmp_path, capsys):
-    assert run("reconstruct", VOLUME, "--layers-in", "scn", "--out", tmp_path / "out") == 2
-    assert "'world', 'scan'" in capsys.readouterr().err
 
 
 @pytest.mark.sweep

@@ -25,7 +25,6 @@ from reading_here import child_process_reader, read_here  # noqa: F401 - fixture
 from test_datasets import record
 
 from needlefit.datasets.columns import InsertionRow
-from needlefit.datasets.layers import find_surface_faults
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
@@ -35,9 +34,7 @@ from needlefit.geometry.surfaces import (
     Surface,
     make_cylinder,
     make_sheet,
-    read_surface,
     transform_surface,
-    write_surface,
 )
 from needlefit.imaging.label_surfaces import read_labels
 from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_crossed_layers, read_layers
@@ -151,14 +148,6 @@ def test_segmentations_lie_in_their_scan_whatever_the_meshes_would(slabs_file):
         assert other.mesh.volume > 0
 
 
-def test_surfaces_of_labels_survive_their_files(slabs_file, tmp_path):
-    """Rounded to 1e-4 mm they are still closed and in one piece, as a dataset asks."""
-    for surface in read_layers(scan(slabs_file), PATIENT):
-        path = tmp_path / f"{surface.name}.stl"
-        write_surface(surface, path)
-        assert list(find_surface_faults(read_surface(path, "solid", surface.into), path)) == []
-
-
 def test_layers_that_leave_the_volume_are_closed_at_its_face(tmp_path):
     shape = (20, 24, 28)
     path = save(tmp_path / "full.nrrd", labelled(lambda p: np.ones(len(p)), shape, direction=np.eye(3)))
@@ -176,10 +165,19 @@ def test_thick_slices_keep_a_plane(tmp_path):
     assert np.abs(within @ NORMAL).mean() < 0.1
 
 
-def test_segments_that_overlap_are_refused(tmp_path):
-    volume = labelled(lambda p: 1 * (p[:, 0] > 0))
-    four = save_segments(tmp_path / "four.seg.nrrd", [volume, volume], [(1, "fat"), (1, "muscle")])
-    assert "overlap: fat, muscle" in refused(four) and "Segment Editor" in refused(four)
+@pytest.mark.parametrize(
+    ("parts", "planes", "segments", "words"),
+    [
+        (1, 2, [(1, "fat"), (1, "muscle")], "overlap: fat, muscle"),
+        (1, 1, [(1, "fat"), (2, "muscle")], "segment muscle (label 2)"),
+        (1, 1, [(2, "muscle")], "muscle (label 2)"),
+        (2, 1, [(1, "fat")], " labels 2, "),
+    ],
+)
+def test_segments_that_are_not_those_of_the_voxels_are_refused(tmp_path, parts, planes, segments, words):
+    volume = labelled(lambda p: parts - 1 + (p[:, 0] > 0))
+    message = refused(save_segments(tmp_path / "l.seg.nrrd", planes * [volume], segments))
+    assert words in message and ("Segment Editor" in message) == ("overlap" in words)
 
 
 def test_segments_of_several_layers_that_do_not_overlap_are_read(tmp_path):
@@ -199,20 +197,6 @@ def test_segments_of_several_layers_that_do_not_overlap_are_read(tmp_path):
     both = [planes[0], dataclasses.replace(planes[1], values=np.ones_like(planes[1].values))]
     save_segments(path, both, names, planes=(0, 1, 0))
     assert "overlap: fat, muscle" in refused(path)
-
-
-def test_an_empty_segment_is_named(tmp_path):
-    volume = labelled(lambda p: 1 * (p[:, 0] > 0))
-    path = save_segments(tmp_path / "l.seg.nrrd", [volume], [(1, "fat"), (2, "muscle")])
-    assert "segment muscle (label 2)" in refused(path)
-    path = save_segments(tmp_path / "m.seg.nrrd", [volume], [(2, "muscle")])
-    assert "muscle (label 2)" in refused(path)
-
-
-def test_labels_without_a_segment_are_refused(tmp_path):
-    volume = labelled(lambda p: 1 + (p[:, 0] > 0))
-    path = save_segments(tmp_path / "l.seg.nrrd", [volume], [(1, "fat")])
-    assert " labels 2, " in refused(path)
 
 
 @pytest.mark.parametrize(
@@ -429,25 +413,19 @@ def test_without_surfaces_there_is_one_layer():
 # ---- doubts
 
 
-def test_a_sheet_too_small_is_reported_with_the_gap():
-    """It spans 10 mm about (10, 12, 0): its rim is 7 mm away from the needle."""
-    small = make_sheet("skin", (10, 12, 0), (1, 0, 0), 10, into=2)
-    layers = find_crossed_layers(NEEDLE, HOME, (small,), EXACT)
-    warnings = check_layer_count(scan(), layers, NEEDLE, HOME)
+def sheet_at(*place, size=60):
+    return find_crossed_layers(NEEDLE, HOME, (make_sheet("skin", place, (1, 0, 0), size, into=2),), EXACT)
+
+
+def test_layers_that_are_not_crossed_are_reported_with_the_gap():
+    """A sheet of 10 mm about (10, 12, 0) has its rim 7 mm away from the needle; one lies where RAS has it."""
+    small, turned_, beyond = sheet_at(10, 12, 0, size=10), sheet_at(-10, 0, 0), sheet_at(55, 0, 0)
+    warnings = check_layer_count(scan(), small, NEEDLE, HOME)
     assert "7.0 mm" in warnings[0] and "sheet skin" in warnings[0]
     assert "nearest" in warnings[1] and "7.0 mm" in warnings[1]
-
-
-def test_layers_in_ras_are_recognised_by_what_would_be_crossed():
-    there = find_crossed_layers(
-        NEEDLE, HOME, (make_sheet("skin", (-10, 0, 0), (1, 0, 0), 60, into=2),), EXACT
-    )
-    assert any("RAS" in one for one in check_layer_count(scan(), there, NEEDLE, HOME))
-    beyond = find_crossed_layers(
-        NEEDLE, HOME, (make_sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT
-    )
-    warnings = check_layer_count(scan(), beyond, NEEDLE, HOME)
-    assert len(warnings) == 1 and "15.0 mm" in warnings[0]
+    assert any("RAS" in one for one in check_layer_count(scan(), turned_, NEEDLE, HOME))
+    (warning,) = check_layer_count(scan(), beyond, NEEDLE, HOME)
+    assert "15.0 mm" in warning
 
 
 def test_layers_counted_must_be_met():
@@ -456,11 +434,8 @@ def test_layers_counted_must_be_met():
     assert check_layer_count(scan(layers=3, layers_alternative=2), layers, NEEDLE, HOME) == ()
     with pytest.raises(DataError, match=r"2 layers \(1 > 2; .*\b10\.00 mm\).*\b3\b"):
         check_layer_count(scan(layers=3), layers, NEEDLE, HOME)
-    nothing = find_crossed_layers(
-        NEEDLE, HOME, (make_sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT
-    )
     with pytest.raises(DataError, match=r"\b2 were counted"):
-        check_layer_count(scan(layers=2), nothing, NEEDLE, HOME)
+        check_layer_count(scan(layers=2), sheet_at(55, 0, 0), NEEDLE, HOME)
 
 
 def without(left_out):
