@@ -65,7 +65,12 @@ def assemble_dataset(
     surfaces: dict[str, Surface] = {}
     for name, group in media.items():
         records[name], files = _medium_record(name, group, (description.media or {}).get(name, ""))
-        _require_new(files, surfaces, name)
+        # `a` with `b_c` and `a_b` with `c` both make `a_b_c`
+        if both := sorted(files.keys() & surfaces.keys()):
+            raise refusal(f"""two media would write {both[0]}
+                expected: names of media and surfaces that make different files
+                fix: rename the medium, or the file of the surface
+                where: medium {name}""")
         surfaces |= files
     return write_dataset(
         folder,
@@ -85,6 +90,7 @@ def _dataset_record(
 ) -> DatasetRecord:
     needle = recipe.needle
     synthetic = any(one.scan.origin == "synthetic" for one in reconstructions)
+    drawn = all(one.sections is not None for one in reconstructions)
     return DatasetRecord(
         schema_=1,
         name=description.name,
@@ -105,16 +111,10 @@ def _dataset_record(
         noise=_noise_record(reconstructions, recipe),
         insertions=InsertionsRecord(file="insertions.csv"),
         centerlines=CenterlinesRecord(pattern="centerlines/{id}.csv"),
-        measurement=_measurement_record(reconstructions),
+        # centrelines are splines through stored cross-sections, if all of them are
+        measurement=MeasurementRecord(operator="spline", sections=SECTIONS_PATTERN) if drawn else None,
         media=media,
     )
-
-
-def _measurement_record(reconstructions: Sequence[Reconstruction]) -> MeasurementRecord | None:
-    """Return that the centrelines are splines through stored cross-sections, if all of them are."""
-    if any(one.sections is None for one in reconstructions):
-        return None
-    return MeasurementRecord(operator="spline", sections=SECTIONS_PATTERN)
 
 
 def _noise_record(reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord) -> NoiseRecord:
@@ -175,26 +175,14 @@ def _medium_record(
     shared = all(_same_surfaces(one.layers.surfaces, first) for one in group)
     numbered = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
     names = [f"layers/{stem}.stl" for stem in (_file_stems(name, first) if shared else numbered)]
-    records = tuple(
-        SurfaceRecord(file=file, kind=surface.kind, into=surface.into)
-        for file, surface in zip(names, first, strict=True)
-    )
+    listed = zip(names, first, strict=True)
+    records = tuple(SurfaceRecord(file=file, kind=one.kind, into=one.into) for file, one in listed)
     files = {
         file.replace("{id}", one.scan.id): surface
         for one in (group[:1] if shared else group)
         for file, surface in zip(names, one.layers.surfaces, strict=True)
     }
     return DatasetMediumRecord(surfaces=records, note=note), files
-
-
-def _require_new(files: Mapping[str, Surface], written: Mapping[str, Surface], medium: str) -> None:
-    """Refuse names that a medium shares with another: `a` with `b_c` and `a_b` with `c` both make `a_b_c`."""
-    both = sorted(files.keys() & written.keys())
-    if both:
-        raise refusal(f"""two media would write {both[0]}
-            expected: names of media and surfaces that make different files
-            fix: rename the medium, or the file of the surface
-            where: medium {medium}""")
 
 
 def _file_stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
@@ -239,24 +227,34 @@ def assemble_checked(
         owners = [_find_owner(fault, left) for fault in faults]
         if None in owners:
             raise as_error(faults, Path(description.name))
-        owned = list(zip(owners, faults, strict=True))
         for one in [one for one in left if one in owners]:
             left.remove(one)
-            failures.append(
-                ReconstructionFailure(
-                    one.scan, _fault_error(one, [fault for owner, fault in owned if owner is one])
-                )
+            own = [fault for fault, owner in zip(faults, owners, strict=True) if owner is one]
+            what = "; ".join(dict.fromkeys(fault.what for fault in own))
+            error = DataError(
+                f"gives no insertion that a dataset may hold: {what}",
+                where=str(one.scan.volume),
+                expected=own[0].expected,
+                fix=own[0].fix,
             )
+            failures.append(ReconstructionFailure(one.scan, error))
     return (), tuple(failures)
 
 
 def _find_faults(
     reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord, description: DatasetDescription
 ) -> list[Fault]:
-    """Return the faults of the dataset that some insertions make, not of the folder where it is tried."""
+    """Return the faults of the dataset that some insertions make, told without the folder of the trial."""
     with TemporaryDirectory(prefix="needlefit-") as trial:
         assemble_dataset(Path(trial), reconstructions, recipe, description)
-        return [_without_folder(fault, Path(trial)) for fault in check(Path(trial))]
+        return [
+            replace(
+                fault,
+                where=fault.where.replace(f"{trial}/", ""),
+                fix=fault.fix.replace("dataset.toml", "the recipe"),  # what its user has written
+            )
+            for fault in check(Path(trial))
+        ]
 
 
 def _find_owner(fault: Fault, reconstructions: Sequence[Reconstruction]) -> Reconstruction | None:
@@ -268,23 +266,3 @@ def _find_owner(fault: Fault, reconstructions: Sequence[Reconstruction]) -> Reco
         # lines count from 1, and the first one is the header
         return reconstructions[int(place["line"]) - 2]
     return next((one for one in reconstructions if one.scan.id == place["curve"]), None)
-
-
-def _fault_error(one: Reconstruction, faults: Sequence[Fault]) -> DataError:
-    """Return the error of an insertion whose faults the user meets in the scan and the recipe."""
-    what = "; ".join(dict.fromkeys(fault.what for fault in faults))
-    first = faults[0]
-    return refusal(f"""gives no insertion that a dataset may hold: {what}
-        expected: {first.expected}
-        fix: {_fix_in_recipe(first.fix)}
-        where: {one.scan.volume}""")
-
-
-def _without_folder(fault: Fault, folder: Path) -> Fault:
-    """Return a fault of the dataset without the temporary folder in which it was found."""
-    return replace(fault, where=fault.where.replace(f"{folder}/", ""), fix=_fix_in_recipe(fault.fix))
-
-
-def _fix_in_recipe(fix: str) -> str:
-    """Return what fixes a fault, told where a user of a recipe does it."""
-    return fix.replace("dataset.toml", "the recipe")

@@ -1,6 +1,6 @@
-"""Send a scan with the bytes of its files to a machine that does not have them.
+"""Reconstruct many scans, in one process or several, or on machines that do not have their files.
 
-Reconstruct many scans, in one process or several; a scan that fails does not stop the others.
+A scan that fails does not stop the others.
 """
 
 import hashlib
@@ -93,12 +93,9 @@ def list_scan_files(scan: Scan) -> Iterator[Path]:
 def _move(scan: Scan, moved: Callable[[Path], Path]) -> Scan:
     """Return a scan whose files are elsewhere."""
     surfaces = tuple(replace(source, path=moved(source.path)) for source in scan.surfaces)
-    mask, markers, fiducials = (
-        None if path is None else moved(path) for path in (scan.mask, scan.markers, scan.fiducials)
-    )
-    return replace(
-        scan, volume=moved(scan.volume), mask=mask, markers=markers, fiducials=fiducials, surfaces=surfaces
-    )
+    files = {name: getattr(scan, name) for name in ("volume", "mask", "markers", "fiducials")}
+    elsewhere: dict[str, Any] = {name: path and moved(path) for name, path in files.items()}
+    return replace(scan, surfaces=surfaces, **elsewhere)
 
 
 _HOOKS: Hooks = {Surface: Hook(to_triangles, from_triangles, Triangles)}
@@ -143,7 +140,9 @@ def reconstruct_all(
         one = replace(one, scan=remaining[at])  # a packed one has other paths
         found[left[at]] = one
         if isinstance(one, Reconstruction):
-            _write_checkpoint(one, recipe, batch.checkpoint)
+            arrays: Arrays = {}
+            kept = {"inputs": _digest_inputs(one.scan, recipe), "reconstruction": encode(one, _HOOKS, arrays)}
+            batch.checkpoint.keep_row(_work_of(one.scan), kept, arrays)
         batch.progress(scans[left[at]].id, len(found), len(scans))
     return tuple(found[n] for n in sorted(found))
 
@@ -206,12 +205,6 @@ def _read_checkpoint(
                 checkpoint.set_aside(_work_of(scan))
                 break
     return None
-
-
-def _write_checkpoint(one: Reconstruction, recipe: ReconstructionRecord, checkpoint: Checkpoint) -> None:
-    arrays: Arrays = {}
-    values = {"inputs": _digest_inputs(one.scan, recipe), "reconstruction": encode(one, _HOOKS, arrays)}
-    checkpoint.keep_row(_work_of(one.scan), values, arrays)
 
 
 def _decode_checkpoint(row: Mapping[str, Any]) -> Reconstruction:

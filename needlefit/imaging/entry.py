@@ -305,7 +305,12 @@ def choose_entry(profile: IntensityProfile, tip: float, known: EntryKnowledge) -
     entry, face = rises[-1], _find_flush_guide(rises[-1], candidates, known)
     warnings = [*_rise_warnings(profile, rises, guide)]
     if face is not None and face.depth > 0:
-        warnings.append(_flush_warning(entry, face))
+        warnings.append(
+            f"the first {face.at - entry.at:.1f} mm behind the entry are another material than what follows, "
+            "and no stated layer ends there: if a guide lies on the tissue, the tissue begins "
+            f"{face.depth:.1f} mm before the tip, not {entry.depth:.1f}; state guide.thickness_mm (0: no "
+            "guide) or the layers"
+        )
         if _is_plastic(profile, entry.at, face.at):
             doubt = min(PLASTIC_DOUBT * (face.at - entry.at), MAX_DOUBT_MM)
             entry = replace(entry, sd=float(np.hypot(entry.sd, doubt)))
@@ -326,11 +331,10 @@ def _choose_by_depth(candidates: tuple[EntryCandidate, ...], depth: float) -> En
             expected: within {MAX_DEPTH_MISS_MM:g} mm of one of them
             fix: correct expected_depth_mm, or leave it empty
             where: expected_depth_mm""")
-    near = [
-        one
-        for one, miss in zip(candidates, misses, strict=True)
-        if one is not candidates[best] and miss < 2 * misses[best] + 1
+    others = [
+        (one, miss) for one, miss in zip(candidates, misses, strict=True) if one is not candidates[best]
     ]
+    near = [one for one, miss in others if miss < 2 * misses[best] + 1]
     notes = [
         f"expected_depth_mm = {depth:g} fits {list_in_words([candidates[best], *near])} about as well: "
         "the nearest is taken as the entry"
@@ -354,30 +358,26 @@ def _find_behind_guide(
         if abs(run.length - thickness) <= MATCH_MM or cut:
             entry = next((one for one in rises if one.run == soft[n + 1]), None)
             if entry is not None:
-                return EntryChoice(entry, candidates, tuple(_gap_warnings(entry.at - run.end, distance)))
+                gap = entry.at - run.end
+                note = (
+                    f"{gap:.1f} mm of air lie between the guide and the tissue, but guide_distance_mm is "
+                    f"{distance:g}: one of guide.thickness_mm and guide_distance_mm is not of this scan"
+                    if distance is not None and abs(gap - distance) > MATCH_MM
+                    else ""
+                )
+                return EntryChoice(entry, candidates, (note,) if note else ())
     lies_apart = distance is not None and distance > MATCH_MM
     if len(soft) > 1 or begun or first.depth <= thickness or lies_apart:
         return None
     at, sd = first.at + thickness, float(np.hypot(first.sd, GUIDE_SD_MM))
     entry = EntryCandidate(at, sd, first.depth - thickness, "step", first.run)
     seen = any(one.change == "step" and abs(one.at - at) <= MATCH_MM + 3 * one.sd for one in candidates)
-    return EntryChoice(entry, candidates, () if seen else (_unseen_guide_warning(first, entry),))
-
-
-def _unseen_guide_warning(rise: EntryCandidate, entry: EntryCandidate) -> str:
-    return (
-        f"a guide of {entry.at - rise.at:g} mm is stated, and taken to lie on the tissue, which begins "
+    note = (
+        f"a guide of {entry.at - first.at:g} mm is stated, and taken to lie on the tissue, which begins "
         f"{entry.depth:.1f} mm before the tip; but the scan shows no change of material there: if the guide "
-        f"is not in the scan, the tissue begins {rise.depth:.1f} mm before the tip (guide.thickness_mm = 0)"
+        f"is not in the scan, the tissue begins {first.depth:.1f} mm before the tip (guide.thickness_mm = 0)"
     )
-
-
-def _gap_warnings(gap: float, distance: float | None) -> Iterator[str]:
-    if distance is not None and abs(gap - distance) > MATCH_MM:
-        yield (
-            f"{gap:.1f} mm of air lie between the guide and the tissue, but guide_distance_mm is "
-            f"{distance:g}: one of guide.thickness_mm and guide_distance_mm is not of this scan"
-        )
+    return EntryChoice(entry, candidates, () if seen else (note,))
 
 
 def _rise_warnings(
@@ -425,12 +425,3 @@ def _is_plastic(profile: IntensityProfile, begin: float, end: float) -> bool:
         return False
     level = float(np.nanmedian(inside))
     return level >= PLASTIC_HU and level > float(np.nanmedian(after))
-
-
-def _flush_warning(entry: EntryCandidate, face: EntryCandidate) -> str:
-    return (
-        f"the first {face.at - entry.at:.1f} mm behind the entry are another material than what follows, "
-        "and no stated layer ends there: if a guide lies on the tissue, the tissue begins "
-        f"{face.depth:.1f} mm before the tip, not {entry.depth:.1f}; state guide.thickness_mm (0: no guide) "
-        "or the layers"
-    )

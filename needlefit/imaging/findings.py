@@ -22,7 +22,7 @@ from needlefit.imaging.needle.segmentation import (
     list_thresholds,
 )
 from needlefit.imaging.reconstruct import Examination
-from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult
+from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -71,12 +71,16 @@ class Findings:
 def collect_findings(volume: Volume, examined: Examination, recipe: ReconstructionRecord) -> Findings:
     """Return what a scan shows, for its page."""
     projections = (volume.values.max(axis=0), volume.values.max(axis=1), volume.values.max(axis=2))
-    axis, profile = examined.needle_axis, examined.profile
+    axis, profile, found = examined.needle_axis, examined.profile, examined.markers
+    size, rejected = recipe.markers.diameter_mm, () if found is None else found.rejected
+    balls = [BallFinding(center, size, True) for center in (() if found is None else found.centers)]
+    for one in sorted(rejected, key=lambda one: abs(np.log(one.diameter / size))):  # the most alike first
+        balls.append(BallFinding(one.center, one.diameter, False))
     return Findings(
         volume.grid,
         projections,
         list_tubes(volume, recipe, examined.selection),
-        _list_balls(examined.markers, recipe.markers.diameter_mm),
+        tuple(balls[:MAX_BALLS]),
         None if axis is None else axis.points,
         profile,
         list_entries(axis, profile),
@@ -108,27 +112,17 @@ def list_tubes(
     volume: Volume, recipe: ReconstructionRecord, found: NeedleSelection | None
 ) -> tuple[TubeFinding, ...]:
     """Return the needle and the other tubes, or, where none is one, the longest bright components."""
+
+    def list_longest() -> list[Component]:
+        parts = find_components(volume, *list_thresholds(volume, recipe)[-1])
+        return sorted(cut_components(volume, parts, recipe), key=lambda part: part.length, reverse=True)
+
     if found is not None:
         parts = [found.needle, *found.others]
     else:
-        parts = _try(lambda: find_tubes(volume, recipe)) or _try(lambda: _longest_parts(volume, recipe)) or []
+        parts = _try(lambda: find_tubes(volume, recipe)) or _try(list_longest) or []
     chosen = None if found is None else found.needle
     return tuple(
         TubeFinding(find_ends(volume, part), part.length, part.width, part is chosen)
         for part in parts[:MAX_TUBES]
     )
-
-
-def _longest_parts(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
-    low, high = list_thresholds(volume, recipe)[-1]
-    parts = cut_components(volume, find_components(volume, low, high), recipe)
-    return sorted(parts, key=lambda part: part.length, reverse=True)
-
-
-def _list_balls(found: MarkerResult | None, diameter: float) -> tuple[BallFinding, ...]:
-    """Return the markers, of the `diameter` that was looked for, then what is most like one."""
-    if found is None:
-        return ()
-    others = sorted(found.rejected, key=lambda one: abs(np.log(one.diameter / diameter)))
-    balls = [BallFinding(center, diameter, True) for center in found.centers]
-    return (*balls, *(BallFinding(one.center, one.diameter, False) for one in others))[:MAX_BALLS]

@@ -12,7 +12,7 @@ from needlefit.datasets.layers import compute_depths, find_surface_faults, make_
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.geometry.frames import RAS_TO_LPS, Frame, PatientSystem
+from needlefit.geometry.frames import RAS_TO_LPS, Frame
 from needlefit.geometry.surfaces import (
     Surface,
     find_nearest,
@@ -47,34 +47,28 @@ def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | N
         surface = Surface(surface.name, surface.mesh, "solid", into)
     faults = list(find_surface_faults(surface, source.path))
     if source.kind is None and surface.kind == "sheet" and not faults:
-        faults = _hole_fault(surface, source.path)
+        faults = _find_hole(surface, source.path)
     found += faults
-    return None if faults else _to_lps(surface, read_coordinate_system(source.path))
+    if faults:
+        return None
+    stands_in_ras = read_coordinate_system(source.path) == "RAS"
+    return transform_surface(surface, RAS_TO_LPS) if stands_in_ras else surface
 
 
-def _to_lps(surface: Surface, system: PatientSystem | None) -> Surface:
-    """Return a surface turned to LPS: from RAS that is half a turn about z."""
-    return surface if system in (None, "LPS") else transform_surface(surface, RAS_TO_LPS)
-
-
-def _hole_fault(surface: Surface, path: Path) -> list[Fault]:
+def _find_hole(surface: Surface, path: Path) -> list[Fault]:
     """Return the fault of an open mesh that looks like a solid with a hole.
 
     The vectors of its triangles' areas add up to that of its opening, whatever the mesh does between.
     """
-    mesh = surface.mesh
-    areas = np.asarray(mesh.area_faces, dtype=np.float64)
-    opening = float(np.linalg.norm(areas @ mesh.face_normals))
+    areas = np.asarray(surface.mesh.area_faces, dtype=np.float64)
+    opening = float(np.linalg.norm(areas @ surface.mesh.face_normals))
     if opening >= MAX_OPENING_RATIO * areas.sum():
         return []
-    what = (
-        f"is open, but its opening, {opening:.0f} mm^2, is small against its area, {areas.sum():.0f} mm^2: "
-        "it looks like a solid with a hole"
-    )
+    sizes = f"its opening, {opening:.0f} mm^2, is small against its area, {areas.sum():.0f} mm^2"
+    what = f"is open, but {sizes}: it looks like a solid with a hole"
     expected = "a closed surface, or a sheet with its rim outside the tissue"
-    return [
-        Fault(str(path), what, expected, f"close the hole, or list it as {path.name}=sheet:{surface.into}")
-    ]
+    fix = f"close the hole, or list it as {path.name}=sheet:{surface.into}"
+    return [Fault(str(path), what, expected, fix)]
 
 
 TANGENT_STEP_MM = 0.5  # distance to either side of a crossing over which the needle's direction is taken, mm
@@ -97,16 +91,13 @@ def read_layers(
     DataError: listing every fault of every file.
     """
     found: list[Fault] = []
-    segmentations = [source for source in scan.surfaces if source.is_segmentation]
-    if segmentations:
-        surfaces = _read_segmentation(segmentations, (scan, frame_of_reference), found)
+    if any(source.is_segmentation for source in scan.surfaces):
+        surfaces = _read_segmentation(scan, frame_of_reference, found)
     else:
-        numbers = _number_layers(scan.surfaces)
-        read = [read_mesh(one, into, found) for one, into in zip(scan.surfaces, numbers, strict=True)]
-        surfaces = [surface for surface in read if surface is not None]
-        found += _skipped_layer_faults(numbers, scan)
-    world = tuple(transform_surface(one, patient) if layers_in_scan(scan) else one for one in surfaces)
-    if grid is not None and layers_in_scan(scan):  # those of the world may be larger than what was scanned
+        surfaces = _read_meshes(scan, found)
+    within = layers_in_scan(scan)
+    world = tuple(transform_surface(one, patient) if within else one for one in surfaces)
+    if grid is not None and within:  # those of the world may be larger than what was scanned
         found += _misplaced_surface_faults(world, patient, grid, scan)
     if found:
         raise as_error(found, scan.volume)
@@ -118,45 +109,39 @@ def layers_in_scan(scan: Scan) -> bool:
     return scan.surfaces_in == "scan" or any(source.is_segmentation for source in scan.surfaces)
 
 
-def _read_segmentation(sources: list[LayerSource], of: tuple[Scan, str], found: list[Fault]) -> list[Surface]:
-    scan, frame_of_reference = of
+def _read_segmentation(scan: Scan, frame_of_reference: str, found: list[Fault]) -> list[Surface]:
+    one = next(source for source in scan.surfaces if source.is_segmentation)
     if len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
-        expected = "meshes, or one segmentation of all layers"
         what = f"lists a segmentation beside other surfaces: {names}"
-        found.append(Fault(str(sources[0].path), what, expected, "list it alone"))
+        expected = "meshes, or one segmentation of all layers"
+        found.append(Fault(str(one.path), what, expected, "list it alone"))
         return []
     try:
         with explain_missing_packages():
-            from needlefit.imaging.label_surfaces import (
-                extract_label_surfaces,  # skimage takes its time to load
-            )
+            from needlefit.imaging.label_surfaces import extract_label_surfaces  # skimage is slow to load
 
-            one = sources[0]
             return list(extract_label_surfaces(one.path, one.segments, frame_of_reference))
     except DataError as error:
         found.append(from_error(error))
         return []
 
 
-def _number_layers(sources: tuple[LayerSource, ...]) -> list[int]:
-    """Return the layer into which each mesh leads; the tissue's own surface takes no place."""
-    numbers, place = [], 2
-    for source in sources:
+def _read_meshes(scan: Scan, found: list[Fault]) -> list[Surface]:
+    """Return the meshes: each leads into a layer by its place; the tissue's own (into = 1) takes none."""
+    surfaces, numbers, place = list[Surface](), list[int](), 2
+    for source in scan.surfaces:
         numbers.append(place if source.into is None else source.into)
-        # the tissue's own surface (into = 1) is not counted among the layers
         place += source.into != 1
-    return numbers
-
-
-def _skipped_layer_faults(numbers: list[int], scan: Scan) -> Iterator[Fault]:
+        if (surface := read_mesh(source, numbers[-1], found)) is not None:
+            surfaces.append(surface)
     for missing in sorted(set(range(2, max(numbers, default=1))) - set(numbers))[:1]:
-        yield Fault(
-            str(scan.volume),
-            f"no surface leads into layer {missing}; they lead into {', '.join(map(str, sorted(numbers)))}",
-            "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
-            "correct the number, e.g. file=sheet:2, or add the surface that is missing",
-        )
+        led = ", ".join(map(str, sorted(numbers)))
+        what = f"no surface leads into layer {missing}; they lead into {led}"
+        expected = "layers numbered without a gap: 1, where needles begin, then 2, 3, ..."
+        fix = "correct the number, e.g. file=sheet:2, or add the surface that is missing"
+        found.append(Fault(str(scan.volume), what, expected, fix))
+    return surfaces
 
 
 def _misplaced_surface_faults(
@@ -166,18 +151,12 @@ def _misplaced_surface_faults(
     for surface in world:
         steps = (patient.to_local(surface.mesh.vertices) - grid.origin) @ grid.direction / grid.spacing
         if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
-            yield Fault(
-                str(_surface_file(surface, scan)),
-                f"the surface {surface.name} lies outside the scan {scan.volume}",
-                "surfaces and scan in one place",
-                "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS",
-            )
-
-
-def _surface_file(surface: Surface, scan: Scan) -> Path:
-    """Return the file that a surface is from: a mesh is called as its file, all others are of the first."""
-    own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
-    return next(own, scan.surfaces[0].path)
+            # a mesh is called as its file, all others are of the first
+            own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
+            what = f"the surface {surface.name} lies outside the scan {scan.volume}"
+            fix = "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS"
+            file = str(next(own, scan.surfaces[0].path))
+            yield Fault(file, what, "surfaces and scan in one place", fix)
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ def find_blobs(volume: Volume, diameter: float, threshold: float | None, exclude
     DataError if nothing is bright enough.
     """
     bright, higher = _list_bright_voxels(volume, diameter, threshold)
-    needle = np.empty(0, dtype=np.int64) if exclude is None else _flat_indices(volume, exclude)
-    forbidden = np.isin(bright.flat, needle)
+    needle = np.empty((0, 3), dtype=np.int64) if exclude is None else exclude
+    forbidden = np.isin(bright.flat, np.ravel_multi_index(tuple(needle.T[::-1]), volume.values.shape))
     found = [
         blob
         for level in higher
@@ -72,7 +72,10 @@ def _list_bright_voxels(
     volume: Volume, diameter: float, threshold: float | None
 ) -> tuple[BrightVoxels, Sequence[float]]:
     """Return the voxels above the lowest level that shows separate things, and the levels from there on."""
-    levels = _list_levels(volume) if threshold is None else [threshold]
+    start, top = median_tissue_hu(volume), float(volume.values.max())
+    count = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
+    levels = [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]  # to the brightest voxel
+    levels = levels if threshold is None else [threshold]
     wanted = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
     for n, level in enumerate(levels):
         flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(volume.values)])
@@ -87,13 +90,6 @@ def _list_bright_voxels(
         fix: check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe, or
             place the fiducials by hand
         where: markers in the volume""")
-
-
-def _list_levels(volume: Volume) -> list[float]:
-    """Return levels from just above tissue to the brightest voxel, HU."""
-    start, top = median_tissue_hu(volume), float(volume.values.max())
-    count = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
-    return [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]
 
 
 def _find_blobs_at(
@@ -142,11 +138,6 @@ def _find_touching_pairs(flat: Ints, shape: tuple[int, ...]) -> Ints:
             touch &= flat // stride % size < size - 1
         pairs.append(np.stack([np.flatnonzero(touch), at[touch]], axis=1))
     return np.concatenate(pairs)
-
-
-def _flat_indices(volume: Volume, voxels: Ints) -> Ints:
-    _, rows, columns = volume.values.shape
-    return np.asarray((voxels[:, 2] * rows + voxels[:, 1]) * columns + voxels[:, 0])
 
 
 def _voxel_count(volume: Volume, diameter: float) -> float:

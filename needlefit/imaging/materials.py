@@ -1,6 +1,4 @@
-"""Sample the brightness of the needle and of its surroundings along it.
-
-Explain the brightness around a needle as runs of air, soft material and metal, and fit where they begin.
+"""Sample the brightness along the needle, and explain it as runs of air, soft material and metal.
 
 Soft is what lies between air and metal: tissue, a gel, the plastic of a guide or of a hub.
 """
@@ -228,7 +226,11 @@ def _fit_edge(
     this = near.index(target)
     if levels[this + 1] - levels[this] < MIN_EDGE_STEP_HU:
         return None
-    gaps = [n for n, run in enumerate(runs[near[0] - 1 : near[-1] + 1]) if _is_narrow_gap(run)]
+    gaps = [
+        n
+        for n, run in enumerate(runs[near[0] - 1 : near[-1] + 1])
+        if run.kind == "air" and run.length < NARROW_GAP_MM
+    ]
     # median of |difference of neighbours|: 1.05 = 1 / (0.6745 sqrt 2), so a slope hardly counts as noise
     noise = max(2.0, *(1.05 * float(np.median(np.abs(np.diff(part)))) for part in parts if len(part) > 1))
     best = _fit_steps(s, values, noise, (at, levels, gaps))
@@ -316,10 +318,6 @@ def _choose_window(runs: tuple[MaterialRun, ...], guess: float) -> tuple[list[in
     high = min([last, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= last)])
     low = max(first, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
     return near, low, min(last, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))
-
-
-def _is_narrow_gap(run: MaterialRun) -> bool:
-    return run.kind == "air" and run.length < NARROW_GAP_MM
 
 
 def _fit_steps(

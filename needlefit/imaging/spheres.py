@@ -123,18 +123,8 @@ def look_up(table: Floats, across: Floats, along: Floats) -> Floats:
 # sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost; logarithm
 # of the blur across them; the background's lower level and its step, HU; the step's direction over its width,
 # 1/mm, and its offset.
-CENTER, HEIGHT, DARK, BLUR, BOOST, SLICE, LEVEL, STEP, FACE, OFFSET = (
-    slice(0, 3),
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-    9,
-    slice(10, 13),
-    13,
-)
+CENTER, FACE, OFFSET = slice(0, 3), slice(10, 13), 13
+HEIGHT, DARK, BLUR, BOOST, SLICE, LEVEL, STEP = range(3, 10)
 
 
 @dataclass(frozen=True)
@@ -226,36 +216,20 @@ FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brig
 # Deviation of the blur in the slices, mm; a fit that ends at the latter shows no ball.
 MIN_BLUR_MM, MAX_BLUR_MM = 0.15, 1.2
 MIN_SLICE_BLUR_MM, MAX_SLICE_BLUR_MM = 0.1, 2.0
-LOWER_BOUNDS = np.array(
-    [
-        *3 * [-np.inf],
-        np.log(10.0),
-        -0.7,
-        np.log(MIN_BLUR_MM),
-        -0.2,
-        np.log(MIN_SLICE_BLUR_MM),
-        -5e3,
-        0.0,
-        *3 * [-3.0],
-        -10.0,
-    ]
-)
-UPPER_BOUNDS = np.array(
-    [
-        *3 * [np.inf],
-        np.log(1e5),
-        0.1,
-        np.log(MAX_BLUR_MM),
-        5.0,
-        np.log(MAX_SLICE_BLUR_MM),
-        1e4,
-        3e3,
-        *3 * [3.0],
-        10.0,
-    ]
-)
 # Bounds and typical changes of the model's parameters.
-PARAMETER_SCALES = np.array([0.2, 0.2, 0.2, 0.3, 0.2, 0.2, 0.5, 0.3, 100.0, 100.0, 0.3, 0.3, 0.3, 0.5])
+_RANGES = (
+    *3 * [(-np.inf, np.inf, 0.2)],
+    (np.log(10.0), np.log(1e5), 0.3),
+    (-0.7, 0.1, 0.2),
+    (np.log(MIN_BLUR_MM), np.log(MAX_BLUR_MM), 0.2),
+    (-0.2, 5.0, 0.5),
+    (np.log(MIN_SLICE_BLUR_MM), np.log(MAX_SLICE_BLUR_MM), 0.3),
+    (-5e3, 1e4, 100.0),
+    (0.0, 3e3, 100.0),
+    *3 * [(-3.0, 3.0, 0.3)],
+    (-10.0, 10.0, 0.5),
+)
+LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
 PRIOR_COLUMNS = [HEIGHT, DARK, BLUR, BOOST, SLICE]
 PRIOR_MEANS = np.array([np.log(1e4), -0.1, np.log(0.45), 0.5])
 # What is known before: metal and glass lie between 2 000 and 50 000 HU; scanners' kernels; the slices' blur
@@ -287,7 +261,8 @@ class SphereFit:
 def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     """Fit a ball of `radius` (mm) to the voxels around `blob`."""
     near = select_voxels(volume, blob, radius)
-    tables = _make_tables(near, radius)
+    reach = float(np.ceil(np.linalg.norm(near.places, axis=1).max() + radius))
+    tables = _make_tables(radius, reach)
     first = _guess_parameters(near, radius)
     noise = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
     best = _minimize(near, tables, first, noise, robust=False)
@@ -298,19 +273,16 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < radius + near.spacing.max()
     left = residuals[inside] if inside.any() else residuals
     misfit, blur = float(np.sqrt(np.mean(left**2))) / height, float(np.exp(theta[BLUR]))
+    # thick slices average rays before the logarithm
+    systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / radius, MISFIT_ERROR * misfit * blur)
     formal = FORMAL_SD_FACTOR * _sandwich_sd(near, tables, theta, residuals, noise)
     return SphereFit(
         center=to_patient(volume, (blob.voxels.mean(axis=0) + theta[CENTER] / volume.spacing)[None])[0],
-        sd=float(np.linalg.norm([formal, _systematic_sd(near, radius, misfit, blur), SYSTEMATIC_SD_MM])),
+        sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
         spread=PointSpread(blur, float(theta[BOOST]), float(np.exp(theta[SLICE]))),
         misfit=misfit,
         noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
     )
-
-
-def _systematic_sd(near: SphereVoxels, radius: float, misfit: float, blur: float) -> float:
-    """Return the deviation, mm, by misfit, and by thick slices: they average rays before the logarithm."""
-    return float(np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / radius, MISFIT_ERROR * misfit * blur))
 
 
 def _spread(values: Floats) -> float:
@@ -323,12 +295,8 @@ def _residuals(best: OptimizeResult, near: SphereVoxels) -> Floats:
 
 
 @lru_cache(maxsize=8)
-def _tables_for(radius: float, reach: float) -> SphereTables:
+def _make_tables(radius: float, reach: float) -> SphereTables:
     return SphereTables(radius, reach, (MIN_BLUR_MM, MIN_SLICE_BLUR_MM))
-
-
-def _make_tables(near: SphereVoxels, radius: float) -> SphereTables:
-    return _tables_for(radius, float(np.ceil(np.linalg.norm(near.places, axis=1).max() + radius)))
 
 
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:

@@ -278,7 +278,9 @@ def _common_profile(
     scaled = (values[good] - rim[good, None]) / over[good, None]
     ring = np.rint(r[good] / RING_WIDTH_MM).astype(int)
     last = int(ring.max())
-    level = np.array([_finite_median(scaled[ring == n]) for n in range(last + 1)])
+    parts = [scaled[ring == n] for n in range(last + 1)]
+    parts = [part[np.isfinite(part)] for part in parts]
+    level = np.array([float(np.median(part)) if part.size else np.nan for part in parts])
     radii = np.arange(last + 1) * RING_WIDTH_MM
     known = np.isfinite(level)
     level = np.minimum.accumulate(level[known])  # brightest in the middle
@@ -287,8 +289,3 @@ def _common_profile(
     mirrored = np.concatenate([-radii[:0:-1], radii]), np.concatenate([level[:0:-1], level])
     profile = PchipInterpolator(*mirrored)
     return profile, profile.derivative()
-
-
-def _finite_median(values: Floats) -> float:
-    values = values[np.isfinite(values)]
-    return float(np.median(values)) if values.size else np.nan

@@ -91,17 +91,21 @@ def trace_needle(
 
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
-    rough = fit_rough_axis(volume, component, recipe)
-    axis = orient_axis(volume, rough, recipe) if tip is None else _orient_to(rough, tip)
+    axis = fit_rough_axis(volume, component, recipe)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
-    if tip is not None:
+    if tip is None:
+        axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
+        end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
+        axis = refine_axis(volume, axis, recipe, heel, end.at)
+        end = fit_tip(volume, axis, recipe.needle, end.at, spread)
+    else:
+        base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
+        axis = axis if last <= base else reverse_axis(axis)
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip, recipe))
-        end = _place_tip(axis, tip, recipe)
-        return _sample_centerline(volume, add_tip(axis, end, recipe), end, recipe)
-    axis = refine_axis(volume, axis, recipe, heel)
-    end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
-    axis = refine_axis(volume, axis, recipe, heel, end.at)
-    end = fit_tip(volume, axis, recipe.needle, end.at, spread)
+        at = np.array([_project_tip(axis, tip, recipe)])
+        sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])
+        point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)
+        end = TipFit(float(at[0]), point, sd, unknown, float("nan"), 0.0, "hand")
     return _sample_centerline(volume, add_tip(axis, end, recipe), end, recipe)
 
 
@@ -115,12 +119,6 @@ def _find_tip(
         guess = (max(guess, at) if away > 0 else at) + away  # a threshold sees 4 mm ahead only
         found.append(fit_tip(volume, axis, recipe.needle, guess, spread, rough=True))
     return min(found, key=lambda one: abs(one.disagreement))
-
-
-def _orient_to(axis: AxisSpline, tip: Floats) -> AxisSpline:
-    """Return the axis directed toward the end that lies nearer to `tip` (3,)."""
-    base, end = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
-    return axis if end <= base else reverse_axis(axis)
 
 
 def _project_tip(axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> float:
@@ -137,14 +135,6 @@ def _project_tip(axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) ->
             fix: place it on the needle; RAS has x and y of the other sign
             where: tip_x_mm, tip_y_mm, tip_z_mm""")
     return at + along
-
-
-def _place_tip(axis: AxisSpline, tip: Floats, recipe: ReconstructionRecord) -> TipFit:
-    """Return the tip that a person placed, on the axis; its bevel is not known."""
-    at = _project_tip(axis, tip, recipe)
-    frame = axis_frames(axis, np.array([at]))
-    sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, np.array([at]))[0])])
-    return TipFit(at, frame.origins[0], sd, np.full(3, np.nan), float("nan"), 0.0, "hand")
 
 
 def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
@@ -203,7 +193,8 @@ def add_tip(axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord) -> Axis
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the axis directed from base to tip; DataError if the direction cannot be determined."""
     ends = axis.spline(np.array([0.0, axis.length]))
-    cut = [_is_at_edge(volume, end) for end in ends]
+    index, last = to_index(volume, ends), np.array(volume.values.shape[::-1]) - 1
+    cut = (np.minimum(index, last - index) * volume.spacing).min(axis=1) < MAX_EDGE_DISTANCE_MM
     where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
     direction = recipe.centerline.entry_direction
     soft = _soft_lengths(volume, axis)
@@ -219,7 +210,7 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
                 fix: scan with the tip in view; or, if the end in view is the tip, set
                     centerline.entry_direction (LPS, from base to tip) in the recipe
                 where: ends at L, P, S = {where} mm""")
-        forward = cut[0]
+        forward = bool(cut[0])
     elif not clear and not all(cut):
         raise refusal(f"""both ends of the needle lie in {"air" if max(soft) == 0 else "tissue"}
             expected: one end in tissue or the other beyond the volume
@@ -312,14 +303,6 @@ def _too_few_sections_error(count: int) -> DataError:
     return refusal(f"""the needle shows in {count} cross-sections only
         expected: {MIN_SECTIONS} or more
         fix: check the mask or the thresholds, or lower centerline.station_spacing_mm""")
-
-
-def _is_at_edge(volume: Volume, point: Floats) -> bool:
-    """Whether a point lies within `MAX_EDGE_DISTANCE_MM` mm of the volume's faces."""
-    index = to_index(volume, point[None])[0]
-    shape = np.array(volume.values.shape[::-1])
-    nearest = np.minimum(index, shape - 1 - index) * volume.spacing
-    return bool(nearest.min() < MAX_EDGE_DISTANCE_MM)
 
 
 def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:

@@ -1,17 +1,13 @@
-"""The image that a scanner makes of a needle's end: a bevelled rod, times the scanner's modulation transfer.
+"""Find the needle's tip: fit the image of a bevelled rod to the voxels around the end, and check it.
 
-In the slices the transfer is (1 + b x^2) exp(-x^2), x = k sigma / sqrt(2), whose b lets edges over- and
-undershoot; across them that of a box with a Gaussian's edges. Coordinates are the needle's: s along it from
-the tip, u and v across.
-
-The problem of a needle's tip: the voxels around its end, the model of them, and what is known before.
+A scanner shows the rod times its modulation transfer: in the slices (1 + b x^2) exp(-x^2), x = k sigma /
+sqrt(2), whose b lets edges over- and undershoot; across them that of a box with a Gaussian's edges.
+Coordinates are the needle's: s along it from the tip, u and v across.
 
 Blur, overshoot, the slices' blur and the metal's height are fitted with the tip, held by what balls in the
 scan show of them and by what metal and scanners can have: of a needle that is cut low its image alone leaves
 them open. Where rays run along the shaft, the hardened beam sees it darker than its end, and a dark streak
 beyond: both are fitted.
-
-Find the needle's tip: fit the image of a bevelled rod to the voxels around the end, and check it.
 """
 
 from dataclasses import dataclass
@@ -242,7 +238,8 @@ class TipProblem:
         self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
         self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
         self.rod = CachedRod(_make_model(volume, axis, needle, guess))
-        self.ceiling = _find_ceiling(near.values)
+        top = float(near.values.max())  # where several voxels share it the scanner's numbers end
+        self.ceiling = top if np.count_nonzero(near.values == top) > 3 else np.inf
         self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * RADIAL_REACH_MM]))
         self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(SWING_SD_MM, axis_sd(axis, np.array([axis.length]))[0]))
@@ -445,12 +442,6 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: flo
     i, j, k = ijk[close].T
     inside = (s >= start) & (s <= stop) & (np.abs(along) < 0.2)
     return AxisVoxels(s[inside], u[inside], v[inside], volume.values[k, j, i][inside].astype(np.float64))
-
-
-def _find_ceiling(values: Floats) -> float:
-    """Return the brightest value if several voxels share it: there the scanner's numbers end."""
-    top = float(values.max())
-    return top if np.count_nonzero(values == top) > 3 else np.inf
 
 
 def _estimate_noise(near: AxisVoxels, guess: float) -> float:
