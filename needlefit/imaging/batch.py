@@ -196,9 +196,8 @@ def _read_checkpoint(
     scan: Scan, recipe: ReconstructionRecord, checkpoint: Checkpoint
 ) -> Reconstruction | None:
     """Return what is kept of a scan; None if nothing, of another scan or recipe, or damaged."""
-    digest = _digest_inputs(scan, recipe)
     for row in checkpoint.rows(_work_of(scan), ("inputs", "reconstruction", ARRAYS_KEY))[::-1]:
-        if row["inputs"] == digest:
+        if row["inputs"] == _digest_inputs(scan, recipe):
             try:
                 return replace(_decode_checkpoint(row), scan=scan)
             except DataError:

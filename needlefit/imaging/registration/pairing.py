@@ -113,9 +113,11 @@ def find_pairings(sets: MarkerSets, count: int) -> list[MarkerPairingCandidate]:
     """Return all pairings of `count` pairs up to `MIN_CHI2_GAP` beyond the limit, the likeliest first."""
     bound = chi2_limit(count) + MIN_CHI2_GAP
     rows = search_pairings(sets.found, sets.known, sets.variance_bound, count, bound)
-    candidates = [
-        MarkerPairingCandidate(pairs, align_pairs(sets, pairs)) for pairs in map(_row_to_pairs, rows)
-    ]
+    candidates = []
+    for row in rows:
+        taken = np.flatnonzero(row >= 0)
+        pairs = np.column_stack([taken, row[taken]])
+        candidates.append(MarkerPairingCandidate(pairs, align_pairs(sets, pairs)))
     within = [candidate for candidate in candidates if candidate.alignment.chi2 <= bound]
     return sorted(within, key=lambda candidate: candidate.alignment.chi2)
 
@@ -187,11 +189,6 @@ def search_pairings(
     pairing = np.empty_like(rows)
     pairing[:, order] = rows
     return pairing
-
-
-def _row_to_pairs(row: NDArray[np.int64]) -> Pairs:
-    taken = np.flatnonzero(row >= 0)
-    return np.column_stack([taken, row[taken]])
 
 
 def _order_by_distance(points: Floats) -> NDArray[np.int64]:

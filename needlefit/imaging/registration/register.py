@@ -52,7 +52,6 @@ from needlefit.imaging.registration.rigid import (
     expected_fre,
     expected_left_out,
     fit_kabsch,
-    invert_covariances,
     make_marker_sets,
     mean_error_length,
     mirror,
@@ -103,7 +102,7 @@ def estimate_scales(sets: MarkerSets, pairs: Pairs, alignment: Alignment) -> tup
     """
     found = sets.found[pairs[:, 0]]
     arms = alignment.frame.to_world(found) - alignment.centre
-    weights = invert_covariances(alignment.noise)
+    weights = np.linalg.inv(alignment.noise)
     estimates = []
     for name, axes in SCALED_AXES.items():
         stretch = ((found - found.mean(axis=0)) * np.array(axes)) @ alignment.frame.rotation.T  # (P, 3)
@@ -602,7 +601,7 @@ def _leave_one_out(sets: MarkerSets, pairs: Pairs) -> Floats:
     for n in range(len(pairs)):
         others = np.delete(pairs, n, axis=0)
         found, known = sets.found[others[:, 0]], sets.known[others[:, 1]]
-        if len(others) < MIN_MARKERS or _worst_turn_sd(known, sets.typical_sd) > MAX_TURN_SD_RAD:
+        if len(others) < MIN_MARKERS or worst_turn_sd(known, sets.typical_sd) > MAX_TURN_SD_RAD:
             continue
         frame = fit_kabsch(found, known, 1 / sets.variance_bound[tuple(others.T)])
         left_out, own = pairs[n]
@@ -610,13 +609,8 @@ def _leave_one_out(sets: MarkerSets, pairs: Pairs) -> Floats:
     return away
 
 
-def _worst_turn_sd(points: Floats, sd: float) -> float:
-    weights = np.broadcast_to(np.eye(3) / sd**2, (len(points), 3, 3))
-    return worst_turn_sd(points - points.mean(axis=0), weights)
-
-
 def _refuse_collinear(points: Floats, sd: float) -> None:
-    turn = _worst_turn_sd(points, sd)
+    turn = worst_turn_sd(points, sd)
     if turn <= MAX_TURN_SD_RAD:
         return
     sure = f"+- {np.degrees(turn):.0f} degrees" if np.isfinite(turn) else "nothing"

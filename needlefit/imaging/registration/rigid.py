@@ -1,6 +1,4 @@
-"""Two sets of markers with their noise: those found in the scan, and those known in the world.
-
-Align paired markers rigidly, with the error at a target; also ICP.
+"""Align paired markers rigidly, with the error at a target; also ICP.
 
 What the markers' noise does to a registration, and that to a target: first-order covariances.
 
@@ -181,17 +179,6 @@ def information_matrix(arms: ArrayLike, weights: Floats) -> Floats:
     return np.asarray(np.einsum("nia,nij,njb->ab", moved, weights, moved))
 
 
-def pose_covariance(arms: ArrayLike, covariances: Floats) -> Floats:
-    """Return the covariance (6, 6) of turn (rad) and shift (mm) about the centre of the arms.
-
-    The fit weights each pair by its inverse covariance, which no other weights better.
-
-    `arms`: (P, 3); markers, world axes, from the centre, mm.
-    `covariances`: (P, 3, 3); of the difference of each pair, world axes, mm^2.
-    """
-    return np.asarray(pinvh(information_matrix(arms, invert_covariances(covariances))), dtype=np.float64)
-
-
 def propagate_to_targets(arms: ArrayLike, pose: Floats) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of targets at `arms` (N, 3) from the centre."""
     moved = motion_jacobian(arms)
@@ -208,14 +195,13 @@ def mean_error_length(covariance: Floats) -> Floats:
     return np.asarray(np.sqrt(8 / np.pi) * elliprg(a, b, c))
 
 
-def invert_covariances(covariances: Floats) -> Floats:
-    """Return the inverses of covariances (N, 3, 3): the maximum-likelihood weights of a fit."""
-    return np.asarray(np.linalg.inv(covariances), dtype=np.float64)
+def worst_turn_sd(points: Floats, sd: float) -> float:
+    """Return the deviation of the turn about the least determined axis, rad; inf if markers lie on a line.
 
-
-def worst_turn_sd(arms: ArrayLike, weights: Floats) -> float:
-    """Return the deviation of the turn about the least determined axis, rad; inf if markers lie on a line."""
-    a = information_matrix(arms, weights)
+    `points`: (N, 3), each known to `sd` in any direction, mm.
+    """
+    weights = np.broadcast_to(np.eye(3) / sd**2, (len(points), 3, 3))
+    a = information_matrix(points - points.mean(axis=0), weights)
     turn = a[:3, :3] - a[:3, 3:] @ np.linalg.solve(a[3:, 3:], a[3:, :3])
     least = float(np.linalg.eigvalsh(turn)[0])
     # on a line, what is left is rounding
@@ -283,16 +269,21 @@ def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
     for _ in range(MAX_NEWTON_STEPS):
         noise = frame.rotation @ c_found @ frame.rotation.T + c_known
         here = frame.to_world(found)
-        step = _newton_step(here - centre, known - here, invert_covariances(noise))
+        weights = np.linalg.inv(noise)
+        pull = np.einsum("nia,nij,nj->a", motion_jacobian(here - centre), weights, known - here)
+        # on a line, one turn is free: the least step leaves it alone
+        step = pinvh(information_matrix(here - centre, weights), rtol=1e-13) @ pull
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         frame = Frame(turn @ (frame.origin - centre) + centre + step[3:], turn @ frame.rotation)
         if np.abs(step).max() < 1e-11:
             break
     noise = frame.rotation @ c_found @ frame.rotation.T + c_known
     here = frame.to_world(found)
-    residuals = known - here
-    chi2 = float(np.einsum("ni,nij,nj->", residuals, invert_covariances(noise), residuals))
-    return Alignment(frame, centre, pose_covariance(here - centre, noise), residuals, noise, chi2)
+    residuals, weights = known - here, np.linalg.inv(noise)
+    chi2 = float(np.einsum("ni,nij,nj->", residuals, weights, residuals))
+    # no other weights than the inverse covariances better the fit
+    covariance = np.asarray(pinvh(information_matrix(here - centre, weights)), dtype=np.float64)
+    return Alignment(frame, centre, covariance, residuals, noise, chi2)
 
 
 def expected_fre(alignment: Alignment, found: Floats) -> float:
@@ -320,14 +311,6 @@ def _residual_covariance(alignment: Alignment, found: Floats) -> Floats:
     moved = motion_jacobian(alignment.frame.to_world(found) - alignment.centre)
     followed = moved @ alignment.covariance @ np.swapaxes(moved, -1, -2)
     return np.asarray(alignment.noise - followed)
-
-
-def _newton_step(arms: Floats, residuals: Floats, weights: Floats) -> Floats:
-    moved = motion_jacobian(arms)
-    pull = np.einsum("nia,nij,nj->a", moved, weights, residuals)
-    normal = np.einsum("nia,nij,njb->ab", moved, weights, moved)
-    # on a line, one turn is free: the least step leaves it alone
-    return np.asarray(pinvh(normal, rtol=1e-13) @ pull)
 
 
 MAX_ICP_ITERATIONS = 100  # rounds at most; a handful is taken
