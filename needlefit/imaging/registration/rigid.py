@@ -269,7 +269,7 @@ def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
     for _ in range(MAX_NEWTON_STEPS):
         noise = frame.rotation @ c_found @ frame.rotation.T + c_known
         here = frame.to_world(found)
-        weights = np.linalg.inv(noise)
+        weights = np.asarray(np.linalg.inv(noise), dtype=np.float64)
         pull = np.einsum("nia,nij,nj->a", motion_jacobian(here - centre), weights, known - here)
         # on a line, one turn is free: the least step leaves it alone
         step = pinvh(information_matrix(here - centre, weights), rtol=1e-13) @ pull
@@ -279,7 +279,7 @@ def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
             break
     noise = frame.rotation @ c_found @ frame.rotation.T + c_known
     here = frame.to_world(found)
-    residuals, weights = known - here, np.linalg.inv(noise)
+    residuals, weights = known - here, np.asarray(np.linalg.inv(noise), dtype=np.float64)
     chi2 = float(np.einsum("ni,nij,nj->", residuals, weights, residuals))
     # no other weights than the inverse covariances better the fit
     covariance = np.asarray(pinvh(information_matrix(here - centre, weights)), dtype=np.float64)
