@@ -515,7 +515,7 @@ def outside_warnings(forecast: Forecast) -> Iterator[ResultWarning]:
         yield ResultWarning(
             "validity",
             f"{forecast.outside} of {len(forecast.needle.means)} predicted needles are outside what the "
-            "model assumes (slopes, shortening, compression, rounding)",
+            "model assumes (slopes, shortening, compression)",
             fix="read the bands with care; `needlefit simulate` of the scene names what is exceeded",
         )
 
