@@ -453,7 +453,7 @@ def tracks(readings: pd.DataFrame) -> Figure:
             draw_grid(tip, "y")
             if k == 0:
                 tip.set_ylabel(f"{medium_name(str(medium))}\ntip (mm)")
-                guide.set_ylabel("guide (mm)")
+                guide.set_ylabel("guide\n(mm)")
             if n == down - 1:
                 guide.set_xlabel("depth (mm)")
     return figure

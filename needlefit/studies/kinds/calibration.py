@@ -214,38 +214,22 @@ def _draw_prior_only(problem: Problem, draws: int, rng: np.random.Generator) -> 
     return InferredPosterior(thetas, density, thetas[int(np.argmax(density))], "prior", True)
 
 
-@dataclass(frozen=True)
-class RankedQuantities:
-    """The ranked functions of theta under one problem.
+def compute_ranked(
+    problem: Problem, directions: Floats, tip: Insertion, thetas: Floats, log_posterior: Floats
+) -> dict[str, Floats]:
+    """Return the ranked functions (N,) of thetas (N, P) under one problem, by name.
 
-    Attributes
-    ----------
-    problem : Problem
-    directions : (2, P) array
-        Unit vectors of `DESIGN` and `FIT`.
-    tip : Insertion
-        As planned.
+    `directions` (2, P) are unit vectors of `DESIGN` and `FIT`, which a single parameter has not; `tip` is the
+    insertion, as planned, whose tip is one of them.
     """
-
-    problem: Problem
-    directions: Floats
-    tip: Insertion
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the Q quantities; with a single parameter no combination is added."""
-        free = self.problem.names
-        return (*free, *((DESIGN, FIT) if len(free) > 1 else ()), TIP, LIKELIHOOD)
-
-    def __call__(self, thetas: Floats, log_posterior: Floats) -> Floats:
-        """Return the quantities (N, Q) at thetas (N, P)."""
-        combined = thetas @ self.directions.T if thetas.shape[1] > 1 else thetas[:, :0]
-        sets = [self.problem.values(theta) for theta in thetas]
-        prior = self.problem.parameters.prior
-        likelihood = log_posterior - [prior.log_density(values) for values in sets]
-        medium, needle = self.problem.medium, self.problem.dataset.needle
-        (tips,) = simulate_deflections(sets, medium, needle, [self.tip], [np.array([self.tip.depth])])
-        return np.column_stack([thetas, combined, tips, likelihood])
+    sets = [problem.values(theta) for theta in thetas]
+    found = dict(zip(problem.names, thetas.T, strict=True))
+    if thetas.shape[1] > 1:
+        found |= dict(zip((DESIGN, FIT), (thetas @ directions.T).T, strict=True))
+    medium, needle = problem.medium, problem.dataset.needle
+    (tips,) = simulate_deflections(sets, medium, needle, [tip], [np.array([tip.depth])])
+    prior = [problem.parameters.prior.log_density(values) for values in sets]
+    return {**found, TIP: tips[:, 0], LIKELIHOOD: log_posterior - prior}
 
 
 def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
@@ -354,16 +338,16 @@ def replicate(number: int, experiment: Experiment) -> Row:
     tip = max(simulated.problem.insertions, key=lambda one: one.depth)
     design = np.array([experiment.stiff[name] for name in problem.names])
     directions = np.array([design, best_determined_direction(problem, found.mode)])
-    quantities = RankedQuantities(problem, directions, tip)
     theta = problem.parameters.theta(truth)[None]
-    true = quantities(theta, problem.log_posteriors(theta))[0]
-    placed = rank_truth(true, quantities(found.thetas, found.log_posterior), rng)
+    true = compute_ranked(problem, directions, tip, theta, problem.log_posteriors(theta))
+    drawn = compute_ranked(problem, directions, tip, found.thetas, found.log_posterior)
+    placed = rank_truth(np.concatenate([*true.values()]), np.column_stack([*drawn.values()]), rng)
     return {
         "replicate": number,
         **{name: truth[name] for name in simulated.problem.names},
         "redrawn": simulated.redrawn,
         **found.describe(),
-        **{f"rank_{name}": int(rank) for name, rank in zip(quantities.names, placed, strict=True)},
+        **{f"rank_{name}": int(rank) for name, rank in zip(true, placed, strict=True)},
     }
 
 

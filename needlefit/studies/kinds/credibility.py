@@ -357,11 +357,10 @@ class Gap:
 
 @dataclass(frozen=True)
 class EvidenceFigure:
-    """A figure drawn by another command, its caption, and whether it shows the run's data."""
+    """A figure drawn by another command, and its caption."""
 
     path: Path
     caption: str
-    shows_run_data: bool = True
 
 
 Item = Finding | Gap | EvidenceFigure | TableLayout
@@ -470,9 +469,9 @@ def _gap(block: str, **values: Any) -> Gap:  # noqa: ANN401
     return Gap(TEXT.sentence(block, values))
 
 
-def _figure(folder: Path, file: str, caption: str, shows_run_data: bool = True) -> Iterator[EvidenceFigure]:
+def _figure(folder: Path, file: str, caption: str) -> Iterator[EvidenceFigure]:
     if (folder / file).is_file():
-        yield EvidenceFigure(folder / file, caption, shows_run_data)
+        yield EvidenceFigure(folder / file, caption)
 
 
 # ---- findings on verification: rows of `needlefit verify`, and failures in the run itself
@@ -493,7 +492,7 @@ def _find_code_verification(case: CredibilityCase) -> Iterator[Item]:
     caption = KindText("verification").sentence("figure_convergence", {})
     for one in case.counted("verification"):
         yield from _find_checks(one, _CODE_GROUPS)
-        yield from _figure(one.folder, EVIDENCE_FIGURES[one.kind], caption, shows_run_data=False)
+        yield from _figure(one.folder, EVIDENCE_FIGURES[one.kind], caption)
 
 
 def _find_discretisation(case: CredibilityCase) -> Iterator[Item]:
