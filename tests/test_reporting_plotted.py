@@ -137,19 +137,14 @@ def test_no_figure_is_drawn_but_from_a_table():
     }
 
 
-FREE_KINDS = {"cross_validation", "calibration", "material", "prediction"}
-"""Their figures also take the title or the bounds of axes."""
-
-
-def test_figures_are_drawn_from_their_table_alone():
-    """A function of the module is handed on as it is: what closes over the answer would be a lambda."""
-    painting = {
-        name: [ast.unparse(call.args[2]) for call in ast.walk(tree) if is_plot(call)]
+def test_what_knows_a_run_names_form_and_frame():
+    """A form draws its frame alone, which is saved beside the figure."""
+    plotting = [
+        name
         for name, tree in sources()
-        if "Run" in imported(tree, Run.__module__) and not FREE_KINDS & {*name.split("/")}
-    }
-    painters = [paint for found in painting.values() for paint in found]
-    assert painters and all(paint.isidentifier() for paint in painters), painting
+        if "Run" in imported(tree, Run.__module__) and any(map(is_plot, ast.walk(tree)))
+    ]
+    assert plotting == []
 
 
 @cache

@@ -43,7 +43,6 @@ from needlefit.studies.kinds.cross_validation.tables import (
     lay_out_values,
     tabulate_parameters,
 )
-from needlefit.studies.report import describe_run
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import TE, list_groups, tabulate_tuning, tabulate_validation
 from needlefit.studies.store import restore_run
@@ -140,16 +139,6 @@ def test_baselines_are_compared_on_the_same_insertions():
     assert "constant curvature (−0.750 ± 0.250 mm" in " ".join(
         list_sentences(both, "conclusion", "ties", "paper_sets")
     )
-
-
-def test_the_report_states_that_no_baseline_wins():
-    one = two_needles()
-    worse = one.frames["errors"].assign(method="straight", te_mm=[4.0, 4.0])
-    both = one.with_frames(errors=pd.concat([one.frames["errors"], worse]))
-    assert "straight line (+2.000 ± 1.000 mm" in " ".join(
-        list_sentences(both, "conclusion", "ties", "paper_sets")
-    )
-    assert say(both, "better") == ""
 
 
 def test_explained_errors_give_every_difference_once():
@@ -321,21 +310,6 @@ def test_a_fixed_parameter_is_given_and_marked_as_fixed():
     assert "fixed, not fitted: α₁" in say(study(5), "undetermined")
 
 
-def test_the_run_is_described_in_lines():
-    digest = "ab" * 32
-    run = {
-        "seed": 1,
-        "dataset": {"name": "twin", "sha256": digest},
-        "interrupted": False,
-        "searches": {"x": 1},
-    }
-    assert describe_run(run) == [
-        ("dataset", f"name twin; sha256 {digest[:16]}…"),
-        ("interrupted", "no"),
-        ("seed", "1"),
-    ]
-
-
 def test_folds_are_distinguished_only_where_there_are_several():
     assert "Fold" not in [c.label for c in lay_out_parameters([study(1)]).columns]
     assert "Fold" in [c.label for c in lay_out_parameters([stereo()]).columns]
@@ -376,18 +350,6 @@ def test_without_a_row_of_the_paper_the_short_answer_compares_every_curve():
             gap = f"{format_signed_mm(row['difference_mm'], 3)} ± {row['difference_se_mm']:.3f} mm"
             assert gap in text
     assert all(name in text for name in ("straight line", "constant curvature", "curvature linear"))
-
-
-def test_an_undetermined_parameter_has_no_range_and_no_repeated_note():
-    one = study(1)
-    note = "not determined (known to 90 %); tied to no other"
-    loose = one.with_frames(parameters=one.frames["parameters"].assign(note=note))
-    table = lay_out_parameters([loose])
-    heads = [column.label for column in table.columns]
-    assert "Origin" not in heads
-    for row in (dict(zip(heads, row, strict=True)) for row in table.rows):
-        assert "Range within tolerance" not in row
-        assert row["Note"].startswith("known to 90 %; tied")
 
 
 @pytest.mark.parametrize(
