@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 import needlefit
+from needlefit.project.help_pages import read_sections
 from needlefit.project.locate import shipped_folder
-from needlefit.project.troubleshooting import read_sections
 
 ROOT = shipped_folder()
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not run from the repository")

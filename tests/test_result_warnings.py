@@ -5,12 +5,12 @@ import re
 from pathlib import Path
 
 import needlefit
+from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import (
     ResultWarning,
     read_warnings,
     warnings_entry,
 )
-from needlefit.project.troubleshooting import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.unit_warnings import WARNING_KIND
 
 

@@ -19,8 +19,8 @@ from needlefit.inference.forward_model import find_layers, make_scene_record, ma
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps
+from needlefit.project.locate import find_view_target
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.view_targets import find_view_target
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord

@@ -126,7 +126,7 @@ class Topic:
 
 
 def _list_warnings() -> Iterator[Topic]:
-    from needlefit.project.troubleshooting import read_sections
+    from needlefit.project.help_pages import read_sections
 
     yield from (Topic(one.key, one.title, one.paragraphs) for one in read_sections().values())
 
@@ -138,7 +138,7 @@ def _list_files() -> Iterator[Topic]:
 
 
 def _list_terms() -> Iterator[Topic]:
-    from needlefit.project.glossary import read_terms
+    from needlefit.project.help_pages import read_terms
 
     for one in read_terms().values():
         yield Topic(one.name, ", ".join(filter(None, (one.name, one.symbol, one.unit))), (one.meaning,))

@@ -12,10 +12,9 @@ import typer
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.options import Depth, Set, complete_scenes, scene_record, takes
 from needlefit.errors import NeedlefitError
-from needlefit.project.locate import find_file
+from needlefit.project.locate import find_file, find_view_target
 from needlefit.project.outputs import require_output_files
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
-from needlefit.project.view_targets import find_view_target
 
 if TYPE_CHECKING:
     from needlefit.geometry.frames import Placement

@@ -16,7 +16,7 @@ from needlefit.cli.view_scan import names_scan, open_session
 from needlefit.project.outputs import require_writable
 
 if TYPE_CHECKING:
-    from needlefit.project.view_targets import SpecimenChoice
+    from needlefit.project.locate import SpecimenChoice
     from needlefit.schemas.tracker import TrackerRecord
     from needlefit.viewer.openigtlink import OpenIGTLinkServer
     from needlefit.viewer.opening import ViewedScene

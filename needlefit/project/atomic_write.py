@@ -36,6 +36,7 @@ LOCK_NAME = "lock"
 _SCRATCH = ".needlefit-"
 """In the name of a scratch folder, behind that of its place."""
 
+_SCRATCH_NAMES = {LOCK_NAME, f"{LOCK_NAME}.new", NEW_NAME, OLD_NAME, f"{OLD_NAME}.aside"}
 _MARK = "a scratch folder of needlefit\n"
 REMOVED_LAST = (MANIFEST, "run.json", "dataset.toml")
 """What is removed last of a result: by them it is known, also half removed."""
@@ -58,8 +59,7 @@ def replace_folder(folder: Path) -> Iterator[Path]:
     """
     folder = folder.resolve()
     require_replaceable(folder)
-    with scratch_folder(folder) as beside:
-        fresh = beside / NEW_NAME / folder.name
+    with _scratch_folder(folder) as (beside, fresh):
         fresh.mkdir()
         yield fresh
         if any(fresh.iterdir()):
@@ -90,8 +90,7 @@ def create_folder(folder: Path) -> Iterator[Path]:
     """
     folder = folder.resolve()
     require_new(folder)
-    with scratch_folder(folder) as beside:
-        fresh = beside / NEW_NAME / folder.name
+    with _scratch_folder(folder) as (_, fresh):
         fresh.mkdir()
         yield fresh
         require_new(folder)
@@ -123,27 +122,32 @@ def replace_file(file: Path) -> Iterator[Path]:
         If nothing can be written there.
     """
     file = file.resolve()
-    with scratch_folder(file) as beside:
-        fresh = beside / NEW_NAME / file.name
+    with _scratch_folder(file) as (_, fresh):
         yield fresh
         fresh.replace(file)
 
 
 @contextmanager
-def scratch_folder(place: Path) -> Iterator[Path]:
-    """Yield a folder beside `place`, on the same disk, with an empty folder `NEW_NAME`; it goes when it is
-    left.
+def _scratch_folder(place: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield a folder beside `place`, on the same disk, which goes when it is left, and the new place in it.
 
     Raises
     ------
     ConfigError
         If nothing can be written there.
     """
-    made = _make_scratch(place)
+    prefix = f".{place.name}{_SCRATCH}"
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(OSError, ConfigError):
+            _remove_leftovers(place, prefix)
+        made = Path(tempfile.mkdtemp(prefix=prefix, dir=place.parent))
+    except OSError as error:
+        raise not_writable_error(place, error.strerror or type(error).__name__) from None
     try:
         with _hold_lock(made):
             (made / NEW_NAME).mkdir()
-            yield made
+            yield made, made / NEW_NAME / place.name
     finally:
         if not (made / OLD_NAME).exists():  # else it holds what was not seen to be needlefit's own
             with suppress(OSError):
@@ -193,17 +197,6 @@ def _try_exchange(one: Path, other: Path) -> bool:
     return bool(done == 0)
 
 
-def _make_scratch(place: Path) -> Path:
-    prefix = f".{place.name}{_SCRATCH}"
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(OSError, ConfigError):
-            _remove_leftovers(place, prefix)
-        return Path(tempfile.mkdtemp(prefix=prefix, dir=place.parent))
-    except OSError as error:
-        raise not_writable_error(place, error.strerror or type(error).__name__) from None
-
-
 @contextmanager
 def _hold_lock(folder: Path) -> Iterator[None]:
     """Hold the lock of a scratch folder; it gets its name when it is held, lest another process takes it."""
@@ -226,18 +219,9 @@ def _remove_leftovers(place: Path, prefix: str) -> None:
         if not folder.name.startswith(prefix) or folder.is_symlink() or not lock.is_file():
             continue
         with suppress(OSError), lock.open("r+", encoding="ascii") as file:
-            if file.read(len(_MARK)) == _MARK and lock_if_free(file) and _only_scratch(folder):
+            names = {path.name for path in folder.iterdir()}
+            if file.read(len(_MARK)) == _MARK and _lock_if_free(file) and names <= _SCRATCH_NAMES:
                 _remove_one(folder, place)
-
-
-def _only_scratch(folder: Path) -> bool:
-    return {path.name for path in folder.iterdir()} <= {
-        LOCK_NAME,
-        f"{LOCK_NAME}.new",
-        NEW_NAME,
-        OLD_NAME,
-        f"{OLD_NAME}.aside",
-    }
 
 
 def _remove_one(folder: Path, place: Path) -> None:
@@ -252,7 +236,7 @@ def _remove_one(folder: Path, place: Path) -> None:
     remove_folder(folder, (LOCK_NAME,))
 
 
-def lock_if_free(file: IO[str]) -> bool:
+def _lock_if_free(file: IO[str]) -> bool:
     """Whether nobody holds the lock of a file; if so it is held here until the file is closed."""
     if fcntl is None:
         return False

@@ -273,47 +273,42 @@ def _failure(kind: str, answer: Mapping[str, Any], file: Path, allowed: ReaderLi
     if kind == "memory":
         return _memory_error(file, allowed)
     if kind == "raised":
-        return DataError(f"cannot be read ({answer['name']})", where=str(file), expected=_WHOLE, fix=_DAMAGED)
+        return _error(file, f"cannot be read ({answer['name']})")
     where, expected, fix = (str(answer[key]) for key in ("where", "expected", "fix"))
     error = ConfigError if kind == "ConfigError" else DataError
     return error(str(answer["what"]), where=where, expected=expected, fix=fix)
 
 
+def _error(file: Path, what: str, expected: str = _WHOLE, fix: str = _DAMAGED) -> DataError:
+    return DataError(what, where=str(file), expected=expected, fix=fix)
+
+
 def _crash_error(code: int, file: Path, allowed: ReaderLimits) -> DataError:
     if code == -getattr(signal, "SIGKILL", 0):
-        return DataError(
-            "the process that read it was ended from outside, as the system does when memory runs out",
-            where=str(file),
-            expected=f"up to {_gib(allowed)} of free memory",
-            fix="free memory, or run fewer at once with --jobs",
-        )
+        what = "the process that read it was ended from outside, as the system does when memory runs out"
+        free = f"up to {_gib(allowed)} of free memory"
+        return _error(file, what, free, "free memory, or run fewer at once with --jobs")
     with suppress(ValueError):
-        name = signal.Signals(-code).name
-        return DataError(f"its reader crashed ({name})", where=str(file), expected=_WHOLE, fix=_DAMAGED)
+        return _error(file, f"its reader crashed ({signal.Signals(-code).name})")
     return _no_result(file)
 
 
 def _no_result(file: Path) -> DataError:
-    what = "the process that read it ended without an answer"
-    return DataError(what, where=str(file), expected=_WHOLE, fix=_DAMAGED)
+    return _error(file, "the process that read it ended without an answer")
 
 
 def _memory_error(file: Path, allowed: ReaderLimits) -> DataError:
-    return DataError(
+    return _error(
+        file,
         f"its reader needs more memory than {_gib(allowed)}",
-        where=str(file),
-        expected="a file that takes no more memory than its header promises",
-        fix=f"{_DAMAGED}; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB",
+        "a file that takes no more memory than its header promises",
+        f"{_DAMAGED}; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB",
     )
 
 
 def _time_error(file: Path, allowed: ReaderLimits) -> DataError:
-    return DataError(
-        f"its reader was ended: {allowed.cpu_seconds} s of processor time, or {allowed.wall_seconds:g} s",
-        where=str(file),
-        expected="a file that is read in the time that its size warrants",
-        fix=_DAMAGED,
-    )
+    what = f"its reader was ended: {allowed.cpu_seconds} s of processor time, or {allowed.wall_seconds:g} s"
+    return _error(file, what, "a file that is read in the time that its size warrants")
 
 
 def _gib(allowed: ReaderLimits) -> str:

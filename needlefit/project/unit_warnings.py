@@ -35,6 +35,7 @@ CUT_ANGLE_DEG = (0.2, 45.0)
 """Angle of the cut, least and most: an offset of 0.0035 per mm is 0.2 degrees."""
 ANGLE_UNITS = {"radians": math.degrees(1)}
 """Degrees in each."""
+CUT_ANGLES = (CUT_ANGLE_DEG, ANGLE_UNITS)
 ANGLE_SD_DEG = (0.02, 20.0)
 """Standard deviation of a measured direction, least and most: 0.02 mm over 60 mm are 0.02 degrees."""
 BOUNDARY_TO_DEPTH = 2e-3
@@ -236,7 +237,8 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
     bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
     for key, offset, angle in bevels:
         yield from _offset_warnings(offset, spacing, where, f"{key}.offset_mm")
-        yield from _cut_angle_warnings(angle, where, f"{key}.cut_angle_deg")
+        if angle:
+            yield from range_warnings(angle, *CUT_ANGLES, where, f"{key}.cut_angle_deg", "degrees")
 
 
 def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
@@ -271,8 +273,8 @@ def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWa
             yield from _alpha_warnings(fixed, medium.law, where, key)
         elif name == "bevel_mm":
             yield from _offset_warnings(fixed or (bounds and bounds[1]), spacing, where, key)
-        elif name == "cut_angle_deg":
-            yield from _cut_angle_warnings(fixed or (bounds and bounds[1]), where, key)
+        elif name == "cut_angle_deg" and (angle := fixed or (bounds and bounds[1])):
+            yield from range_warnings(angle, *CUT_ANGLES, where, key, "degrees")
 
 
 def range_warnings(
@@ -317,11 +319,6 @@ def _offset_warnings(
         yield from range_warnings(
             offset, (low, high), {"metres": 1e3}, where, key, f"mm per {spacing:g} mm of depth"
         )
-
-
-def _cut_angle_warnings(angle: float | None, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
-    if angle:
-        yield from range_warnings(angle, CUT_ANGLE_DEG, ANGLE_UNITS, where, key, "degrees")
 
 
 def boundary_warnings(first: float, depth: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:

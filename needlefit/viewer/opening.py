@@ -24,10 +24,17 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.load import load
-from needlefit.project.locate import file_label, find_file, list_names, unknown_name_error
+from needlefit.project.locate import (
+    SpecimenChoice,
+    ViewTarget,
+    file_label,
+    find_file,
+    find_view_target,
+    list_names,
+    unknown_name_error,
+)
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.view_targets import SpecimenChoice, ViewTarget, find_view_target
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord

@@ -251,7 +251,7 @@ def _names(path: Path) -> object:
     lookups = [
         *(partial(locate.find_file, kind) for kind in kinds),
         *(locate.find_study_or_fit, locate.find_studies, locate.find_run),
-        _late("project.view_targets.find_view_target"),
+        _late("project.locate.find_view_target"),
     ]
     error, found = None, []
     for lookup in lookups:

@@ -1,4 +1,4 @@
-"""The sections of the page on troubleshooting, which ships with the package: what each warning means."""
+"""Pages that ship with the package: what each warning means, and the terms of the glossary."""
 
 import posixpath
 import re
@@ -51,3 +51,30 @@ def _split_paragraphs(body: str) -> Iterator[str]:
 def _name_page(link: re.Match[str]) -> str:
     page = posixpath.normpath(posixpath.join(posixpath.dirname(TROUBLESHOOTING_PAGE), link[2]))
     return f"{link[1]} ({page})" if link[2] else link[1]
+
+
+# --- the glossary ---------------------------------------------------------------------------------------
+
+GLOSSARY_PAGE = "docs/glossary.md"
+
+_ROW = re.compile(
+    r"^\| (?P<name>[^|]+) \| (?P<symbol>[^|]*) \| (?P<unit>[^|]*) \| (?P<meaning>[^|]+) \| \[", re.MULTILINE
+)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term: its name, symbol and unit (empty without one), and what it means."""
+
+    name: str
+    symbol: str
+    unit: str
+    meaning: str
+
+
+@cache
+def read_terms() -> dict[str, Term]:
+    """Return the terms by name."""
+    page = read_text(shipped_folder() / GLOSSARY_PAGE)
+    rows = [{key: text.strip() for key, text in one.groupdict().items()} for one in _ROW.finditer(page)]
+    return {row["name"]: Term(**row) for row in rows}
