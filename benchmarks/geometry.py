@@ -24,7 +24,7 @@ from scipy.stats import t as student
 from needlefit.arrays import Floats
 from needlefit.inference import compared_points
 from needlefit.inference.proportions import estimate_proportion
-from needlefit.mechanics.batch import Jacobian, NeedleShapes
+from needlefit.mechanics.batch import Jacobian, Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
@@ -70,8 +70,15 @@ def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
     )
 
 
-def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
+def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
     """Stand in for the function of `compared_points` of this name."""
+    nothing = np.full((len(s), 2, len(jacobians.names)), np.nan)
+    rows = enumerate(shapes.converged)
+    return np.array([_differentiate(shapes[i], jacobians[i], s) if good else nothing for i, good in rows])
+
+
+def _differentiate(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
+    """Return the derivatives (K, 2, P) of the points by difference quotients."""
 
     def move(column: int, by: float) -> Floats:
         parts = ((shape.x, jacobian.x), (shape.u, jacobian.u), (shape.slope, jacobian.slope))
@@ -88,7 +95,9 @@ def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -
 def geometry(name: str) -> Iterator[None]:
     """Let the inference read points by one of the two geometries."""
     stand_ins = (
-        (compute_positions, compute_batch_positions, differentiate_positions) if name == "tangent" else ()
+        (compute_positions, compute_batch_positions, differentiate_batch_positions)
+        if name == "tangent"
+        else ()
     )
     before = {one.__name__: getattr(compared_points, one.__name__) for one in stand_ins}
     for one in stand_ins:
