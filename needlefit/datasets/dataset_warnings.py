@@ -276,15 +276,16 @@ def find_insertion_warnings(
         *find_side_warnings(results, column, "insertions"),
         *find_pooled_side_warnings(results, column),
         *find_copy_warnings(listed),
-        *_find_boundary_warnings(record, insertions, where),
+        *find_boundary_warnings(record, insertions, where),
         *_find_missed_surfaces(insertions, where),
         *find_noise_warnings(record, listed, noise, where),
     ]
 
 
-def _find_boundary_warnings(
-    record: DatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
+def find_boundary_warnings(
+    record: DatasetRecord | TrackDatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
 ) -> Iterator[ResultWarning]:
+    """Yield a warning for each medium with boundaries at depths that no tissue has."""
     for name, medium in record.media.items():
         depths = [one.depth for one in insertions if one.medium == name]
         key = f"media.{name}.boundaries_mm"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import (
     BendResult,
+    find_boundary_warnings,
     find_placeholder_cells,
     find_record_warnings,
     find_side_warnings,
@@ -39,7 +40,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.project.load import load, read_toml
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import locate_key
-from needlefit.project.unit_warnings import format_place, layer_warnings
+from needlefit.project.unit_warnings import format_place
 from needlefit.schemas.dataset import TrackDatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
@@ -244,11 +245,7 @@ def _find_run_warnings(
     yield from find_spacing_warnings(
         make_noise(record.noise), [one.depths for one in tracks], format_place(file)
     )
-    for name, medium in record.media.items():
-        depths = [one.depth for one in tracks if one.medium == name]
-        if medium.boundaries_mm and depths:
-            key = f"media.{name}.boundaries_mm"
-            yield from layer_warnings(medium.boundaries_mm, max(depths), format_place(file), key)
+    yield from find_boundary_warnings(record, tracks, format_place(file))
 
 
 def read(path: Path) -> Dataset:
@@ -284,9 +281,6 @@ def read_shapes(path: Path) -> Dataset:
         fix = "tune, identify, calibrate and predict take it; this does not"
         raise DataError(what, where=where, expected="a dataset with [centerlines]", fix=fix)
     return read(path)
-
-
-__all__ = ["Fault", "check", "check_all", "inspect", "read", "read_shapes"]
 
 
 def check(path: Path) -> list[Fault]:
