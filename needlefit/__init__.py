@@ -64,36 +64,20 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Batch": "mechanics.batch",
-    "Bevel": "mechanics.control",
-    "Controls": "mechanics.control",
-    "Guide": "mechanics.control",
-    "Jacobian": "mechanics.batch",
-    "Jacobians": "mechanics.batch",
-    "Needle": "mechanics.needle",
-    "NeedleShape": "mechanics.shape",
-    "NeedleShapes": "mechanics.batch",
-    "NeedlefitError": "errors",
-    "Problem": "inference.problem",
-    "ModelOptions": "mechanics.control",
-    "Scene": "mechanics.scene",
-    "Session": "mechanics.session",
-    "Step": "mechanics.control",
-    "Tissue": "mechanics.tissue",
-    "TrackedTip": "mechanics.control",
-    "simulate_steps": "mechanics.simulate",
-    "simulate_batches": "mechanics.batch",
-    "fit": "api",
-    "linearize": "mechanics.batch",
-    "linearize_batches": "mechanics.batch",
-    "load_dataset": "api",
-    "load_run": "api",
-    "minimize": "inference.optimize",
-    "predict": "api",
-    "sample": "api",
-    "simulate": "mechanics.simulate",
-    "validate": "api",
+    "api": "fit load_dataset load_run predict sample validate",
+    "errors": "NeedlefitError",
+    "inference.optimize": "minimize",
+    "inference.problem": "Problem",
+    "mechanics.batch": "Batch Jacobian Jacobians NeedleShapes linearize linearize_batches simulate_batches",
+    "mechanics.control": "Bevel Controls Guide ModelOptions Step TrackedTip",
+    "mechanics.needle": "Needle",
+    "mechanics.scene": "Scene",
+    "mechanics.session": "Session",
+    "mechanics.shape": "NeedleShape",
+    "mechanics.simulate": "simulate simulate_steps",
+    "mechanics.tissue": "Tissue",
 }
+"""Names by the module in which they are."""
 
 
 def open_scene(name: str) -> "Scene":
@@ -114,11 +98,10 @@ def open_scene(name: str) -> "Scene":
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOMES:
+    home = next((home for home, names in _HOMES.items() if name in names.split()), None)
+    if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home, _, attribute = _HOMES[name].partition(":")
-    value = getattr(import_module(f"{__name__}.{home}"), attribute or name)
-    globals()[name] = value
+    value = globals()[name] = getattr(import_module(f"{__name__}.{home}"), name)
     return value
 
 

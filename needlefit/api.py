@@ -9,7 +9,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Literal, TypedDict, TypeVar, Unpack
@@ -278,15 +278,18 @@ def validate(study: Name | FileRecord | Table, sample: bool = False, **options: 
 
 
 def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChanges, sample: bool) -> Run:
+    file, inputs = None, Inputs()
     if medium is None:
         if isinstance(target, Dataset):
             raise ConfigError(
                 "a dataset alone cannot be fitted", fix='name the model: fit(dataset, "phantom1")'
             )
-        name, record, inputs, file = _find_target(target)
+        if isinstance(target, Run):
+            name, record, inputs = _reopen(target)
+        else:
+            name, record, file = load_target(_spell(target))
     else:
         name, record, inputs = _begin_fit(target, medium)
-        file = None
     record, inputs = _change_fit(record, inputs, options)
     return _run(record, name, Settings(sample=sample, inputs=inputs, file=file), options)
 
@@ -323,14 +326,6 @@ def _change_fit(record: FitRecord, inputs: Inputs, options: FitChanges) -> tuple
     if "priors" in options and inputs.medium is not None:
         inputs = replace(inputs, medium=set_priors(inputs.medium, record.priors))
     return record, inputs
-
-
-def _find_target(target: Name | Run) -> tuple[str, FitRecord, Inputs, Path | None]:
-    """Return the name of the results of a fit, the fit, what is in memory for it, and its file."""
-    if isinstance(target, Run):
-        return (*_reopen(target), None)
-    name, record, file = load_target(_spell(target))
-    return name, record, Inputs(), file
 
 
 def _reopen(run: Run) -> tuple[str, FitRecord, Inputs]:
@@ -433,24 +428,15 @@ def _run(record: FileRecord, name: str, settings: Settings, options: RunOptions)
             stop=stop,
             note=warnings.warn,
         )
-        result = _run_kind(record, name, settings)
+        place = nullcontext() if settings.file is None else add_file_context(settings.file)
+        with place:
+            result = kind_of(record).run(name, record, settings)
     if checkpoint is not None and not result.interrupted:
         remove_checkpoint(checkpoint, warnings.warn)
-    if result.interrupted and not _has_fit(result):
+    has_fit = result.kind == "fit" and "fitted" in set(result.frames["errors"]["method"])
+    if result.interrupted and not has_fit:  # the best fit so far is worth having
         raise KeyboardInterrupt(f"{name} was interrupted before there was a result")
     return result
-
-
-def _run_kind(record: FileRecord, name: str, settings: Settings) -> Run:
-    if settings.file is None:
-        return kind_of(record).run(name, record, settings)
-    with add_file_context(settings.file):
-        return kind_of(record).run(name, record, settings)
-
-
-def _has_fit(result: Run) -> bool:
-    """Return whether an interrupted run has a best fit so far, which is worth having."""
-    return result.kind == "fit" and "fitted" in set(result.frames["errors"]["method"])
 
 
 @contextmanager
