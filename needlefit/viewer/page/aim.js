@@ -3,7 +3,7 @@
 import { command } from "./steering.js";
 import { listen, now, publish } from "./store.js";
 
-const SMALLEST = 0.05; // mm, of a radius
+export const SMALLEST = 0.05; // mm, of a radius
 const PAUSE = 80; // ms between two goals while one is dragged
 const WITHIN = 1000; // ms; changes that follow so soon are undone together
 const MAX_OBSTACLES = 16; // the server takes no more

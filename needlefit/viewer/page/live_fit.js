@@ -3,9 +3,9 @@
 import { part, say } from "./dom.js";
 import { invalidate } from "./drawing.js";
 import { points } from "./handles.js";
-import { palette } from "./painters/strokes.js";
+import { palette, setFont } from "./painters/strokes.js";
 import { layerInputs } from "./panel.js";
-import { brief, strengthOf } from "./quantities.js";
+import { brief, counted, strengthOf } from "./quantities.js";
 import { change, command } from "./steering.js";
 import { listen, now, publish } from "./store.js";
 
@@ -53,8 +53,7 @@ function takeMode(message) {
   const names = layerInputs();
   const layers = message.layers.flatMap((values, i) => values.map((value, j) => [names[j], i + 1, value]));
   change([...layers, [throughout, null, message.offset_mm]]);
-  const needles = message.insertions === 1 ? "1 needle" : `${message.insertions} needles`;
-  part("fit-note").textContent = `Fitted to ${needles} in ${message.seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `
+  part("fit-note").textContent = `Fitted to ${counted(message.insertions, "needle")} in ${message.seconds.toFixed(2)} s: b ${message.offset_mm.toFixed(3)} mm, `
     + `first layer μ ${brief(message.layers[0][0] * 1e-6, 3)} MPa.${describeDoubts(message)} Drawing …`;
 }
 
@@ -102,14 +101,13 @@ function drawRidge() {
   context.fillStyle = palette.band;
   px.forEach((one, i) => context.fillRect(one - 1.5, py[i] - 1.5, 3, 3));
   context.fillStyle = palette.label;
-  context.font = "11px system-ui, sans-serif";
-  context.textAlign = "left";
-  context.fillText(`μ ${brief(Math.exp(spans[1][1]) * 1e-6, 3)} MPa`, 2, 14);
-  context.fillText(`μ ${brief(Math.exp(spans[1][0]) * 1e-6, 3)}`, 2, height - PAD + 18);
+  const [[less, more], [low, high]] = [spans[0].map(Math.exp), spans[1].map((one) => Math.exp(one) * 1e-6)];
+  setFont(context, "small", "left", "alphabetic");
+  context.fillText(`μ ${brief(high, 3)} MPa`, 2, 14);
+  context.fillText(`μ ${brief(low, 3)}`, 2, height - PAD + 18);
+  context.fillText(`b ${brief(less, 3)}`, PAD - 4, height - 6);
   context.textAlign = "right";
-  context.fillText(`b ${brief(Math.exp(spans[0][1]), 3)} mm`, width - 4, height - 6);
-  context.textAlign = "left";
-  context.fillText(`b ${brief(Math.exp(spans[0][0]), 3)}`, PAD - 4, height - 6);
+  context.fillText(`b ${brief(more, 3)} mm`, width - 4, height - 6);
 }
 
 part("fit-now").addEventListener("click", () => now.state && ask());

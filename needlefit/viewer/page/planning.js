@@ -1,10 +1,10 @@
 /** The panel of target and plan: places, obstacles, the plan's probability, and a game against the planner. */
 
-import { part, say, write } from "./dom.js";
 import { ownDepth, speed } from "./actions.js";
-import { aim, moveTo, nameOf, place, put, run, sendAfterGoal, setAim, tipError, touches } from "./aim.js";
+import { aim, nameOf, place, put, run, sendAfterGoal, setAim, SMALLEST, tipError, touches } from "./aim.js";
+import { button, element, part, say, write } from "./dom.js";
 import { amount, makeField, show } from "./fields.js";
-import { signed } from "./quantities.js";
+import { counted, signed } from "./quantities.js";
 import { command } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -15,9 +15,12 @@ const percent = (share) => (100 * share).toFixed(0);
 let fields = []; // [field, () => value]
 let rows = null; // what has fields
 
-function field(into, symbol, of, name, current, ask) {
-  const made = makeField(into, { of, name, symbol, unit: "mm", step: 0.1, write: asMm, ask });
-  fields.push([made, current]);
+/** Fields of a circle's x, y and radius; `get` returns them, `set` is given all three. */
+function circleFields(into, symbol, of, get, set) {
+  ["x", "y", "radius"].forEach((name, at) => {
+    const ask = (value) => set(get().with(at, at === 2 ? Math.max(value, SMALLEST) : value));
+    fields.push([makeField(into, { of, name, symbol, unit: "mm", step: 0.1, write: asMm, ask }), () => get()[at]]);
+  });
 }
 
 /** Fields of the target and of each obstacle, made anew where their number changes. */
@@ -26,34 +29,24 @@ function build() {
   if (rows === shown) return;
   rows = shown;
   fields = [];
-  part("target-fields").replaceChildren();
+  const into = part("target-fields");
+  into.replaceChildren();
   part("obstacles").replaceChildren(...aim.obstacles.map(obstacleRow));
   if (!aim.target) return;
-  const into = part("target-fields");
-  into.append(Object.assign(document.createElement("strong"), { textContent: "target" }));
-  field(into, "target", "target", "x", () => aim.target[0], (x) => moveTo(null, x, aim.target[1]));
-  field(into, "target", "target", "y", () => aim.target[1], (y) => moveTo(null, aim.target[0], y));
-  field(into, "target", "target", "radius", () => aim.radius, (radius) => setAim({ radius: Math.max(radius, 0.05) }));
+  into.append(element("strong", {}, "target"));
+  const set = ([x, y, radius]) => setAim({ target: [x, y], radius });
+  circleFields(into, "target", "target", () => [...aim.target, aim.radius], set);
 }
 
 function obstacleRow(_, number) {
-  const row = document.createElement("li");
-  const head = Object.assign(document.createElement("div"), { className: "head" });
-  const name = Object.assign(document.createElement("strong"), { textContent: nameOf(number) });
-  const remove = Object.assign(document.createElement("button"), { type: "button", textContent: "Remove" });
-  remove.ariaLabel = `Remove ${nameOf(number)}`;
-  remove.addEventListener("click", () => {
+  const name = nameOf(number);
+  const remove = () => {
     setAim({ obstacles: aim.obstacles.filter((_, i) => i !== number) });
     part("put-obstacle").focus(); // its own button has gone
-  });
-  head.append(name, remove);
-  row.append(head);
-  ["x", "y", "radius"].forEach((name, at) => {
-    const set = (value) => setAim({
-      obstacles: aim.obstacles.map((one, i) => (i === number ? one.with(at, at === 2 ? Math.max(value, 0.05) : value) : one)),
-    });
-    field(row, "obstacle", nameOf(number), name, () => aim.obstacles[number][at], set);
-  });
+  };
+  const head = [element("strong", {}, name), button("Remove", remove, { ariaLabel: `Remove ${name}` })];
+  const row = element("li", {}, element("div", { className: "head" }, head));
+  circleFields(row, "obstacle", name, () => aim.obstacles[number], (circle) => setAim({ obstacles: aim.obstacles.with(number, circle) }));
   return row;
 }
 
@@ -79,7 +72,7 @@ export function refresh() {
 function describePlan() {
   const { plan } = aim;
   if (!plan || aim.challenge?.hidden) return "";
-  const turns = `${plan.turns} turn${plan.turns === 1 ? "" : "s"} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
+  const turns = `${counted(plan.turns, "turn")} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
   if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
   const begins = plan.anew ? ` Entry shifted by ${signed(plan.entry_mm, 2)} mm along y: Run plan begins there, at first contact.` : "";
   const bound = plan.at_limit.map((one) => ` The ${one} is at its limit.`).join("");
