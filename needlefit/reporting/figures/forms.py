@@ -273,37 +273,6 @@ def _format_rows(
     draw_grid(axes, "x")
 
 
-def map_over_axes(
-    frame: pd.DataFrame,
-    x: str,
-    y: str,
-    value: str,
-    labels: tuple[str, str, str],
-    levels: Sequence[float] = (),
-    marked: str = "",
-    size: tuple[float, float] = (0.62 * TEXT_WIDTH_IN, 2.6),
-) -> Figure:
-    """Draw a value over a grid of two columns: the darker, the larger; `marked` is a column of flags.
-
-    `labels` are those of both axes and of the value; `levels` have contours.
-    """
-    table = frame.pivot_table(index=y, columns=x, values=value)
-    across, up = (np.asarray(axis, dtype=np.float64) for axis in (table.columns, table.index))
-    figure = Figure(figsize=size)
-    axes = figure.add_subplot()
-    drawn = axes.pcolormesh(across, up, table.to_numpy(np.float64), cmap="cividis_r", shading="nearest")
-    if levels and min(table.shape) > 1:
-        lines = axes.contour(across, up, table.to_numpy(np.float64), levels=sorted(levels), colors=INK)
-        axes.clabel(lines, fontsize=6.5)
-    if marked:
-        some = frame[frame[marked].astype(bool)]
-        axes.plot(some[x], some[y], "o", ms=5, mfc="none", mec="white", mew=1.4)
-        axes.plot(some[x], some[y], "o", ms=6.5, mfc="none", mec=INK, mew=0.8)
-    axes.set(xlabel=labels[0], ylabel=labels[1])
-    figure.colorbar(drawn, ax=axes, label=labels[2])
-    return figure
-
-
 _FLOOR, _BAR = -8.0, 0.3
 """Log likelihood at which profiles are cut off; height of a bar below."""
 

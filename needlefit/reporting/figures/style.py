@@ -225,11 +225,6 @@ def describe_scale(factor: int) -> str:
     return "drawn to scale" if factor == 1 else f"exaggerated × {factor}"
 
 
-def is_synthetic(frame: pd.DataFrame) -> bool:
-    """Return whether a figure's table contains synthetic data."""
-    return bool((frame["origin"] == "synthetic").any())
-
-
 def label_origin(figure: Figure, synthetic: bool) -> None:
     """Write SYNTHETIC DATA across the top of a figure of synthetic data."""
     if synthetic:

@@ -28,7 +28,7 @@ Markdown is limited to headings (`##`, `###`), paragraphs, bullets, links, empha
 is emphasised as a whole is set in small type. `table`, `figure` and `block` refer by name to what the kind
 hands over; what it did not make is left out. Values are data: their ASCII punctuation signs are escaped. A
 number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`, `percent`, `number`,
-`medium`, ...), `quantity` (with the parameter's name), `interval`, `ratio` (two digits), `digits3`,
+`medium`, ...), `quantity` (with the parameter's name), `ratio` (two digits), `digits3`,
 `significant(n)`, `words`; `bare` is the symbol of a parameter, `symbols` inserts all of a sentence.
 
 Links to `cite:KEY,KEY` are citations: `format_latex` makes \\cite of them, reports leave them out.
@@ -91,12 +91,6 @@ def _refer(kind: str) -> Callable[[str], Markup]:
     return lambda name: Markup(f"[[{kind}:{name}]]")  # noqa: S704 - names are those of files
 
 
-def _format_interval(value: float, low: float, high: float, form: str = "number") -> str:
-    """Return a value with its 95 % interval: "2.1 (95 % CI 1.8 to 2.4)"."""
-    middle, *ends = (FORMATS[form](one) for one in (value, low, high))
-    return f"{middle} (95 % CI {' to '.join(ends)})"
-
-
 @cache
 def _environment(package: str) -> jinja2.Environment:
     """Return Jinja2 for the texts of a package, which may import ours; automatic escapes are Markdown's."""
@@ -114,7 +108,6 @@ def _environment(package: str) -> jinja2.Environment:
     environment.filters |= {
         **FORMATS,
         "quantity": lambda value, parameter: format_quantity(parameter, value),
-        "interval": _format_interval,
         "ratio": lambda value: f"{value:.2g}",
         "digits3": lambda value: f"{value:.3g}",
         "significant": lambda value, digits: f"{value:.{digits}g}",
