@@ -113,13 +113,13 @@ def test_validate_reference_writes_evidence(stub):
     assert "searches" not in json.loads(Path("new/reference/mine/run.json").read_text())
 
 
-def test_a_curve_that_beats_the_model_is_named(stub, capsys):
+def test_a_curve_as_close_as_the_model_is_named_with_its_difference_on_demand(stub, capsys):
     stub(stereo())
     assert run("validate", "mine", "--explain") == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert re.search(r": straight line \(", printed)
+    assert re.search(r"linear in arc length \(−0\.002 ± 0\.002 mm", printed)
     assert run("validate", "mine", "--out", "brief") == 0
-    assert "straight line (" not in capsys.readouterr().out
+    assert "± 0.002 mm" not in capsys.readouterr().out
 
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):
