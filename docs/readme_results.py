@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "README.md"
 MARKS = re.compile(r"(?<=<!-- result:begin -->\n).*?(?=<!-- result:end -->)", re.DOTALL)
 HEAD = """\
-| study | held out | n | our IPE | our TE | noise floor of IPE | paper's IPE | paper's TE |
+| study | held out | n | our IPE | our TE | noise floor of TE | paper's IPE | paper's TE |
 |---|---|---|---|---|---|---|---|
 """
 
@@ -28,7 +28,7 @@ def write_table() -> str:
         by = group.set_index("metric")
         medium = re.sub(r"(?<=phantom)(?=\d)", " ", str(medium))
         numbers = [
-            by["value"]["ipe_mean_mm"], by["value"]["te_mm"], by["floor"]["ipe_mean_mm"],
+            by["value"]["ipe_mean_mm"], by["value"]["te_mm"], by["floor"]["te_mm"],
             by["paper"]["ipe_mean_mm"], by["paper"]["te_mm"],
         ]  # fmt: skip
         held_out = f"{medium}, {layers} layer{'' if layers == 1 else 's'}"
