@@ -70,10 +70,13 @@ def test_explain_prints_every_key_of_a_file(file, capsys):
         assert all(f"  {field.alias or name}: " in text for name, field in record.model_fields.items())
 
 
-@pytest.mark.parametrize("name", ["coverage", "te_mm", "mu3_pa", "baseline", "stretch"])
-def test_explain_knows_warnings_columns_and_terms(name, capsys):
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [*((one, one) for one in ("coverage", "te_mm", "mu3_pa", "baseline", "stretch")), ("TE", "tip error")],
+)
+def test_explain_knows_warnings_columns_and_terms(name, key, capsys):
     assert run("explain", name, "--json") == 0
-    assert {one["key"] for one in json.loads(capsys.readouterr().out)} == {name}
+    assert {one["key"] for one in json.loads(capsys.readouterr().out)} == {key}
 
 
 def test_explain_lists_everything_and_names_what_is_near(capsys):

@@ -123,6 +123,7 @@ class Topic:
     key: str
     title: str
     paragraphs: tuple[str, ...] = ()
+    symbol: str = ""  #: another key: TE of the tip error
 
 
 def _list_warnings() -> Iterator[Topic]:
@@ -141,7 +142,8 @@ def _list_terms() -> Iterator[Topic]:
     from needlefit.project.help_pages import read_terms
 
     for one in read_terms().values():
-        yield Topic(one.name, ", ".join(filter(None, (one.name, one.symbol, one.unit))), (one.meaning,))
+        title = ", ".join(filter(None, (one.name, one.symbol, one.unit)))
+        yield Topic(one.name, title, (one.meaning,), one.symbol)
 
 
 def _list_laws() -> Iterator[Topic]:
@@ -192,7 +194,7 @@ def explain(
     """Explain a warning, a file with all its keys, a term, a law or a column. Without NAME: list all."""
     groups = {name: list(group()) for name, group in _GROUPS.items()}
     topics = [one for group in groups.values() for one in group]
-    found = [one for one in topics if one.key == key] or _find_numbered_column(key)
+    found = [one for one in topics if key and key in (one.key, one.symbol)] or _find_numbered_column(key)
     if key and not found:
         near = difflib.get_close_matches(key, [one.key for one in topics], n=3)
         raise typer.BadParameter(
@@ -208,8 +210,9 @@ def explain(
     else:
         for name, members in groups.items():
             screen.print_line(f"\n{name}")
+            width = max(len(one.key) for one in members) + 2
             for one in members:
-                screen.print_line(f"  {one.key:28}{one.title}")
+                screen.print_line(f"  {one.key:{width}}{one.title}")
 
 
 def _find_numbered_column(key: str) -> list[Topic]:

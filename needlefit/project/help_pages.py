@@ -57,6 +57,7 @@ def _name_page(link: re.Match[str]) -> str:
 
 GLOSSARY_PAGE = "docs/glossary.md"
 
+_METRIC = re.compile(r"^## ([^\n(]+) \(([A-Z]+)\)\n\n(.*?\.)(?= Column )", re.MULTILINE | re.DOTALL)
 _ROW = re.compile(
     r"^\| (?P<name>[^|]+) \| (?P<symbol>[^|]*) \| (?P<unit>[^|]*) \| (?P<meaning>[^|]+) \| \[", re.MULTILINE
 )
@@ -74,7 +75,11 @@ class Term:
 
 @cache
 def read_terms() -> dict[str, Term]:
-    """Return the terms by name."""
+    """Return the terms by name: the metrics, each a section of its own, then the rows of the table."""
     page = read_text(shipped_folder() / GLOSSARY_PAGE)
+    metrics = [
+        Term(name[0].lower() + name[1:], symbol, "", " ".join(meaning.split()))
+        for name, symbol, meaning in _METRIC.findall(page)
+    ]
     rows = [{key: text.strip() for key, text in one.groupdict().items()} for one in _ROW.finditer(page)]
-    return {row["name"]: Term(**row) for row in rows}
+    return {one.name: one for one in [*metrics, *(Term(**row) for row in rows)]}

@@ -101,8 +101,8 @@ def require_unchanged(folder: Path, unverified: bool = False) -> tuple[str, ...]
             where=str(folder),
             expected=f"files with the digests that {MANIFEST} lists",
             fix="take the files from a copy, or run it again; tables, figures and pages may be removed: "
-            "`needlefit report` makes them again; --unverified (in Python: unverified=True) uses files as "
-            "they are, and marks every page",
+            "`needlefit report` makes them again; --unverified (in Python: unverified=True; of `report` "
+            "with --out FOLDER) uses files as they are, and marks every page",
         )
     return tuple(changes)
 
