@@ -69,7 +69,7 @@ def connected(port: int):
         client.stop()
 
 
-async def until(condition, seconds: float = 10.0):
+async def until(condition, seconds: float = 60.0):
     """Wait until a condition holds."""
     async with asyncio.timeout(seconds):
         while not (found := condition()):
