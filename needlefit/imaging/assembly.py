@@ -244,7 +244,7 @@ def assemble_checked(
 def _find_faults(
     reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord, description: DatasetDescription
 ) -> list[Fault]:
-    """Return the faults of the dataset that some insertions make, told without the folder of the trial."""
+    """Return the faults of the dataset that some insertions make, their places without the trial folder."""
     with TemporaryDirectory(prefix="needlefit-") as trial:
         assemble_dataset(Path(trial), reconstructions, recipe, description)
         return [

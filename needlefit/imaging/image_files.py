@@ -36,7 +36,7 @@ _BLOCK_BYTES = 2**20
 # zlib's fastest level: on noise, higher ones cost ten times the time for a few per cent.
 _COMPRESSION_LEVEL = 1
 
-sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
+sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
 def read_image(results: SandboxArrays, path: str, layers: bool = False, header: str = "") -> dict[str, Any]:

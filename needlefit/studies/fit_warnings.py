@@ -279,7 +279,7 @@ def _find_wide_intervals(results: Run) -> Iterator[Row]:
 def describe_gain(predictive: pd.DataFrame, adaptation: str | None = None) -> str:
     """Return how wide intervals of tips would be after one insertion into the new specimen.
 
-    `adaptation` is the study that measures it, "" if there is none; None: nothing is said of one.
+    `adaptation` is the study that measures it, "" if there is none; None: the warning does not mention one.
     """
     width = float(predictive["tip_95_width_after_one_mm"].median())
     values = {"after_one_mm": None if math.isnan(width) else width, "adaptation": adaptation or ""}

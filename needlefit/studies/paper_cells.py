@@ -224,7 +224,7 @@ def tabulate_generalisation(fitted: pd.DataFrame, by: Sequence[str]) -> pd.DataF
 
 
 def generalisation_threshold() -> float:
-    """Return the mean IPE, mm, below which a study is said to generalise."""
+    """Return the mean IPE, mm, below which a study generalises."""
     printed = sorted(float(value) for value in paper.read_published_table("validation")["ipe_mean_mm"])
     low, high = max(pairwise(printed), key=lambda pair: pair[1] / pair[0])
     return float((low * high) ** 0.5)

@@ -7,7 +7,7 @@ from typing import Any
 from needlefit.mechanics.shape import LIMITS, Validity
 
 VALIDITY_KEY = "validity"  #: key in `run.json`
-#: rivals of which a warning is given; how far a published set strains the model is counted only
+#: methods whose invalid predictions give a warning; those of a published set are counted only
 FITTED_METHODS = ("fitted", "fitted_metric")
 MAX_LISTED_ROWS = 20  #: scored simulations outside that are listed; the others are counted
 

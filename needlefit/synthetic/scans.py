@@ -130,7 +130,7 @@ class Exposure:
     scene : Scene3D
         `scene.box` is the world in the patient.
     stated : (M, 3) array
-        Where the markers are said to be, world, mm.
+        Stated places of the markers, world, mm.
     """
 
     scene: Scene3D

@@ -141,7 +141,7 @@ def _list_series(groups: dict[str, list[DicomSlice]], path: Path) -> str:
 
 SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
 
-sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
+sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
 def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[str, Any]:

@@ -245,7 +245,7 @@ def _rows_fit(
 
 DETECTION_PROBABILITY = 0.99  # share of wrong pairings that must be noticed
 _DETECTION_QUANTILE = float(ndtri(DETECTION_PROBABILITY))
-# Misfit m^2 from which on a permutation is told from the right pairing.
+# Misfit m^2 from which on a permutation can be distinguished from the right pairing.
 MIN_SQUARED_MISFIT = (_DETECTION_QUANTILE + np.sqrt(_DETECTION_QUANTILE**2 + MIN_CHI2_GAP)) ** 2
 
 

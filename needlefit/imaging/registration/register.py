@@ -73,7 +73,7 @@ SCALED_AXES = {
     "along x and y": (1.0, 1.0, 0.0),
 }
 
-# Deviations from 1 at which a scale is said to differ: five are looked at, one in 3000 alarms is false.
+# Deviations from 1, in SDs, at which a scale counts as different: of five tests one in 3000 alarms is false.
 MIN_SIGNIFICANCE_SD = 4.0
 MAX_SCALE_FACTOR = 5.0  # greatest factor, either way, that is looked for
 VOTE_WINDOW = 0.01  # relative width within which distances vote for the same factor
@@ -188,7 +188,7 @@ SIGN_CHANGES = {
     "z": np.array([1.0, 1.0, -1.0]),
 }
 
-# By how much nearer everything must lie with a sign changed before the sign is blamed.
+# By how much nearer everything must lie with a sign changed before the sign counts as wrong.
 MIN_DISTANCE_RATIO = 4.0
 # Angle to a rough pose that is too large for it, and below which it is right.
 MAX_ROUGH_ANGLE_RAD = np.radians(60.0)
@@ -296,7 +296,7 @@ def _sign_change_error(frame: Frame, rough: Frame, found: Floats) -> DataError |
 def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
     """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with signs changed.
 
-    Both are said to be in the frame of the scan: fiducials of a file, and markers or metal in the volume.
+    Both are stated in the frame of the scan: fiducials of a file, and markers or metal in the volume.
     `sd` is the deviation of a distance between the two, mm. Sets that fit neither way pass: they may be of
     different things.
     """
@@ -480,7 +480,7 @@ def _unpaired_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterat
 
 
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
-# Markers no further beside a line than this part of their reach along it are blamed themselves for a turn
+# Markers no further beside a line than this part of their reach along it are named as the cause of a turn
 # that is not known; where they spread wider, it is their deviation.
 MIN_SPREAD_RATIO = 0.1
 

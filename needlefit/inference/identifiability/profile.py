@@ -285,7 +285,7 @@ def _deviance_root(settings: _PathSettings, optimum: LocalMinimum, point: LocalM
 End = Literal["closed", "bound", "lost"]
 
 DEVIANCE_95 = float(2 * gammaincinv(0.5, 0.95))  #: deviance at the ends of a 95 % interval, 3.84
-#: deviance by which the profile must fall away from the optimum to be said to have another minimum
+#: deviance by which the profile must fall below the optimum to count as another minimum
 MIN_DEPTH = 0.2
 MIN_POINT_DISTANCE = 1e-6  #: points closer than this part of the range are one
 CURVE_POINTS = 401  #: points on which the curve between the computed ones is searched and drawn

@@ -35,7 +35,7 @@ FIRST_STEP = 0.25  #: initial step of a local search without gradients, as a par
 FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, likewise
 #: step, likewise, under which a search by gradients for the peak of a posterior ends
 GRADIENT_STEP_TOLERANCE = 1e-12
-#: relative gain of a search by gradients begun anew that is none, where nothing is said to be negligible
+#: relative gain of a restarted gradient search that counts as none, unless the caller states another
 MIN_RELATIVE_GAIN = 1e-6
 #: shown to nlopt for a value that is not finite, until finite ones are known; then 2 * worst + 1 is
 PENALTY = 1e3

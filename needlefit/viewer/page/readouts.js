@@ -54,7 +54,7 @@ listen("scene", ({ measured }) => {
   writeErrors = fillReadouts(part("errors"), [...metrics, ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"]]);
 });
 
-let announced = false; // whether it was said of this needle that it exceeds limits of the model
+let announced = false; // whether a message has stated that this needle exceeds limits of the model
 
 /** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
 const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
