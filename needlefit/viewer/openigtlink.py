@@ -34,9 +34,6 @@ from needlefit.viewer.overlays import NeedleBand, compute_band
 from needlefit.viewer.server import RateLimit
 from needlefit.viewer.tracking import TrackedTrial
 
-DEFAULT_PORT = 18944
-"""Port that 3D Slicer and PLUS take where none is named."""
-
 MAX_PEERS = 8
 
 MAX_BODY_BYTES = 16 * 1024

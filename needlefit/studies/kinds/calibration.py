@@ -795,7 +795,6 @@ def headline_calibration(fault: str) -> str:
     return headline_fault(fault) if missing else ""
 
 
-_LISTED_FRAMES = ("coverage", *NESTED_FRAMES)
 _OUTCOME_KEYS = ("control", "passes", "not_calibrated", "draw_source", "untrusted", "redrawn")
 
 
