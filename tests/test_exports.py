@@ -20,11 +20,15 @@ from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_sce
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions, map_beam_points
 from needlefit.mechanics.tissue import Tissue
-from needlefit.reporting.figures import animation, look
-from needlefit.reporting.figures import moments as moment_figure
-from needlefit.reporting.figures.animation import sample_moments
-from needlefit.reporting.figures.forces import describe_moment, round_up
-from needlefit.reporting.figures.moments import SceneOverlays, draw_moment, lay_out_moments, paint_moment
+from needlefit.reporting.figures import animation, needles
+from needlefit.reporting.figures.animation import sample_states
+from needlefit.reporting.figures.needles import (
+    SceneOverlays,
+    StateFigure,
+    describe_state,
+    draw_state,
+    round_up,
+)
 from needlefit.reporting.shape_table import tabulate_shape, write_shape
 from needlefit.viewer.export import EXPORT_TYPES, export, replay_to_end, write_picture
 from needlefit.viewer.opening import open_target
@@ -90,10 +94,9 @@ def test_a_picture_shows_all_of_the_needle_in_true_millimetres(entry: Entry) -> 
     one = scene(entry)
     moment = end(one)
     measured = compute_positions(moment.shape, np.linspace(0.0, 15.0, 9)) + UP
-    moment_figure = lay_out_moments(
-        "Held", one, [moment], SceneOverlays(measured, measured - UP / 4, measured + UP / 4)
-    )
-    paint_moment(moment_figure, moment)
+    overlays = SceneOverlays(measured, measured - UP / 4, measured + UP / 4)
+    moment_figure = StateFigure("Held", one, [moment], overlays)
+    moment_figure.paint(moment)
     assert moment_figure.axes.get_aspect() == 1
     drawn = np.concatenate([line.get_xydata() for line in moment_figure.axes.lines])
     ends = entry.to_world(compute_positions(moment.shape, moment.shape.x[[0, -1]]))
@@ -112,8 +115,8 @@ def test_a_picture_shows_all_of_the_needle_in_true_millimetres(entry: Entry) -> 
 def test_loads_are_drawn_to_the_scale_that_the_legend_states() -> None:
     one = scene()
     moment = end(one)
-    moment_figure = lay_out_moments("Held", one, [moment], SceneOverlays())
-    paint_moment(moment_figure, moment)
+    moment_figure = StateFigure("Held", one, [moment])
+    moment_figure.paint(moment)
     found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
     outlines = [patch.get_xy() for patch in moment_figure.axes.patches]
     needle = compute_positions(moment.shape, found.s)
@@ -130,20 +133,20 @@ def test_loads_are_drawn_to_the_scale_that_the_legend_states() -> None:
 def test_the_inserted_part_alone_is_shown_where_nothing_but_the_bevel_steers() -> None:
     plain = scene(controls=Controls())
     for whole, start in ((None, -4.0), (False, -4.0), (True, -140.0)):
-        moment_figure = lay_out_moments("Free", plain, [end(plain)], SceneOverlays(), whole)
+        moment_figure = StateFigure("Free", plain, [end(plain)], SceneOverlays(), whole)
         assert moment_figure.axes.get_xlim()[0] == pytest.approx(start, abs=8.0)
 
 
 def test_the_text_above_lists_the_acting_loads() -> None:
     moment = end(scene())
     found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
-    lines, tip = describe_moment(Entry(), moment, found, 90)
+    lines, tip = describe_state(Entry(), moment, found, 90)
     assert lines[0].split("  ·  ")[:3] == ["15.25 mm deep", "bevel right", "base +1 mm"]
     forces = [found.base.force, *(hold.force for hold in found.guides)]
     base, guide, ring = (f"{force:+.3f} N" for force in forces)
     expected = f"base {base}, {found.base.moment:+.2f} N mm  ·  guide 1 {guide}  ·  ring {ring}"
     assert lines[1] == expected.replace("-", "−")
-    assert len(describe_moment(Entry(), moment, found, 30)[0]) > 4
+    assert len(describe_state(Entry(), moment, found, 30)[0]) > 4
     assert tip[1] == (f"tip force {found.tip_force:+.3f} N".replace("-", "−"))
 
 
@@ -156,29 +159,27 @@ def test_scales_are_round(value: float, rounded: float) -> None:
 
 def test_a_picture_has_the_same_bytes_each_time(tmp_path) -> None:
     for name in ("a.svg", "b.svg"):
-        draw_moment("Held", scene(), end(scene()), tmp_path / name, SceneOverlays(synthetic=True))
+        draw_state("Held", scene(), end(scene()), tmp_path / name, SceneOverlays(synthetic=True))
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
 def test_a_picture_before_first_contact_has_no_load(tmp_path) -> None:
     one = replace(scene(), steps=(Step(0.0, Bevel(0.1)),))
-    moment_figure = lay_out_moments("Before", one, [end(one)], SceneOverlays())
-    paint_moment(moment_figure, end(one))
+    moment_figure = StateFigure("Before", one, [end(one)])
+    moment_figure.paint(end(one))
     assert moment_figure.per_mm == 0 and moment_figure.axes.get_xlim()[0] < -100
 
 
 def test_pictures_have_the_colours_of_the_page() -> None:
     moment_figure = (files("needlefit.viewer") / "page" / "style.css").read_text()
-    for name, colour in look.COLOURS.items():
+    for name, colour in needles.COLOURS.items():
         found = re.search(rf"--{name}: (?:light-dark\()?(#\w+)", moment_figure)
         assert found.group(1) == colour  # the first: by light
 
 
 @pytest.mark.parametrize(("entry", "axis"), [(Entry(), "y (mm)"), (TURNED, "y in the world (mm)")])
 def test_axes_are_labelled_with_their_frame(entry: Entry, axis: str) -> None:
-    assert (
-        lay_out_moments("Held", scene(entry), [end(scene(entry))], SceneOverlays()).axes.get_ylabel() == axis
-    )
+    assert StateFigure("Held", scene(entry), [end(scene(entry))]).axes.get_ylabel() == axis
 
 
 # ---- on the way ----
@@ -202,24 +203,26 @@ def test_strides_end_where_the_steps_do() -> None:
 
 def test_each_frame_shows_the_last_moment_before_it() -> None:
     moments = [(0.0, "a"), (0.1, "b"), (0.15, "c"), (0.35, "d")]
-    assert sample_moments(moments, [0.0, 0.1, 0.2, 0.3, 0.4]) == ["a", "b", "c", "c", "d"]
+    assert sample_states(moments, [0.0, 0.1, 0.2, 0.3, 0.4]) == ["a", "b", "c", "c", "d"]
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize(("seconds", "speed", "lasts"), [(0.3, 1, 0.5), (1200.0, 2000, 0.8), (40.0, 50, 1.0)])
 def test_an_animation_keeps_time_or_is_marked(seconds, speed, lasts, tmp_path, monkeypatch) -> None:
     """And the end stays for a while; frames that are alike are kept as one that is shown longer."""
-    titles = []
-    monkeypatch.setattr(
-        animation, "lay_out_moments", lambda *all_: titles.append(all_[0]) or lay_out_moments(*all_)
-    )
-    monkeypatch.setattr(
-        animation,
-        "paint_moment",
-        lambda moment_figure, moment: drawn.append(moment) or paint_moment(moment_figure, moment),
-    )
+    titles, drawn = [], []
+
+    class Watched(StateFigure):
+        def __init__(self, title, *rest):
+            titles.append(title)
+            super().__init__(title, *rest)
+
+        def paint(self, moment):
+            drawn.append(moment)
+            super().paint(moment)
+
+    monkeypatch.setattr(animation, "StateFigure", Watched)
     small(monkeypatch)
-    drawn = []
     moments = [(seconds * gone / 24.75, moment) for gone, moment in iterate_states(scene(), 12.0)]
     animation.animate("Held", scene(), moments, seconds, tmp_path / "a.gif")
     assert titles == ["Held" if speed == 1 else f"Held ({speed} times as fast)"]
@@ -279,10 +282,8 @@ def test_a_picture_of_a_measured_insertion_shows_it_and_is_marked_synthetic(tmp_
         RecordedStep(1, 0.5, (change,), steering.now.shape.tip_lateral)
     )
     shown = []
-    monkeypatch.setattr(
-        moment_figure, "lay_out_moments", lambda *all_: shown.append(all_) or lay_out_moments(*all_)
-    )
+    monkeypatch.setattr(needles, "StateFigure", lambda *all_: shown.append(all_) or StateFigure(*all_))
     write_picture(replay_to_end(read_recording(tmp_path / "log.csv")), tmp_path / "picture.svg")
-    ((_, _, _, overlays, _),) = shown
+    ((*_, overlays),) = shown
     assert overlays.synthetic
     np.testing.assert_array_equal(overlays.measured, subject.measured.points)

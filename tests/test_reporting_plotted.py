@@ -131,8 +131,7 @@ def test_no_figure_is_drawn_but_from_a_table():
     using = {name for name, tree in sources() if "draw" in imported(tree, style.__name__)}
     assert using == {
         "reporting/dataset_import.py",
-        "reporting/figures/moments.py",
-        "reporting/figures/scene.py",
+        "reporting/figures/needles.py",
         "studies/kinds/reconstruction/pages.py",
     }
 

@@ -17,11 +17,9 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Entry, Scene, simulate_scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.tissue import Tissue
-from needlefit.reporting.figures import scene as figures
-from needlefit.reporting.figures import steps as painted
-from needlefit.reporting.figures.steps import describe_changes, paint_steps
+from needlefit.reporting.figures import needles
+from needlefit.reporting.figures.needles import describe_changes, draw_scene, label_layers, paint_steps
 from needlefit.reporting.figures.style import RC_PARAMS
-from needlefit.reporting.figures.world import label_layers
 
 
 def scene(*more: Step, entry: Entry = Entry()) -> Scene:
@@ -41,7 +39,7 @@ def test_a_scene_is_drawn_by_its_suffix_with_the_same_bytes(tmp_path, suffix, be
     one = scene(*more)
     shapes = simulate_scene(one)
     for name in ("a", "b"):
-        figures.draw_scene("Two layers", one, shapes, tmp_path / f"{name}.{suffix}")
+        draw_scene("Two layers", one, shapes, tmp_path / f"{name}.{suffix}")
     first, second = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("a", "b"))
     assert first == second
     assert first.startswith(begins)
@@ -66,7 +64,7 @@ def test_every_panel_shows_its_needle_whole_and_where_it_is_held(angle):
 
 @pytest.mark.parametrize("angle", [0.0, math.pi / 2])
 def test_of_many_steps_an_even_selection_is_shown_and_counted_in_the_title(angle, monkeypatch):
-    monkeypatch.setattr(painted, "MAX_PANELS", 4)
+    monkeypatch.setattr(needles, "MAX_PANELS", 4)
     many = (Step(26.0 + 0.1 * n, Bevel(0.085, 1 if n < 30 else -1)) for n in range(60))
     one = scene(*many, entry=Entry(angle=angle))
     figure = paint_steps("Many steps", one, simulate_scene(one))
@@ -82,17 +80,17 @@ def test_of_many_steps_an_even_selection_is_shown_and_counted_in_the_title(angle
 @pytest.mark.sweep
 def test_the_largest_number_of_panels_has_room_for_its_titles(tmp_path):
     one = scene(*(Step(26.0 + 0.1 * n, Bevel(0.085)) for n in range(400)))
-    figures.draw_scene("Many steps", one, simulate_scene(one), tmp_path / "a.png")
+    draw_scene("Many steps", one, simulate_scene(one), tmp_path / "a.png")
     height, width = imread(tmp_path / "a.png").shape[:2]
-    assert 200 * 2 < width < 200 * 8 and 200 * 0.4 * painted.MAX_PANELS < height < 200 * 15
+    assert 200 * 2 < width < 200 * 8 and 200 * 0.4 * needles.MAX_PANELS < height < 200 * 15
 
 
 @pytest.mark.parametrize(("side", "angle"), [(1, 0.0), (-1, 0.3)])
 def test_labels_of_layers_stay_in_the_panel_and_clear_of_its_title(side, angle, monkeypatch):
-    monkeypatch.setattr(painted, "MAX_PANELS", 8)
+    monkeypatch.setattr(needles, "MAX_PANELS", 8)
     needle = Needle.from_tube(150.0, 1.27, 80e3)
     tissue = Tissue(np.array([0.1, 0.2, 0.3]), np.ones(3), np.array([20.0, 40.0]))
-    steps = tuple(Step(6.2 * n, Bevel(0.05, side)) for n in range(1, painted.MAX_PANELS + 6))
+    steps = tuple(Step(6.2 * n, Bevel(0.05, side)) for n in range(1, needles.MAX_PANELS + 6))
     many = Scene(needle, tissue, steps, entry=Entry(5.0, -7.0, angle))
     with matplotlib.style.context(["default", RC_PARAMS]):
         figure = paint_steps("Many steps", many, simulate_scene(many))
@@ -142,7 +140,7 @@ def test_the_layers_of_a_picture_are_all_called_in_the_same_way():
 @pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])
 def test_no_blank_band_stands_above_or_below_a_picture(tmp_path, more):
     one = scene(*more)
-    figures.draw_scene("Two layers", one, simulate_scene(one), tmp_path / "a.png")
+    draw_scene("Two layers", one, simulate_scene(one), tmp_path / "a.png")
     rows = np.flatnonzero((imread(tmp_path / "a.png")[..., :3] < 1).any(axis=(1, 2)))
     height = len(imread(tmp_path / "a.png"))
     assert rows[0] < 0.1 * 200 and rows[-1] > height - 0.1 * 200  # pixels, at 200 to the inch
@@ -177,25 +175,22 @@ def test_one_step_that_is_steered_shows_its_base_and_guides(controls):
         assert np.abs(drawn - point).max(axis=1).min() < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("controls", "kind"), [(Controls(), "_paint"), *((c, "paint_steps") for c in STEERED)]
-)
-def test_only_a_steered_step_is_drawn_in_the_world(tmp_path, monkeypatch, controls, kind):
-    called = []
-    for name in ("_paint", "paint_steps"):
-        monkeypatch.setattr(
-            f"needlefit.reporting.figures.scene.{name}", lambda *_, name=name: called.append(name)
-        )
-    monkeypatch.setattr("needlefit.reporting.figures.scene.draw", lambda path, paint: paint())
-    one = dataclasses.replace(scene(), steps=(Step(25.0, Bevel(0.085), controls),))
-    figures.draw_scene("One step", one, simulate_scene(one), tmp_path / "one.png")
-    assert called == [kind]
+@pytest.mark.parametrize(("controls", "whole"), [(Controls(), False), *((c, True) for c in STEERED)])
+def test_only_a_steered_step_is_drawn_whole_and_in_the_world(tmp_path, monkeypatch, controls, whole):
+    drawn = []
+    monkeypatch.setattr(needles, "draw", lambda path, paint: drawn.append(paint()))
+    one = dataclasses.replace(scene(entry=Entry(30.0)), steps=(Step(25.0, Bevel(0.085), controls),))
+    draw_scene("One step", one, simulate_scene(one), tmp_path / "one.png")
+    (axes,) = drawn[0].axes
+    assert (axes.get_xlim()[0] < 30.0 + 25.0 - 150.0) == whole
+    assert whole or axes.get_xlim() == pytest.approx((-0.22 * 25.0, 1.04 * 25.0))
+    assert ("world" in drawn[0]._supxlabel.get_text()) == whole
 
 
 @pytest.mark.parametrize("step", [Step(25.0, Bevel(60.0)), Step(0.0, Bevel(0.1))], ids=["failed", "outside"])
 def test_a_needle_that_shows_little_is_drawn_all_the_same(tmp_path, step):
     one = dataclasses.replace(scene(), steps=(step,))
-    figures.draw_scene("One step", one, simulate_scene(one), tmp_path / "needle.png")
+    draw_scene("One step", one, simulate_scene(one), tmp_path / "needle.png")
     assert (tmp_path / "needle.png").stat().st_size > 0
 
 
@@ -204,7 +199,7 @@ def test_another_suffix_is_refused_and_the_valid_ones_named(tmp_path, name):
     one = scene()
     shapes = simulate_scene(one)
     with pytest.raises(ConfigError, match="needle") as fault:
-        figures.draw_scene("Two layers", one, shapes, tmp_path / name)
+        draw_scene("Two layers", one, shapes, tmp_path / name)
     assert all(suffix in str(fault.value) for suffix in (".pdf", ".png", ".svg"))
     with pytest.raises(ConfigError, match="no such folder"):
-        figures.draw_scene("Two layers", one, shapes, tmp_path / "missing" / "needle.pdf")
+        draw_scene("Two layers", one, shapes, tmp_path / "missing" / "needle.pdf")

@@ -175,7 +175,7 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
     shapes = simulate_scene(scene)
 
     def draw(path: Path) -> None:
-        from needlefit.reporting.figures.scene import draw_scene
+        from needlefit.reporting.figures.needles import draw_scene
 
         draw_scene(title, scene, shapes, path)
 

@@ -6,7 +6,7 @@ same file, so that a small needle is no suspicious one.
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise, starmap
 from pathlib import Path
 
 from needlefit.project.result_warnings import ResultWarning
@@ -53,7 +53,6 @@ METAL_GPA = (25.0, 700.0)
 """Young's modulus of a metal needle: martensitic nitinol has 28, tungsten carbide 700."""
 
 STEEL_GPA = 200.0
-
 TYPICAL_GPA = (3.0, 40.0, 75.0, 110.0, STEEL_GPA)
 """Young's moduli of a polymer, nitinol (martensite, austenite), titanium, steel."""
 
@@ -81,6 +80,9 @@ WARNING_KIND = "units"
 FormatPlace = Callable[[str], str]
 """The key of a value -> file and line."""
 
+Doubt = tuple[str, str, str]
+"""A key, what is hard to believe about it, and what to do."""
+
 
 def format_place(file: Path | str) -> FormatPlace:
     """Return what names a key's place: the line of a file, or a text as it is, such as a recording's name."""
@@ -88,157 +90,19 @@ def format_place(file: Path | str) -> FormatPlace:
     return lambda key: locate_key(path, key) if path.is_file() else str(file)
 
 
+def _warn(doubts: Iterable[Doubt], where: FormatPlace, kind: str = WARNING_KIND) -> Iterator[ResultWarning]:
+    return starmap(lambda key, what, fix: ResultWarning(kind, what, where(key), fix), doubts)
+
+
 def needle_warnings(needle: NeedleRecord, where: FormatPlace, key: str = "needle") -> Iterator[ResultWarning]:
     """Yield a warning for each value of a needle that is hard to believe."""
-    diameter, rigidity = needle.outer_diameter_mm, needle.flexural_rigidity_nmm2
-    modulus = needle.youngs_modulus_gpa
-    if diameter is not None:
-        yield from _diameter_warnings(diameter, needle.length_mm, where, key)
-        yield from _wall_warnings(needle.inner_diameter_mm, diameter, where, f"{key}.inner_diameter_mm")
-    if modulus is not None and not MODULUS_GPA[0] <= modulus <= MODULUS_GPA[1]:
-        yield _modulus_warning(modulus, where, f"{key}.youngs_modulus_gpa")
-    if rigidity is not None:
-        yield from _rigidity_warnings(rigidity, diameter, where, f"{key}.flexural_rigidity_nmm2")
-    if rigidity is not None and diameter is None:
-        yield from _stubby_warnings(rigidity, needle.length_mm, where, f"{key}.length_mm")
-
-
-def _stubby_warnings(rigidity: float, length: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
-    """Yield a warning if a needle is too short for its rigidity; a length in metres is a fault."""
-    rod = (64e-3 * rigidity / (math.pi * STEEL_GPA)) ** 0.25  # no steel needle is thinner
-    if length >= 1.0 and rod > DIAMETER_TO_LENGTH[1] * length and rigidity <= RIGIDITY_NMM2[1]:
-        what = f"short for a flexural rigidity of {rigidity:g}, which a steel rod of {rod:.2g} mm has"
-        yield _length_warning(length, rod, what, where, key)
-
-
-def _diameter_warnings(
-    diameter: float, length: float, where: FormatPlace, table: str
-) -> Iterator[ResultWarning]:
-    """Yield a warning if a diameter, or a length beside it, is no needle's; both may be in another unit."""
-    key, ratio = f"{table}.outer_diameter_mm", diameter / length
-    if length < 1.0:  # a length in metres is a fault
-        return
-    what = f"`{key}` is {diameter:g} on a needle of {length:g} mm"
-    if not DIAMETER_MM[0] <= diameter <= DIAMETER_MM[1]:
-        looks, fix = _likely_diameter(diameter, length)
-        yield ResultWarning(WARNING_KIND, what + looks, where(key), fix)
-    elif ratio < DIAMETER_TO_LENGTH[0]:
-        yield _length_warning(length, diameter, what, where, f"{table}.length_mm")
-    elif ratio > DIAMETER_TO_LENGTH[1]:
-        yield _length_warning(length, diameter, f"{what}, very thick", where, f"{table}.length_mm")
-
-
-def _likely_diameter(diameter: float, length: float) -> tuple[str, str]:
-    """Return the likely unit of a diameter that no needle has, in words, and what to write instead."""
-    if diameter in GAUGES_MM:
-        gauge = GAUGES_MM[int(diameter)]
-        return f": this looks like a gauge, and {diameter:g} gauge is {gauge:g} mm", f"write {gauge:g}"
-    likely = {
-        unit: factor
-        for unit, factor in LENGTH_UNITS.items()
-        if DIAMETER_MM[0] <= factor * diameter <= DIAMETER_MM[1]
-    }
-    if not likely:
-        return "", "check it, in mm"
-    unit = min(likely, key=lambda one: _log_distance(likely[one] * diameter, GAUGES_MM.values()))
-    fix = f"write {likely[unit] * diameter:g}"
-    # where its ratio to the length is a needle's, the length is in the same unit
-    same = DIAMETER_TO_LENGTH[0] <= diameter / length <= DIAMETER_TO_LENGTH[1]
-    alone = DIAMETER_TO_LENGTH[0] <= likely[unit] * diameter / length <= DIAMETER_TO_LENGTH[1]
-    if same and not alone:
-        fix += f", {likely[unit] * length:g} for the length, and check every other length"
-    return f": this looks like {unit}", fix
-
-
-def _log_distance(value: float, usual: Iterable[float]) -> float:
-    """Return how far a value is from the nearest usual one, as a logarithm of their ratio."""
-    return min(abs(math.log(value / one)) for one in usual)
-
-
-def _length_warning(length: float, diameter: float, what: str, where: FormatPlace, key: str) -> ResultWarning:
-    """Return the warning that a needle of such a diameter, mm, has no such length."""
-    likely = [
-        f"{factor * length:g} if it is in {unit}"
-        for unit, factor in LENGTH_UNITS.items()
-        if unit != "metres" and DIAMETER_TO_LENGTH[0] <= diameter / (factor * length) <= DIAMETER_TO_LENGTH[1]
-    ]
-    what = what if f"`{key}`" in what else f"`{key}` is {length:g}: {what}"
-    return ResultWarning(
-        WARNING_KIND, what, where(key), f"write {', '.join(likely)}" if likely else "check both, in mm"
-    )
-
-
-def _wall_warnings(inner: float, outer: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
-    what = f"`{key}` is {inner:g} in a tube of {outer:g} mm"
-    if 0 < inner < min(MIN_INNER_DIAMETER_MM, outer):
-        yield ResultWarning(
-            WARNING_KIND, f"{what}, less than any tube has", where(key), "check it, in mm; 0 if solid"
-        )
-    wall = 0.5 * (outer - inner)
-    if wall < MIN_WALL_TO_DIAMETER * outer:
-        what += f", which leaves a wall of {wall:.2g} mm"
-        yield ResultWarning(WARNING_KIND, what, where(key), "check both diameters, in mm; 0 if solid")
-
-
-def _modulus_warning(modulus: float, where: FormatPlace, key: str) -> ResultWarning:
-    what = f"`{key}` is {modulus:g}, and needles have {MODULUS_GPA[0]:g} to {MODULUS_GPA[1]:g}"
-    unit, in_gpa = likely_modulus(modulus)
-    if unit:
-        return ResultWarning(
-            WARNING_KIND, f"{what}: this looks like {unit}", where(key), f"write {in_gpa:.3g}"
-        )
-    return ResultWarning(WARNING_KIND, what, where(key), "write it in GPa: about 200 for steel")
-
-
-def likely_modulus(modulus: float) -> tuple[str, float]:
-    """Return the likely unit of a modulus that no needle has in GPa, and its value in GPa; "" if none is."""
-    for least, most in (METAL_GPA, MODULUS_GPA):
-        likely = {
-            unit: modulus * factor
-            for unit, factor in MODULUS_UNITS.items()
-            if least <= modulus * factor <= most
-        }
-        if likely:
-            unit = min(likely, key=lambda one: _log_distance(likely[one], TYPICAL_GPA))
-            return unit, likely[unit]
-    return "", math.nan
-
-
-def _rigidity_warnings(
-    rigidity: float, diameter: float | None, where: FormatPlace, key: str
-) -> Iterator[ResultWarning]:
-    if not RIGIDITY_NMM2[0] <= rigidity <= RIGIDITY_NMM2[1]:
-        what = f"`{key}` is {rigidity:g}, and needles have {RIGIDITY_NMM2[0]:g} to {RIGIDITY_NMM2[1]:g}"
-        in_nm2 = RIGIDITY_NMM2[0] <= rigidity * 1e6 <= RIGIDITY_NMM2[1]
-        fix = f"if it is in N m^2, write {1e6 * rigidity:g}" if in_nm2 else "write it in N mm^2"
-        yield ResultWarning(WARNING_KIND, what, where(key), fix)
-    elif diameter is not None:
-        modulus = 1e-3 * rigidity / (math.pi * diameter**4 / 64)  # of a solid rod, the least there can be
-        if not modulus <= MODULUS_GPA[1]:
-            what = (
-                f"`{key}` is {rigidity:g}: a rod of {diameter:g} mm then has a modulus of {modulus:.3g} GPa"
-            )
-            yield ResultWarning(WARNING_KIND, what, where(key), "check rigidity and diameter")
+    return _warn([*_doubt_diameters(needle, key), *_doubt_stiffness(needle, key)], where)
 
 
 def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
     """Yield a warning for each value of a scene that is hard to believe; `file` is named as its place."""
     where = format_place(file)
-    yield from needle_warnings(scene.needle, where)
-    for n, layer in enumerate(scene.layers, start=1):
-        yield from range_warnings(layer.mu_pa, MU_PA, MU_UNITS, where, f"layers.{n}.mu_pa", "Pa")
-        if layer.alpha is not None:
-            yield from _alpha_warnings(layer.alpha, scene.law, where, f"layers.{n}.alpha")
-    tops = [layer.top_mm for layer in scene.layers[1:]]
-    if tops:
-        yield from boundary_warnings(tops[0], _deepest(scene), where, "layers.2.top_mm")
-    spacing = scene.rules.constraint_spacing_mm
-    bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
-    bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
-    for key, offset, angle in bevels:
-        yield from _offset_warnings(offset, spacing, where, f"{key}.offset_mm")
-        if angle:
-            yield from range_warnings(angle, *CUT_ANGLES, where, f"{key}.cut_angle_deg", "degrees")
+    return chain(needle_warnings(scene.needle, where), _warn(_doubt_scene(scene), where))
 
 
 def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
@@ -252,29 +116,12 @@ def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Resul
         key = "rules.constraint_spacing_mm"
         what = f"`{key}` is {spacing:g}: an insertion of {deepest:g} mm has only {cells} constraint cells"
         fix = f"take {MIN_CELLS} or more, and the bevel offset for that spacing"
-        yield ResultWarning("coarse", what, format_place(file)(key), fix)
-
-
-def _deepest(scene: SceneRecord) -> float:
-    return max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
+        yield from _warn([(key, what, fix)], format_place(file), "coarse")
 
 
 def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWarning]:
     """Yield a warning for each parameter of a medium that is fixed at, or bounded by, what no tissue has."""
-    where, spacing = format_place(file), medium.constraint_spacing_mm
-    for name, parameter in medium.parameters.items():
-        key, fixed, bounds = f"parameters.{name}", parameter.fixed, parameter.bounds
-        if name.startswith("mu"):
-            if fixed is not None:
-                yield from range_warnings(fixed, MU_PA, MU_UNITS, where, key, "Pa")
-            elif bounds is not None:  # wide ones are no sign of another unit
-                yield from range_warnings(bounds[1], (MU_PA[0], math.inf), MU_UNITS, where, key, "Pa")
-        elif name.startswith("alpha") and fixed is not None:
-            yield from _alpha_warnings(fixed, medium.law, where, key)
-        elif name == "bevel_mm":
-            yield from _offset_warnings(fixed or (bounds and bounds[1]), spacing, where, key)
-        elif name == "cut_angle_deg" and (angle := fixed or (bounds and bounds[1])):
-            yield from range_warnings(angle, *CUT_ANGLES, where, key, "degrees")
+    return _warn(_doubt_medium(medium), format_place(file))
 
 
 def range_warnings(
@@ -286,70 +133,214 @@ def range_warnings(
     unit: str,
 ) -> Iterator[ResultWarning]:
     """Yield a warning if a value is out of a range, with the first of other `units` in which it is not."""
-    low, high = plausible
-    if low <= value <= high:
-        return
-    likely = next((one for one, factor in units.items() if low <= factor * value <= high), "")
-    what = (
-        f"`{key}` is {value:g} {unit}, {'below' if value < low else 'above'} {low if value < low else high:g}"
-    )
-    if likely:
-        what, fix = f"{what}: this looks like {likely}", f"write {units[likely] * value:g}"
-    else:
-        fix = f"check it, in {unit}"
-    yield ResultWarning(WARNING_KIND, what, where(key), fix)
-
-
-def _alpha_warnings(alpha: float, law: str, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
-    if law == "ogden" and not ALPHA[0] <= abs(alpha) <= ALPHA[1]:
-        what = (
-            f"`{key}` is {alpha:g}; Ogden exponents are {ALPHA[0]:g} to {ALPHA[1]:g} in size, of either sign"
-        )
-        yield ResultWarning(
-            WARNING_KIND, what, where(key), "write a fitted exponent, or 1 if it is not known"
-        )
-
-
-def _offset_warnings(
-    offset: float | None, spacing: float, where: FormatPlace, key: str
-) -> Iterator[ResultWarning]:
-    """Yield a warning for a bevel's offset, mm per constraint spacing; 0 is a needle without a bevel."""
-    if offset:
-        low, high = (spacing * each for each in OFFSET_TO_SPACING)
-        yield from range_warnings(
-            offset, (low, high), {"metres": 1e3}, where, key, f"mm per {spacing:g} mm of depth"
-        )
-
-
-def boundary_warnings(first: float, depth: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
-    """Yield a warning if the first boundary is very shallow beside the `depth` of insertions, mm."""
-    if 0 < first < BOUNDARY_TO_DEPTH * depth:
-        what = f"`{key}` has a boundary at {first:g} mm before insertions of {depth:g} mm"
-        metres = BOUNDARY_TO_DEPTH * depth <= 1e3 * first <= 2 * depth
-        looks = ": this looks like metres" if metres else ""
-        fix = f"write {1e3 * first:g}" if metres else "check it, in mm"
-        yield ResultWarning(WARNING_KIND, what + looks, where(key), fix)
+    return _warn(_doubt_range(value, plausible, units, key, unit), where)
 
 
 def layer_warnings(
     boundaries: Sequence[float], deepest: float, where: FormatPlace, key: str
 ) -> Iterator[ResultWarning]:
     """Yield a warning for each doubt about the boundaries, mm, of insertions down to `deepest`, mm."""
+    return _warn(_doubt_layers(boundaries, deepest, key), where)
+
+
+# ---- needles
+
+
+def _doubt_diameters(needle: NeedleRecord, table: str) -> Iterator[Doubt]:
+    """Yield what is wrong with a diameter, or a length beside it; both may be in another unit."""
+    outer, inner, length = needle.outer_diameter_mm, needle.inner_diameter_mm, needle.length_mm
+    if outer is None:
+        return
+    key, ratio = f"{table}.outer_diameter_mm", outer / length
+    what = f"`{key}` is {outer:g} on a needle of {length:g} mm"
+    if length < 1.0:
+        pass  # a length in metres is a fault
+    elif not _is_within(outer, DIAMETER_MM):
+        looks, fix = _likely_diameter(outer, length)
+        yield key, what + looks, fix
+    elif not _is_within(ratio, DIAMETER_TO_LENGTH):
+        thick = ", very thick" if ratio > DIAMETER_TO_LENGTH[1] else ""
+        yield _doubt_length(length, outer, what + thick, f"{table}.length_mm")
+    key = f"{table}.inner_diameter_mm"
+    what = f"`{key}` is {inner:g} in a tube of {outer:g} mm"
+    if 0 < inner < min(MIN_INNER_DIAMETER_MM, outer):
+        yield key, f"{what}, less than any tube has", "check it, in mm; 0 if solid"
+    wall = 0.5 * (outer - inner)
+    if wall < MIN_WALL_TO_DIAMETER * outer:
+        yield key, f"{what}, which leaves a wall of {wall:.2g} mm", "check both diameters, in mm; 0 if solid"
+
+
+def _doubt_stiffness(needle: NeedleRecord, table: str) -> Iterator[Doubt]:
+    diameter, modulus, rigidity = (
+        needle.outer_diameter_mm, needle.youngs_modulus_gpa, needle.flexural_rigidity_nmm2
+    )  # fmt: skip
+    if modulus is not None and not _is_within(modulus, MODULUS_GPA):
+        key, (low, high) = f"{table}.youngs_modulus_gpa", MODULUS_GPA
+        what = f"`{key}` is {modulus:g}, and needles have {low:g} to {high:g}"
+        unit, in_gpa = likely_modulus(modulus)
+        looks = (f"{what}: this looks like {unit}", f"write {in_gpa:.3g}")
+        yield key, *(looks if unit else (what, "write it in GPa: about 200 for steel"))
+    if rigidity is None:
+        return
+    key, (low, high) = f"{table}.flexural_rigidity_nmm2", RIGIDITY_NMM2
+    if not low <= rigidity <= high:
+        what = f"`{key}` is {rigidity:g}, and needles have {low:g} to {high:g}"
+        in_nm2 = _is_within(rigidity * 1e6, RIGIDITY_NMM2)
+        yield key, what, f"if it is in N m^2, write {1e6 * rigidity:g}" if in_nm2 else "write it in N mm^2"
+    elif diameter is not None:
+        modulus = 1e-3 * rigidity / (math.pi * diameter**4 / 64)  # of a solid rod, the least there can be
+        if not modulus <= MODULUS_GPA[1]:
+            rod = f"a rod of {diameter:g} mm then has a modulus of {modulus:.3g} GPa"
+            yield key, f"`{key}` is {rigidity:g}: {rod}", "check rigidity and diameter"
+    rod_mm = (64e-3 * rigidity / (math.pi * STEEL_GPA)) ** 0.25  # no steel needle is thinner
+    short = 1.0 <= needle.length_mm < rod_mm / DIAMETER_TO_LENGTH[1]  # a length in metres is a fault
+    if diameter is None and short and rigidity <= high:
+        what = f"short for a flexural rigidity of {rigidity:g}, which a steel rod of {rod_mm:.2g} mm has"
+        yield _doubt_length(needle.length_mm, rod_mm, what, f"{table}.length_mm")
+
+
+def _doubt_length(length: float, diameter: float, what: str, key: str) -> Doubt:
+    """Return that a needle of such a diameter, mm, has no such length."""
+    likely = [
+        f"{factor * length:g} if it is in {unit}"
+        for unit, factor in LENGTH_UNITS.items()
+        if unit != "metres" and _is_within(diameter / (factor * length), DIAMETER_TO_LENGTH)
+    ]
+    fix = f"write {', '.join(likely)}" if likely else "check both, in mm"
+    return key, f"`{key}` is {length:g}: {what}", fix
+
+
+def _likely_diameter(diameter: float, length: float) -> tuple[str, str]:
+    """Return the likely unit of a diameter that no needle has, in words, and what to write instead."""
+    if diameter in GAUGES_MM:
+        gauge = GAUGES_MM[int(diameter)]
+        return f": this looks like a gauge, and {diameter:g} gauge is {gauge:g} mm", f"write {gauge:g}"
+    unit = _likely_unit(diameter, LENGTH_UNITS, DIAMETER_MM, GAUGES_MM.values())
+    if not unit:
+        return "", "check it, in mm"
+    factor = LENGTH_UNITS[unit]
+    fix = f"write {factor * diameter:g}"
+    # where its ratio to the length is a needle's, the length is in the same unit
+    same, alone = (_is_within(one / length, DIAMETER_TO_LENGTH) for one in (diameter, factor * diameter))
+    if same and not alone:
+        fix += f", {factor * length:g} for the length, and check every other length"
+    return f": this looks like {unit}", fix
+
+
+def likely_modulus(modulus: float) -> tuple[str, float]:
+    """Return the likely unit of a modulus that no needle has in GPa, and its value in GPa; "" if none is."""
+    for plausible in (METAL_GPA, MODULUS_GPA):
+        if unit := _likely_unit(modulus, MODULUS_UNITS, plausible, TYPICAL_GPA):
+            return unit, modulus * MODULUS_UNITS[unit]
+    return "", math.nan
+
+
+def _likely_unit(
+    value: float, units: Mapping[str, float], plausible: tuple[float, float], typical: Iterable[float]
+) -> str:
+    """Return the unit in which a value is plausible and, by ratio, nearest to a typical one; "" if none."""
+    likely = {unit: factor * value for unit, factor in units.items() if _is_within(factor * value, plausible)}
+    return min(likely, key=lambda unit: min(abs(math.log(likely[unit] / one)) for one in typical), default="")
+
+
+def _is_within(value: float, plausible: tuple[float, float]) -> bool:
+    return plausible[0] <= value <= plausible[1]
+
+
+# ---- scenes, media, layers
+
+
+def _deepest(scene: SceneRecord) -> float:
+    return max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
+
+
+def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
+    for n, layer in enumerate(scene.layers, start=1):
+        yield from _doubt_range(layer.mu_pa, MU_PA, MU_UNITS, f"layers.{n}.mu_pa", "Pa")
+        if layer.alpha is not None:
+            yield from _doubt_alpha(layer.alpha, scene.law, f"layers.{n}.alpha")
+    tops = [layer.top_mm for layer in scene.layers[1:]]
+    if tops:
+        yield from _doubt_boundary(tops[0], _deepest(scene), "layers.2.top_mm")
+    bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
+    bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
+    for key, offset, angle in bevels:
+        yield from _doubt_offset(offset, scene.rules.constraint_spacing_mm, f"{key}.offset_mm")
+        if angle:
+            yield from _doubt_range(angle, *CUT_ANGLES, f"{key}.cut_angle_deg", "degrees")
+
+
+def _doubt_medium(medium: MediumRecord) -> Iterator[Doubt]:
+    for name, parameter in medium.parameters.items():
+        key, fixed, bounds = f"parameters.{name}", parameter.fixed, parameter.bounds
+        high = bounds[1] if bounds else None
+        if name.startswith("mu"):
+            if fixed is not None:
+                yield from _doubt_range(fixed, MU_PA, MU_UNITS, key, "Pa")
+            elif high is not None:  # wide ones are no sign of another unit
+                yield from _doubt_range(high, (MU_PA[0], math.inf), MU_UNITS, key, "Pa")
+        elif name.startswith("alpha") and fixed is not None:
+            yield from _doubt_alpha(fixed, medium.law, key)
+        elif name == "bevel_mm":
+            yield from _doubt_offset(fixed or high, medium.constraint_spacing_mm, key)
+        elif name == "cut_angle_deg" and (angle := fixed or high):
+            yield from _doubt_range(angle, *CUT_ANGLES, key, "degrees")
+
+
+def _doubt_range(
+    value: float, plausible: tuple[float, float], units: Mapping[str, float], key: str, unit: str
+) -> Iterator[Doubt]:
+    """Yield a doubt if a value is out of a range, with the first of other `units` in which it is not."""
+    if _is_within(value, plausible):
+        return
+    low, high = plausible
+    likely = next((one for one, factor in units.items() if _is_within(factor * value, plausible)), "")
+    beyond = f"below {low:g}" if value < low else f"above {high:g}"
+    looks = f": this looks like {likely}" if likely else ""
+    fix = f"write {units[likely] * value:g}" if likely else f"check it, in {unit}"
+    yield key, f"`{key}` is {value:g} {unit}, {beyond}{looks}", fix
+
+
+def _doubt_alpha(alpha: float, law: str, key: str) -> Iterator[Doubt]:
+    if law == "ogden" and not _is_within(abs(alpha), ALPHA):
+        what = (
+            f"`{key}` is {alpha:g}; Ogden exponents are {ALPHA[0]:g} to {ALPHA[1]:g} in size, of either sign"
+        )
+        yield key, what, "write a fitted exponent, or 1 if it is not known"
+
+
+def _doubt_offset(offset: float | None, spacing: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about a bevel's offset, mm per constraint spacing; 0 is a needle without a bevel."""
+    if offset:
+        low, high = (spacing * each for each in OFFSET_TO_SPACING)
+        yield from _doubt_range(offset, (low, high), {"metres": 1e3}, key, f"mm per {spacing:g} mm of depth")
+
+
+def _doubt_boundary(first: float, depth: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt if the first boundary is very shallow beside the `depth` of insertions, mm."""
+    if 0 < first < BOUNDARY_TO_DEPTH * depth:
+        metres = BOUNDARY_TO_DEPTH * depth <= 1e3 * first <= 2 * depth
+        looks = ": this looks like metres" if metres else ""
+        what = f"`{key}` has a boundary at {first:g} mm before insertions of {depth:g} mm{looks}"
+        yield key, what, f"write {1e3 * first:g}" if metres else "check it, in mm"
+
+
+def _doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Iterator[Doubt]:
     if not boundaries:
         return
-    shallow = list(boundary_warnings(boundaries[0], deepest, where, key))
+    first, last = boundaries[0], boundaries[-1]
+    shallow = list(_doubt_boundary(first, deepest, key))
     yield from shallow
     what = f"`{key}` is {', '.join(f'{one:g}' for one in boundaries)}"
-    if not shallow and len(boundaries) > 1 and boundaries[-1] < BOUNDARIES_TO_DEPTH * deepest:
+    if not shallow and len(boundaries) > 1 and last < BOUNDARIES_TO_DEPTH * deepest:
         what += f", all at the top of insertions of {deepest:g} mm: this looks like centimetres or inches"
-        yield ResultWarning(WARNING_KIND, what, where(key), "if so, multiply by 10 or 25.4")
-    elif boundaries[-1] >= deepest:
-        what += f", and no insertion is deeper than {deepest:g} mm"
-        micro = boundaries[0] > deepest > 1e-3 * boundaries[0] > BOUNDARY_TO_DEPTH * deepest
-        what += ": this looks like micrometres" if micro else ""
+        yield key, what, "if so, multiply by 10 or 25.4"
+    elif last >= deepest:
+        micro = first > deepest > 1e-3 * first > BOUNDARY_TO_DEPTH * deepest
+        what += f", and no insertion is deeper than {deepest:g} mm{': this looks like micrometres' * micro}"
         fix = "divide by 1000" if micro else "check its unit, mm, or leave out what no insertion reaches"
-        yield ResultWarning(WARNING_KIND, what, where(key), fix)
+        yield key, what, fix
     for top, end in pairwise(boundaries):
         if end - top < BOUNDARY_TO_DEPTH * deepest:
             what = f"`{key}` has boundaries at {top:g} and {end:g}, nearly one"
-            yield ResultWarning(WARNING_KIND, what, where(key), "remove one of them, or correct it, in mm")
+            yield key, what, "remove one of them, or correct it, in mm"

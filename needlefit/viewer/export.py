@@ -30,7 +30,7 @@ from needlefit.viewer.recording import Recording, begin_replay, read_recording, 
 from needlefit.viewer.steering import SteeredNeedle
 
 if TYPE_CHECKING:
-    from needlefit.reporting.figures.moments import SceneOverlays
+    from needlefit.reporting.figures.needles import SceneOverlays
 
 PAGE = Path(__file__).parent / "page"
 
@@ -109,9 +109,9 @@ def write_curve(outcome: RecordingOutcome, path: Path) -> None:
 
 def write_picture(outcome: RecordingOutcome, path: Path) -> None:
     """Draw the needle with its overlays, .svg, .png or .pdf."""
-    from needlefit.reporting.figures.moments import draw_moment
+    from needlefit.reporting.figures.needles import draw_state
 
-    draw_moment(outcome.title, outcome.scene, outcome.state, path, _find_overlays(outcome, banded=True))
+    draw_state(outcome.title, outcome.scene, outcome.state, path, _find_overlays(outcome, banded=True))
 
 
 def write_animation(outcome: RecordingOutcome, path: Path) -> None:
@@ -171,7 +171,7 @@ def export(path: Path, kind: str) -> bytes:
 
 def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":
     """Return what was shown beside the needle, if it is still there."""
-    from needlefit.reporting.figures.moments import SceneOverlays
+    from needlefit.reporting.figures.needles import SceneOverlays
 
     viewed_scene = open_recording(outcome.recording)
     points = None if viewed_scene.measured is None else viewed_scene.measured.points

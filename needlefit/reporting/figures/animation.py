@@ -12,13 +12,10 @@ from needlefit.errors import ConfigError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.project.outputs import require_folder
-from needlefit.reporting.figures.forces import round_up
-from needlefit.reporting.figures.moments import MomentFigure, SceneOverlays, lay_out_moments, paint_moment
+from needlefit.reporting.figures.needles import NO_OVERLAYS, SceneOverlays, StateFigure, round_up
 from needlefit.reporting.figures.style import RC_PARAMS, fit_height
 
 FRAMES_PER_S = 10
-"""Frames a second."""
-
 MAX_FRAMES = 210
 """Frames of an animation; a longer one plays faster, and its title states that."""
 
@@ -26,19 +23,17 @@ FINAL_FRAMES = 10
 """Frames for which the end stays, before a GIF begins anew."""
 
 DOTS_PER_INCH = 110
-"""To the inch."""
 
-_NO_OVERLAYS = SceneOverlays()
-TimedMoment = tuple[float, NeedleState]
+TimedState = tuple[float, NeedleState]
 
 
 def animate(
     title: str,
     scene: Scene,
-    moments: Iterable[TimedMoment],
+    states: Iterable[TimedState],
     duration: float,
     path: Path,
-    overlays: SceneOverlays = _NO_OVERLAYS,
+    overlays: SceneOverlays = NO_OVERLAYS,
 ) -> None:
     """Write states of an insertion as an animation, .gif or .mp4; each is shown from its time to that of the
     next.
@@ -47,8 +42,8 @@ def animate(
     ----------
     title : str
     scene : Scene
-        As of `draw_moment`.
-    moments : iterable of (time, NeedleState)
+        As of `StateFigure`.
+    states : iterable of (time, NeedleState)
         Times in s, increasing.
     duration : float
         The last of these times, s.
@@ -61,60 +56,38 @@ def animate(
         If the ending of `path` is another one, its folder does not exist, or there is no encoder for it.
     """
     writer = _choose_writer(path)
-    speed = _choose_speed(duration)
-    shown = sample_moments(moments, _frame_times(duration, speed))
+    needed = duration * FRAMES_PER_S / (MAX_FRAMES - FINAL_FRAMES)
+    speed = round_up(needed) if needed > 1 else 1.0
+    # the last frames are not before the end
+    count = math.ceil(duration * FRAMES_PER_S / speed - 1e-9) + FINAL_FRAMES
+    shown = sample_states(states, [n * speed / FRAMES_PER_S for n in range(count)])
     with matplotlib.style.context(["default", RC_PARAMS]):
-        summary = title if speed == 1 else f"{title} ({speed:g} times as fast)"
-        moment_figure = lay_out_moments(summary, scene, shown, overlays)
-        _find_layout(moment_figure, shown[0])
-        _write_frames(moment_figure, shown, writer, path)
+        drawn = StateFigure(
+            title if speed == 1 else f"{title} ({speed:g} times as fast)", scene, shown, overlays
+        )
+        FigureCanvasAgg(drawn.figure)
+        drawn.paint(shown[0])
+        fit_height(drawn.figure)
+        with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+            # The layout was found once; a new one for each frame would let the axes jump.
+            drawn.figure.set_layout_engine(None)
+            with writer.saving(drawn.figure, str(path), DOTS_PER_INCH):
+                for state in shown:
+                    drawn.paint(state)
+                    writer.grab_frame()
 
 
-def _find_layout(moment_figure: MomentFigure, moment: NeedleState) -> None:
-    """Find the layout of a sheet."""
-    FigureCanvasAgg(moment_figure.figure)
-    paint_moment(moment_figure, moment)
-    fit_height(moment_figure.figure)
-
-
-def _write_frames(
-    moment_figure: MomentFigure, shown: Iterable[NeedleState], writer: AbstractMovieWriter, path: Path
-) -> None:
-    """Write a frame for each moment; nothing moves but what moves, and no frame is laid out again."""
-    with matplotlib.rc_context({"figure.constrained_layout.use": False}):
-        # The layout was found once; a new one for each frame would let the axes jump.
-        moment_figure.figure.set_layout_engine(None)
-        with writer.saving(moment_figure.figure, str(path), DOTS_PER_INCH):
-            for moment in shown:
-                paint_moment(moment_figure, moment)
-                writer.grab_frame()
-
-
-def sample_moments(moments: Iterable[TimedMoment], times: Sequence[float]) -> list[NeedleState]:
+def sample_states(states: Iterable[TimedState], times: Sequence[float]) -> list[NeedleState]:
     """Return the state shown at each of `times`, increasing: the last one that is not later."""
     found: list[NeedleState] = []
     seen: NeedleState | None = None
-    for time, moment in moments:
+    for time, state in states:
         while len(found) < len(times) and time > times[len(found)]:
-            # Before the first moment there is none: the first one is shown.
-            found.append(seen or moment)
-        seen = moment
+            # Before the first state there is none: the first one is shown.
+            found.append(seen or state)
+        seen = state
     assert seen is not None
     return found + [seen] * (len(times) - len(found))
-
-
-def _choose_speed(duration: float) -> float:
-    """Return how many times as fast as it was a recording is shown."""
-    needed = duration * FRAMES_PER_S / (MAX_FRAMES - FINAL_FRAMES)
-    return round_up(needed) if needed > 1 else 1.0
-
-
-def _frame_times(duration: float, speed: float) -> list[float]:
-    """Return the times of the frames, s; the last ones are not before the end."""
-    return [
-        n * speed / FRAMES_PER_S
-        for n in range(math.ceil(duration * FRAMES_PER_S / speed - 1e-9) + FINAL_FRAMES)
-    ]
 
 
 def _choose_writer(path: Path) -> AbstractMovieWriter:

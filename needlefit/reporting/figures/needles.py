@@ -1,0 +1,597 @@
+"""Figures of needles in their layers: a scene after each of its steps, one state with its forces."""
+
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from needlefit.arrays import Floats
+from needlefit.mechanics.control import Bevel, Controls, Step
+from needlefit.mechanics.load import Loads, compute_loads
+from needlefit.mechanics.scene import Entry, Scene
+from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
+from needlefit.reporting.figures.style import (
+    TEXT_WIDTH_IN,
+    choose_vertical_scale,
+    draw,
+    fit_height,
+    label_origin,
+)
+from needlefit.reporting.labels import GREY, INK
+from needlefit.reporting.number_format import format_quantity
+
+COLOURS = {
+    **{"ink": "#1a1a1a", "needle": "#0072b2", "points": "#b84f00", "path": "#0a2f4a", "tip": "#c8102e"},
+    **{"guide": "#007a58", "load": "#a2457b", "measured": "#1a1a1a", "band": "#0072b2", "halo": "#ffffffd8"},
+}
+"""Colours of the page of `needlefit view` in its light theme, by the names in its style sheet."""
+
+_LOOKS: dict[str, dict[str, Any]] = {
+    "base": {"color": COLOURS["ink"], "marker": "o", "ms": 5.0, "lw": 0},
+    "guide": {"color": COLOURS["guide"], "marker": "o", "ms": 5.0, "mec": "white", "mew": 0.5, "lw": 0},
+    "points": {"color": COLOURS["points"], "marker": "x", "ms": 2.8, "mew": 0.6, "lw": 0},
+    "tip": {"color": COLOURS["tip"], "marker": "o", "ms": 4.0, "mec": "white", "mew": 0.4, "lw": 0},
+    "needle": {"color": COLOURS["needle"], "lw": 1.4},
+    "path": {"color": COLOURS["path"], "lw": 0.9},
+    "halo": {"color": COLOURS["halo"], "lw": 2.6},
+    "measured": {"color": COLOURS["measured"], "lw": 1.3, "ls": (0, (3.5, 2.0)), "dash_capstyle": "round"},
+    "load": {"fc": to_rgba(COLOURS["load"], 0.32), "ec": COLOURS["load"], "lw": 0.5},
+    "band": {"color": COLOURS["band"], "alpha": 0.35, "lw": 0},
+}
+_ARROW = {"arrowstyle": "-|>,head_width=0.12,head_length=0.3", "color": COLOURS["tip"], "lw": 0.8}
+_ARROW |= {"shrinkA": 0, "shrinkB": 0}
+_LAYER_COLOURS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
+
+Span = tuple[float, float]
+
+_NAMES_IN_C = ("x along the entry (mm)", "y (mm)")
+_NAMES_IN_WORLD = ("x in the world (mm)", "y in the world (mm)")
+_SEPARATOR = "  ·  "
+_BEYOND_PANEL_MM = 1e4  # further than any panel reaches
+_MARGIN_BEFORE_ENTRY = 0.22  # share of the depth shown before the entry, where only what is inserted is shown
+_LETTER_WIDTH_IN = 0.06  # of 7.5 point type
+_LABEL_LETTER_IN, _LABEL_MARGIN_IN, _MODULUS_WIDTH_IN = 0.055, 0.05, 0.58  # inches, of 6.5 point type
+
+
+# ---- layers and needle of a panel
+
+
+def label_layers(scene: Scene, widths: Mapping[int, float], one_line: bool = False) -> dict[int, str]:
+    """Return the labels of the layers (counted from 0) that are wide enough on paper, in inches.
+
+    All of them are called in the same way: by the scene's own names if these fit, or "layer 1", or "1". Its
+    modulus stands below, or with `one_line` behind, where a layer has room for it.
+    """
+    numbered = {i: f"layer {i + 1}" for i in widths}
+    own = {i: (scene.layer_names[i] if scene.layer_names else "") or called for i, called in numbered.items()}
+    labels = {i: f"{i + 1}" for i in widths}
+    for names in (own, numbered):
+        if all(_LABEL_LETTER_IN * len(name) + _LABEL_MARGIN_IN <= widths[i] for i, name in names.items()):
+            labels = names
+            break
+    for i, name in labels.items():
+        if widths[i] > _MODULUS_WIDTH_IN + _LABEL_LETTER_IN * len(name) * one_line:
+            modulus = format_quantity("mu_pa", scene.tissue.mu[i] * 1e6)
+            labels[i] = f"{name}{', ' if one_line else chr(10)}{modulus}"
+    return labels
+
+
+def _trace(entry: Entry, shape: NeedleShape) -> Floats:
+    """Return points of the needle from base to tip in the world, (300, 2) mm."""
+    return entry.to_world(compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300)))
+
+
+def _find_base(scene: Scene, step: Step) -> Floats:
+    """Return the base's position in the world after a step; it is known even without a solution."""
+    y = step.controls.base_y + step.controls.stage_slope * step.depth
+    return scene.entry.to_world([[step.depth - scene.needle.length, y]])
+
+
+def _find_limits(points: Floats, min_span: float) -> tuple[Span, Span]:
+    """Return limits in x and y that show all points (K, 2) with a margin, each `min_span` mm or wider."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = np.maximum(high - low, min_span)
+    flat = room < 0.2 * room.max()  # a flat drawing needs room for what is written beside the needle
+    margin = np.where(flat, 0.3, 0.05) * room
+    margin[0] = max(margin[0], 0.25 * room[1] - 0.5 * room[0])  # and a steep one for what is above
+    margin += 0.5 * (room - (high - low))
+    (left, bottom), (right, top) = low - margin, high + margin
+    return (float(left), float(right)), (float(bottom), float(top))
+
+
+def _draw_layers(
+    axes: Axes, scene: Scene, scale: float | None, one_line: bool = False, above: bool = False
+) -> None:
+    """Shade the layers, the darker the stiffer; with a `scale` (inches per mm) label them."""
+    stiffness = np.log10(scene.tissue.mu)
+    decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
+    edges = np.array([0.0, *scene.tissue.boundaries, _BEYOND_PANEL_MM])
+    far = _BEYOND_PANEL_MM
+    for i, (top, bottom) in enumerate(pairwise(edges)):
+        corners = [(top, -far), (bottom, -far), (bottom, far), (top, far)]
+        shade = _LAYER_COLOURS(float((stiffness[i] - stiffness.min()) / decades))
+        axes.fill(*scene.entry.to_world(corners).T, color=shade, lw=0, zorder=0)
+        line = scene.entry.to_world([(top, -far), (top, far)]).T
+        axes.plot(*line, color="white" if i else INK, lw=1.2 if i else 0.6, zorder=0.5)
+    axis = scene.entry.to_world([(-far, 0), (far, 0)]).T
+    axes.plot(*axis, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
+    if scale is None:
+        return
+    level = 0.95 if above else 0.05  # of the panel
+    room = {i: _find_label_place(axes, scene.entry, span, level) for i, span in enumerate(pairwise(edges))}
+    places = {i: place for i, place in room.items() if place is not None}
+    labels = label_layers(scene, {i: length * scale for i, (_, length) in places.items()}, one_line)
+    along = _find_label_axis(scene.entry)
+    for i, ((x, y), _) in places.items():
+        axes.text(
+            x, y, labels[i], fontsize=6.5, linespacing=1.3,
+            ha="left" if along else "center", va="center" if along else "top" if above else "bottom",
+        )  # fmt: skip
+
+
+def _find_label_axis(entry: Entry) -> int:
+    """Return the axis of the panel's edge that the layers meet: 0 the lower one, 1 the left one."""
+    return 0 if abs(np.cos(entry.angle)) >= abs(np.sin(entry.angle)) else 1
+
+
+def _find_label_place(axes: Axes, entry: Entry, depths: Span, height: float) -> tuple[Span, float] | None:
+    """Return where a layer meets the panel's edge, and how long a line it can hold there, mm.
+
+    `height` is where beside the edge, as a part of the panel.
+    """
+    limits, along = (axes.get_xlim(), axes.get_ylim()), _find_label_axis(entry)
+    cos, sin = np.cos(entry.angle), np.sin(entry.angle)
+    (low, high), across = limits[along], limits[1 - along]
+    level = across[0] + height * (across[1] - across[0])
+    tops = entry.to_world([[depth, 0.0] for depth in depths])  # the boundaries run from there on
+    drift = (level - tops[:, 1 - along]) * (-sin / cos if along == 0 else -cos / sin)  # along (-sin, cos)
+    start, end = np.clip(np.sort(tops[:, along] + drift), low, high)
+    if end - start <= 0.03 * (high - low):
+        return None
+    middle = float(start + end) / 2
+    roomy = 1.0 if along == 0 else 2.5 if abs(cos) < 0.1 else 0.0  # lines are wider than high
+    return ((middle, level) if along == 0 else (level, middle)), float(end - start) * roomy
+
+
+def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> None:
+    """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
+    entry = scene.entry
+    for guide in step.controls.guides:
+        axes.plot(*entry.to_world([[guide.x, guide.y]])[0], zorder=5, **_LOOKS["guide"])
+    axes.plot(*_find_base(scene, step)[0], zorder=5, **_LOOKS["base"])
+    if not shape.converged:
+        axes.text(
+            0.5, 0.7, f"no solution: {shape.status}", transform=axes.transAxes, ha="center", va="center",
+            zorder=6, fontsize=8.5, color=COLOURS["tip"],
+            bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
+        )  # fmt: skip
+        return
+    axes.plot(*entry.to_world(map_beam_points(shape, shape.constraints)).T, zorder=2, **_LOOKS["points"])
+    needle = _trace(entry, shape)
+    axes.plot(*needle.T, zorder=3, **_LOOKS["needle"])
+    axes.plot(*needle[-1], zorder=6, **_LOOKS["tip"])
+
+
+def _draw_legend(
+    figure: Figure, title: str, supports: Mapping[str, str], more: Sequence[Line2D | Patch], columns: int
+) -> None:
+    """Write title and legend above the panels; `supports` are shown beside what every needle has."""
+    marks = {**supports, "points": "constraint points", "tip": "tip"}
+    handles = [Line2D([], [], label=label, **_LOOKS[name]) for name, label in marks.items()]
+    figure.legend(
+        handles=[*handles, *more], loc="outside upper left", ncols=columns, columnspacing=1.2, borderpad=0.3,
+        handletextpad=0.4 if more else 0.2, handlelength=1.6 if more else None, alignment="left",
+        title=title, title_fontsize=8,
+    )  # fmt: skip
+
+
+def _name_supports(steps: Sequence[Step]) -> dict[str, str]:
+    guided = any(step.controls.guides for step in steps)
+    return {"base": "base"} | ({"guide": "guide or template"} if guided else {})
+
+
+# ---- what stands above a panel
+
+
+def _replace_minus(text: str) -> str:
+    return text.replace("-", "−")
+
+
+def _format_signed(value: float) -> str:
+    text = _replace_minus(f"{value:+z.2f}".rstrip("0").rstrip("."))
+    return "0" if text in ("+0", "−0") else text
+
+
+def _describe_strength(bevel: Bevel, digits: str = "g") -> str:
+    """Return how strongly a bevel turns the cut: its offset b, or the angle of its cut."""
+    if bevel.cut_angle:
+        return f"θ {math.degrees(bevel.cut_angle):{digits}}°"
+    return f"b {bevel.offset:{digits}} mm"
+
+
+def describe_changes(before: Step | None, now: Step, frame: str = "") -> list[str]:
+    """Return a description of the inputs that a step changed; the bevel of the first step is always included.
+
+    `frame` follows on each place.
+    """
+    found = []
+    held, past = now.controls, (before or Step(0.0, now.bevel)).controls
+    if before is None or before.bevel != now.bevel:
+        strength = _describe_strength(now.bevel)
+        changed = before is not None and _describe_strength(before.bevel) != strength
+        side = f"bevel {'left' if now.bevel.side > 0 else 'right'}"
+        found.append(f"{side}, {strength}" if changed else side)
+    if (held.base_y, held.base_slope) != (past.base_y, past.base_slope):
+        turned = held.base_slope != 0 or past.base_slope != 0
+        angle = f", {_format_signed(np.degrees(np.arctan(held.base_slope)))}°" if turned else ""
+        found.append(f"base {_format_signed(held.base_y)} mm{frame}{angle}")
+    if before is not None:
+        new = (guide for guide in held.guides if guide not in past.guides)
+        found += [f"{guide.name or 'guide'} {_format_signed(guide.y)} mm{frame}" for guide in new]
+        kept = {guide.name for guide in held.guides}
+        found += [f"{guide.name or 'guide'} let go" for guide in past.guides if guide.name not in kept]
+    if held.tip != past.tip:
+        y = None if held.tip is None else _format_signed(held.tip.y)
+        found.append("tip let go" if y is None else f"tip tracked at {y} mm{frame}")
+    return found
+
+
+def describe_state(
+    entry: Entry, state: NeedleState, found: Loads, letters: int
+) -> tuple[list[str], list[str]]:
+    """Return the text above a drawing: position and supports of the needle, and its tip.
+
+    In lines, the first of at most so many letters.
+    """
+    step, frame = state.step, "" if entry == Entry() else " in C"
+
+    def force(name: str, newton: float) -> str:
+        return _replace_minus(f"{name} {newton:+z.3f} N")
+
+    position = [f"{step.depth:.4g} mm deep", *describe_changes(None, step, frame)]
+    position.append(_describe_strength(step.bevel, ".3g"))
+    supports = [f"{force('base', found.base.force)}, {_replace_minus(f'{found.base.moment:+z.2f}')} N mm"]
+    for n, (guide, held) in enumerate(zip(step.controls.guides, found.guides, strict=True), start=1):
+        supports.append(force(guide.name or f"guide {n}", held.force))
+    lines = [line for part in (position, supports) for line in textwrap.wrap(_SEPARATOR.join(part), letters)]
+    tip = _replace_minus(f"tip {state.shape.tip_lateral:+z.2f} mm")
+    return lines, [f"{tip}{frame}", force("tip force", found.tip_force)]
+
+
+# ---- a scene after each of its steps
+
+_MIN_TILT = 0.01  # from here on a stretched y would show angles that are none
+_MAX_HEIGHT_IN = 8.5
+_HEAD_MARGIN_IN, _LINE_HEIGHT_IN = 0.1, 0.14  # above a panel, and of each line there
+_MAX_COLUMNS = 4  # each wide enough for the lines above its panel
+_MIN_PANEL_IN, _MIN_PANEL_WIDTH_IN = 0.25, 1.0  # where so many panels let the figure grow
+_TWO_LINES_IN = 0.4  # height that two lines of text in a panel take, with the needle beside them
+MAX_PANELS = 20
+"""Number of panels of a figure; of more steps as many are shown at even distances, with the first and the
+last."""
+
+
+def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Path) -> None:
+    """Draw the needle, its layers and its constraint points, mm, to a .pdf, .png or .svg file.
+
+    A scene of one step is drawn in C, as far as it is inserted; one of several, or with anything beside the
+    bevel that steers the needle, whole and in the world, a panel a step (of very many steps, some).
+    Deflections are small beside depths: y is stretched by the factor that its label states, by none where
+    the needle bends enough.
+
+    Parameters
+    ----------
+    shapes : sequence of NeedleShape
+        After each step, up to the one that failed.
+
+    Raises
+    ------
+    ConfigError
+        If the ending of `path` is another one, or its folder does not exist.
+    """
+    steered = any(step.controls != Controls() for step in scene.steps)
+    whole = steered or len(scene.steps) > 1 or scene.depth == 0  # not in the tissue, it has no depth to show
+    draw(path, lambda: paint_steps(title, scene, shapes, whole))
+
+
+def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape], whole: bool = True) -> Figure:
+    """Return a figure with the needle after each step, one panel per shape, on shared axes in mm.
+
+    y is stretched by the factor that its label states, unless the entry is tilted. Of more than `MAX_PANELS`
+    steps, as many are shown and the title states it; each lists the changes since the one shown before. If
+    not `whole`, the needle is drawn in C from a little before the entry on.
+    """
+    scene = scene if whole else replace(scene, entry=Entry())
+    shown = np.linspace(0, len(shapes) - 1, min(len(shapes), MAX_PANELS)).round().astype(int).tolist()
+    if len(shown) < len(shapes):
+        title = f"{title}{_SEPARATOR}{len(shown)} of {len(shapes)} steps"
+    steps, shapes = [scene.steps[n] for n in shown], [shapes[n] for n in shown]
+    x, y = _find_limits_of_steps(scene, steps, shapes, whole)
+    width, height = x[1] - x[0], y[1] - y[0]
+    stacked = width >= 1.4 * height
+    grid = (len(shapes), 1) if stacked else (1, len(shapes))
+    tilted = abs(np.sin(scene.entry.angle)) > _MIN_TILT
+    factor = 1 if tilted or not stacked else choose_vertical_scale(0.8 * width / grid[0], height)
+    ratio = factor * height / width
+    earlier = [None, *shown[:-1]]
+    heads = [
+        _compose_head(scene, n, past, shape) for n, past, shape in zip(shown, earlier, shapes, strict=True)
+    ]
+    longest = max(len(_SEPARATOR.join(head)) for head in heads) * _LETTER_WIDTH_IN
+    lines = 1 if stacked and longest < TEXT_WIDTH_IN - 0.6 else max(map(len, heads))
+
+    def find_panel_width(rows: int, columns: int) -> float:
+        tall = max(_MAX_HEIGHT_IN / rows - _HEAD_MARGIN_IN - _LINE_HEIGHT_IN * lines, _MIN_PANEL_IN)
+        return min(max((TEXT_WIDTH_IN - 0.6) / columns, _MIN_PANEL_WIDTH_IN), tall / ratio)
+
+    if stacked and find_panel_width(*grid) < longest:  # a column of panels would be narrower than their heads
+        lines = max(map(len, heads))
+        most = min(len(shapes), _MAX_COLUMNS)
+        grids = [(math.ceil(len(shapes) / columns), columns) for columns in range(1, most + 1)]
+        grid = max(grids, key=lambda one: find_panel_width(*one))
+    (rows, columns), panel = grid, find_panel_width(*grid)
+    above = _HEAD_MARGIN_IN + _LINE_HEIGHT_IN * lines
+    figure = Figure(figsize=(panel * columns + 0.6, rows * (panel * ratio + above) + 0.85))
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for n in range(len(shapes), len(panels)):
+        panels[n].remove()
+        panels[n - columns].tick_params(labelbottom=True)  # now the last one of its column
+    low, up = (
+        panel * ratio < _TWO_LINES_IN,
+        y[0] + y[1] > 2 * scene.entry.y,
+    )  # more room above than below the axis
+    # labels stand where the needle is not; in a low panel of the world, where there is more room
+    above = (low and up) if whole else not up
+    for n, (axes, shape) in enumerate(zip(panels, shapes, strict=False)):
+        axes.set(xlim=x, ylim=y, aspect=factor)
+        _draw_layers(axes, scene, panel / width if n == 0 else None, low, above)
+        _draw_needle(axes, scene, steps[n], shape)
+        left = _SEPARATOR.join(heads[n][:-1]) if lines == 1 else _pad_lines(heads[n], lines)
+        axes.set_title(left, loc="left", pad=3)
+        if lines == 1:
+            axes.set_title(heads[n][-1], loc="right", pad=3, color=COLOURS["tip"])
+    x_name, y_name = _NAMES_IN_WORLD if whole else _NAMES_IN_C
+    figure.supxlabel(x_name, fontsize=7.5)
+    y_name += "" if factor == 1 else f", drawn {factor}× as large as x"
+    short = len(y_name) * _LETTER_WIDTH_IN > figure.get_figheight() - 0.85
+    figure.supylabel(y_name.replace(", ", ",\n") if short else y_name, fontsize=7.5)
+    _draw_legend(figure, title, _name_supports(scene.steps) if whole else {}, (), 4)
+    fit_height(figure)
+    return figure
+
+
+def _find_limits_of_steps(
+    scene: Scene, steps: Sequence[Step], shapes: Sequence[NeedleShape], whole: bool
+) -> tuple[Span, Span]:
+    """Return the limits in the world that show every needle, the entry, the guides, and their axis."""
+    if not whole:
+        before = -_MARGIN_BEFORE_ENTRY * scene.depth
+        y = np.concatenate(
+            [_trace(scene.entry, shape) for shape in shapes if shape.converged] or [np.zeros((1, 2))]
+        )
+        seen = np.append(y[y[:, 0] >= before, 1], 0.0)
+        bend = float(np.abs(seen).max()) or 0.1 * scene.depth
+        low, high = float(seen.min()) - 0.35 * bend, float(seen.max()) + 0.35 * bend
+        return (before, 1.04 * scene.depth), (low, high)
+    drawn = [scene.entry.to_world([[0.0, 0.0], [scene.depth, 0.0]])]
+    for step, shape in zip(steps, shapes, strict=True):
+        drawn += [_trace(scene.entry, shape) if shape.converged else _find_base(scene, step)]
+        drawn += [scene.entry.to_world([[guide.x, guide.y]]) for guide in step.controls.guides]
+    least = 1.0 if all(shape.converged for shape in shapes) else 0.1 * scene.needle.length
+    return _find_limits(np.concatenate(drawn), least)
+
+
+def _compose_head(scene: Scene, n: int, past: int | None, shape: NeedleShape) -> list[str]:
+    """Return which step this is, what changed since step `past`, and where the tip came to lie.
+
+    Positions are in C; the text states this where C differs from the world of the panel's axes.
+    """
+    steps, frame = scene.steps, "" if scene.entry == Entry() else " in C"
+    before = None if past is None else steps[past]
+    back = before is not None and steps[n].depth < before.depth
+    number = f"step {n + 1}: " if len(steps) > 1 else ""
+    begin = f"{number}{'back ' if back else ''}to {steps[n].depth:g} mm"
+    end = f"{_replace_minus(f'tip {shape.tip_lateral:+z.2f} mm')}{frame}" if shape.converged else ""
+    return [begin, *describe_changes(before, steps[n], frame), end]
+
+
+def _pad_lines(lines: Sequence[str], count: int) -> str:
+    """Return so many lines, the last ones empty."""
+    return "\n".join([*lines, *[""] * (count - len(lines))])
+
+
+# ---- one state with its forces, at equal scale in both directions
+
+_MAX_LOAD_FRACTION, _MAX_FORCE_FRACTION = 0.1, 0.08  # of the drawing's length: the largest load and tip force
+_MIN_HEIGHT_RATIO, _MAX_HEIGHT_RATIO = 0.2, 1.1  # height over width
+_MAX_STATE_HEIGHT_IN = 6.5
+_TIP_TEXT_WIDTH_IN, _LEGEND_COLUMN_WIDTH_IN = 1.5, 1.2  # of the text on the tip; of the legend, on an average
+
+
+@dataclass(frozen=True)
+class SceneOverlays:
+    """Curves to compare a needle with, in its constraint frame C, mm.
+
+    Attributes
+    ----------
+    measured : (K, 2) array, optional
+        A measured needle.
+    low, high : (K, 2) arrays, optional
+        The edges of the 95 % band of fitted ones.
+    synthetic : bool
+        Whether the data are synthetic; the figure is then labelled.
+    """
+
+    measured: Floats | None = None
+    low: Floats | None = None
+    high: Floats | None = None
+    synthetic: bool = False
+
+
+NO_OVERLAYS = SceneOverlays()
+
+
+class StateFigure:
+    """A figure with axes in the world that has room for each of some states of an insertion.
+
+    Parameters
+    ----------
+    title : str
+    scene : Scene
+        Needle, entry, rules and names of layers; tissue and inputs are those of a state.
+    states : sequence of NeedleState
+    overlays : SceneOverlays
+    whole : bool, optional
+        The needle from its base on, or only as far as it is inserted; by default whole where more than the
+        bevel steers it.
+
+    Attributes
+    ----------
+    per_mm : float
+        Lateral load per drawn millimetre, N/mm; 0 without a load.
+    arrow : float
+        Length of the arrow of a tip force of one newton, mm.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        scene: Scene,
+        states: Sequence[NeedleState],
+        overlays: SceneOverlays = NO_OVERLAYS,
+        whole: bool | None = None,
+    ) -> None:
+        self._scene, self._overlays, entry = scene, overlays, scene.entry
+        if whole is None:
+            whole = any(state.step.controls != Controls() for state in states)
+        loads = [self._compute_loads(state) for state in states]
+        points = self._collect_points(states, whole)
+        span = float(np.ptp(points, axis=0).max())
+        load = max(float(np.abs(one.load).max(initial=0.0)) for one in loads)
+        force = max(abs(one.tip_force) for one in loads)
+        self.per_mm = round_up(load / (_MAX_LOAD_FRACTION * span)) if load > 0 else 0.0
+        self.arrow = _MAX_FORCE_FRACTION * span / force if force > 0 else 0.0
+        for state, found in zip(states, loads, strict=True):
+            points = np.vstack((points, self._outline_load(state, found), self._place_arrow(state, found)))
+        x, y = _find_limits(points, _MIN_HEIGHT_RATIO * span)
+        more = max(0.0, (y[1] - y[0]) / _MAX_HEIGHT_RATIO - (x[1] - x[0])) / 2  # for what is written above
+        x = (x[0] - more, x[1] + more)
+        self._inches = min((TEXT_WIDTH_IN - 0.6) / (x[1] - x[0]), _MAX_STATE_HEIGHT_IN / (y[1] - y[0]))
+        width, height = self._inches * (x[1] - x[0]), self._inches * (y[1] - y[0])
+        # room for the text above the drawing, beside the text on the tip
+        self._letters = int((width - _TIP_TEXT_WIDTH_IN) / _LETTER_WIDTH_IN)
+        texts = [describe_state(entry, *pair, self._letters)[0] for pair in zip(states, loads, strict=True)]
+        self._lines = max(map(len, texts))
+        more_handles: list[Line2D | Patch] = [Line2D([], [], label="tip path", **_LOOKS["path"])]
+        if self.per_mm:
+            more_handles.append(
+                Patch(label=f"lateral load, {self.per_mm:g} N/mm to the mm", **_LOOKS["load"])
+            )
+        if overlays.measured is not None:
+            more_handles.append(Line2D([], [], label="measured", **_LOOKS["measured"]))
+        if overlays.low is not None:
+            more_handles.append(Patch(label="95 % band", **_LOOKS["band"]))
+        supports = _name_supports([state.step for state in states])
+        columns = int(width / _LEGEND_COLUMN_WIDTH_IN)
+        legend_lines = math.ceil((len(supports) + 2 + len(more_handles)) / columns)
+        self.figure = Figure(figsize=(width + 0.6, height + 0.75 + 0.14 * (self._lines + legend_lines)))
+        self.axes = self.figure.add_subplot()
+        x_name, y_name = _NAMES_IN_C if entry == Entry() else _NAMES_IN_WORLD
+        self.axes.set(xlim=x, ylim=y, aspect=1, xlabel=x_name, ylabel=y_name)
+        _draw_legend(self.figure, title, supports, more_handles, columns)
+        label_origin(self.figure, overlays.synthetic)
+
+    def paint(self, state: NeedleState) -> None:
+        """Draw one state, in place of an earlier one."""
+        axes, scene, overlays = self.axes, replace(self._scene, tissue=state.tissue), self._overlays
+        # Only what was drawn is removed: the axes, their limits and the layout stay the same in every frame.
+        for old in (*axes.lines, *axes.patches, *axes.texts):
+            old.remove()
+        _draw_layers(axes, scene, self._inches)
+        if overlays.low is not None and overlays.high is not None:
+            band = scene.entry.to_world(np.concatenate((overlays.low, overlays.high[::-1])))
+            axes.fill(*band.T, zorder=1.5, **_LOOKS["band"])
+        if overlays.measured is not None:
+            measured = scene.entry.to_world(overlays.measured).T
+            axes.plot(*measured, zorder=2.8, **_LOOKS["halo"])
+            axes.plot(*measured, zorder=3.5, **_LOOKS["measured"])
+        found = self._compute_loads(state)
+        if len(outline := self._outline_load(state, found)):
+            axes.fill(*outline.T, zorder=1.8, **_LOOKS["load"])
+        path = map_beam_points(state.shape, state.shape.tip_path)
+        axes.plot(*scene.entry.to_world(path).T, zorder=2.5, **_LOOKS["path"])
+        _draw_needle(axes, scene, state.step, state.shape)
+        if abs(found.tip_force * self.arrow) >= 1e-3:
+            start, end = self._place_arrow(state, found)
+            axes.annotate("", end, start, arrowprops=_ARROW, zorder=7)
+        lines, tip = describe_state(scene.entry, state, found, self._letters)
+        axes.set_title(_pad_lines(lines, self._lines), loc="left", pad=4)
+        axes.set_title(_pad_lines(tip, self._lines), loc="right", pad=4, color=COLOURS["tip"])
+
+    def _compute_loads(self, state: NeedleState) -> Loads:
+        scene = self._scene
+        return compute_loads(state.shape, state.tissue, scene.needle, state.step.controls, scene.rules)
+
+    def _collect_points(self, states: Sequence[NeedleState], whole: bool) -> Floats:
+        """Return points in the world that a drawing of all these states must hold, (K, 2) mm."""
+        entry, overlays = self._scene.entry, self._overlays
+        deepest = max(state.shape.depth for state in states)
+        start = -self._scene.needle.length if whole or deepest == 0 else -_MARGIN_BEFORE_ENTRY * deepest
+        drawn = [entry.to_world([[0.0, 0.0], [deepest, 0.0]])]
+        for state in states:
+            marks = [(guide.x, guide.y) for guide in state.step.controls.guides]
+            drawn += [_trace(entry, state.shape), entry.to_world(np.reshape(marks, (-1, 2)))]
+        curves = (overlays.measured, overlays.low, overlays.high)
+        points = np.concatenate([*drawn, *(entry.to_world(curve) for curve in curves if curve is not None)])
+        shown: Floats = points[entry.to_frame(points)[:, 0] >= start]
+        return shown
+
+    def _outline_load(self, state: NeedleState, found: Loads) -> Floats:
+        """Return the outline in the world of the load along the shaft: from the needle to it, and back."""
+        if len(found.s) == 0 or self.per_mm == 0:
+            return np.empty((0, 2))
+        needle = compute_positions(state.shape, found.s)
+        pulled = needle + np.column_stack((np.zeros(len(needle)), found.load / self.per_mm))
+        return self._scene.entry.to_world(np.concatenate((needle, pulled[::-1])))
+
+    def _place_arrow(self, state: NeedleState, found: Loads) -> Floats:
+        """Return both ends of the arrow of the tip force in the world, (2, 2) mm."""
+        ((x, y),) = compute_positions(state.shape, state.shape.x[-1:])
+        return self._scene.entry.to_world([(x, y), (x, y + self.arrow * found.tip_force)])
+
+
+def draw_state(
+    title: str, scene: Scene, state: NeedleState, path: Path, overlays: SceneOverlays = NO_OVERLAYS
+) -> None:
+    """Draw one state of an insertion with its forces to a .pdf, .png or .svg file; else as `StateFigure`.
+
+    Raises
+    ------
+    ConfigError
+        If the ending of `path` is another one, or its folder does not exist.
+    """
+
+    def paint() -> Figure:
+        drawn = StateFigure(title, scene, [state], overlays)
+        drawn.paint(state)
+        fit_height(drawn.figure)
+        return drawn.figure
+
+    draw(path, paint)
+
+
+def round_up(value: float) -> float:
+    """Return the smallest of 1, 2, 5, 10, ... (times any power of ten) not less than a positive value."""
+    ten = 10.0 ** math.floor(math.log10(value))
+    return next(float(f"{step * ten:.1g}") for step in (1, 2, 5, 10) if step * ten >= value * (1 - 1e-9))
