@@ -33,34 +33,21 @@ if TYPE_CHECKING:
     from needlefit.reporting.figures.needles import SceneOverlays
 
 PAGE = Path(__file__).parent / "page"
-
-MAX_SHARED_STATES = 240
-"""States of an HTML file; of a longer recording so many, evenly chosen."""
-
+MAX_SHARED_STATES = 240  #: states of an HTML file; of a longer recording so many, evenly chosen
+#: modules that talk to the program: `page/share/` has their namesakes without a program
 OFFLINE_MODULES = ("connection.js", "steering.js", "slice.js")
-"""Modules that talk to the program: `page/share/` has their namesakes without a program."""
-
 MAIN_MODULE = "share/main.js"
-
 _IMPORT = re.compile(r'(\bfrom|\bimport) "(\.{1,2}/[^"]+)"')
 _PREFIX = "needlefit/"
 
 
 @dataclass(frozen=True)
 class RecordingOutcome:
-    """A recording after its replay, and the needle at its end.
-
-    Attributes
-    ----------
-    steering : SteeredNeedle
-        Its needle, as it stands at the end.
-    tip_offset_mm : float
-        Greatest distance of the tip from its recorded position, mm; 0: the same bits.
-    """
+    """A recording after its replay, and the needle at its end."""
 
     recording: Recording
-    steering: SteeredNeedle
-    tip_offset_mm: float
+    steering: SteeredNeedle  #: its needle, as it stands at the end
+    tip_offset_mm: float  #: greatest distance of the tip from its recorded position, mm; 0: the same bits
 
     @property
     def title(self) -> str:
@@ -131,6 +118,7 @@ def write_share(outcome: RecordingOutcome, path: Path) -> None:
 
 Write = Callable[[RecordingOutcome, Path], None]
 
+#: what writes a file, by the option of `needlefit simulate`
 WRITERS: dict[str, Write] = {
     "plot": write_picture,
     "csv": write_table,
@@ -138,7 +126,6 @@ WRITERS: dict[str, Write] = {
     "animation": write_animation,
     "html": write_share,
 }
-"""What writes a file, by the option of `needlefit simulate`."""
 
 _EXPORTS: dict[str, tuple[str, Write | None]] = {
     "shape.csv": ("text/csv", write_table),
@@ -148,17 +135,14 @@ _EXPORTS: dict[str, tuple[str, Write | None]] = {
     "inputs.csv": ("text/csv", None),
 }
 
+#: suffixes of the exports of the page, with their media types
 EXPORT_TYPES = {suffix: media_type for suffix, (media_type, _) in _EXPORTS.items()}
-"""Suffixes of the exports of the page, with their media types."""
 
 
 def export(path: Path, kind: str) -> bytes:
     """Return the content of one of `EXPORT_TYPES` for the recording at `path`, as it is now.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If the recording is damaged.
+    ConfigError or DataError if the recording is damaged.
     """
     _, write = _EXPORTS[kind]
     if write is None:

@@ -37,39 +37,25 @@ from needlefit.viewer.overlays import make_measured_overlay
 
 FitScope = Literal["insertion", "specimen", "dataset"]
 
+#: less than a study takes: the draws are waited for
 EFFORT = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
-"""Less than a study takes: the draws are waited for."""
-
-SHOWN_DRAWS = 100
-"""Draws of the band and of the ridge."""
-
-KNOTS = 6
-"""Points of a measured needle that can be dragged, evenly spread from entry to tip."""
-
+SHOWN_DRAWS = 100  #: draws of the band and of the ridge
+KNOTS = 6  #: points of a measured needle that can be dragged, evenly spread from entry to tip
+#: bounds of the parameters of a medium that is not described
 MU_BOUNDS_PA, BEVEL_BOUNDS_MM = (1e3, 1e9), (1e-3, 0.5)
-"""Bounds of the parameters of a medium that is not described."""
-
-BOUND_TOLERANCE = 1e-3
-"""A parameter this near to a bound, in theta, ends there."""
+BOUND_TOLERANCE = 1e-3  #: a parameter this near to a bound, in theta, ends there
 
 
 @dataclass(frozen=True)
 class LiveMode:
-    """The fitted values (Pa, mm) of all parameters, and how long they took, s.
-
-    Attributes
-    ----------
-    misfit : float
-        Root mean square of the residuals in their standard deviations; about 1 where the model is right.
-    at_bounds : tuple of str
-        Parameters that end at a bound.
-    """
+    """The fitted values (Pa, mm) of all parameters, and how long they took, s."""
 
     problem: Problem
     minimum: LocalMinimum
     values: Mapping[str, float]
+    #: root mean square of the residuals in their standard deviations; about 1 where the model is right
     misfit: float
-    at_bounds: tuple[str, ...]
+    at_bounds: tuple[str, ...]  #: parameters that end at a bound
     seconds: float
 
     def to_message(self, insertion: Insertion) -> dict[str, Any]:
@@ -91,22 +77,12 @@ class LiveMode:
 
 @dataclass(frozen=True)
 class LiveDraws:
-    """Draws about a mode.
+    """Draws about a mode."""
 
-    Attributes
-    ----------
-    spread : ParameterDraws
-        For the band and plans.
-    mu, bevel : (B,) arrays
-        Of the first layer's modulus, Pa, and of b, mm: the ridge.
-    certified : bool
-        Whether the weights can be trusted.
-    """
-
-    spread: ParameterDraws
-    mu: Floats
+    spread: ParameterDraws  #: for the band and plans
+    mu: Floats  #: mu, bevel: (B,) Of the first layer's modulus, Pa, and of b, mm: the ridge
     bevel: Floats
-    certified: bool
+    certified: bool  #: whether the weights can be trusted
     ess: float
     seconds: float
 
@@ -135,13 +111,7 @@ def select_insertions(shown: ShownInsertion, scope: FitScope) -> tuple[Insertion
 
 
 def find_mode(shown: ShownInsertion, insertions: Sequence[Insertion]) -> LiveMode:
-    """Return the fit nearest to the parameters shown.
-
-    Raises
-    ------
-    FitError
-        If no needle is found on the way.
-    """
+    """Return the fit nearest to the parameters shown; FitError if no needle is found on the way."""
     began = perf_counter()
     medium = _free_medium(shown.medium)
     problem = make_problem(shown.dataset, insertions, medium, WeightsRecord(), PLAIN_LIKELIHOOD)

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,11 +9,11 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Guide, ModelOptions
-from needlefit.mechanics.laws import LAWS, ShapeParameter
-from needlefit.mechanics.load import Loads, compute_loads
+from needlefit.mechanics.control import Bevel, ModelOptions
+from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.load import compute_loads
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
+from needlefit.mechanics.shape import compute_positions, map_beam_points
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
 from needlefit.schemas.limits import MAX_NUMBER
@@ -22,22 +21,21 @@ from needlefit.viewer.opening import ViewedScene
 from needlefit.viewer.overlays import NeedleBand, compute_live_errors
 from needlefit.viewer.steering import Change, SteeredNeedle, guide_number
 
-LENGTH_DIGITS = 4
-"""Decimals of drawn lengths in mm."""
-
-POINTS_BEFORE_TISSUE = 25
-"""Points of the needle drawn before the tissue."""
-
+LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
+POINTS_BEFORE_TISSUE = 25  #: points of the needle drawn before the tissue
+#: how far beyond the softest and the stiffest layer the sliders of all moduli reach, a factor
 SLIDER_FACTOR = 100.0
-"""How far beyond the softest and the stiffest layer the sliders of all moduli reach, a factor."""
 
 
 def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
     """Return all that stays constant: the needle, the layers, the overlays."""
-    scene = steering.scene
-    tissue = scene.tissue
-    first = scene.steps[0].bevel
-    measured = viewed_scene.measured
+    scene, tissue = steering.scene, steering.scene.tissue
+    measured, shown = viewed_scene.measured, viewed_scene.shown
+    counts = None  # how many insertions a live fit can take
+    if shown is not None and viewed_scene.record.rules.advance == "tangent":
+        same = [one for one in shown.dataset.insertions if one.medium == shown.insertion.medium]
+        of_specimen = sum(one.specimen == shown.insertion.specimen for one in same)
+        counts = {"insertion": 1, "specimen": of_specimen, "dataset": len(same)}
     return {
         "kind": "scene",
         "title": viewed_scene.title,
@@ -54,10 +52,10 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "spacing_mm": scene.rules.spacing,
         "first_cell_mm": steering.first_cell,
         "shape_parameters": [
-            {"name": one.name, "symbol": one.symbol, "unit": one.unit, "explanation": one.explanation}
+            {name: getattr(one, name) for name in ("name", "symbol", "unit", "explanation")}
             for one in LAWS[tissue.law].parameters
         ],
-        "fitted": _encode_parameters(tissue) | _encode_strength(first, scene.rules),
+        "fitted": _encode_parameters(tissue) | _encode_strength(scene.steps[0].bevel, scene.rules),
         "limits": _encode_limits(scene),
         "measured": measured and {
             "id": measured.id,
@@ -67,30 +65,28 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
             "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
         },
         "band": viewed_scene.spread is not None,
-        "fit": _count_insertions(viewed_scene),
+        "fit": counts,
         "slice": viewed_scene.scanned is not None,
         "choices": list(viewed_scene.choices),
     }  # fmt: skip
 
 
-def _count_insertions(viewed_scene: ViewedScene) -> dict[str, int] | None:
-    """Return how many insertions a live fit can take; None where nothing is measured."""
-    shown = viewed_scene.shown
-    if shown is None or viewed_scene.record.rules.advance != "tangent":
-        return None
-    same = [one for one in shown.dataset.insertions if one.medium == shown.insertion.medium]
-    of_specimen = [one for one in same if one.specimen == shown.insertion.specimen]
-    return {"insertion": 1, "specimen": len(of_specimen), "dataset": len(same)}
-
-
 def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
-    """Return all that changes from step to step."""
-    now = steering.now
+    """Return all that changes from step to step; rotations u' in rad."""
+    now, scene, measured = steering.now, steering.scene, viewed_scene.measured
     shape, step, controls = now.shape, now.step, now.step.controls
-    start = float(shape.x[0])
-    before = np.linspace(start, min(0.0, shape.depth), POINTS_BEFORE_TISSUE)
+    before = np.linspace(float(shape.x[0]), min(0.0, shape.depth), POINTS_BEFORE_TISSUE)
     needle = compute_positions(shape, np.unique(np.concatenate([before, shape.x])))  # (K, 2)
-    load = compute_loads(shape, now.tissue, steering.scene.needle, controls, steering.scene.rules)
+    load = compute_loads(shape, now.tissue, scene.needle, controls, scene.rules)
+    loaded = compute_positions(shape, load.s) if len(load.s) else np.empty((0, 2))
+    items = [guide_number(guide, steering.names) for guide in controls.guides]
+    errors = None if measured is None else compute_live_errors(measured, shape)
+    base, tip = (
+        {"x": place[0], "y": place[1], "rotation": float(slope)}
+        for place, slope in zip(
+            needle[[0, -1]].round(LENGTH_DIGITS).tolist(), shape.slope[[0, -1]], strict=True
+        )
+    )
     return {
         "kind": "state",
         "step": steering.number,
@@ -99,40 +95,52 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "y": round_lengths(needle[:, 1]),
         "constraints": [round_lengths(column) for column in map_beam_points(shape, shape.constraints).T],
         "tip_path": [round_lengths(column) for column in map_beam_points(shape, shape.tip_path).T],
-        "load": _encode_load(load, shape),
-        "forces": _encode_forces(load, steering),
-        "base": _encode_end(needle[0], shape.slope[0])
-        | {"input_y": controls.base_y, "input_slope": controls.base_slope},
-        "guides": [_encode_guide(guide, steering) for guide in controls.guides],
-        "tip": _encode_end(needle[-1], shape.slope[-1])
-        | {"lateral_mm": shape.tip_lateral, "held": controls.tip is not None}
-        | {"input_y": float(shape.u[-1])},
-        "bevel": {"side": step.bevel.side, **_encode_strength(step.bevel, steering.scene.rules)},
+        "load": {
+            "x": round_lengths(loaded[:, 0]),
+            "y": round_lengths(loaded[:, 1]),
+            "n_per_mm": np.round(load.load, 6).tolist(),
+        },
+        "forces": {
+            "tip_n": load.tip_force,
+            "base_n": load.base.force,
+            "base_nmm": load.base.moment,
+            "guides_n": {str(n): hold.force for n, hold in zip(items, load.guides, strict=True)},
+        },
+        "base": base | {"input_y": controls.base_y, "input_slope": controls.base_slope},
+        "guides": [
+            {
+                "item": item,
+                "name": guide.name,
+                "x": guide.x,
+                "y": guide.y,
+                "slope": guide.slope or 0.0,
+                "turns_freely": guide.slope is None,
+                "in_tissue": guide.in_tissue,
+            }
+            for item, guide in zip(items, controls.guides, strict=True)
+        ],
+        "tip": tip
+        | {"lateral_mm": shape.tip_lateral, "held": controls.tip is not None, "input_y": float(shape.u[-1])},
+        "bevel": {"side": step.bevel.side, **_encode_strength(step.bevel, scene.rules)},
         **_encode_parameters(now.tissue),
         "max_slope": float(shape.validity.max_slope),
         "faults": list(shape.validity.faults),
-        "errors": _encode_errors(viewed_scene, shape),
+        "errors": errors
+        and measured
+        and {**errors.values, "upto_mm": errors.upto, "whole": errors.whole, "floor_mm": measured.floor},
     }
 
 
 def encode_band(step: int, band: NeedleBand | None) -> dict[str, Any]:
     """Return the needle's band after a step; without points if there is no band."""
-    edges = (band.x, band.low, band.high) if band else (np.empty(0),) * 3
-    x, low, high = (round_lengths(values) for values in edges)
-    failed = band.failed if band else 0
-    return {"kind": "band", "step": step, "x": x, "low": low, "high": high, "failed": failed}
+    edges = {name: round_lengths(getattr(band, name)) if band else [] for name in ("x", "low", "high")}
+    return {"kind": "band", "step": step, **edges, "failed": band.failed if band else 0}
 
 
 def round_lengths(values: Floats) -> list[float]:
     """Return drawn lengths, mm, as numbers for JSON."""
     found: list[float] = np.round(values, LENGTH_DIGITS).tolist()
     return found
-
-
-def _encode_end(place: Floats, slope: float) -> dict[str, float]:
-    """Return where an end of the needle stands, and its rotation u', rad."""
-    x, y = np.round(place, LENGTH_DIGITS).tolist()
-    return {"x": x, "y": y, "rotation": float(slope)}
 
 
 def _encode_parameters(tissue: Tissue) -> dict[str, Any]:
@@ -151,108 +159,40 @@ def _encode_strength(bevel: Bevel, rules: ModelOptions) -> dict[str, float]:
 def _encode_limits(scene: Scene) -> dict[str, Any]:
     """Return how far the page's sliders go; its number fields take what the model takes."""
     mu, bevel = scene.tissue.mu * 1e6, scene.steps[0].bevel
-    shape = zip(LAWS[scene.tissue.law].parameters, scene.tissue.shape.tolist(), strict=True)
-    angle = math.degrees(bevel.cut_angle)
-    return {
-        "mu_pa": [float(mu.min()) / SLIDER_FACTOR, float(mu.max()) * SLIDER_FACTOR],
-        **{one.name: _encode_shape_limits(one, values) for one, values in shape},
-        **(
-            {"cut_angle_deg": [0.0, min(max(10.0, 3 * angle), 44.0)]}
-            if scene.rules.path_angle
-            else {"offset_mm": [0.0, max(0.3, 3 * bevel.offset)]}
-        ),
-        "base_y_mm": [-30.0, 30.0],
-        "speed_mm_s": 100.0,
-        "depth_mm": scene.needle.length,
-    }
+    limits: dict[str, Any] = {"mu_pa": [float(mu.min()) / SLIDER_FACTOR, float(mu.max()) * SLIDER_FACTOR]}
+    for one, values in zip(LAWS[scene.tissue.law].parameters, scene.tissue.shape.tolist(), strict=True):
+        (low, high), (least, most) = one.tested, one.bounds
+        reach = 0.25 * (high - low)
+        limits[one.name] = [
+            max(least, min(low, min(values) - reach)),
+            min(most, max(high, max(values) + reach)),
+        ]
+    if scene.rules.path_angle:
+        limits["cut_angle_deg"] = [0.0, min(max(10.0, 3 * math.degrees(bevel.cut_angle)), 44.0)]
+    else:
+        limits["offset_mm"] = [0.0, max(0.3, 3 * bevel.offset)]
+    return limits | {"base_y_mm": [-30.0, 30.0], "speed_mm_s": 100.0, "depth_mm": scene.needle.length}
 
 
-def _encode_shape_limits(parameter: ShapeParameter, values: Sequence[float]) -> list[float]:
-    low, high = parameter.tested
-    (least, most), reach = parameter.bounds, 0.25 * (high - low)
-    return [max(least, min(low, min(values) - reach)), min(most, max(high, max(values) + reach))]
-
-
-def _encode_load(load: Loads, shape: NeedleShape) -> dict[str, list[float]]:
-    if not len(load.s):
-        return {"x": [], "y": [], "n_per_mm": []}
-    at = compute_positions(shape, load.s)
-    return {
-        "x": round_lengths(at[:, 0]),
-        "y": round_lengths(at[:, 1]),
-        "n_per_mm": np.round(load.load, 6).tolist(),
-    }
-
-
-def _encode_forces(load: Loads, steering: SteeredNeedle) -> dict[str, Any]:
-    guides = zip(steering.now.step.controls.guides, load.guides, strict=True)
-    return {
-        "tip_n": load.tip_force,
-        "base_n": load.base.force,
-        "base_nmm": load.base.moment,
-        "guides_n": {str(guide_number(guide, steering.names)): hold.force for guide, hold in guides},
-    }
-
-
-def _encode_guide(guide: Guide, steering: SteeredNeedle) -> dict[str, Any]:
-    return {
-        "item": guide_number(guide, steering.names),
-        "name": guide.name,
-        "x": guide.x,
-        "y": guide.y,
-        "slope": guide.slope or 0.0,
-        "turns_freely": guide.slope is None,
-        "in_tissue": guide.in_tissue,
-    }
-
-
-def _encode_errors(viewed_scene: ViewedScene, shape: NeedleShape) -> dict[str, Any] | None:
-    measured = viewed_scene.measured
-    found = None if measured is None else compute_live_errors(measured, shape)
-    if measured is None or found is None:
-        return None
-    return {**found.values, "upto_mm": found.upto, "whole": found.whole, "floor_mm": measured.floor}
-
-
-ACTIONS = frozenset(
-    (
-        *("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show"),
-        *("aim", "markups", "plan", "run", "challenge", "fit", "points", "align"),
-        *("release_tracker", "forget_estimate"),
-    )
-)
-
-MAX_CHANGES = 64
-"""Number of inputs that one message may set."""
-
+ACTIONS = {
+    *("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show"),
+    *("aim", "markups", "plan", "run", "challenge", "fit", "points", "align"),
+    *("release_tracker", "forget_estimate"),
+}
+MAX_CHANGES = 64  #: number of inputs that one message may set
 MAX_SPEED_MM_S = 1000.0
-"""mm/s."""
-
-MAX_REPLAY_SPEED = 1000.0
-"""Greatest speed of a replay, as a multiple of the recorded speed."""
+MAX_REPLAY_SPEED = 1000.0  #: greatest speed of a replay, as a multiple of the recorded speed
 
 
 @dataclass(frozen=True)
 class Message:
-    """One message from the page.
+    """One message from the page."""
 
-    Attributes
-    ----------
-    do : str
-        One of `ACTIONS`.
-    id : int
-        The page's own number of it; answers name it.
-    content : dict
-        All other keys of the message.
-    fault : ModelError or None
-        Why it cannot be carried out.
-    """
-
-    do: str
-    id: int = 0
+    do: str  #: one of `ACTIONS`
+    id: int = 0  #: the page's own number of it; answers name it
     changes: tuple[Change, ...] = ()
-    content: dict[str, Any] = field(default_factory=dict)
-    fault: ModelError | None = None
+    content: dict[str, Any] = field(default_factory=dict)  #: all other keys of the message
+    fault: ModelError | None = None  #: why it cannot be carried out
 
     def number(self, key: str, default: float | None = None, most: float = math.inf, unit: str = "") -> float:
         """Return a finite number of the message; without a default it is required."""
@@ -278,10 +218,7 @@ class Message:
 def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - JSON
     """Return the value in a JSON text.
 
-    Raises
-    ------
-    ValueError
-        If it is none, nests too deeply, or has half of a pair of surrogates, which no text can be made of.
+    ValueError if it is none, nests too deeply, or has half of a pair of surrogates: no text is made of that.
     """
     try:
         content = json.loads(text)
@@ -319,9 +256,7 @@ def read_message(text: str) -> Message:
 
 
 def _read_change(row: object) -> Change:
-    if not (isinstance(row, list) and len(row) == 3):
-        raise ModelError(f"{row!r:.60} is no input", expected="[input, item, value]")
-    name, item, value = row
+    name, item, value = row if isinstance(row, list) and len(row) == 3 else (None, None, 0)
     number = _read_finite(value, math.inf)  # a `Change` names its own limit, in the unit of its field
     if number is None:
         raise ModelError(f"{name!r:.40} is {value!r:.40}", expected="a finite number")

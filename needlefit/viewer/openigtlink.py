@@ -36,26 +36,16 @@ from needlefit.viewer.tracking import TrackedTrial
 
 MAX_PEERS = 8
 
-MAX_BODY_BYTES = 16 * 1024
-"""Largest body that is read; a transform has 48 bytes."""
-
+MAX_BODY_BYTES = 16 * 1024  #: largest body that is read; a transform has 48 bytes
+#: largest body that is skipped, such as an image; a larger one is no message, and ends the connection
 MAX_SKIPPED_BYTES = 64 * 1024 * 1024
-"""Largest body that is skipped, such as an image; a larger one is no message, and ends the connection."""
-
+#: time after which a peer is dropped that stops within a message, or does not read what it is sent
 STALLED_S = 5.0
-"""Time after which a peer is dropped that stops within a message, or does not read what it is sent."""
-
-MAX_WAITING_BYTES = 256 * 1024
-"""Unsent bytes beyond which a peer misses messages."""
-
+MAX_WAITING_BYTES = 256 * 1024  #: unsent bytes beyond which a peer misses messages
+#: shortest time between two poses sent, and two bands; and the longest between two messages
 SEND_INTERVAL_S, BAND_INTERVAL_S, REPEAT_INTERVAL_S = 1 / 60, 0.15, 1.0
-"""Shortest time between two poses sent, and two bands; and the longest between two messages."""
-
 RECONNECT_INTERVAL_S = 1.0
-
-HEADER_VERSIONS = (1, 2)
-"""Of OpenIGTLink 1 and 2, and of 3."""
-
+HEADER_VERSIONS = (1, 2)  #: of OpenIGTLink 1 and 2, and of 3
 _POSITION = {12: struct.Struct(">3f"), 28: struct.Struct(">7f")}
 _CHECKSUM = struct.Struct(">Q")
 
@@ -86,10 +76,7 @@ class OpenIGTLinkServer:
     async def run(self, _: web.Application) -> AsyncIterator[None]:
         """Serve while the page is served; for `Application.cleanup_ctx`.
 
-        Raises
-        ------
-        ConfigError
-            If the address cannot be used.
+        ConfigError if the address cannot be used.
         """
         try:
             server = await asyncio.start_server(self._attend, *self.address)

@@ -51,15 +51,11 @@ from needlefit.studies.store import restore_run, unpack
 from needlefit.viewer.overlays import InsertionScan, MeasuredOverlay, find_scan, make_measured_overlay
 from needlefit.viewer.recording import Recording
 
-DEFAULT_SCENE = "phantom2"
-"""The scene that is shown where nothing is named."""
-
-SHOWN_METHOD = "fitted"
-"""The method of a run whose parameters are shown."""
-
+DEFAULT_SCENE = "phantom2"  #: the scene that is shown where nothing is named
+SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
+#: parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
+#: offset
 DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
-"""Parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
-offset."""
 
 
 @dataclass(frozen=True)
@@ -78,53 +74,26 @@ class ShownInsertion:
 
 @dataclass(frozen=True)
 class ViewedScene:
-    """Everything the viewer needs to show one name of the command line.
+    """Everything the viewer needs to show one name of the command line."""
 
-    Attributes
-    ----------
-    name : str
-        Opens it again.
-    note : str
-        Where the parameters come from, and what cannot be shown and why; sentences.
-    record : SceneRecord
-        The scene: needle, tissue and inputs.
-    first_cell : float
-        Depth of the first constraint point, mm, with which a `Session` ends as `simulate` and `predict` do.
-    placement : PlacementRecord or None
-        The position of a measured needle; None for a scene, which contains its own.
-    synthetic : bool
-        Whether it is about synthetic data.
-    spread : ParameterDraws or None
-        Draws of the parameters, for the band of a fit and for plans.
-    specimen : "new", "same" or ""
-        What they are for: a specimen that was not fitted, with the spread between specimens, or one that was.
-    scanned : InsertionScan or None
-        The scan in which the needle was measured.
-    choices : tuple of str
-        Insertions that can be shown instead.
-    warnings : tuple of ResultWarning
-        What is suspicious in the dataset or the run that it is from.
-    shown : ShownInsertion or None
-        The measured insertion with its dataset, to be fitted to.
-    faults : tuple of str
-        Why the run that it shows is not to be trusted.
-    """
-
-    name: str
+    name: str  #: opens it again
     title: str
-    note: str
-    record: SceneRecord
+    note: str  #: where the parameters come from, and what cannot be shown and why; sentences
+    record: SceneRecord  #: the scene: needle, tissue and inputs
+    #: depth of the first constraint point, mm, with which a `Session` ends as `simulate` and `predict` do
     first_cell: float
+    #: the position of a measured needle; None for a scene, which contains its own
     placement: PlacementRecord | None = None
-    synthetic: bool = False
+    synthetic: bool = False  #: whether it is about synthetic data
     measured: MeasuredOverlay | None = None
-    spread: ParameterDraws | None = None
+    spread: ParameterDraws | None = None  #: draws of the parameters, for the band of a fit and for plans
+    #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
     specimen: Literal["new", "same", ""] = ""
-    scanned: InsertionScan | None = None
-    choices: tuple[str, ...] = ()
-    warnings: tuple[ResultWarning, ...] = ()
-    shown: ShownInsertion | None = None
-    faults: tuple[str, ...] = ()
+    scanned: InsertionScan | None = None  #: the scan in which the needle was measured
+    choices: tuple[str, ...] = ()  #: insertions that can be shown instead
+    warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
+    shown: ShownInsertion | None = None  #: the measured insertion with its dataset, to be fitted to
+    faults: tuple[str, ...] = ()  #: why the run that it shows is not to be trusted
 
     @property
     def diameter(self) -> float:
@@ -137,6 +106,9 @@ def open_target(
 ) -> ViewedScene:
     """Return the scene to show for SCENE, RUN or DATASET/ID.
 
+    ConfigError if there is no such thing, or the file of a scene has a fault. DataError if the dataset has a
+    fault, or the run is of another kind or damaged, found no parameters, or its data have changed since.
+
     Parameters
     ----------
     name : str or None
@@ -145,14 +117,6 @@ def open_target(
         Of the run or dataset; by default the one in `name`, else the first: of a run the first held-out one.
     specimen : SpecimenChoice
         Of the draws of a run: of its band, and of plans.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such thing, or the file of a scene has a fault.
-    DataError
-        If the dataset has a fault, or the run is of another kind or damaged, found no parameters, or its data
-        have changed since.
     """
     view_target = replace(find_view_target(DEFAULT_SCENE if name is None else name), specimen=specimen)
     if view_target.kind == "scene":

@@ -22,37 +22,21 @@ from needlefit.planning.steering import StartedInsertion
 from needlefit.project.input_files import path_exists
 from needlefit.studies.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
 
+#: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
 MAX_BAND_DRAWS = 100
-"""Needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves."""
-
-DEPTH_TOLERANCE_MM = 1e-6
-"""A needle this near to the measured depth, mm, has reached it."""
-
-MIN_COMPARED_MM = 1.0
-"""Shorter overlaps than this, mm, are not compared."""
-
-SLICE_HALF_WIDTH_MM = 25.0
-"""How far the slice reaches to both sides of the needle, mm."""
+DEPTH_TOLERANCE_MM = 1e-6  #: a needle this near to the measured depth, mm, has reached it
+MIN_COMPARED_MM = 1.0  #: shorter overlaps than this, mm, are not compared
+SLICE_HALF_WIDTH_MM = 25.0  #: how far the slice reaches to both sides of the needle, mm
 
 
 @dataclass(frozen=True)
 class NeedleBand:
-    """The band that contains the central 95 % of the drawn needles, from entry to tip, in C.
+    """The band that contains the central 95 % of the drawn needles, from entry to tip, in C."""
 
-    Attributes
-    ----------
-    x : (K,) array
-        Depth along the entry axis, median over the needles, mm.
-    low, high : (K,) arrays
-        Of y, mm.
-    failed : int
-        Draws whose needle was not found; they are left out.
-    """
-
-    x: Floats
-    low: Floats
+    x: Floats  #: (K,) Depth along the entry axis, median over the needles, mm
+    low: Floats  #: low, high: (K,) Of y, mm
     high: Floats
-    failed: int
+    failed: int  #: draws whose needle was not found; they are left out
 
 
 def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
@@ -85,52 +69,29 @@ def compute_band(insertion: StartedInsertion) -> NeedleBand | None:
 
 @dataclass(frozen=True)
 class MeasuredOverlay:
-    """A measured needle, prepared for comparison with many simulated ones.
-
-    Attributes
-    ----------
-    points : (N, 2) array
-        In C, entry first, mm. A shape known only up to a rigid motion lies on the needle of the parameters
-        with which it was opened.
-    s : (N,) array
-        Where on a needle of the same depth each of the points belongs, at equal fractions of length, mm.
-    target : ComparedPoints
-        The points that a study compares with a needle of the measured depth.
-    depth : float
-        Inserted arc length, mm.
-    side : int
-        The side of C's x axis that the bevel faces, +1 or -1.
-    floor : float or None
-        TE that the true parameters would still show, mm; None where no noise is stated.
-    """
+    """A measured needle, prepared for comparison with many simulated ones."""
 
     id: str
+    #: (N, 2) in C, entry first, mm. A shape known only up to a rigid motion lies on the needle of the
+    #: parameters with which it was opened.
     points: Floats
+    #: (N,) Where on a needle of the same depth each of the points belongs, at equal fractions of length, mm
     s: Floats
-    target: ComparedPoints
-    depth: float
-    side: int
-    floor: float | None
+    target: ComparedPoints  #: the points that a study compares with a needle of the measured depth
+    depth: float  #: inserted arc length, mm
+    side: int  #: the side of C's x axis that the bevel faces, +1 or -1
+    floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
 
 
 @dataclass(frozen=True)
 class LiveErrors:
-    """The errors of the simulated needle against the measured one; mm unless stated.
+    """The errors of the simulated needle against the measured one; mm unless stated."""
 
-    Attributes
-    ----------
-    values : mapping
-        By metric, as in a study where `whole`; else of the length that both have in common, counted from the
-        entry, with its end as the tip. None where a metric is not defined: EDP of a straight needle.
-    upto : float
-        Inserted length that is compared.
-    whole : bool
-        Whether the needle has the measured depth, so that these are the errors of a study.
-    """
-
+    #: by metric, as in a study where `whole`; else of the length that both have in common, counted from the
+    #: entry, with its end as the tip. None where a metric is not defined: EDP of a straight needle.
     values: Mapping[str, float | None]
-    upto: float
-    whole: bool
+    upto: float  #: inserted length that is compared
+    whole: bool  #: whether the needle has the measured depth, so that these are the errors of a study
 
 
 def make_measured_overlay(
@@ -193,10 +154,7 @@ class InsertionScan:
 def find_scan(dataset: Dataset, insertion: Insertion) -> tuple[InsertionScan | None, str]:
     """Return the scan of an insertion, or None with the reason if one was expected.
 
-    Raises
-    ------
-    DataError
-        If the table of the dataset's scans has a fault.
+    DataError if the table of the dataset's scans has a fault.
     """
     volume = find_volume(dataset, insertion.id)
     if volume is None:
@@ -212,17 +170,12 @@ def read_slice(scan: InsertionScan) -> tuple[bytes, tuple[float, float, float, f
     """Read a scan and return the slice along its needle; this takes seconds for a large scan.
 
     It follows the needle through the thickness, so that a needle bent out of its plane stays in it; before
-    the entry it follows the entry axis.
+    the entry it follows the entry axis. DataError if the scan cannot be read.
 
     Returns
     -------
     bytes, tuple of float
         A PNG, and its edges in C: left, right, bottom, top, mm.
-
-    Raises
-    ------
-    DataError
-        If the scan cannot be read.
     """
     from needlefit.reporting.figures.scan_views import (
         encode_png,  # the page is there before a slice is asked for

@@ -30,69 +30,38 @@ from needlefit.viewer.opening import ViewedScene
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head
 from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
 
-DEFAULT_RADIUS_MM = 2.0
-"""A tip that ends within it has reached the target."""
-
+DEFAULT_RADIUS_MM = 2.0  #: a tip that ends within it has reached the target
 MAX_OBSTACLES = 16
-MAX_PLACE_MM = 1000.0
-"""Greatest coordinate and radius of a target or an obstacle, mm."""
-
-MAX_ENTRY_MM = 100.0
-"""By how much a plan may shift the entry to either side at most, mm."""
-
-FAN_NEEDLES = 40
-"""Needles of a plan that are drawn."""
-
-BEYOND_TARGET_MM = 8.0
-"""The reachable region is shown so far beyond the target."""
-
-CHALLENGE_DEPTHS = (0.6, 1.0)
-"""Between which parts of the scene's depth a random target lies."""
-
+MAX_PLACE_MM = 1000.0  #: greatest coordinate and radius of a target or an obstacle, mm
+MAX_ENTRY_MM = 100.0  #: by how much a plan may shift the entry to either side at most, mm
+FAN_NEEDLES = 40  #: needles of a plan that are drawn
+BEYOND_TARGET_MM = 8.0  #: the reachable region is shown so far beyond the target
+CHALLENGE_DEPTHS = (0.6, 1.0)  #: between which parts of the scene's depth a random target lies
+#: between which parts of the way to a random target its obstacle lies, and the obstacle's radius, mm
 OBSTACLE_PLACES, OBSTACLE_RADIUS_MM = (0.4, 0.6), 0.5
-"""Between which parts of the way to a random target its obstacle lies, and the obstacle's radius, mm."""
-
-SPEED_MM_S = 10.0
-"""Speed of insertion in the recording of a plan."""
-
+SPEED_MM_S = 10.0  #: speed of insertion in the recording of a plan
+#: the needle goes in by so much in each recorded step; that changes nothing of where it ends
 RECORDED_STEP_MM = 1.0
-"""The needle goes in by so much in each recorded step; that changes nothing of where it ends."""
 
 GoalParts = tuple[tuple[float, float] | None, float, tuple[ObstacleRecord, ...]]
 
 
 @dataclass
 class TrialAim:
-    """Where a trial's needle is to go.
+    """Where a trial's needle is to go."""
 
-    Attributes
-    ----------
-    goal : Goal or None
-        None: there is no target.
-    plan : SteeringPlan or None
-        The last plan for this goal.
-    plan_step : int
-        Step of the needle at which it was sought.
-    roll_deg : float
-        Angle about x by which the needle's plane contains a target in space.
-    entry_mm : float
-        By how much a plan may shift the entry to either side. Above 0 it begins anew at first contact.
-    wanted, challenged : bool
-        Whether a plan, or a random target, has been asked for and is not computed yet.
-    version : int
-        Counts changes of the goal.
-    """
-
-    goal: Goal | None = None
+    goal: Goal | None = None  #: None: there is no target
     radius: float = DEFAULT_RADIUS_MM
     obstacles: tuple[ObstacleRecord, ...] = ()
-    plan: SteeringPlan | None = None
-    plan_step: int = 0
-    roll_deg: float = 0.0
+    plan: SteeringPlan | None = None  #: the last plan for this goal
+    plan_step: int = 0  #: step of the needle at which it was sought
+    roll_deg: float = 0.0  #: angle about x by which the needle's plane contains a target in space
+    #: by how much a plan may shift the entry to either side. Above 0 it begins anew at first contact.
     entry_mm: float = 0.0
+    #: wanted, challenged: whether a plan, or a random target, has been asked for and is not computed yet
     wanted: bool = False
     challenged: bool = False
-    version: int = 0
+    version: int = 0  #: counts changes of the goal
 
     def set(
         self,
@@ -140,10 +109,7 @@ class TrialAim:
 def read_goal(message: Message) -> GoalParts:
     """Return target, radius and obstacles of a message.
 
-    Raises
-    ------
-    ModelError
-        If one is not a finite number, or there are too many.
+    ModelError if one is not a finite number, or there are too many.
     """
     radius = message.number("radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM, "mm")
     if radius <= 0:
@@ -278,14 +244,8 @@ def find_placement(viewed_scene: ViewedScene) -> Placement:
 def write_plan(viewed_scene: ViewedScene, plan: SteeringPlan, path: Path) -> None:
     """Write a plan from first contact as a recording, which `view` and `simulate` replay.
 
-    Its entry is that of the plan.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
-    ModelError
-        If a step has no needle with the scene's parameters.
+    Its entry is that of the plan. OSError if it cannot be written. ModelError if a step has no needle with
+    the scene's parameters.
     """
     viewed_scene = shift_entry(viewed_scene, plan.entry_mm)
     scene = Scene.from_record(viewed_scene.record, viewed_scene.name)

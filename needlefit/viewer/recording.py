@@ -27,8 +27,8 @@ from needlefit.viewer.steering import Change, SteeredNeedle
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "tip_lateral_mm")
 
+#: digits of the number of a guide or layer; Python refuses to convert thousands of digits
 MAX_ITEM_DIGITS = 6
-"""Digits of the number of a guide or layer; Python refuses to convert thousands of digits."""
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,7 @@ def make_head(
 def read_recording(path: Path) -> Recording:
     """Return the recording in a file; an incomplete last line is left out.
 
-    Raises
-    ------
-    DataError, ConfigError
-        If it is not a recording, or one of its lines or keys is wrong.
+    DataError or ConfigError if it is not a recording, or one of its lines or keys is wrong.
     """
     lines = read_text(path).splitlines(keepends=True)
     count = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))
@@ -235,15 +232,12 @@ def begin_replay(recording: Recording) -> SteeredNeedle:
 def replay(recording: Recording, steering: SteeredNeedle | None = None) -> Iterator[ReplayedStep]:
     """Yield the needle at first contact and after every step of a recording.
 
+    DataError if a step cannot be carried out; it was recorded by another version, or changed since.
+
     Parameters
     ----------
     steering : SteeredNeedle, optional
         The needle for the replay, at first contact; by default a new one.
-
-    Raises
-    ------
-    DataError
-        If a step cannot be carried out; it was recorded by another version, or changed since.
     """
     steering = steering or begin_replay(recording)
     last = find_last_returns(recording.steps)

@@ -29,43 +29,25 @@ from needlefit.imaging.volume_files import read_volume
 from needlefit.reporting.figures.scan_views import encode_grey
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-PIXEL_MM = 0.3
-"""Edge of a pixel of the slice along the needle, mm."""
-
-HALF_WIDTH_MM = 10.0
-"""How far the slice along the needle reaches to both sides, mm."""
-
-BEYOND_TIP_MM = 15.0
-"""How far it reaches beyond the tip, mm."""
-
-_LETTERS = ("RL", "AP", "IS")
-"""Letters of the low and the high side of the patient's axes L, P, S."""
-
+PIXEL_MM = 0.3  #: edge of a pixel of the slice along the needle, mm
+HALF_WIDTH_MM = 10.0  #: how far the slice along the needle reaches to both sides, mm
+BEYOND_TIP_MM = 15.0  #: how far it reaches beyond the tip, mm
+_LETTERS = ("RL", "AP", "IS")  #: letters of the low and the high side of the patient's axes L, P, S
+#: name, and the patient's axes across the slice, to the right and downwards; -1: upwards is positive
 _VIEWS = (("axial", 2, 0, 1, 1), ("coronal", 1, 0, 2, -1), ("sagittal", 0, 1, 2, -1))
-"""Name, and the patient's axes across the slice, to the right and downwards; -1: upwards is positive."""
 
 
 @dataclass(frozen=True)
 class SliceAxes:
-    """How a slice lies in a volume.
-
-    Attributes
-    ----------
-    normal, right, down : int
-        Axes of the volume: i, j or k.
-    right_sign, down_sign : int
-        -1 where the picture runs against the index.
-    letters : tuple of str
-        Of the patient's sides at the left, right, top and bottom edge.
-    """
+    """How a slice lies in a volume."""
 
     name: str
-    normal: int
+    normal: int  #: normal, right, down: axes of the volume: i, j or k
     right: int
     down: int
-    right_sign: int
+    right_sign: int  #: right_sign, down_sign: -1 where the picture runs against the index
     down_sign: int
-    letters: tuple[str, str, str, str]
+    letters: tuple[str, str, str, str]  #: of the patient's sides at the left, right, top and bottom edge
 
 
 def list_slice_axes(volume: Volume) -> tuple[SliceAxes, ...]:
@@ -95,14 +77,9 @@ def cut_slice(volume: Volume, axes: SliceAxes, index: int) -> NDArray[np.float32
 
 @dataclass(frozen=True)
 class NeedleCourse:
-    """The needle drawn straight: where each column of its slice lies, and what is across it.
+    """The needle drawn straight: where each column of its slice lies, and what is across it."""
 
-    Attributes
-    ----------
-    points, u, v : (N, 3) arrays
-        LPS, mm; `u` and `v` are perpendicular unit vectors across the needle.
-    """
-
+    #: points, u, v: (N, 3) LPS, mm; `u` and `v` are perpendicular unit vectors across the needle
     points: Floats
     u: Floats
     v: Floats
@@ -135,32 +112,18 @@ def make_course(needle: Floats) -> NeedleCourse:
     return NeedleCourse(points, np.cross(v, tangents), v)
 
 
-MAX_BALLS = 64
-"""Balls that may be placed by hand."""
-
+MAX_BALLS = 64  #: balls that may be placed by hand
 BALLS_FILE = "balls.csv"
-
-DIGITS = 3
-"""Decimals of a place, mm: as many as the files keep, so that these give the same numbers again."""
+DIGITS = 3  #: decimals of a place, mm: as many as the files keep, so that these give the same numbers again
 
 
 @dataclass(frozen=True)
 class Corrections:
-    """Places that a person gave, LPS, mm; None: as found.
+    """Places that a person gave, LPS, mm; None: as found."""
 
-    Attributes
-    ----------
-    needle : (3,) array or None
-        A point on the tube that is the needle.
-    balls : (M, 3) array or None
-        All balls.
-    contact, tip : (3,) array or None
-        Where the needle enters the tissue, and where it ends.
-    """
-
-    needle: Floats | None = None
-    balls: Floats | None = None
-    contact: Floats | None = None
+    needle: Floats | None = None  #: (3,) A point on the tube that is the needle
+    balls: Floats | None = None  #: (M, 3) all balls
+    contact: Floats | None = None  #: contact, tip: (3,) Where the needle enters the tissue, and where it ends
     tip: Floats | None = None
 
     @property
@@ -174,13 +137,7 @@ class Corrections:
 
 
 def read_corrections(content: object) -> Corrections:
-    """Return the corrections that a page sent.
-
-    Raises
-    ------
-    DataError
-        If they are not places.
-    """
+    """Return the corrections that a page sent; DataError if they are not places."""
     if not isinstance(content, Mapping):
         raise DataError("the corrections are no table", expected="needle, balls, contact, tip")
     balls = content.get("balls")
@@ -206,10 +163,7 @@ def _read_point(given: object, name: str) -> Floats:
 def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
     """Return the scan with the corrections; the balls that it then names are written to `folder`.
 
-    Raises
-    ------
-    DataError
-        If balls are given to a scan without markers, or too few, or an entry beside that of the stage.
+    DataError if balls are given to a scan without markers, or too few, or an entry beside that of the stage.
     """
     balls, fiducials = corrections.balls, scan.fiducials
     if balls is not None and scan.markers is None:
@@ -241,15 +195,9 @@ def correct_scan(scan: Scan, corrections: Corrections, folder: Path) -> Scan:
 
 
 TABLE_FILE, RECIPE_FILE = "scans.csv", "recipe.toml"
-
-SHOWN_POINTS = 60
-"""Points of a line that are sent to the page."""
-
-TISSUE_WINDOW_HU = 350.0
-"""Half the width of the window that shows tissue, HU."""
-
-MAX_HU = 3071.0
-"""Brightest value of the window that shows metal, HU."""
+SHOWN_POINTS = 60  #: points of a line that are sent to the page
+TISSUE_WINDOW_HU = 350.0  #: half the width of the window that shows tissue, HU
+MAX_HU = 3071.0  #: brightest value of the window that shows metal, HU
 
 
 class ScanSession:
@@ -282,10 +230,7 @@ class ScanSession:
     def again(self, content: object) -> None:
         """Examine the scan again, with the corrections that a page sent.
 
-        Raises
-        ------
-        DataError
-            If a correction is no place, or balls are given to a scan without markers.
+        DataError if a correction is no place, or balls are given to a scan without markers.
         """
         given = read_corrections(content)
         self.found = self._examine(given) if given.any else self._first
@@ -295,10 +240,7 @@ class ScanSession:
     def save_shown(self, content: object) -> Path:
         """Save the corrections in use, as `save`, if they are those that a page shows.
 
-        Raises
-        ------
-        DataError
-            If another window has changed them.
+        DataError if another window has changed them.
         """
         if read_corrections(content).to_json() != self.corrections.to_json():
             raise DataError(
@@ -331,13 +273,7 @@ class ScanSession:
         return shlex.join(["needlefit", "reconstruct", str(table), "--recipe", recipe, "--out", out])
 
     def cut(self, request: Mapping[str, Any]) -> bytes:
-        """Return a slice as PNG.
-
-        Raises
-        ------
-        DataError
-            If there is no such slice.
-        """
+        """Return a slice as PNG; DataError if there is no such slice."""
         try:
             low, high = float(request["low"]), float(request["high"])
             if request["view"] == "needle":

@@ -39,32 +39,22 @@ if TYPE_CHECKING:
     from needlefit.viewer.openigtlink import OpenIGTLinkServer
 
 LOOPBACK = "127.0.0.1"
-
-MAX_MESSAGE_BYTES = 16 * 1024
-"""Size limit of a message; the largest from the page has a few hundred bytes."""
-
+MAX_MESSAGE_BYTES = 16 * 1024  #: size limit of a message; the largest from the page has a few hundred bytes
+#: messages per second that a window may send, and how many may arrive at once after a pause; a page sends up
+#: to 250 inputs, and one for each of its frames
 MAX_MESSAGES_PER_S, MAX_BURST_MESSAGES = 1000.0, 2000.0
-"""Messages per second that a window may send, and how many may arrive at once after a pause; a page sends up
-to 250 inputs, and one for each of its frames."""
-
-TOKEN_TIMEOUT_S = 10.0
-"""Time in which a window must send its token, s."""
-
+TOKEN_TIMEOUT_S = 10.0  #: time in which a window must send its token, s
+#: time in which a request must have come whole, s, and pause between two looks at the connections
 REQUEST_TIMEOUT_S, CHECK_INTERVAL_S = 10.0, 1.0
-"""Time in which a request must have come whole, s, and pause between two looks at the connections."""
-
+#: pauses between two bands, s (each takes a hundred simulated needles), and before the next look for a goal
+#: or a wish for a plan, for a wish for a fit, and for a needle that was moved by a tracker
 BAND_INTERVAL_S, PLAN_INTERVAL_S, FIT_INTERVAL_S, TRACKING_INTERVAL_S = 0.15, 0.1, 0.03, 0.03
-"""Pauses between two bands, s (each takes a hundred simulated needles), and before the next look for a goal
-or a wish for a plan, for a wish for a fit, and for a needle that was moved by a tracker."""
-
-STATUS_INTERVAL_S = 0.25
-"""Pause between two reports of a tracked needle, s."""
-
+STATUS_INTERVAL_S = 0.25  #: pause between two reports of a tracked needle, s
 MAX_WINDOWS = 16
-
+#: codes for closing a socket: no token, or another window controls the needle
 CLOSE_NO_TOKEN, CLOSE_TAKEN = 4401, 4409
-"""Codes for closing a socket: no token, or another window controls the needle."""
 
+#: headers of every answer: the page runs only code of this server, and connects only to it
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -76,25 +66,17 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Headers of every answer: the page runs only code of this server, and connects only to it."""
 
+#: connections that have sent a whole request
 _SPOKEN: web.AppKey[set[RequestHandler]] = web.AppKey("spoken", set)
-"""Connections that have sent a whole request."""
 
 
 @dataclass(frozen=True)
 class AccessControl:
-    """The rules by which a request is accepted: host, origin and token.
+    """The rules by which a request is accepted: host, origin and token."""
 
-    Attributes
-    ----------
-    port : int
-        On which the server listens.
-    token : str
-        Made anew for every server.
-    """
-
-    port: int
+    port: int  #: on which the server listens
+    #: made anew for every server
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
 
     @property
@@ -158,7 +140,7 @@ async def serve(
     ready: Callable[[AccessControl], None],
     stop: Callable[[], Awaitable[None]],
 ) -> None:
-    """Serve on the loopback until `stop` returns.
+    """Serve on the loopback until `stop` returns; ConfigError if the port is taken.
 
     Parameters
     ----------
@@ -169,11 +151,6 @@ async def serve(
         Called with the access control once the page can be opened.
     stop : callable
         Awaited while pages are served.
-
-    Raises
-    ------
-    ConfigError
-        If the port is taken.
     """
     # The socket is opened before the address is made: port 0 gets its number only then.
     try:

@@ -6,6 +6,7 @@ of the model: with them the insertion so far is simulated again.
 """
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -22,20 +23,14 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 
-MAX_GUIDE_NUMBER = 32
-"""Greatest number of a guide."""
-
+MAX_GUIDE_NUMBER = 32  #: greatest number of a guide
 MAX_CUT_ANGLE_DEG = 45.0
-
-MAX_MU_PA = 1e15
-"""Greatest mu, Pa: beyond it, rounding exceeds the needle's own stiffness."""
-
+MAX_MU_PA = 1e15  #: greatest mu, Pa: beyond it, rounding exceeds the needle's own stiffness
+#: duration of a trial, s, and number of trials; the fastest counts, since other programs can only slow a
+#: trial down
 STEP_RATE_TRIAL_S, STEP_RATE_TRIALS = 0.008, 3
-"""Duration of a trial, s, and number of trials; the fastest counts, since other programs can only slow a
-trial down."""
-
+#: the base stops so far before the first guide, mm: a span of less than about four diameters is no beam
 BASE_CLEARANCE_MM = 5.0
-"""The base stops so far before the first guide, mm: a span of less than about four diameters is no beam."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +52,7 @@ _LENGTH = ("0 mm or above", lambda value: value >= 0)
 _ANGLE = (f"from 0 to {MAX_CUT_ANGLE_DEG:g}°", lambda value: 0 <= value < MAX_CUT_ANGLE_DEG)
 _MODULUS = (f"above 0 MPa, up to {MAX_MU_PA / 1e6:g} MPa", lambda value: 0 < value <= MAX_MU_PA)
 
+#: all inputs but shape parameters of tissue laws, which are further ones of layers
 INPUTS = {
     "depth_mm": Input(None, *_LENGTH),
     "bevel_side": Input(None, "+1 (y > 0) or -1", lambda value: value in (1, -1)),
@@ -77,7 +73,6 @@ INPUTS = {
     "cut_angle_throughout_deg": Input(None, *_ANGLE, parameter=True),
     "return_to": Input(None, "the number of a step", lambda value: value >= 0 and value == int(value)),
 }
-"""All inputs but shape parameters of tissue laws, which are further ones of layers."""
 
 _SHAPE_PARAMETER = Input("layer", parameter=True)
 
@@ -91,18 +86,10 @@ def find_input(name: str) -> Input:
 
 @dataclass(frozen=True)
 class Change:
-    """One input and its new value; ModelError if it is no such input or value.
+    """One input and its new value; ModelError if it is no such input or value."""
 
-    Attributes
-    ----------
-    name : str
-        A key of `INPUTS`, with its unit, or a shape parameter of a law; slopes are dy/dx.
-    item : int or None
-        Number of the guide or layer, from 1.
-    """
-
-    name: str
-    item: int | None
+    name: str  #: a key of `INPUTS`, with its unit, or a shape parameter of a law; slopes are dy/dx
+    item: int | None  #: number of the guide or layer, from 1
     value: float
 
     def __post_init__(self) -> None:
@@ -118,17 +105,14 @@ class Change:
         finite = abs(self.value) <= most
         if not finite or not known.allows(self.value):
             expected = known.expected if finite else f"a finite number, at most {most:g}"
-            raise ModelError(f"{self._describe(known)} is {self._write_value()}", expected=expected)
+            named = re.sub("_(mm|deg|pa)$", "", self.name).replace("_", " ")
+            named += "" if self.item is None else f" of {known.item} {self.item}"
+            raise ModelError(f"{named} is {self._write_value()}", expected=expected)
 
     @property
     def is_parameter(self) -> bool:
         """Whether it is a parameter of the model, which applies to the whole insertion."""
         return find_input(self.name).parameter
-
-    def _describe(self, known: Input) -> str:
-        """Return the name without its unit, and whose input it is."""
-        words = self.name.removesuffix("_mm").removesuffix("_deg").removesuffix("_pa").replace("_", " ")
-        return words if self.item is None else f"{words} of {known.item} {self.item}"
 
     def _write_value(self) -> str:
         """Return the value in the unit of the page's fields."""
@@ -161,6 +145,8 @@ def find_tissue_changes(tissue: Tissue, before: Tissue) -> tuple[Change, ...]:
 def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:
     """Return the depth and inputs of `step` after some inputs were changed.
 
+    ModelError if the model has no such inputs.
+
     Parameters
     ----------
     changes : iterable of Change
@@ -168,24 +154,24 @@ def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], t
         What the scene calls its guides, in the order of their numbers.
     tip_y : float
         Where the tip stands, mm: it is held there where nothing says another place.
-
-    Raises
-    ------
-    ModelError
-        If the model has no such inputs.
     """
     values: Values = {(change.name, change.item): change.value for change in changes}
 
     def of(name: str, now: float) -> float:
         return values.get((name, None), now)
 
-    held, angle = step.controls, values.get(("cut_angle_deg", None))
+    held, tip, angle = step.controls, step.controls.tip, values.get(("cut_angle_deg", None))
+    if of("tip_held", 1.0) == 0:
+        tip = None
+    elif tip is not None or {("tip_held", None), ("tip_y_mm", None)} & values.keys():
+        y, slope = (tip.y, tip.slope) if tip else (tip_y, None)
+        tip = TrackedTip(of("tip_y_mm", y), values.get(("tip_slope", None), slope))
     controls = Controls(
         of("base_y_mm", held.base_y),
         of("base_slope", held.base_slope),
         held.stage_slope,
         _apply_to_guides(held.guides, values, names),
-        _apply_to_tip(held.tip, values, tip_y),
+        tip,
     )
     bevel = Bevel(
         of("bevel_offset_mm", step.bevel.offset),
@@ -226,11 +212,6 @@ def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, .
     return tuple(changes)
 
 
-def guide_name(item: int, names: Sequence[str]) -> str:
-    """Return the name of the guide with this number."""
-    return names[item - 1] if item <= len(names) else f"guide {item}"
-
-
 def guide_number(guide: Guide, names: Sequence[str]) -> int:
     """Return the number of a guide, counted from 1."""
     return names.index(guide.name) + 1 if guide.name in names else int(guide.name.removeprefix("guide "))
@@ -238,70 +219,45 @@ def guide_number(guide: Guide, names: Sequence[str]) -> int:
 
 def _apply_to_guides(guides: Sequence[Guide], values: Values, names: Sequence[str]) -> tuple[Guide, ...]:
     now, moves = {guide.name: guide for guide in guides}, dict[int, dict[str, float]]()
-    for (name, item), value in values.items():
-        if item is not None and name.startswith("guide_"):
-            moves.setdefault(item, {})[name.removeprefix("guide_")] = value
+    for (input_name, item), value in values.items():
+        if item is not None and input_name.startswith("guide_"):
+            moves.setdefault(item, {})[input_name.removeprefix("guide_")] = value
     for item, moved in sorted(moves.items()):
-        name = guide_name(item, names)
+        name = names[item - 1] if item <= len(names) else f"guide {item}"
         if moved.get("engaged") == 0:
             now.pop(name, None)
-        else:
-            now[name] = _move_guide(now.get(name), moved, name)
+            continue
+        if (guide := now.get(name)) is None:
+            if not {"x_mm", "y_mm"} <= moved.keys():
+                raise ModelError(
+                    f"there is no {name}",
+                    expected="guide_x_mm and guide_y_mm together, which make a guide",
+                    fix="add it before it is moved",
+                )
+            guide = Guide(moved["x_mm"], moved["y_mm"], 0.0, moved["x_mm"] >= 0, name)
+        x, slope = moved.get("x_mm", guide.x), moved.get("slope", guide.slope)
+        if "turns_freely" in moved:
+            slope = None if moved["turns_freely"] else moved.get("slope", guide.slope or 0.0)
+        now[name] = replace(guide, x=x, y=moved.get("y_mm", guide.y), slope=slope, in_tissue=x >= 0)
     return tuple(now.values())
-
-
-def _move_guide(guide: Guide | None, moved: dict[str, float], name: str) -> Guide:
-    if guide is None:
-        if not {"x_mm", "y_mm"} <= moved.keys():
-            raise ModelError(
-                f"there is no {name}",
-                expected="guide_x_mm and guide_y_mm together, which make a guide",
-                fix="add it before it is moved",
-            )
-        guide = Guide(moved["x_mm"], moved["y_mm"], 0.0, moved["x_mm"] >= 0, name)
-    x, slope = moved.get("x_mm", guide.x), moved.get("slope", guide.slope)
-    if "turns_freely" in moved:
-        slope = None if moved["turns_freely"] else moved.get("slope", guide.slope or 0.0)
-    return replace(guide, x=x, y=moved.get("y_mm", guide.y), slope=slope, in_tissue=x >= 0)
-
-
-def _apply_to_tip(tip: TrackedTip | None, values: Values, tip_y: float) -> TrackedTip | None:
-    if values.get(("tip_held", None)) == 0:
-        return None
-    if tip is None and not {("tip_held", None), ("tip_y_mm", None)} & values.keys():
-        return None
-    y, slope = (tip.y, tip.slope) if tip else (tip_y, None)
-    return TrackedTip(values.get(("tip_y_mm", None), y), values.get(("tip_slope", None), slope))
 
 
 class SteeredNeedle:
     """The needle of a scene, simulated step by step from first contact on.
 
-    The same changes in the same order find the same bits.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its needle, tissue and entry, and what holds the needle as its first step begins.
-    first_cell : float
-        Depth of the first constraint point, mm.
-    valid_only : bool
-        Whether a step that leads outside the model's validity is refused.
-
-    Attributes
-    ----------
-    number : int
-        Steps so far; 0 at first contact.
-    solved : int
-        Equilibria solved in them.
-    failed : int
-        Steps that were refused, as no needle was found.
+    The same changes in the same order find the same bits. `first_cell` is the depth of the first constraint
+    point, mm; with `valid_only` a step that leads outside the model's validity is refused.
     """
 
     def __init__(self, scene: Scene, first_cell: float, *, valid_only: bool = False) -> None:
         self._valid_only = valid_only
-        self.names = list_guide_names(scene)
-        self.scene = replace(scene, steps=tuple(_with_guide_names(step) for step in scene.steps))
+        steps = []  # all guides get a name
+        for step in scene.steps:
+            guides = tuple(replace(guide, name=guide.name or "guide") for guide in step.controls.guides)
+            steps.append(replace(step, controls=replace(step.controls, guides=guides)))
+        self.names = tuple(dict.fromkeys(guide.name for step in steps for guide in step.controls.guides))
+        self.scene = replace(scene, steps=tuple(steps))
+        #: steps so far, equilibria solved in them, and steps that were refused, as no needle was found
         self.number, self.solved, self.failed = 0, 0, 0
         self._session = begin_session(self.scene, first_cell)
         self._saved: dict[int, Session] = {}
@@ -322,31 +278,50 @@ class SteeredNeedle:
         return self._session.input_path()
 
     def step_rate(self) -> float:
-        """Return the steps per second that this needle can compute at the final depth of its scene."""
-        return _measure_step_rate(self._session, min(self.scene.depth, self.reach()))
+        """Return the steps per second that this needle can compute at the final depth of its scene.
 
-    def reach(self) -> float:
-        """Return the greatest depth possible now, mm: the base is then just before guides or tissue."""
-        return self._reach_under(self.now.step.controls)
+        A step moves the tip by a constraint spacing, in and out alternately, with no other work. Between the
+        frames of a page the processor sleeps and forgets, and single steps take a few times as long.
+        """
+        session, depth = self._session, min(self.scene.depth, self.reach())
+        other, inputs, rates = session.copy(), session.last, list[float]()
+        places = (max(depth - session.rules.spacing, 0.0), depth)
+        steps = [Step(place, inputs.bevel, inputs.controls) for place in places]
+        other.go(steps[1])
+        for _ in range(STEP_RATE_TRIALS):
+            before, began = other.solved, perf_counter()
+            while (spent := perf_counter() - began) < STEP_RATE_TRIAL_S:
+                for step in steps:
+                    other.go(step)
+            rates.append((other.solved - before) / spent)
+        return max(rates)
 
-    def _reach_under(self, controls: Controls) -> float:
-        """Return the greatest depth possible under these controls, mm."""
-        before = controls.before
+    def reach(self, controls: Controls | None = None) -> float:
+        """Return the greatest depth possible under controls (by default those now), mm.
+
+        The base is then just before guides or tissue.
+        """
+        before = (controls or self.now.step.controls).before
         # 1e-6 mm less: the base must stay before guides and tissue.
         return self.scene.needle.length + (before[0].x - BASE_CLEARANCE_MM if before else 0.0) - 1e-6
 
     def apply(self, changes: Sequence[Change]) -> NeedleState:
         """Carry out one step: all changes at once.
 
-        Raises
-        ------
-        ModelError
-            If the model does not take them, or finds no needle that does; then nothing has happened.
+        ModelError if the model does not take them, or finds no needle that does; then nothing has happened.
         """
-        _check_together(changes)
+        inputs = [(change.name, change.item) for change in changes]
+        for name, item in inputs:
+            if inputs.count((name, item)) > 1:
+                raise ModelError(f"{name} has two values in one step", expected="one value for each input")
+            if name == "return_to" and len(inputs) > 1:
+                raise ModelError("return_to stands beside other inputs", expected="a step of its own")
         if changes and changes[0].name == "return_to":
+            number = int(changes[0].value)
+            if number not in self._saved:
+                raise ModelError(f"nothing was kept of step {number}", expected="a step to return to")
             # A copy: the stored state must survive further steps, for another return.
-            self._session = self._saved_at(int(changes[0].value)).copy()
+            self._session = self._saved[number].copy()
         else:
             self._session = self._advance(changes)
         self.number += 1
@@ -361,62 +336,46 @@ class SteeredNeedle:
         if number:
             self._saved.pop(number, None)
 
-    def _saved_at(self, number: int) -> Session:
-        if number not in self._saved:
-            raise ModelError(f"nothing was kept of step {number}", expected="a step to return to")
-        return self._saved[number]
-
     def _advance(self, changes: Sequence[Change]) -> Session:
         """Return the session after a step; the one there is stays as it was if that fails."""
         session, before = self._session, self._session.solved
         parameters = [change for change in changes if change.is_parameter]
         if parameters:
-            session = self._recompute(parameters)
-            before = 0
+            given, before = {change.name: change.value for change in parameters}, 0
+            angle = given.get("cut_angle_throughout_deg")
+            session = session.simulate_again(
+                _with_parameters(session.tissue, parameters),
+                given.get("offset_throughout_mm"),
+                None if angle is None else math.radians(angle),
+            )
+            self._require_found(
+                not session.failures,
+                f"with these parameters the insertion so far fails {session.depth:.1f} mm deep",
+                "change them less, or retract the needle first",
+            )
+            self._require_valid(session.now.shape)
         moved = [change for change in changes if not change.is_parameter]
         step = apply_changes(session.last, moved, self.names, float(session.now.shape.u[-1]))
         if step != session.last:
-            if self._valid_only:
-                self._require_clearance(step)
-            shape = session.go(step, valid_only=self._valid_only)
-            if not shape.converged:
-                self.failed += 1
+            reach, guides = self.reach(step.controls), step.controls.before
+            if self._valid_only and guides and step.depth > reach + 1e-6:
+                gap = guides[0].x + self.scene.needle.length - step.depth
                 raise ModelError(
-                    f"the model finds no needle there ({shape.status})",
-                    expected="a load that tissue and needle can bear",
-                    fix="move less at a time",
+                    f"the base would stand {gap:.2f} mm before the first guide",
+                    expected=f"at least {BASE_CLEARANCE_MM:g} mm: the base stops at the guide",
+                    fix="retract the needle, or move the guide toward the tissue",
                 )
+            shape = session.go(step, valid_only=self._valid_only)
+            what = f"the model finds no needle there ({shape.status})"
+            self._require_found(shape.converged, what, "move less at a time")
             self._require_valid(shape)
         self.solved += session.solved - before
         return session
 
-    def _recompute(self, parameters: Sequence[Change]) -> Session:
-        given = {change.name: change.value for change in parameters}
-        angle = given.get("cut_angle_throughout_deg")
-        session = self._session.simulate_again(
-            _with_parameters(self._session.tissue, parameters),
-            given.get("offset_throughout_mm"),
-            None if angle is None else math.radians(angle),
-        )
-        if session.failures:
+    def _require_found(self, found: bool, what: str, fix: str) -> None:
+        if not found:
             self.failed += 1
-            raise ModelError(
-                f"with these parameters the insertion so far fails {session.depth:.1f} mm deep",
-                expected="a load that tissue and needle can bear",
-                fix="change them less, or retract the needle first",
-            )
-        self._require_valid(session.now.shape)
-        return session
-
-    def _require_clearance(self, step: Step) -> None:
-        """Raise ModelError where the base would come closer to the first guide than `BASE_CLEARANCE_MM`."""
-        if step.controls.before and step.depth > self._reach_under(step.controls) + 1e-6:
-            gap = step.controls.before[0].x + self.scene.needle.length - step.depth
-            raise ModelError(
-                f"the base would stand {gap:.2f} mm before the first guide",
-                expected=f"at least {BASE_CLEARANCE_MM:g} mm: the base stops at the guide",
-                fix="retract the needle, or move the guide toward the tissue",
-            )
+            raise ModelError(what, expected="a load that tissue and needle can bear", fix=fix)
 
     def _require_valid(self, shape: NeedleShape) -> None:
         """Raise ModelError where a needle would leave the model's validity, unless it is outside already."""
@@ -427,28 +386,6 @@ class SteeredNeedle:
                 expected="a needle within the limits of small deflections",
                 fix="move less, or bring base, guides and tip nearer to the needle's own shape",
             )
-
-
-def _check_together(changes: Sequence[Change]) -> None:
-    """Raise ModelError unless changes can act together: one value for each input, a return by itself."""
-    inputs = [(change.name, change.item) for change in changes]
-    for name, item in inputs:
-        if inputs.count((name, item)) > 1:
-            raise ModelError(f"{name} has two values in one step", expected="one value for each input")
-        if name == "return_to" and len(inputs) > 1:
-            raise ModelError("return_to stands beside other inputs", expected="a step of its own")
-
-
-def list_guide_names(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the guides of a scene, in the order of their numbers."""
-    guides = [guide for step in scene.steps for guide in step.controls.guides]
-    return tuple(dict.fromkeys(guide.name or "guide" for guide in guides))
-
-
-def _with_guide_names(step: Step) -> Step:
-    """Return a step whose guides all have a name."""
-    guides = tuple(replace(guide, name=guide.name or "guide") for guide in step.controls.guides)
-    return replace(step, controls=replace(step.controls, guides=guides))
 
 
 def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
@@ -471,22 +408,3 @@ def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
                 f"the tissue law `{tissue.law}` has no {change.name}", expected=", ".join(["mu_pa", *names])
             )
     return replace(tissue, mu=mu, shape=shape)
-
-
-def _measure_step_rate(session: Session, depth: float) -> float:
-    """Return the number of steps per second that a needle can compute near `depth` (mm), with no other work.
-
-    A step moves the tip by a constraint spacing, in and out alternately. Between the frames of a page the
-    processor sleeps and forgets, and single steps take a few times as long.
-    """
-    other, inputs, rates = session.copy(), session.last, list[float]()
-    places = (max(depth - session.rules.spacing, 0.0), depth)
-    steps = [Step(place, inputs.bevel, inputs.controls) for place in places]
-    other.go(steps[1])
-    for _ in range(STEP_RATE_TRIALS):
-        before, began = other.solved, perf_counter()
-        while (spent := perf_counter() - began) < STEP_RATE_TRIAL_S:
-            for step in steps:
-                other.go(step)
-        rates.append((other.solved - before) / spent)
-    return max(rates)

@@ -34,38 +34,21 @@ from needlefit.viewer.plans import find_placement
 from needlefit.viewer.steering import Change
 from needlefit.viewer.trials import InteractiveTrial, TrialRegistry
 
+#: greatest deviation of a transform's columns from unit length and right angles; OpenIGTLink sends floats
 MAX_ROTATION_ERROR = 1e-3
-"""Greatest deviation of a transform's columns from unit length and right angles; OpenIGTLink sends floats."""
-
-MIN_MARKER_SPREAD_MM = 1.0
-"""Markers that lie closer to a line than this determine no rotation."""
-
+MIN_MARKER_SPREAD_MM = 1.0  #: markers that lie closer to a line than this determine no rotation
+#: messages that come closer together count as so far apart when speed is judged: they come in bursts
 MIN_INTERVAL_S = 0.05
-"""Messages that come closer together count as so far apart when speed is judged: they come in bursts."""
-
+#: smaller motions of base and guides are noise: each change of an input is recorded, and begins a new ray
 MIN_MOVE_MM, MIN_TURN = 0.02, 2e-4
-"""Smaller motions of base and guides are noise: each change of an input is recorded, and begins a new ray."""
-
+#: the needle follows a tip forward by steps of the first, and back from the second on: readings jitter
 MIN_INSERTION_MM, WITHDRAWAL_MM = 0.05, 1.0
-"""The needle follows a tip forward by steps of the first, and back from the second on: readings jitter."""
-
-REST_S = 0.2
-"""A needle that has not moved for so long is at rest: base and guides act at once."""
-
-MAX_RECENT_POSES = 256
-"""Poses of a device that are kept for their mean."""
-
-MAX_AXIS_SLOPE = 1.0
-"""Slope of a base or guide beyond which its z axis is not along the needle."""
-
-TRACKING_GESTURE = -1_000_000
-"""All poses are one gesture: they are undone together."""
-
-UPDATE_ITERATIONS = 3
-"""Steps of Gauss-Newton after a reading; the next one goes on from there."""
-
-BAND_DRAWS = 100
-"""Draws of an estimate, for band and plans."""
+REST_S = 0.2  #: a needle that has not moved for so long is at rest: base and guides act at once
+MAX_RECENT_POSES = 256  #: poses of a device that are kept for their mean
+MAX_AXIS_SLOPE = 1.0  #: slope of a base or guide beyond which its z axis is not along the needle
+TRACKING_GESTURE = -1_000_000  #: all poses are one gesture: they are undone together
+UPDATE_ITERATIONS = 3  #: steps of Gauss-Newton after a reading; the next one goes on from there
+BAND_DRAWS = 100  #: draws of an estimate, for band and plans
 
 
 @dataclass(frozen=True)
@@ -102,10 +85,7 @@ class TrackedDevice:
 def register_tracker(record: TrackerRecord, placement: Placement) -> Frame:
     """Return the tracker's frame in RAS.
 
-    Raises
-    ------
-    ConfigError
-        If the matrix is not a rigid motion, or the markers lie on a line.
+    ConfigError if the matrix is not a rigid motion, or the markers lie on a line.
     """
     if record.tracker_to_ras is not None:
         rows = np.array(record.tracker_to_ras)

@@ -20,30 +20,20 @@ from needlefit.viewer.plans import TrialAim, continue_insertion, list_changes, r
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, make_head
 from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, find_tissue_changes
 
-MAX_UNDO = 200
-"""Number of gestures that can be undone."""
-
+MAX_UNDO = 200  #: number of gestures that can be undone
+#: number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
+#: stay.
 MAX_TRIALS = 32
-"""Number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
-stay."""
 
 
 @dataclass
 class TrialFit:
-    """A live fit of a trial's parameters.
+    """A live fit of a trial's parameters."""
 
-    Attributes
-    ----------
-    original : ShownInsertion or None
-        The measured insertion before its points were moved; None where nothing is measured.
-    wanted : FitScope or None
-        What is to be fitted to, until that has begun.
-    offsets : list of float or None
-        By how much the measured points are to be moved, until that has been done.
-    """
-
+    #: the measured insertion before its points were moved; None where nothing is measured
     original: ShownInsertion | None
-    wanted: FitScope | None = None
+    wanted: FitScope | None = None  #: what is to be fitted to, until that has begun
+    #: by how much the measured points are to be moved, until that has been done
     offsets: list[float] | None = None
 
 
@@ -138,12 +128,7 @@ class InteractiveTrial:
     def act(self, changes: Sequence[Change], gesture: int | None = None) -> None:
         """Carry out and record one step; steps of the same gesture are undone together.
 
-        Raises
-        ------
-        ModelError
-            If the model does not take it; then nothing has happened.
-        OSError
-            If it cannot be recorded.
+        ModelError if the model does not take it; then nothing has happened. OSError if it cannot be recorded.
         """
         number = self.steering.number
         if begins := gesture is None or gesture != self._gesture:

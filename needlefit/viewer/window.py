@@ -22,20 +22,14 @@ from needlefit.viewer.recording import (
 from needlefit.viewer.steering import Change, find_changes
 from needlefit.viewer.trials import InteractiveTrial, TrialRegistry
 
-MAX_FRAME_S = 0.1
-"""Longest motion in one frame, s: after a pause the needle does not jump."""
-
-UNDO_PAUSE_S = 0.4
-"""Steps of a recording that are farther apart than this, s, are undone one by one."""
-
-MAX_OFFSET_MM = 50.0
-"""A measured point is moved by at most so much, mm."""
-
+MAX_FRAME_S = 0.1  #: longest motion in one frame, s: after a pause the needle does not jump
+UNDO_PAUSE_S = 0.4  #: steps of a recording that are farther apart than this, s, are undone one by one
+MAX_OFFSET_MM = 50.0  #: a measured point is moved by at most so much, mm
+#: messages that leave a moving needle as it is
 _MOVING_NOTHING = ("frame", "hello", "aim", "markups", "fit", "points", "release_tracker", "forget_estimate")
-"""Messages that leave a moving needle as it is."""
 
+#: moves a needle on in every frame, which sends the time since the frame before, s; ends with the motion
 Frames = Generator[None, float, None]
-"""Moves a needle on in every frame, which sends the time since the frame before, s; ends with the motion."""
 
 Reply = dict[str, Any]
 
