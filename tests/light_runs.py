@@ -1,10 +1,12 @@
 """Runs that predict by few draws or draw empty figures, for tests of neither predictions nor figures."""
 
+from functools import partial
+
 import pytest
 from matplotlib.figure import Figure
 
 from needlefit.inference import predict
-from needlefit.inference.sampling.importance import EFFORT
+from needlefit.inference.sampling.importance import EFFORT, sample_about_fit
 from needlefit.reporting.figures import style
 from needlefit.studies import held_out_predictions, posterior_fit
 from needlefit.studies.kinds import tracks
@@ -25,7 +27,7 @@ def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def do_not_escalate(patch: pytest.MonkeyPatch) -> None:
     """Leave draws that are not certified as they are: no more of them, and no sampler."""
-    patch.setattr(posterior_fit, "escalate_effort", lambda sample: sample(EFFORT))
+    patch.setattr(posterior_fit, "sample_about_fit", partial(sample_about_fit, effort=EFFORT))
     patch.setattr(posterior_fit, "sample_posterior", lambda *_: None)
 
 

@@ -11,7 +11,6 @@ from scipy.stats import multivariate_normal
 from needlefit.inference.sampling.importance import (
     WeightedDraws,
     compute_predictive_density,
-    escalate_effort,
     sample_by_importance,
 )
 from needlefit.inference.sampling.log_density import approximate_by_laplace
@@ -43,7 +42,7 @@ def _weighted(data, seed) -> WeightedDraws:
     peak = np.linalg.lstsq(*rows)[0]
     bounds = known.lower, known.upper
     about, rng = [approximate_by_laplace(known.log_density, peak, *bounds)], np.random.default_rng(seed)
-    return escalate_effort(lambda effort: sample_by_importance(known.log_density, about, bounds, rng, effort))
+    return sample_by_importance(known.log_density, about, bounds, rng)
 
 
 def _posterior(first):
@@ -86,8 +85,6 @@ def test_the_evidence_of_a_density_is_its_integral():
     known = Known(lambda x: -0.5 * np.sum((x - 10.0) ** 2, axis=1) + 3.0, 1)
     about = [approximate_by_laplace(known.log_density, np.array([9.9]), known.lower, known.upper)]
     bounds, rng = (known.lower, known.upper), np.random.default_rng(2)
-    found = escalate_effort(
-        lambda effort: sample_by_importance(known.log_density, about, bounds, rng, effort)
-    )
+    found = sample_by_importance(known.log_density, about, bounds, rng)
     exact = 3.0 + math.log(0.5 * math.sqrt(2 * math.pi))
     assert found.log_evidence == pytest.approx(exact, abs=4 * found.log_evidence_se)

@@ -9,21 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needlefit.errors import FitError
 from needlefit.inference.fit import Callbacks, Fit
-from needlefit.inference.identifiability.identify import select_within_tolerance
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws, thin_posterior
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.importance import (
-    WeightedDraws,
-    escalate_effort,
-    resample_draws,
-    sample_about_fit,
-)
+from needlefit.inference.sampling.importance import WeightedDraws, resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.sampling.sample import sample
+from needlefit.inference.sampling.sample import sample_from_fit
 from needlefit.project.random_streams import random_stream
 from needlefit.studies.job import Job, Settings
 
@@ -81,8 +74,7 @@ def weigh_or_sample(
 
     That is None too after a stop before there is any.
     """
-    jobs, pool = settings.jobs, settings.part_pool
-    found = escalate_effort(lambda effort: sample_about_fit(problem, fit, rng, jobs, effort, pool))
+    found = sample_about_fit(problem, fit, rng, settings.jobs, pool=settings.part_pool)
     if found.certified or settings.stop():
         return found, None
     return found, sample_posterior(job, problem, fit, key, settings)
@@ -99,12 +91,6 @@ def sample_posterior(
 ) -> Posterior | None:
     """Return the posterior by MCMC from all equally good starts; None after a stop before there is any."""
     known = add_estimated_noise(problem, np.array(fit.theta))
-    ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
     rng = random_stream(job.recipe.seed, *key, "posterior")
     callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
-    try:
-        return sample(known, np.array(ends), job.recipe.sample, rng, callbacks)
-    except FitError:
-        if settings.stop():  # before there was anything to return
-            return None
-        raise
+    return sample_from_fit(known, fit, job.recipe.sample, rng, callbacks)

@@ -25,7 +25,7 @@ integrals are by importance, each about its own peaks (C. P. Robert, D. Wraith, 
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -231,10 +231,22 @@ def sample_by_importance(
     approximations: Sequence[LaplaceApproximation],
     bounds: tuple[Floats, Floats],
     rng: np.random.Generator,
-    effort: Effort,
+    effort: Effort | None = None,
 ) -> WeightedDraws:
-    """Return weighted draws of a density within its bounds (P,), (P,), given its modes."""
-    proposal, rounds = _make_first_proposal(approximations), list[_Round]()
+    """Return weighted draws of a density within its bounds (P,), (P,), given its modes.
+
+    Without an effort those of `EFFORTS` are tried in turn, until the weights can be trusted.
+    """
+    if effort is None:
+        for each in EFFORTS:
+            found = sample_by_importance(log_density, approximations, bounds, rng, each)
+            if found.certified:
+                break
+        return found
+    factors = np.array([np.linalg.cholesky(mode.axes @ mode.axes.T) for mode in approximations])
+    even = np.full(len(factors), 1 / len(factors))
+    proposal = StudentMixture(even, np.array([mode.centre for mode in approximations]), factors)
+    rounds: list[_Round] = []
     while True:
         rounds.append(_draw_round(log_density, proposal, bounds, rng, effort.draws))
         found = _weight_rounds(rounds, effort.min_ess)
@@ -252,12 +264,6 @@ class _Round:
     thetas: Floats
     log_density: Floats
     drawn_count: int
-
-
-def _make_first_proposal(modes: Sequence[LaplaceApproximation]) -> StudentMixture:
-    factors = np.array([np.linalg.cholesky(mode.axes @ mode.axes.T) for mode in modes])
-    even = np.full(len(modes), 1 / len(modes))
-    return StudentMixture(even, np.array([mode.centre for mode in modes]), factors)
 
 
 def _draw_round(
@@ -371,6 +377,7 @@ PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.05)
 EFFORT = Effort()
 #: effort of the second attempt; still far less than MCMC needs
 LARGER_EFFORT = Effort(draws=1000, components=30)
+EFFORTS = (EFFORT, LARGER_EFFORT)
 
 
 def find_modes(fit: Fit, width: Floats) -> Floats:
@@ -389,24 +396,18 @@ def select_distinct(ends: Iterable[Floats], width: Floats) -> Floats:
     return np.array(found)
 
 
-def escalate_effort(sample: Callable[[Effort], WeightedDraws]) -> WeightedDraws:
-    """Sample with the small effort, and again with the large one if the weights cannot be trusted."""
-    found = sample(EFFORT)
-    return found if found.certified else sample(LARGER_EFFORT)
-
-
 def sample_about_modes(
     problem: Problem,
     ends: Floats,
     rng: np.random.Generator,
     jobs: int = 1,
-    effort: Effort = EFFORT,
+    effort: Effort | None = None,
     pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
     """Return weighted draws of a posterior whose modes (M, P), the best first, are known."""
     evaluator, bounds = Evaluator(problem, jobs), (problem.lower, problem.upper)
     approximations = [approximate_by_laplace(evaluator, end, *bounds) for end in ends]
-    if effort.profiles:
+    if effort is None or effort.profiles:
         points = trace_profiles(problem, ends[0], jobs, pool)
         approximations += [approximate_by_information(one.information, one.theta, *bounds) for one in points]
     return sample_by_importance(evaluator, approximations, bounds, rng, effort)
@@ -449,7 +450,7 @@ def sample_about_fit(
     fit: Fit,
     rng: np.random.Generator,
     jobs: int = 1,
-    effort: Effort = EFFORT,
+    effort: Effort | None = None,
     pool: TaskPool = THIS_PROCESS,
 ) -> WeightedDraws:
     """Return weighted draws of the posterior about a fit with at least one free parameter.

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.fit import Callbacks
+from needlefit.inference.fit import Callbacks, Fit
+from needlefit.inference.identifiability.identify import select_within_tolerance
 from needlefit.inference.objective import MAX_FAILED_POINTS
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.convergence import (
@@ -282,6 +283,27 @@ def sample(
         snapshots.keep(len(blocks), block)
         blocks.append(block)
         state = block.last
+
+
+def sample_from_fit(
+    problem: Problem,
+    fit: Fit,
+    settings: SampleRecord,
+    rng: np.random.Generator,
+    callbacks: Callbacks,
+    snapshots: Snapshots | None = None,
+) -> Posterior | None:
+    """Return the posterior from the ends of all equally good starts of a fit.
+
+    None after a stop before there is anything to return.
+    """
+    ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
+    try:
+        return sample(problem, np.array(ends), settings, rng, callbacks, snapshots)
+    except FitError:
+        if callbacks.stop():
+            return None
+        raise
 
 
 @dataclass(frozen=True)

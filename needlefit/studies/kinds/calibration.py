@@ -35,7 +35,6 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.proportions import wilson_interval
 from needlefit.inference.sampling.importance import (
     WeightedDraws,
-    escalate_effort,
     find_modes,
     resample,
     sample_about_modes,
@@ -192,7 +191,7 @@ def infer_posterior(
     ends = find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
     found = None
     if sampler != "always":
-        found = escalate_effort(lambda effort: sample_about_modes(problem, ends, rng, effort=effort))
+        found = sample_about_modes(problem, ends, rng)
         if found.certified or sampler == "never":
             chosen = resample(found, draws, rng)
             thetas, density = found.thetas[chosen], found.log_density[chosen]

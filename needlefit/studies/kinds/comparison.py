@@ -47,7 +47,6 @@ from needlefit.inference.sampling.importance import (
     PredictiveDensity,
     WeightedDraws,
     compute_predictive_density,
-    escalate_effort,
     find_modes,
     sample_about_modes,
     sample_by_importance,
@@ -257,10 +256,10 @@ def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
         if not len(peaks):
             return None
         rng = random_stream(seed, job.name, fold.name, "weighed", insertion.id)
-        return escalate_effort(lambda effort: sample_about_modes(both, peaks, rng, settings.jobs, effort))
+        return sample_about_modes(both, peaks, rng, settings.jobs)
 
     rng = random_stream(seed, job.name, fold.name, "weighed")
-    known = escalate_effort(lambda effort: sample_about_modes(problem, ends, rng, settings.jobs, effort))
+    known = sample_about_modes(problem, ends, rng, settings.jobs)
     return ModelCandidate(fit.values, model_predictor(fit.values, job.medium, job.dataset), known, after)
 
 
@@ -272,9 +271,7 @@ def _fit_curve(name: str, job: Job, fold: Fold) -> ModelCandidate:
         about = [approximate_by_laplace(both, both.peak, both.lower, both.upper)]
         keys = (one.id for one in insertions)
         rng = random_stream(job.recipe.seed, job.name, fold.name, "weighed", *keys)
-        return escalate_effort(
-            lambda effort: sample_by_importance(both, about, (both.lower, both.upper), rng, effort)
-        )
+        return sample_by_importance(both, about, (both.lower, both.upper), rng)
 
     best = density.curve(density.peak)
     coefficients = {f"c{k}": value for k, value in enumerate(best.coefficients)}

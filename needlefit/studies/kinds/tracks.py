@@ -15,12 +15,12 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.datasets.tip_tracks import GUIDE_STILL_MM, TipTrack
-from needlefit.errors import ConfigError, FitError
+from needlefit.errors import ConfigError
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.forward_model import simulate_deflections
-from needlefit.inference.identifiability.identify import identify, select_within_tolerance
+from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import NOISE_SCALE, is_logarithmic
@@ -36,9 +36,9 @@ from needlefit.inference.predict import (
 )
 from needlefit.inference.problem import Problem
 from needlefit.inference.proportions import estimate_proportion
-from needlefit.inference.sampling.importance import escalate_effort, resample_draws, sample_about_fit
+from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
-from needlefit.inference.sampling.sample import Snapshots, sample
+from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
 from needlefit.inference.tracking import TrackDraws, draw_baseline, estimate_slopes, predict_readings
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
@@ -325,22 +325,14 @@ def _draw_posterior(
         return None
     pareto_k = math.nan
     if not settings.sample:
-        rng, jobs, pool = stream("weighed"), settings.jobs, settings.part_pool
-        found = escalate_effort(lambda effort: sample_about_fit(task.problem, fit, rng, jobs, effort, pool))
+        rng = stream("weighed")
+        found = sample_about_fit(task.problem, fit, rng, settings.jobs, pool=settings.part_pool)
         if found.certified:
             return fit, resample_draws(found, PREDICTION_DRAWS, rng), None
         pareto_k = found.k
-    ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
     kept = Snapshots(checkpoint, task.name)
-    try:
-        posterior = sample(
-            task.problem, np.array(ends), task.recipe.sample, stream("posterior"), callbacks, kept
-        )
-    except FitError:
-        if settings.stop():
-            return None
-        raise
-    if posterior.interrupted:
+    posterior = sample_from_fit(task.problem, fit, task.recipe.sample, stream("posterior"), callbacks, kept)
+    if posterior is None or posterior.interrupted:
         return None
     draws = thin_posterior(posterior, task.problem.parameters, PREDICTION_DRAWS, pareto_k)
     return fit, draws, posterior

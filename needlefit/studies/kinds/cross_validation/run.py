@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from needlefit.errors import FitError
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
     FitProfiles,
     profile_parameters,
-    select_within_tolerance,
 )
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.sample import Snapshots, sample
+from needlefit.inference.sampling.sample import Snapshots, sample_from_fit
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.input_files import read_toml
 from needlefit.project.processes import one_thread
@@ -266,15 +264,10 @@ def _sample(
 
     rng = random_stream(job.recipe.seed, fold.name, "posterior")
     callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
-    others = [start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta]
-    ends = np.array([fit.theta, *others])
     snapshots = Snapshots(checkpoint, fold.name)
-    try:
-        posterior = sample(job.problem(fold), ends, job.recipe.sample, rng, callbacks, snapshots)
-    except FitError:
-        if settings.stop():  # before there is anything to keep: there is no posterior to write
-            return True
-        raise
+    posterior = sample_from_fit(job.problem(fold), fit, job.recipe.sample, rng, callbacks, snapshots)
+    if posterior is None:  # there is no posterior to write
+        return True
     tables.posteriors[fold.name] = posterior
     record_failures(job, fold, posterior, tables)
     return posterior.interrupted
