@@ -73,21 +73,7 @@ def make_id(text: str, default: str) -> str:
 
 @dataclass(frozen=True)
 class InsertionRow:
-    """One row of `insertions.csv` in internal units (mm, rad); None stands for an empty cell.
-
-    Attributes
-    ----------
-    entry, direction : (3,) array or None
-        Tip at first contact (mm) and unit direction of insertion, in the world; None for free shapes.
-    bevel : (3,) array or None
-        World direction toward which C's +y points; None: the plane and side to which the shape bends.
-    side : int
-        The side of C's x axis that the bevel faces, +1 (toward +y) or -1.
-    patient : Frame or None
-        The patient coordinates (LPS) of its scan in the world; None: that of `[frame] lps_to_world`.
-    line : int
-        Line of the file that it comes from, 0 if from none.
-    """
+    """One row of `insertions.csv` in internal units (mm, rad); None stands for an empty cell."""
 
     id: str
     medium: str
@@ -95,9 +81,12 @@ class InsertionRow:
     depth: float
     specimen: str = ""
     layers_alternative: int | None = None
-    side: int = 1
+    side: int = 1  # the side of C's x axis that the bevel faces, +1 (toward +y) or -1
+    # `entry`, `direction`: (3,); tip at first contact (mm) and unit direction of insertion, in the world;
+    # None for free shapes
     entry: Floats | None = None
     direction: Floats | None = None
+    # (3,); world direction toward which C's +y points; None: the plane and side to which the shape bends.
     bevel: Floats | None = None
     pose_source: PoseSource = "none"
     pose_shift_sd: float = 0.0
@@ -106,6 +95,7 @@ class InsertionRow:
     boundary_shared_sd: float | None = None
     depth_sd: float = 0.0
     guide_distance: float | None = None
+    # The patient coordinates (LPS) of its scan in the world; None: that of `[frame] lps_to_world`.
     patient: Frame | None = None
     base_moved: float = 0.0
-    line: int = 0
+    line: int = 0  # line of the file that it comes from, 0 if from none

@@ -54,44 +54,23 @@ STRESS_HELP = (
 
 @dataclass(frozen=True)
 class SpecimenLoading:
-    """The loading of one specimen.
-
-    Attributes
-    ----------
-    stretch : (N,) array
-        From the largest, about 1, downward.
-    stress : (N,) array
-        MPa, negative in compression.
-    """
+    """The loading of one specimen."""
 
     name: str
-    stretch: Floats
-    stress: Floats
+    stretch: Floats  # (N,); from the largest, about 1, downward
+    stress: Floats  # (N,); MPa, negative in compression
 
 
 @dataclass(frozen=True)
 class CompressionTest:
-    """The measured loading curves of one material, read from one file.
-
-    Attributes
-    ----------
-    digest : str
-        SHA-256 of the file.
-    measure : "nominal" or "true"
-        Of all its stresses.
-    columns : tuple of str
-        The columns that were read.
-    specimens : tuple of Specimen
-    warnings : tuple of str
-        What was left out or reversed, in sentences.
-    """
+    """The measured loading curves of one material, read from one file."""
 
     path: Path
-    digest: str
-    measure: StressMeasure
-    columns: tuple[str, ...]
+    digest: str  # SHA-256 of the file
+    measure: StressMeasure  # of all its stresses
+    columns: tuple[str, ...]  # the columns that were read
     specimens: tuple[SpecimenLoading, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # what was left out or reversed, in sentences
 
 
 def read_compression(path: Path, stated: StressMeasure | None = None) -> CompressionTest:
@@ -99,11 +78,7 @@ def read_compression(path: Path, stated: StressMeasure | None = None) -> Compres
 
     Columns: `stretch`, or `displacement_mm` and `height_mm`; `nominal_stress_kpa` or `true_stress_kpa` (or
     _pa, _mpa), or `force_n` and `area_mm2` or `diameter_mm`; `sample` or `id` tells specimens apart.
-
-    Raises
-    ------
-    DataError
-        Listing every fault: missing or doubtful columns, cells, strains for stretches, tension, cycles.
+    DataError listing every fault: missing or doubtful columns, cells, strains for stretches, tension, cycles.
     """
     if not is_file(path):
         raise DataError("there is no such file", where=str(path), fix="check the path")

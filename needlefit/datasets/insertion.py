@@ -26,30 +26,21 @@ DEFAULT_MEASUREMENT = MeasurementRecord()
 
 @dataclass(frozen=True)
 class Noise:
-    """The measurement errors that a dataset states, mm.
+    """The measurement errors that a dataset states, mm."""
 
-    Attributes
-    ----------
-    registration_mean : float
-        Mean 3-D error that registration alone leaves at the needle.
-    point_sd : float
-        Standard deviation of independent noise of a centreline point, per axis.
-    correlated_sd, correlation_length : float
-        Standard deviation per axis and length along the needle of the correlated part.
-    correlation : "exponential" or "matern32"
-        How it falls with the distance: exp(-d / length), errors that are rough; or Matérn's function of order
-        3/2, (1 + z) exp(-z) with z = sqrt(3) d / length, errors that are smooth (Rasmussen & Williams,
-        Gaussian Processes for Machine Learning, 2006, eq. 4.17).
-    heading_sd, slope_sd : float
-        Of tip tracks, rad: standard deviation of a heading, 0 where headings are not used; and of a run's
-        slope in the tracker's frame about that of its session, 0 where every run has its own.
-    """
-
-    registration_mean: float = 0.0
-    point_sd: float = 0.0
+    registration_mean: float = 0.0  # mean 3-D error that registration alone leaves at the needle
+    point_sd: float = 0.0  # standard deviation of independent noise of a centreline point, per axis
+    # `correlated_sd`, `correlation_length`: standard deviation per axis and length along the needle of the
+    # correlated part
     correlated_sd: float = 0.0
     correlation_length: float = 5.0
+    # How it falls with the distance: exp(-d / length), errors that are rough; or Matérn's function of order
+    # 3/2, (1 + z) exp(-z) with z = sqrt(3) d / length, errors that are smooth (Rasmussen & Williams, Gaussian
+    # Processes for Machine Learning, 2006, eq. 4.17).
     correlation: Literal["exponential", "matern32"] = "exponential"
+    # `heading_sd`, `slope_sd`: of tip tracks, rad: standard deviation of a heading, 0 where headings are not
+    # used; and of a run's slope in the tracker's frame about that of its session, 0 where every run has its
+    # own
     heading_sd: float = 0.0
     slope_sd: float = 0.0
 
@@ -276,10 +267,7 @@ def select_compared_places(pose: Pose, drop: float, insertion: Insertion) -> tup
 def find_free_reach(drop: float, insertion: Insertion) -> float:
     """Return the distance from the tip at which the comparison of free shapes begins, mm.
 
-    Raises
-    ------
-    DataError
-        If nothing is left to compare.
+    DataError if nothing is left to compare.
     """
     reach = min(float(arc_length(insertion.planar)[-1]), insertion.depth) - drop
     if reach <= 0:

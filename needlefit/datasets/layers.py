@@ -134,13 +134,9 @@ def reduce_insertion(
     """Reduce a row without faults to an insertion in its bending plane; `patient` is the pose of its scan in
     the world.
 
-    C stands at the entry pose; its plane is that of `row.bevel`, or, where that is empty, the one in
-    which the centreline leaves the entry line. A row without entry pose gets `fit_free_frame`.
-
-    Raises
-    ------
-    DataError
-        If the bevel direction is parallel to the entry.
+    C stands at the entry pose; its plane is that of `row.bevel`, or, where that is empty, the one in which
+    the centreline leaves the entry line. A row without entry pose gets `fit_free_frame`. DataError if the
+    bevel direction is parallel to the entry.
     """
     centerline = points.values
     frame = _make_frame(row, centerline)

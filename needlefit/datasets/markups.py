@@ -28,36 +28,18 @@ CURVE_KINDS = ("Curve", "Fiducial")
 
 @dataclass(frozen=True)
 class Markups:
-    """One markup list of 3D Slicer.
+    """One markup list of 3D Slicer."""
 
-    Attributes
-    ----------
-    path : Path
-        Where it stands.
-    name : str
-        Of the list; the file's where it has none.
-    kind : str
-        "Fiducial", "Curve", "ClosedCurve", "Line", ...
-    labels : tuple of str
-        Of the points, N of them.
-    points : (N, 3) array
-        LPS, mm. Locked, hidden and unselected points are among them: that is how they are shown, no more.
-    system : str
-        The coordinate system of the file, from which they were turned.
-    unset : tuple of str
-        Labels of the points that were never placed; `points` leaves them out.
-    lines : (N,) array or None
-        Line of each point; None where the format has no lines.
-    """
-
-    path: Path
-    name: str
-    kind: str
-    labels: tuple[str, ...]
+    path: Path  # where it stands
+    name: str  # of the list; the file's where it has none
+    kind: str  # "Fiducial", "Curve", "ClosedCurve", "Line", ...
+    labels: tuple[str, ...]  # of the points, N of them
+    # (N, 3); LPS, mm. Locked, hidden and unselected points are among them: that is how they are shown, no
+    # more.
     points: Floats
-    system: PatientSystem = "LPS"
-    unset: tuple[str, ...] = ()
-    lines: NDArray[np.int64] | None = None
+    system: PatientSystem = "LPS"  # the coordinate system of the file, from which they were turned
+    unset: tuple[str, ...] = ()  # labels of the points that were never placed; `points` leaves them out
+    lines: NDArray[np.int64] | None = None  # (N,); line of each point; None where the format has no lines
 
     def as_curve(self) -> Points:
         """Return the points as a centreline; DataError if the list is not a curve."""

@@ -21,25 +21,14 @@ _PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<lin
 
 @dataclass(frozen=True)
 class Points:
-    """The points of one curve and their places in the file.
-
-    Attributes
-    ----------
-    values : (N, 3) array
-        Coordinates, as in the file.
-    lines : (N,) array or None
-        Line of each point; None where the format has no lines.
-    sd : (N,) array or None
-        Standard deviation of each point across the curve, mm; None where the file has none.
-    columns : tuple of str
-        The header of the table that it was read from, if it was one.
-    """
+    """The points of one curve and their places in the file."""
 
     path: Path
-    values: NDArray[np.float64]
-    lines: NDArray[np.int64] | None = None
+    values: NDArray[np.float64]  # (N, 3); coordinates, as in the file
+    lines: NDArray[np.int64] | None = None  # (N,); line of each point; None where the format has no lines
+    # (N,); standard deviation of each point across the curve, mm; None where the file has none.
     sd: NDArray[np.float64] | None = None
-    columns: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()  # the header of the table that it was read from, if it was one
 
     def part(self, rows: NDArray[np.int64]) -> "Points":
         """Return some of the points."""

@@ -251,10 +251,7 @@ def _find_run_warnings(
 def read(path: Path) -> Dataset:
     """Return the dataset, of shapes or tip tracks, whose folder or `dataset.toml` is `path`.
 
-    Raises
-    ------
-    DataError
-        Listing every fault that `check` finds.
+    DataError listing every fault that `check` finds.
     """
     found = inspect(path)
     if found.dataset is None:
@@ -270,10 +267,7 @@ def inspect(path: Path) -> Inspection:
 def read_shapes(path: Path) -> Dataset:
     """Return `read(path)` for what works on whole shapes alone.
 
-    Raises
-    ------
-    DataError
-        Listing every fault that `check` finds, or because it holds tip tracks.
+    DataError listing every fault that `check` finds, or because it holds tip tracks.
     """
     if holds_tracks(path):
         what = "holds tip tracks, no shapes"

@@ -21,12 +21,8 @@ def select_insertions(
     """Return the insertions that match every key of `selection`, in the dataset's order.
 
     `layer_count_rule` decides which count of layers holds for an insertion that ends at a boundary; `key` is
-    where the selection stands in its file.
-
-    Raises
-    ------
-    ConfigError
-        If a medium, specimen or insertion is unknown, or no insertion is left.
+    where the selection stands in its file. ConfigError if a medium, specimen or insertion is unknown, or no
+    insertion is left.
     """
     known = dataset.insertions
     with add_key_context(f"{key}.medium"):

@@ -25,10 +25,7 @@ def find_dataset_file(path: Path) -> Path:
 def find_folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
     """Return the folders with the files, sorted: that of `path`, or all that match `root`.
 
-    Raises
-    ------
-    DataError
-        If `root` names an environment variable that is not set, or matches no folder.
+    DataError if `root` names an environment variable that is not set, or matches no folder.
     """
     if record.root is None:
         return (path.parent,)
@@ -149,10 +146,7 @@ def _relative_path(home: Path, path: Path) -> str:
 def find_volume(dataset: Dataset, id_: str) -> ScanVolume | None:
     """Return the scan of an insertion, or None if the dataset states none; the path may not exist any more.
 
-    Raises
-    ------
-    DataError
-        If the table of scans has a fault.
+    DataError if the table of scans has a fault.
     """
     path = dataset.path.parent / VOLUMES_FILE
     if not is_file(path):

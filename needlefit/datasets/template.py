@@ -39,10 +39,8 @@ class CurveSource:
 def read_source(path: Path) -> CurveSource:
     """Read every centreline of a file of any of the file formats.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, of another kind, or without usable curves; the message lists what is read.
+    DataError if the file is missing, of another kind, or without usable curves; the message lists what is
+    read.
     """
     format_ = find_format(path)
     sources = f"--from reads {', or '.join(one.description for one in FORMATS.values())}"
@@ -109,22 +107,13 @@ def write_template(
     """Write a dataset that passes `check` into `folder`; return its `dataset.toml`. Nothing is written if it
     does not pass.
 
-    Parameters
-    ----------
-    source : Path or None
-        None: a small example, marked as made up. A CSV with columns x_mm, y_mm, z_mm, sd_mm if known and,
-        for more than one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name.
-        A .mrk.json or .fcsv of 3D Slicer: its curves and point lists, in LPS.
-    tell : callable
-        Called with notes on how the source was read where that may surprise: columns ignored, a table taken
-        as one curve.
+    `source`: None: a small example, marked as made up. A CSV with columns x_mm, y_mm, z_mm, sd_mm if known
+    and, for more than one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name. A
+    .mrk.json or .fcsv of 3D Slicer: its curves and point lists, in LPS.
+    `tell`: called with notes on how the source was read where that may surprise: columns ignored, a table
+    taken as one curve.
 
-    Raises
-    ------
-    ConfigError
-        If `folder` holds something.
-    DataError
-        If the source has faults.
+    ConfigError if `folder` holds something. DataError if the source has faults.
     """
     require_new(folder)
     require_file_name(folder.resolve().name, str(folder))

@@ -14,24 +14,13 @@ GUIDE_STILL_MM = 0.05
 
 
 class TipReadings(NamedTuple):
-    """The readings of a run; the first is first contact.
+    """The readings of a run; the first is first contact."""
 
-    Attributes
-    ----------
-    depth : (n,) array
-        Inserted length at each reading, mm, from 0.
-    tip : (n,) array
-        Lateral place of the tip in the tracker's frame, mm: known up to a shift and a slope.
-    guide : (n,) array
-        Lateral place of the guide on the way to each reading, mm, from where it stood at the first.
-    heading : (n,) array or None
-        Direction of the tip as the tracker reports it, rad.
-    """
-
-    depth: Floats
-    tip: Floats
+    depth: Floats  # (n,); inserted length at each reading, mm, from 0
+    tip: Floats  # (n,); lateral place of the tip in the tracker's frame, mm: known up to a shift and a slope
+    # (n,); lateral place of the guide on the way to each reading, mm, from where it stood at the first.
     guide: Floats
-    heading: Floats | None = None
+    heading: Floats | None = None  # (n,); direction of the tip as the tracker reports it, rad
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,16 +29,10 @@ class TipTrack(Insertion):
 
     `planar` (n, 2) holds the depth and the tip of each reading, mm; `depth` is that of the last one. The
     `specimen` is the piece punctured; runs into one piece are no independent ones.
-
-    Attributes
-    ----------
-    guide : (n,) array
-    heading : (n,) array or None
-        See `TipReadings`.
     """
 
-    guide: Floats
-    heading: Floats | None = None
+    guide: Floats  # (n,)
+    heading: Floats | None = None  # (n,); see `TipReadings`
 
     @property
     def depths(self) -> Floats:

@@ -44,34 +44,21 @@ def write_dataset(
 ) -> Path:
     """Write a dataset into `folder` and return its `dataset.toml`.
 
-    Parameters
-    ----------
-    record : DatasetRecord
-        With `insertions.file` and `centerlines.pattern` (a .csv with `{id}`) set
-        (`insertions.csv`, `centerlines/{id}.csv`); its checksums are replaced by those of the files written.
-    rows : sequence of InsertionRow
-        In the order in which the table shall list them.
-    centerlines : mapping of id to (N, 3) or (N, 4) array
-        World points from entry to tip, and, where it is known, the standard deviation of each in any one
-        direction across the needle; mm; one for every row.
-    surfaces : mapping of file to Surface
-        The files that `record.media` names, e.g. `layers/phantom1_top.stl`; one for every row of the medium
-        where the name holds `{id}`.
-    checksums : bool
-        False for files that are there to be edited.
-    sections : mapping of id to SplineSections
-        Of every row, world, where `record.measurement.sections` names files of them.
-
-    Notes
-    -----
     Lengths are rounded to 1e-4 mm, directions and the angles of scans to 1e-6. `dataset.toml` is written
     last, so that a folder with one is complete. Files of an earlier dataset in `folder` that this one does
     not name stay there.
 
-    Raises
-    ------
-    DataError
-        If a row has no centreline, or a surface that the record names is not given.
+    `record`: with `insertions.file` and `centerlines.pattern` (a .csv with `{id}`) set (`insertions.csv`,
+    `centerlines/{id}.csv`); its checksums are replaced by those of the files written.
+    `rows`: in the order in which the table shall list them.
+    `centerlines`: (N, 3) or (N, 4); world points from entry to tip, and, where it is known, the standard
+    deviation of each in any one direction across the needle; mm; one for every row.
+    `surfaces`: the files that `record.media` names, e.g. `layers/phantom1_top.stl`; one for every row of the
+    medium where the name holds `{id}`.
+    `checksums`: False for files that are there to be edited.
+    `sections`: of every row, world, where `record.measurement.sections` names files of them.
+
+    DataError if a row has no centreline, or a surface that the record names is not given.
     """
     surfaces, sections = surfaces or {}, sections or {}
     table, pattern = record.insertions.file, record.centerlines.pattern

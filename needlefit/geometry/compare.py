@@ -14,14 +14,9 @@ COMPARISON_POINTS = 101
 
 @dataclass(frozen=True)
 class ComparedCurves:
-    """Two curves of one insertion at the same stations, from the entry to the tip.
+    """Two curves of one insertion at the same stations, from the entry to the tip."""
 
-    Attributes
-    ----------
-    simulated, measured : (K, 2) array
-        Points in C, mm.
-    """
-
+    # `simulated`, `measured`: (K, 2); points in C, mm
     simulated: Floats
     measured: Floats
 
@@ -45,10 +40,7 @@ class ComparedCurves:
 def compare_curves(simulated: ArrayLike, measured: ArrayLike) -> ComparedCurves:
     """Return two curves (K, 2), both in C, as compared station by station.
 
-    Raises
-    ------
-    ValueError
-        If their shapes differ.
+    ValueError if their shapes differ.
     """
     sim, meas = np.asarray(simulated, dtype=np.float64), np.asarray(measured, dtype=np.float64)
     if sim.shape != meas.shape or sim.ndim != 2 or sim.shape[1] != 2:

@@ -24,21 +24,11 @@ BLOCK_PAIRS = 200_000
 
 @dataclass(frozen=True)
 class Crossings:
-    """The layers along a curve, and the crossings between them.
+    """The layers along a curve, and the crossings between them."""
 
-    Attributes
-    ----------
-    arc : (m,) array
-        Arc length from the first point at which the layer changes, mm, increasing.
-    points : (m, 3) array
-        The same places in the world, mm.
-    sequence : tuple of int
-        The m + 1 layer numbers met, beginning with that of the first point.
-    """
-
-    arc: Floats
-    points: Floats
-    sequence: tuple[int, ...]
+    arc: Floats  # (m,); arc length from the first point at which the layer changes, mm, increasing
+    points: Floats  # (m, 3); the same places in the world, mm
+    sequence: tuple[int, ...]  # the m + 1 layer numbers met, beginning with that of the first point
 
 
 def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
@@ -167,10 +157,7 @@ MAX_MISSED_RAYS = 1
 def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float, step: float = 0.5) -> float:
     """Return the length of a polyline (N, 3) on which a surface is nearer than `radius` on all sides, mm.
 
-    Parameters
-    ----------
-    step : float
-        Distance of the stations at which that is asked, mm.
+    `step`: distance of the stations at which that is asked, mm.
     """
     curve = np.asarray(points, dtype=np.float64)
     stations = np.arange(step / 2, float(arc_length(curve)[-1]), step)

@@ -81,19 +81,14 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 def integrate_curvature(depth: float, coefficients: Sequence[float] | Floats, s: ArrayLike) -> Floats:
     """Return the points (K, 2) of a curve whose curvature is a polynomial in the distance d from the tip.
 
-    kappa(d) = c_0 + c_1 d + ..., d = depth - s. The curve starts at the entry (0, 0) along x, so with
-    P(d) the integral of kappa from 0 to d
+    kappa(d) = c_0 + c_1 d + ..., d = depth - s. The curve starts at the entry (0, 0) along x, so with P(d)
+    the integral of kappa from 0 to d
 
         theta(s) = P(depth) - P(depth - s),    (x, y)(s) = integral_0^s (cos theta, sin theta).
 
-    Parameters
-    ----------
-    depth : float
-        Inserted arc length, mm.
-    coefficients : sequence of float
-        c_k in mm^-(k + 1); none: a straight line.
-    s : (K,) array
-        Arc lengths from the entry, mm; before it (s < 0) the curve is straight.
+    `depth`: inserted arc length, mm.
+    `coefficients`: c_k in mm^-(k + 1); none: a straight line.
+    `s`: (K,); arc lengths from the entry, mm; before it (s < 0) the curve is straight.
     """
     along = np.asarray(s, dtype=np.float64)
     heading_integral = np.polynomial.Polynomial([0.0, *(c / (k + 1) for k, c in enumerate(coefficients))])

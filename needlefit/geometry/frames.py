@@ -16,18 +16,10 @@ PARALLEL_SINE = 1e-6
 
 @dataclass(frozen=True)
 class Frame:
-    """A right-handed coordinate frame, given by its origin and axes in the world.
+    """A right-handed coordinate frame, given by its origin and axes in the world."""
 
-    Attributes
-    ----------
-    origin : (3,) array
-        World position, mm.
-    rotation : (3, 3) array
-        Its columns are the frame's x, y and z axes in the world.
-    """
-
-    origin: Floats
-    rotation: Floats
+    origin: Floats  # (3,); world position, mm
+    rotation: Floats  # (3, 3); its columns are the frame's x, y and z axes in the world
 
     @classmethod
     def from_rows(cls, rows: ArrayLike) -> Self:
@@ -71,10 +63,7 @@ def make_entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike)
     """Return the constraint frame C: x along `direction`, y the part of `toward` normal to it, z = x cross y;
     all (3,), world.
 
-    Raises
-    ------
-    DataError
-        If a direction is zero or the two are parallel.
+    DataError if a direction is zero or the two are parallel.
     """
     x, wanted = normalize(direction), normalize(toward, "bending direction")
     normal = wanted - (wanted @ x) * x
@@ -167,18 +156,10 @@ def to_lps(points: ArrayLike, system: PatientSystem) -> Floats:
 
 @dataclass(frozen=True)
 class Placement:
-    """The poses of the constraint frame C and of the scan's patient coordinates, each in the world.
+    """The poses of the constraint frame C and of the scan's patient coordinates, each in the world."""
 
-    Attributes
-    ----------
-    frame : Frame
-        C; the needle lies in its xy plane.
-    patient : Frame
-        LPS.
-    """
-
-    frame: Frame
-    patient: Frame = IDENTITY_FRAME
+    frame: Frame  # C; the needle lies in its xy plane
+    patient: Frame = IDENTITY_FRAME  # LPS
 
     @classmethod
     def from_record(cls, record: PlacementRecord) -> Self:

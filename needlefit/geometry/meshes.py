@@ -24,19 +24,12 @@ TUBE_FACETS = 12
 def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> "trimesh.Trimesh":
     """Return a closed tube with elliptic cross-sections; its triangles face outward.
 
-    Parameters
-    ----------
-    points : (N, 3) array
-        Its axis, mm; neighbours differ.
-    half_widths : (N, 2) array, or what broadcasts to it
-        Semi-axes of each cross-section, mm: along `toward`, and across it.
-    toward : (3,) array
-        The first semi-axis, as far as it is normal to the curve.
+    `points`: (N, 3); its axis, mm; neighbours differ.
+    `half_widths`: (N, 2) or what broadcasts to it; semi-axes of each cross-section, mm: along `toward`, and
+    across it.
+    `toward`: (3,); the first semi-axis, as far as it is normal to the curve.
 
-    Raises
-    ------
-    DataError
-        If there are fewer than two points, two neighbours coincide, or the curve runs along `toward`.
+    DataError if there are fewer than two points, two neighbours coincide, or the curve runs along `toward`.
     """
     axis = np.asarray(points, dtype=np.float64)
     count = len(axis)
@@ -107,18 +100,9 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
     """Return the largest component of a mesh as an outward-facing solid, and the volume share of the other
     components.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        mm.
-    faces : (F, 3) array of int
-        Triangles with consistent orientation; every component is closed, and cavities are oriented inward.
-
-    Returns
-    -------
-    Surface
-    float
-        Volume of all other pieces, islands and cavities, as a part of that of the largest.
+    `vertices`: (V, 3); mm.
+    `faces`: (F, 3); triangles with consistent orientation; every component is closed, and cavities are
+    oriented inward.
     """
     points, corners = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     i, j = np.hstack([corners[:, :2].T, corners[:, 1:].T])
@@ -145,10 +129,7 @@ _SHIFT = np.array([1.3e-5, 1.7e-5, 2.3e-5])
 def fill_outline(lines: Floats, shape: tuple[int, int]) -> NDArray[np.bool_]:
     """Return the pixels (J, I) whose centres lie inside an odd number of closed outlines.
 
-    Parameters
-    ----------
-    lines : (L, 2, 2) array
-        Ends of the pieces of the outlines: column and row, whole at the centres of pixels.
+    `lines`: (L, 2, 2); ends of the pieces of the outlines: column and row, whole at the centres of pixels.
     """
     rows, columns = shape
     low, high = np.sort(lines[:, :, 1], axis=1).T
@@ -168,12 +149,8 @@ def fill_outline(lines: Floats, shape: tuple[int, int]) -> NDArray[np.bool_]:
 def fill_mesh(mesh: "trimesh.Trimesh", size: tuple[int, int, int]) -> NDArray[np.bool_]:
     """Return the voxels (K, J, I) whose centres lie inside a closed surface.
 
-    Parameters
-    ----------
-    mesh : Trimesh
-        Its vertices are voxel indices i, j, k.
-    size : tuple of int
-        Voxels along i, j, k.
+    `mesh`: its vertices are voxel indices i, j, k.
+    `size`: voxels along i, j, k.
     """
     import trimesh  # takes its time to load, and outlines need none
 

@@ -46,32 +46,19 @@ def free_end_basis(knots: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class SplineSections:
-    """Cross-sections of a needle, and the spline that was drawn through them.
+    """Cross-sections of a needle, and the spline that was drawn through them."""
 
-    Attributes
-    ----------
-    q, s : (S,) arrays
-        The spline's own parameter at each, and the arc length along it, mm; the last one is the tip.
-    points : (S, 3) array
-        Where the needle's axis pierces them, mm.
-    weights : (S,) array
-        What each counted in the end.
-    knots : (C + 4,) array
-        Of the cubic spline, in q.
-    sigma : float
-        Standard deviation of a cross-section of weight 1, per direction across, mm; what neighbours share is
-        counted in it.
-    shared_sd : float
-        Standard deviation of what neighbouring cross-sections share without showing it, mm.
-    """
-
+    # `q`, `s`: (S,); the spline's own parameter at each, and the arc length along it, mm; the last one is the
+    # tip
     q: Floats
     s: Floats
-    points: Floats
-    weights: Floats
-    knots: Floats
+    points: Floats  # (S, 3); where the needle's axis pierces them, mm
+    weights: Floats  # (S,); what each counted in the end
+    knots: Floats  # (C + 4,); of the cubic spline, in q
+    # Standard deviation of a cross-section of weight 1, per direction across, mm; what neighbours share is
+    # counted in it.
     sigma: float
-    shared_sd: float
+    shared_sd: float  # standard deviation of what neighbouring cross-sections share without showing it, mm
 
     def select(self, which: NDArray[np.bool_]) -> "SplineSections":
         """Return the cross-sections of a mask."""
@@ -85,24 +72,12 @@ class SplineSections:
 
 @dataclass(frozen=True)
 class SplineFit:
-    """A weighted least-squares fit of a spline, as matrices.
+    """A weighted least-squares fit of a spline, as matrices."""
 
-    Attributes
-    ----------
-    slope : (S, F) array
-        From coefficients to the spline's derivative by q at the S places fitted to.
-    operator : (F, S) array
-        From values at these places to coefficients: G.
-    spread : (F, F) array
-        Covariance of the coefficients for values of unit variance at weight 1.
-    reached : (C,) array
-        Which of the C coefficients of the knots are these F.
-    """
-
-    slope: Floats
-    operator: Floats
-    spread: Floats
-    reached: NDArray[np.bool_]
+    slope: Floats  # (S, F); from coefficients to the spline's derivative by q at the S places fitted to
+    operator: Floats  # (F, S); from values at these places to coefficients: G
+    spread: Floats  # (F, F); covariance of the coefficients for values of unit variance at weight 1
+    reached: NDArray[np.bool_]  # (C,); which of the C coefficients of the knots are these F
 
 
 def find_empty_pieces(q: Floats, weights: Floats, knots: Floats) -> Floats:
@@ -159,10 +134,7 @@ class DrawnSpline:
 def draw_spline(sections: SplineSections, q: Floats) -> DrawnSpline:
     """Return the spline through cross-sections at `q` (N,), mm.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the sections do not determine it.
+    numpy.linalg.LinAlgError if the sections do not determine it.
     """
     fit = fit_matrices(sections.q, sections.weights, sections.knots)
     design = design_matrix(q, sections.knots)[:, fit.reached]

@@ -80,10 +80,7 @@ class _Body:
 def read_polydata(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the vertices (V, 3) and triangles (F, 3) of a legacy VTK file; polygons are cut into triangles.
 
-    Raises
-    ------
-    ValueError, KeyError
-        If it is no such file, is cut short, or holds triangle strips alone.
+    ValueError, KeyError if it is no such file, is cut short, or holds triangle strips alone.
     """
     head = data[:1024].split(b"\n", 4)
     if not head[0].startswith(b"# vtk DataFile") or len(head) < 4:
@@ -186,10 +183,8 @@ def make_mesh(vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike | None =
 def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
     """Read an STL, PLY, OBJ or (legacy) VTK file, in mm; the mesh itself is checked by `find_mesh_faults`.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, is larger than `MAX_MESH_BYTES`, or holds no triangles of its own vertices.
+    DataError if the file is missing, is larger than `MAX_MESH_BYTES`, or holds no triangles of its own
+    vertices.
     """
     ending = path.suffix.lower()
     if ending not in READ_SUFFIXES:

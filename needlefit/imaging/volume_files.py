@@ -55,9 +55,9 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
     """Read the volume in a file or folder; its geometry is checked first.
 
     `path`: a folder with a DICOM series in it or below, its DICOMDIR, one file of the series (also an
-      enhanced multi-frame one), an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
+    enhanced multi-frame one), an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
     `series`: number or UID of the DICOM series, where a folder holds several; a file's name, where a .zip
-      does.
+    does.
 
     DataError if there is no such volume, or its geometry cannot be trusted; nothing is guessed. ConfigError
     if the packages that read scans are not installed.

@@ -234,14 +234,9 @@ def build_dataset(
 ) -> Path:
     """Write the twin of `seed` into `folder`; return its `dataset.toml`. The same seed gives the same bytes.
 
-    Parameters
-    ----------
-    plan : sequence of PlannedInsertion
-        The insertions; each comes out the same whatever the others are.
-    pool : TaskPool
-        Where insertions are made; changes no byte.
-    progress : callable
-        Told what is being done, how many insertions are done, and of how many.
+    `plan`: the insertions; each comes out the same whatever the others are.
+    `pool`: where insertions are made; changes no byte.
+    `progress`: told what is being done, how many insertions are done, and of how many.
     """
     recipe, built = make_recipe([WHOLE_BOX_SETUP]), list[ReconstructedInsertion]()
     progress("reconstructing", 0, len(plan))

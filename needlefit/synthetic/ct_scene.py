@@ -15,27 +15,14 @@ WATER_PER_MM = 0.02
 
 @dataclass(frozen=True)
 class Needle3D:
-    """The steel needle in the scanner.
+    """The steel needle in the scanner."""
 
-    Attributes
-    ----------
-    points : (N, 3) array
-        The shaft's axis from base to tip, patient (LPS), mm.
-    diameter : float
-        mm.
-    bevel_deg : float
-        Angle between the bevel's face and the axis; 90 is a blunt end.
-    bevel_toward : (3,) array
-        The direction across the axis in which the bevel's point lies.
-    hu : float
-        What the metal would read without a ceiling.
-    """
-
-    points: Floats
-    diameter: float = 1.27
-    bevel_deg: float = 30.0
+    points: Floats  # (N, 3); the shaft's axis from base to tip, patient (LPS), mm
+    diameter: float = 1.27  # mm
+    bevel_deg: float = 30.0  # angle between the bevel's face and the axis; 90 is a blunt end
+    # (3,); the direction across the axis in which the bevel's point lies.
     bevel_toward: Floats = field(default_factory=lambda: np.array([0.0, 1.0, 0.0]))
-    hu: float = 9000.0
+    hu: float = 9000.0  # what the metal would read without a ceiling
 
 
 @dataclass(frozen=True)
@@ -49,79 +36,44 @@ class SceneMarkers:
 
 @dataclass(frozen=True)
 class ScannerTable:
-    """The table: a slab under the phantom, and the rails along its edges.
+    """The table: a slab under the phantom, and the rails along its edges."""
 
-    Attributes
-    ----------
-    frame : Frame
-        Origin on the slab's upper face; x along the table, y across it, z up.
-    width, thickness : float
-        mm.
-    hu, rail_hu : float
-        Of the slab and of its two rails, 8 mm wide.
-    """
-
-    frame: Frame
+    frame: Frame  # origin on the slab's upper face; x along the table, y across it, z up
+    # `width`, `thickness`: mm
     width: float = 300.0
     thickness: float = 8.0
+    # `hu`, `rail_hu`: of the slab and of its two rails, 8 mm wide
     hu: float = -100.0
     rail_hu: float = 2800.0
 
 
 @dataclass(frozen=True)
 class Scene3D:
-    """Everything that lies in the scanner.
+    """Everything that lies in the scanner."""
 
-    Attributes
-    ----------
-    needles : tuple of Needle3D
-        One, in a proper scan.
-    phantom : Phantom
-        The box of layers.
-    layers_hu : tuple of float
-        One a layer, from the entry inwards.
-    box : Frame
-        The phantom's world in the patient: origin at the middle of the entry face, x into the box.
-    """
-
-    needles: tuple[Needle3D, ...]
-    phantom: Phantom
-    layers_hu: tuple[float, ...]
-    box: Frame
+    needles: tuple[Needle3D, ...]  # one, in a proper scan
+    phantom: Phantom  # the box of layers
+    layers_hu: tuple[float, ...]  # one a layer, from the entry inwards
+    box: Frame  # the phantom's world in the patient: origin at the middle of the entry face, x into the box
     markers: SceneMarkers | None = None
     table: ScannerTable | None = None
 
 
 @dataclass(frozen=True)
 class Scanner:
-    """The scanner: its grid, blur, noise, artefacts and range; slices of the grid are planes of its rotation.
-
-    Attributes
-    ----------
-    psf_mm : float
-        Standard deviation of the point spread.
-    noise_hu, noise_mm : float
-        Standard deviation of the noise, and of the Gaussian that correlates it.
-    bloom, bloom_mm : float
-        Part of the metal's signal that is spread wider, and how wide (standard deviation).
-    streaks : float
-        Strength of the rays from metal; 0 is none, 1 that of a scanner with no correction.
-    cupping_hu : float
-        How much too dark the middle of the phantom is.
-    floor_hu, ceiling_hu : float
-        Range of the stored numbers.
-    views : int
-        Projections over half a turn.
-    """
+    """The scanner: grid, blur, noise, artefacts and range; slices of the grid are planes of its rotation."""
 
     grid: VoxelGrid
-    psf_mm: float = 0.4
+    psf_mm: float = 0.4  # standard deviation of the point spread
+    # `noise_hu`, `noise_mm`: standard deviation of the noise, and of the Gaussian that correlates it
     noise_hu: float = 40.0
     noise_mm: float = 0.25
+    # `bloom`, `bloom_mm`: part of the metal's signal that is spread wider, and how wide (standard deviation)
     bloom: float = 0.12
     bloom_mm: float = 1.0
-    streaks: float = 1.0
-    cupping_hu: float = 60.0
+    streaks: float = 1.0  # strength of the rays from metal; 0 is none, 1 that of a scanner with no correction
+    cupping_hu: float = 60.0  # how much too dark the middle of the phantom is
+    # `floor_hu`, `ceiling_hu`: range of the stored numbers
     floor_hu: float = -1024.0
     ceiling_hu: float = 3071.0
-    views: int = 180
+    views: int = 180  # projections over half a turn

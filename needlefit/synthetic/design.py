@@ -18,17 +18,10 @@ BOX_MM = 80.0
 
 @dataclass(frozen=True)
 class Cylinder:
-    """The solid in place of the prostate: a cylinder along y at height z = 0; it is layer 4.
+    """The solid in place of the prostate: a cylinder along y at height z = 0; it is layer 4."""
 
-    Attributes
-    ----------
-    top : float
-        x of the line at which it comes closest to the entry face, mm.
-    radius, length : float
-        mm.
-    """
-
-    top: float
+    top: float  # x of the line at which it comes closest to the entry face, mm
+    # `radius`, `length`: mm
     radius: float
     length: float
 
@@ -82,37 +75,23 @@ def surface_file_name(medium: str, surface: Surface) -> str:
 
 @dataclass(frozen=True)
 class PlannedInsertion:
-    """One planned insertion.
+    """One planned insertion."""
 
-    Attributes
-    ----------
-    id, medium, specimen : str
-        `specimen` is the piece that is punctured.
-    layers, layers_alternative : int
-        Layers met, and the other reading of a needle that ends at a boundary (else the same).
-    depth : float
-        Inserted arc length, mm.
-    tilt : float
-        Angle of the phantom on its stage, degrees, about the vertical z.
-    y, z : float
-        Entry position on the face x = 0, mm.
-    side : int
-        The side of the entry axis that the bevel faces, +1: toward +y at tilt 0.
-    fibre_angle : float
-        Angle between the bevel and the muscle's fibres, degrees; 0 in a phantom.
-    """
-
+    # `id`, `medium`, `specimen`: `specimen` is the piece that is punctured
     id: str
     medium: str
     specimen: str
+    # `layers`, `layers_alternative`: layers met, and the other reading of a needle that ends at a boundary
+    # (else the same)
     layers: int
     layers_alternative: int
-    depth: float
-    tilt: float
+    depth: float  # inserted arc length, mm
+    tilt: float  # angle of the phantom on its stage, degrees, about the vertical z
+    # `y`, `z`: entry position on the face x = 0, mm
     y: float
     z: float
-    side: int
-    fibre_angle: float = 0.0
+    side: int  # the side of the entry axis that the bevel faces, +1: toward +y at tilt 0
+    fibre_angle: float = 0.0  # angle between the bevel and the muscle's fibres, degrees; 0 in a phantom
 
     @property
     def origin(self) -> Floats:
@@ -216,10 +195,7 @@ SAMPLE_INSERTION = PlannedInsertion("sample", "phantom2", "sample", 2, 2, 25.0, 
 def select_planned_insertions(names: Sequence[str]) -> tuple[PlannedInsertion, ...]:
     """Return the insertions of these ids, in this order; all 47 if there are none.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such insertion; the nearest ids are listed.
+    ConfigError if there is no such insertion; the nearest ids are listed.
     """
     known = {planned.id: planned for planned in (*list_planned_insertions(), SAMPLE_INSERTION)}
     for name in names:

@@ -38,30 +38,14 @@ CONVERGENCE_MM, MAX_ROUNDS = 1e-5, 60
 
 @dataclass(frozen=True)
 class TrueInsertion:
-    """One insertion as it really is: shape, centreline and layers.
+    """One insertion as it really is: shape, centreline and layers."""
 
-    Attributes
-    ----------
-    frame : Frame
-        C in the world, y toward where the bevel really faces.
-    shape : NeedleShape
-        In C; only the plane of the bevel.
-    centerline : (N, 3) array
-        World points from entry to tip, with the bending out of the plane, mm.
-    boundaries : (n - 1,) array
-        Depths of the interfaces met, along C's x, mm.
-    sequence : tuple of int
-        Layers met.
-    tissue : Tissue
-        What the needle met: these layers, or thin slices of a smooth field.
-    """
-
-    frame: Frame
-    shape: NeedleShape
-    centerline: Floats
-    boundaries: Floats
-    sequence: tuple[int, ...]
-    tissue: Tissue
+    frame: Frame  # C in the world, y toward where the bevel really faces
+    shape: NeedleShape  # in C; only the plane of the bevel
+    centerline: Floats  # (N, 3); world points from entry to tip, with the bending out of the plane, mm
+    boundaries: Floats  # (n - 1,); depths of the interfaces met, along C's x, mm
+    sequence: tuple[int, ...]  # layers met
+    tissue: Tissue  # what the needle met: these layers, or thin slices of a smooth field
 
     @property
     def deflection(self) -> float:
@@ -75,13 +59,8 @@ def insert_needle(
 ) -> TrueInsertion:
     """Simulate the needle; the layer depths are those at which its final shape crosses the surfaces.
 
-    Shape and depths are found by iteration: a needle through the layers met by the last one, first along
-    the straight axis.
-
-    Raises
-    ------
-    ModelError
-        If the two do not come to agree.
+    Shape and depths are found by iteration: a needle through the layers met by the last one, first along the
+    straight axis. ModelError if the two do not come to agree.
     """
     frame = true_frame(planned, deviations)
     bevel = Bevel(bevel_offset(specimen, planned))

@@ -36,25 +36,14 @@ from needlefit.synthetic.truth import NOMINAL_NEEDLE, POSE_ANGLE_SD_DEG, POSE_SH
 
 @dataclass(frozen=True)
 class ScanSetup:
-    """The scanned region and the markers in it.
+    """The scanned region and the markers in it."""
 
-    Attributes
-    ----------
-    markers : (M, 3) array
-        Centres of the balls, world, mm.
-    known_sd : float
-        Deviation of their stated places in any one direction, mm.
-    low, high : (3,) arrays
-        Opposite corners of the part of the world that is scanned, mm.
-    outside : float
-        Length of shaft before the tissue that is scanned, mm.
-    """
-
-    markers: Floats
-    known_sd: float
+    markers: Floats  # (M, 3); centres of the balls, world, mm
+    known_sd: float  # deviation of their stated places in any one direction, mm
+    # `low`, `high`: (3,); opposite corners of the part of the world that is scanned, mm
     low: Floats
     high: Floats
-    outside: float
+    outside: float  # length of shaft before the tissue that is scanned, mm
 
 
 WHOLE_BOX_SETUP = ScanSetup(
@@ -123,19 +112,11 @@ BEVEL_SD_DEG = 2.0
 
 @dataclass(frozen=True)
 class Exposure:
-    """One insertion in the scanner.
+    """One insertion in the scanner."""
 
-    Attributes
-    ----------
-    scene : Scene3D
-        `scene.box` is the world in the patient.
-    stated : (M, 3) array
-        Stated places of the markers, world, mm.
-    """
-
-    scene: Scene3D
+    scene: Scene3D  # `scene.box` is the world in the patient
     scanner: Scanner
-    stated: Floats
+    stated: Floats  # (M, 3); stated places of the markers, world, mm
 
 
 def expose(insertion: SyntheticInsertion, setup: ScanSetup, seed: int) -> Exposure:
@@ -266,12 +247,8 @@ def write_scans(
 ) -> Path:
     """Render `plan` into the empty `folder`; return its `scans.csv`. The same seed gives the same bytes.
 
-    Parameters
-    ----------
-    pool : TaskPool
-        Where they are rendered: on this machine, whose folder they write.
-    progress : callable
-        Told what is being done, how many insertions are done, and of how many.
+    `pool`: where they are rendered: on this machine, whose folder they write.
+    `progress`: told what is being done, how many insertions are done, and of how many.
     """
     write_layers(folder, plan)
     scans = []

@@ -18,20 +18,11 @@ class RandomField:
     """A stationary, isotropic random field of mean 0: a sum of plane waves of random direction and phase.
 
     Wave vectors drawn from N(0, 1/l^2) give the covariance sd^2 exp(-r^2 / (2 l^2)).
-
-    Attributes
-    ----------
-    waves : (n, 3) array
-        Wave vectors, rad/mm.
-    phases : (n,) array
-        rad.
-    sd : float
-        Standard deviation over all fields.
     """
 
-    waves: Floats
-    phases: Floats
-    sd: float
+    waves: Floats  # (n, 3); wave vectors, rad/mm
+    phases: Floats  # (n,); rad
+    sd: float  # standard deviation over all fields
 
     @classmethod
     def draw(cls, rng: np.random.Generator, sd: float, length: float, waves: int = 64) -> Self:
@@ -47,25 +38,14 @@ class RandomField:
 
 @dataclass(frozen=True)
 class MediumTruth:
-    """The true layers of a medium before its specimens vary, and its bevel offset.
+    """The true layers of a medium before its specimens vary, and its bevel offset."""
 
-    Attributes
-    ----------
-    mu_pa, alpha : tuple of float
-        One per layer, from the paper's table of parameters (sets by media).
-    bevel : float
-        b, mm per 1 mm: chosen so that the tips deflect as much as the paper's tables imply.
-    friction : float
-        gamma between shaft and tissue.
-    hu : tuple of float
-        What each layer reads in a CT scan.
-    """
-
+    # `mu_pa`, `alpha`: one per layer, from the paper's table of parameters (sets by media)
     mu_pa: tuple[float, ...]
     alpha: tuple[float, ...]
-    bevel: float
-    friction: float
-    hu: tuple[float, ...]
+    bevel: float  # b, mm per 1 mm: chosen so that the tips deflect as much as the paper's tables imply
+    friction: float  # gamma between shaft and tissue
+    hu: tuple[float, ...]  # what each layer reads in a CT scan
 
 
 GEL_HU = (20.0, 90.0, 35.0, 105.0)
@@ -94,52 +74,30 @@ POSE_SHIFT_SD_MM, POSE_ANGLE_SD_DEG = (
 
 @dataclass(frozen=True)
 class TrueSpecimen:
-    """One phantom, or one piece of chicken, with its true parameters.
-
-    Attributes
-    ----------
-    mu, alpha : (n,) arrays
-        Of each layer; mu in MPa.
-    bevel, friction : float
-        As in `MediumTruth`.
-    phantom : Phantom
-        Where the boundaries of the layers really are.
-    surfaces : tuple of Surface
-        The same as meshes.
-    field : RandomField or None
-        ln(mu / `mu`) from place to place, where the specimen is not homogeneous.
-    """
+    """One phantom, or one piece of chicken, with its true parameters."""
 
     name: str
     medium: str
+    # `mu`, `alpha`: (n,); of each layer; mu in MPa
     mu: Floats
     alpha: Floats
+    # `bevel`, `friction`: as in `MediumTruth`
     bevel: float
     friction: float
-    phantom: Phantom
-    surfaces: tuple[Surface, ...]
+    phantom: Phantom  # where the boundaries of the layers really are
+    surfaces: tuple[Surface, ...]  # the same as meshes
+    # ln(mu / `mu`) from place to place, where the specimen is not homogeneous.
     field: RandomField | None = None
 
 
 @dataclass(frozen=True)
 class PlanDeviations:
-    """The deviations of one insertion from its plan.
+    """The deviations of one insertion from its plan."""
 
-    Attributes
-    ----------
-    shift : (2,) array
-        Of the entry, along the stated bevel direction and normal to it, mm.
-    tilt : (2,) array
-        Of the entry axis, toward the same two directions, rad.
-    roll : float
-        Of the bevel's plane about the needle, rad.
-    out_of_plane : (2,) array
-        Standard normal: how strongly the needle leaves its plane, in two smooth modes.
-    """
-
-    shift: Floats
-    tilt: Floats
-    roll: float
+    shift: Floats  # (2,); of the entry, along the stated bevel direction and normal to it, mm
+    tilt: Floats  # (2,); of the entry axis, toward the same two directions, rad
+    roll: float  # of the bevel's plane about the needle, rad
+    # (2,); standard normal: how strongly the needle leaves its plane, in two smooth modes.
     out_of_plane: Floats
 
 

@@ -61,10 +61,7 @@ FORMATS = Registry(FileFormat, __name__, "file format")
 def find_format(path: Path) -> FileFormat | None:
     """Return the format of a file by its ending, the longest that is known; None if there is none.
 
-    Raises
-    ------
-    ConfigError
-        If two formats have this ending.
+    ConfigError if two formats have this ending.
     """
     name = path.name.lower()
     known = [(len(end), one) for one in FORMATS.values() for end in one.suffixes if name.endswith(end)]

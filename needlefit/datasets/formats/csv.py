@@ -64,13 +64,9 @@ class CsvTable:
 def read_table(path: Path, documented: str = "data/README.md") -> CsvTable:
     """Read a CSV file with a header; byte order mark, CRLF and blank lines are accepted.
 
-    An error names `documented` as the place where its columns are explained.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, is no UTF-8 text, has no rows, another delimiter, columns of the same
-        name, or a row with more cells than the header.
+    An error names `documented` as the place where its columns are explained. DataError if the file is
+    missing, is no UTF-8 text, has no rows, another delimiter, columns of the same name, or a row with more
+    cells than the header.
     """
     rows = _read_rows(path)
     if not rows:

@@ -36,10 +36,7 @@ _HEADER_LINE = re.compile(r"#\s*([^=]*?)\s*=\s*(.*?)\s*$")
 def read_fcsv(path: Path) -> Markups:
     """Read the points of a `.fcsv` file, of any version of Slicer.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, does not say its coordinate system, or a line holds no position.
+    DataError if the file is missing, does not say its coordinate system, or a line holds no position.
     """
     header: dict[str, str] = {}
     rows: list[tuple[int, list[str]]] = []

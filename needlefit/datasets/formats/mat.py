@@ -55,11 +55,7 @@ def read_curves(path: Path) -> dict[str, Points]:
     """Return every array of shape (N, 3) or (3, N), N > 3, by name: `a`, `a_1` in a cell, `a_b` in a struct.
 
     A struct with vectors x, y and z of one length is a curve, too. Reads versions 4 to 7 (scipy), 7.3 (h5py).
-
-    Raises
-    ------
-    DataError
-        If the file is missing, is no MATLAB file, or holds no such array.
+    DataError if the file is missing, is no MATLAB file, or holds no such array.
     """
     data = read_bytes(path)
     if not _is_hdf(data):
@@ -98,10 +94,7 @@ def read_variables(results: SandboxArrays, path: str) -> list[str]:
 def _check_elements(data: bytes, path: Path) -> None:
     """See that every element of a file of versions 5 to 7 ends within it.
 
-    Raises
-    ------
-    DataError
-        If one does not, or the file is too short for any version.
+    DataError if one does not, or the file is too short for any version.
     """
     if len(data) < MIN_BYTES:
         raise _read_error(path, "it is too short")

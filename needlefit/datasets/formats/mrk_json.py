@@ -49,11 +49,8 @@ class CurveStyle:
 def read_mrk_json(path: Path) -> tuple[Markups, ...]:
     """Read every list of points of a `.mrk.json` file; planes and boxes (ROI) are skipped.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, no markups file, or holds no list of points; if a list is empty, does not
-        say its coordinate system, or has a point that is not finite.
+    DataError if the file is missing, no markups file, or holds no list of points; if a list is empty, does
+    not say its coordinate system, or has a point that is not finite.
     """
     lists = _read_lists(path)
     found = [

@@ -41,10 +41,7 @@ def plan_import(
 def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions: Decisions) -> Path:
     """Write the dataset of a plan into an empty folder; return its `dataset.toml`.
 
-    Raises
-    ------
-    DataError
-        Listing the faults that `check` finds, at their places in the imported files.
+    DataError listing the faults that `check` finds, at their places in the imported files.
     """
     layers, surfaces = plan.layers, {}
     for n, surface in enumerate(layers.surfaces, 1):
@@ -102,10 +99,7 @@ def write_starter_study(folder: Path, dataset: Dataset, home: str) -> bool:
     as many layers as the deepest insertion meets; the exponents alpha are fixed at 1, as shapes hardly depend
     on them.
 
-    Parameters
-    ----------
-    home : str
-        The folder as it will be named by the study, relative to the working folder.
+    `home`: the folder as it will be named by the study, relative to the working folder.
     """
     if len(dataset.insertions) < 2:
         return False

@@ -51,21 +51,13 @@ class Question:
 
 @dataclass
 class Decisions:
-    """Settles questions, and keeps what was decided.
+    """Settles questions, and keeps what was decided."""
 
-    Attributes
-    ----------
-    options : mapping of str
-        Values that the user states beforehand, by the names of questions.
-    prompt : callable or None
-        (question, guess, reason) -> answer of the user, "" for the guess; None: nobody is asked.
-    made : list of ImportDecisionRecord
-        In their order.
-    """
-
+    # Values that the user states beforehand, by the names of questions.
     options: Mapping[str, str] = field(default_factory=dict)
+    # (question, guess, reason) -> answer of the user, "" for the guess; None: nobody is asked.
     prompt: Callable[[Question, str, str], str] | None = None
-    made: list[ImportDecisionRecord] = field(default_factory=list)
+    made: list[ImportDecisionRecord] = field(default_factory=list)  # in their order
 
     def settle(
         self,
@@ -78,19 +70,11 @@ class Decisions:
     ) -> str:
         """Return the value of a question, and keep it with where it comes from.
 
-        Parameters
-        ----------
-        guess : str
-            The value if nobody states another one.
-        source : str
-            Where the guess comes from; what a file states is not asked.
-        is_clear : bool
-            False: without an option or an answer it is an error.
+        `guess`: the value if nobody states another one.
+        `source`: where the guess comes from; what a file states is not asked.
+        `is_clear`: False: without an option or an answer it is an error.
 
-        Raises
-        ------
-        ConfigError
-            If an option or an answer is none of the choices, or the guess is not clear.
+        ConfigError if an option or an answer is none of the choices, or the guess is not clear.
         """
         question = Question(what, QUESTIONS[what], choices)
         value = self.options.get(what, "")

@@ -34,37 +34,20 @@ MAX_NAME_CHARS = 60
 
 @dataclass(frozen=True)
 class ImportContent:
-    """What the files of an import hold.
+    """What the files of an import hold."""
 
-    Attributes
-    ----------
-    files : tuple of Path
-        Those that curves or surfaces were read from.
-    curves : tuple of ImportedCurve
-        By different names, which can name files.
-    surfaces : tuple of ImportedSurface
-    notes : tuple of str
-        What was left out, or taken in a way that may surprise.
-    """
-
-    files: tuple[Path, ...]
-    curves: tuple[ImportedCurve, ...]
+    files: tuple[Path, ...]  # those that curves or surfaces were read from
+    curves: tuple[ImportedCurve, ...]  # by different names, which can name files
     surfaces: tuple[ImportedSurface, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what was left out, or taken in a way that may surprise
 
 
 def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportContent:
     """Read every file that is named, and the readable files of every folder that is named.
 
-    Parameters
-    ----------
-    columns : sequence of str
-        The headers or numbers of x, y and z in tables; else they are found.
+    `columns`: the headers or numbers of x, y and z in tables; else they are found.
 
-    Raises
-    ------
-    DataError
-        Listing what is wrong with all files, or because they hold no curve.
+    DataError listing what is wrong with all files, or because they hold no curve.
     """
     found: list[Fault] = []
     notes: list[str] = []
@@ -194,10 +177,7 @@ def _read_sheets(path: Path, columns: Sequence[str]) -> tuple[list[ImportedCurve
 def _name_curves(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:
     """Return the curves under names that can name files, and of which no two are the same.
 
-    Raises
-    ------
-    DataError
-        If there are too many, or a name could do something in a spreadsheet or terminal.
+    DataError if there are too many, or a name could do something in a spreadsheet or terminal.
     """
     if len(curves) > MAX_CURVES:
         what = f"holds {len(curves)} curves"

@@ -70,11 +70,8 @@ class SceneContent:
 def read_scene(path: Path) -> SceneContent:
     """Return the curves, models and applied transforms of a `.mrml`, or of the one in a `.mrb`.
 
-    Raises
-    ------
-    DataError
-        If the file is missing or damaged, expands or names files outside itself, names a file that is not
-        there, or moves a curve or model by a transform that is not linear.
+    DataError if the file is missing or damaged, expands or names files outside itself, names a file that is
+    not there, or moves a curve or model by a transform that is not linear.
     """
     if path.suffix.lower() != ".mrb":
         return _Scene(path, _parse_scene(path)).read_content()

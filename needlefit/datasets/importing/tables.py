@@ -105,31 +105,16 @@ _SYSTEMS: tuple[tuple[str, PatientSystem | None], ...] = (("xyz", None), ("ras",
 
 @dataclass(frozen=True)
 class CellTable:
-    """The cells of a text table or of one sheet, as stripped text.
-
-    Attributes
-    ----------
-    rows : sequence of sequences of str
-        Blank rows are among them; rows may differ in length.
-    first : int
-        Line or row in its file of the first one, from 1.
-    sheet : str
-        Name of the sheet; empty for a text table.
-    decimal : str
-        "." or ","; in a sheet, where numbers are stored as such, "." and commas are read too.
-    separator : str
-        Between the cells; empty for a sheet.
-    layout : str
-        How the file was read, for people.
-    """
+    """The cells of a text table or of one sheet, as stripped text."""
 
     path: Path
-    rows: Sequence[Sequence[str]]
-    first: int = 1
-    sheet: str = ""
+    rows: Sequence[Sequence[str]]  # blank rows are among them; rows may differ in length
+    first: int = 1  # line or row in its file of the first one, from 1
+    sheet: str = ""  # name of the sheet; empty for a text table
+    # "." or ","; in a sheet, where numbers are stored as such, "." and commas are read too.
     decimal: str = "."
-    separator: str = ""
-    layout: str = ""
+    separator: str = ""  # between the cells; empty for a sheet
+    layout: str = ""  # how the file was read, for people
 
     def where(self, row: int) -> str:
         """Return the place of a row for a message."""
@@ -188,10 +173,7 @@ def is_missing(text: str) -> bool:
 def read_text_cells(path: Path) -> CellTable:
     """Read a text table.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, too large, no text, or holds no row with two numbers.
+    DataError if the file is missing, too large, no text, or holds no row with two numbers.
     """
     text, encoding = _decode(read_bytes(path, MAX_TABLE_BYTES), path)
     lines = text.splitlines()
@@ -264,10 +246,7 @@ def _require_extent(rows: int, columns: int, path: Path) -> None:
 def read_sheets(path: Path) -> tuple[CellTable, ...]:
     """Read every sheet of an Excel or OpenDocument workbook that is not empty.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, too large, no workbook, protected by a password, or holds no cells.
+    DataError if the file is missing, too large, no workbook, protected by a password, or holds no cells.
     """
     with open_regular(path, MAX_SHEET_BYTES) as file:
         size = file.seek(0, io.SEEK_END)
@@ -333,30 +312,16 @@ def _sheet_text(cell: Any) -> str:  # noqa: ANN401 - whatever a sheet holds
 
 @dataclass(frozen=True)
 class ImportedCurve:
-    """One curve of a file.
+    """One curve of a file."""
 
-    Attributes
-    ----------
-    name : str
-        As the file calls it; empty where it has no name.
-    points : Points
-        In the unit and order of the file.
-    unit : str
-        As the file states it; empty where it does not.
-    system : PatientSystem or None
-        LPS once points were converted to it, as those of markups are; None where the file states no system.
-    attributes : mapping of str
-        Columns of `insertions.csv` that the file states for it.
-    remarks : tuple of (str, str, str)
-        What was taken how, and why, where it was not obvious.
-    """
-
-    name: str
-    points: Points
-    unit: str = ""
+    name: str  # as the file calls it; empty where it has no name
+    points: Points  # in the unit and order of the file
+    unit: str = ""  # as the file states it; empty where it does not
+    # LPS once points were converted to it, as those of markups are; None where the file states no system.
     system: PatientSystem | None = None
+    # Columns of `insertions.csv` that the file states for it.
     attributes: Mapping[str, str] = field(default_factory=dict)
-    remarks: tuple[tuple[str, str, str], ...] = ()
+    remarks: tuple[tuple[str, str, str], ...] = ()  # what was taken how, and why, where it was not obvious
 
 
 @dataclass(frozen=True)
@@ -373,15 +338,9 @@ class _Axes:
 def find_curves(cells: CellTable, columns: Sequence[str] = ()) -> tuple[ImportedCurve, ...]:
     """Return the curves in a table; none where it holds no coordinates.
 
-    Parameters
-    ----------
-    columns : sequence of str
-        The headers, or numbers from 1, of x, y and z, where the user states them.
+    `columns`: the headers, or numbers from 1, of x, y and z, where the user states them.
 
-    Raises
-    ------
-    DataError
-        If the columns of the coordinates cannot be found, or a coordinate is no number.
+    DataError if the columns of the coordinates cannot be found, or a coordinate is no number.
     """
     found: list[ImportedCurve] = []
     header: Sequence[int] = ()
@@ -660,12 +619,8 @@ class _Part:
     def _read_points(self, rows: Sequence[int], axes: _Axes) -> Points | None:
         """Return the points of some rows, in LPS where the axes state a system; None where all are empty.
 
-        Rows after the last point may be empty.
-
-        Raises
-        ------
-        DataError
-            If a cell is no number, or a row in between has only some of its coordinates.
+        Rows after the last point may be empty. DataError if a cell is no number, or a row in between has only
+        some of its coordinates.
         """
         cells = self.cells
         texts = zip(*(cells.column(rows, column) for column in axes.columns), strict=True)

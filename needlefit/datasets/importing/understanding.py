@@ -89,29 +89,17 @@ class NeedleChoice:
 
 @dataclass(frozen=True)
 class ImportPlan:
-    """What an import writes.
-
-    Attributes
-    ----------
-    insertions : tuple of ImportedInsertion
-    layers : ImportedLayers
-    pose : str
-        "known" or "free".
-    title, source, license : str
-    needle : NeedleChoice
-    point_sd_mm : float
-    tissue : Surface or None
-        The tissue's own surface, at which the curves were cut; it is no boundary of layers.
-    """
+    """What an import writes."""
 
     insertions: tuple[ImportedInsertion, ...]
     layers: ImportedLayers
-    pose: str
+    pose: str  # "known" or "free"
     title: str
     source: str
     license: str
     needle: NeedleChoice
     point_sd_mm: float
+    # The tissue's own surface, at which the curves were cut; it is no boundary of layers.
     tissue: Surface | None = None
 
 
@@ -146,10 +134,7 @@ class _Pose:
 def understand(content: ImportContent, decisions: Decisions) -> ImportPlan:
     """Return what the files mean, after every question is settled.
 
-    Raises
-    ------
-    DataError or ConfigError
-        If a question has no clear answer, or the values stated contradict the files.
+    DataError or ConfigError if a question has no clear answer, or the values stated contradict the files.
     """
     reasons: dict[tuple[str, str], list[str]] = {}
     for what, value, why in dict.fromkeys(remark for one in content.curves for remark in one.remarks):
@@ -376,10 +361,7 @@ def _cut_at_tissue(curve: ImportedCurve, tissue: Surface | None) -> _Cut:
 def _decide_layers(cuts: Sequence[_Cut], surfaces: Sequence[Surface], decisions: Decisions) -> ImportedLayers:
     """Return the layers: behind surfaces, or behind boundaries that are stated as depths along the needle.
 
-    Raises
-    ------
-    ConfigError
-        If both are given, or the depths do not increase.
+    ConfigError if both are given, or the depths do not increase.
     """
     if surfaces and "boundaries" in decisions.options:
         what = "boundaries are stated, and the files hold surfaces of layers"
@@ -502,10 +484,7 @@ def _fit_shaft(cut: _Cut, point_sd: float) -> tuple[Floats, float]:
 def _decide_bevel(curves: Sequence[ImportedCurve], pose: _Pose, decisions: Decisions) -> Floats | None:
     """Return the world direction toward which bevels deflect; None: the side to which each needle bends.
 
-    Raises
-    ------
-    ConfigError
-        If bevels face to side -1 of a direction that is not stated.
+    ConfigError if bevels face to side -1 of a direction that is not stated.
     """
     if pose.how == "free":
         decisions.keep("bevel", "bend", "guess", "a free shape bends toward its bevel by definition")

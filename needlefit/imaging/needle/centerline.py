@@ -87,7 +87,7 @@ def trace_needle(
     """Trace the axis of the needle whose voxels are `component`; `spread` is the scanner's, if it is known.
 
     `tip`: (3,); where a person placed the tip, LPS, mm: it says which end is the tip, and how far the needle
-      goes.
+    goes.
 
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
