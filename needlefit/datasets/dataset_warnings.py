@@ -214,18 +214,13 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
     where = format_place(file)
     found = [*find_placeholder_keys(record, where), *needle_warnings(record.needle, where)]
     if isinstance(record, DatasetRecord):
-        found += find_assumption_warnings(record, where)
+        decisions = () if record.import_ is None else record.import_.decisions
+        assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
+        if assumed:
+            what = f"the import assumed {'; '.join(assumed)}"
+            fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
+            found.append(ResultWarning("assumed", what, where("import.decisions"), fix))
     return [*found, *find_stated_warnings(record.noise, record.needle.length_mm, where)]
-
-
-def find_assumption_warnings(record: DatasetRecord, where: FormatPlace) -> Iterator[ResultWarning]:
-    """Yield a warning if an import assumed values of which its files and its user stated nothing."""
-    decisions = () if record.import_ is None else record.import_.decisions
-    assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
-    if assumed:
-        what = f"the import assumed {'; '.join(assumed)}"
-        fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
-        yield ResultWarning("assumed", what, where("import.decisions"), fix)
 
 
 def find_placeholder_keys(record: SourceRecord, where: FormatPlace) -> Iterator[ResultWarning]:

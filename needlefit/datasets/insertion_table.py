@@ -26,7 +26,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers
 from needlefit.geometry.frames import Frame
 from needlefit.project.unit_warnings import LENGTH_UNITS
-from needlefit.schemas.dataset import DatasetRecord, InsertionsRecord
+from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 UNIT_VECTOR_TOLERANCE = 1e-3
@@ -42,7 +42,11 @@ MIN_NEEDLE_LENGTH_MM = 30.0
 def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
     """Return the rows without faults; note the faults of the others."""
     pose_known = record.frame.pose == "known"
-    named = _rename_columns(table, record.insertions, found)
+    note_missing_columns(table, list(record.insertions.columns.values()), found)
+    cells = table.cells.rename(columns={theirs: ours for ours, theirs in record.insertions.columns.items()})
+    cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
+    absent = {name: str(value) for name, value in record.insertions.constants.items() if name not in cells}
+    named = CsvTable(table.path, cells.assign(**absent), table.lines, record.insertions.columns)
     has_scan = any(column in named.cells for column in SCAN_COLUMNS)
     wanted = (*REQUIRED_COLUMNS, *(POSE_COLUMNS if pose_known else ()), *(SCAN_COLUMNS if has_scan else ()))
     if note_missing_columns(named, wanted, found):
@@ -65,20 +69,15 @@ def _is_finite(row: InsertionRow) -> bool:
     return bool(np.isfinite([row.depth, *pose]).all())
 
 
-def _rename_columns(table: CsvTable, record: InsertionsRecord, found: list[Fault]) -> CsvTable:
-    """Return the table under our column names; a constant fills a column that is not there."""
-    note_missing_columns(table, list(record.columns.values()), found)
-    cells = table.cells.rename(columns={theirs: ours for ours, theirs in record.columns.items()})
-    cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
-    absent = {name: str(value) for name, value in record.constants.items() if name not in cells}
-    return CsvTable(table.path, cells.assign(**absent), table.lines, record.columns)
-
-
 def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[InsertionRow]:
     """Turn cells into rows; a faulty number leaves a NaN and a note."""
 
     def column(name: str, default: float | None = None) -> Floats:
-        return _parse_column(table, name, default, found)
+        fill = math.nan if default is None else default
+        if name not in table.cells:
+            return np.full(len(table.lines), fill)
+        values = parse_numbers(table, name, found, optional=default is not None or name in BEVEL_COLUMNS)
+        return np.where(np.isnan(values), fill, values)
 
     def vectors(names: tuple[str, ...], default: float | None = None) -> Floats:
         return np.column_stack([column(name, default) for name in names])
@@ -121,15 +120,6 @@ def _to_field(name: str, value: float, default: float | None) -> float | None:
     if default is not None and math.isnan(value):
         return None
     return math.radians(value) if name.endswith("_deg") else value
-
-
-def _parse_column(table: CsvTable, name: str, default: float | None, found: list[Fault]) -> Floats:
-    """Return a column as numbers; `default` (None: NaN) where it is absent or, if it may be, empty."""
-    fill = math.nan if default is None else default
-    if name not in table.cells:
-        return np.full(len(table.lines), fill)
-    values = parse_numbers(table, name, found, optional=default is not None or name in BEVEL_COLUMNS)
-    return np.where(np.isnan(values), fill, values)
 
 
 def _make_patient_frame(turn: Floats, shift: Floats) -> Frame | None:

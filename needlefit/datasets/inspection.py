@@ -73,12 +73,6 @@ class LongTable:
     table: CsvTable
     groups: dict[str, np.ndarray]
 
-    def first_rows(self) -> CsvTable:
-        """Return the first row of every group, with its id as column `id`."""
-        first = [int(rows[0]) for rows in self.groups.values()]
-        cells = self.table.cells.iloc[first].reset_index(drop=True).assign(id=list(self.groups))
-        return replace(self.table, cells=cells, lines=self.table.lines[first])
-
     def part(self, rows: np.ndarray) -> CsvTable:
         """Return some of the rows as a new table."""
         return replace(
@@ -309,7 +303,9 @@ def _read_insertion_table(
     """Return the table of insertions: its file, or the first rows of the groups of the long table."""
     if record.insertions.file is None:
         assert long is not None  # the record was checked: one of the two files is given
-        return long.first_rows()
+        first = [int(rows[0]) for rows in long.groups.values()]
+        cells = long.table.cells.iloc[first].reset_index(drop=True).assign(id=list(long.groups))
+        return replace(long.table, cells=cells, lines=long.table.lines[first])
     try:
         return read_table(root / record.insertions.file)
     except DataError as error:
@@ -387,6 +383,7 @@ def make_dataset(
     **own: Any,  # noqa: ANN401  fields of `Dataset` that only one kind of dataset has
 ) -> Dataset:
     """Return the dataset of these insertions or tip tracks, as its record describes it."""
+    parts = (("", record.notes), ("Needle: ", record.needle.note), ("Noise: ", record.noise.note))
     return Dataset(
         name=record.name,
         title=record.title or record.name,
@@ -397,16 +394,10 @@ def make_dataset(
         noise=make_noise(record.noise),
         path=file,
         digest=digest_,
-        notes=collect_notes(record.notes, record.needle.note, record.noise.note),
+        notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         outer_diameter=record.needle.outer_diameter_mm,
         **own,
     )
-
-
-def collect_notes(data: str, needle: str, noise: str) -> tuple[str, ...]:
-    """Return the dataset's own notes on data, needle and noise, for reports."""
-    parts = (("", data), ("Needle: ", needle), ("Noise: ", noise))
-    return tuple(head + text.strip() for head, text in parts if text.strip())
 
 
 def make_noise(record: NoiseRecord) -> Noise:

@@ -227,7 +227,10 @@ def find_curve_faults(
 
 def _find_unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: str) -> Fault | None:
     """Return the fault of a curve, or of the depth beside it, that is in another unit."""
-    span = _measure_span(points.values)
+    # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
+    # farthest from it.
+    end = points.values[np.argmax(np.linalg.norm(points.values - points.values.mean(axis=0), axis=1))]
+    span = float(np.linalg.norm(points.values - end, axis=1).max())
     for name, factor in LENGTH_UNITS.items():
         if abs(span * factor / row.depth - 1) < UNIT_TOLERANCE:
             what = f"spans {span:.4g} where {depth_mm} is {row.depth:.4g}: this looks like {name}"
@@ -241,14 +244,6 @@ def _find_unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: st
                 f"multiply the column by {factor:g}, and check every other length of the dataset",
             )
     return None
-
-
-def _measure_span(curve: Floats) -> float:
-    """Return the distance of the two ends of a curve, in whatever order its points are."""
-    # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
-    # farthest from it.
-    end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]
-    return float(np.linalg.norm(curve - end, axis=1).max())
 
 
 def _find_order_faults(points: Points) -> Iterator[Fault]:

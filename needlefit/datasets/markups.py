@@ -99,10 +99,21 @@ def make_markups_format(
     def read_curves(path: Path) -> ReadCurves:
         lists = read_lists(path)
         unset = sum(len(one.unset) for one in lists)
-        return list_curves(lists, path), [f"{unset} points without a position ignored"] if unset else []
+        # a list of another kind then says what it is
+        curves = [one for one in lists if one.kind in CURVE_KINDS] or list(lists)
+        names = [one.name for one in curves]
+        for name in names:
+            if names.count(name) > 1:
+                what = f"holds {names.count(name)} lists called `{name}`"
+                fix = "rename them in Slicer, and save them again"
+                raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
+        notes = [f"{unset} points without a position ignored"] if unset else []
+        return {one.name: one.as_curve() for one in curves}, notes
 
     def read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault]) -> Points:
-        return pick_centerline(read_lists(path), path)
+        lists = read_lists(path)
+        curves = [one for one in lists if one.kind == "Curve"]
+        return (curves[0] if len(curves) == 1 else pick_list(lists, path)).as_curve()
 
     def read_markers(path: Path) -> Points:
         markups = pick_list(read_lists(path), path)
@@ -118,21 +129,3 @@ def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
     listed = ", ".join(f"`{one.name}` ({one.kind})" for one in lists)
     what = f"holds {len(lists)} lists: {listed}"
     raise DataError(what, where=str(path), expected="one list", fix="save the list that is meant on its own")
-
-
-def pick_centerline(lists: Sequence[Markups], path: Path) -> Points:
-    """Return the only list of a file, or its only open curve if there are several; DataError otherwise."""
-    curves = [one for one in lists if one.kind == "Curve"]
-    return (curves[0] if len(curves) == 1 else pick_list(lists, path)).as_curve()
-
-
-def list_curves(lists: Sequence[Markups], path: Path) -> Mapping[str, Points]:
-    """Return every list that can be a centreline, by name; DataError if there is none, or two of a name."""
-    curves = [one for one in lists if one.kind in CURVE_KINDS] or list(lists)  # which then says what it is
-    names = [one.name for one in curves]
-    for name in names:
-        if names.count(name) > 1:
-            what = f"holds {names.count(name)} lists called `{name}`"
-            fix = "rename them in Slicer, and save them again"
-            raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
-    return {one.name: one.as_curve() for one in curves}

@@ -50,10 +50,13 @@ def estimate_noise_floor(
     if not (shift or angle or noise.point_sd or noise.correlated_sd):
         return dict.fromkeys(metrics, math.nan)
     curve = insertion.planar
+    cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
     perturbed = (
         curve
         + draw_point_noise(curve, noise, rng, draws)
-        + displace_by_pose(curve, _find_visible_shifts(curve, shift), angle, rng.normal(size=(draws, 3)))
+        + displace_by_pose(
+            curve, np.array([0.0 if cut else shift, shift]), angle, rng.normal(size=(draws, 3))
+        )
     )
     if dataset.pose == "tracker":
         perturbed[..., 0] = curve[:, 0]  # depths are known; the best shift and slope are taken off
@@ -72,12 +75,6 @@ def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draw
     root = noise.correlated_sd * np.linalg.cholesky(noise.correlate(s))
     drawn: Floats = independent + root @ rng.normal(size=(draws, *curve.shape))
     return drawn
-
-
-def _find_visible_shifts(curve: Floats, shift: float) -> Floats:
-    """Return the deviations (2,) of a shift along and across the entry axis that a curve (N, 2) can show."""
-    cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
-    return np.array([0.0 if cut else shift, shift])
 
 
 def displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats) -> Floats:

@@ -88,7 +88,24 @@ def parse_tracks(table: CsvTable, record: TrackDatasetRecord, found: list[Fault]
         faults = list(_find_run_faults(run, table, record))
         found += faults
         if not faults:
-            tracks.append(_make_track(run, record))
+            medium, values = record.media[run.medium], run.values
+            heading = np.radians(values["heading_deg"])
+            readings = TipReadings(
+                depth=values["depth_mm"] - values["depth_mm"][0],
+                tip=values["tip_mm"],
+                guide=values["guide_mm"] - values["guide_mm"][0],
+                heading=None if np.isnan(heading).any() else heading,
+            )
+            tracks.append(
+                make_track(
+                    run.id,
+                    run.medium,
+                    medium.specimen or run.medium,
+                    int(values["bevel_side"][0]),
+                    readings,
+                    (np.array(medium.boundaries_mm), medium.layers),
+                )
+            )
     return ParsedTracks(tuple(tracks) if len(found) == before else (), tuple(remarks))
 
 
@@ -166,21 +183,6 @@ def _find_run_faults(run: _RunRows, table: CsvTable, record: TrackDatasetRecord)
     sides = run.values["bevel_side"]
     if sides[0] not in (1.0, -1.0) or np.ptp(sides) > 0:
         yield Fault(first, f"bevel_side of run {run.id} is {sides[0]:g}", "1 or -1, one for all of a run", "")
-
-
-def _make_track(run: _RunRows, record: TrackDatasetRecord) -> TipTrack:
-    medium, values = record.media[run.medium], run.values
-    heading = np.radians(values["heading_deg"])
-    readings = TipReadings(
-        depth=values["depth_mm"] - values["depth_mm"][0],
-        tip=values["tip_mm"],
-        guide=values["guide_mm"] - values["guide_mm"][0],
-        heading=None if np.isnan(heading).any() else heading,
-    )
-    return make_track(
-        run.id, run.medium, medium.specimen or run.medium, int(values["bevel_side"][0]), readings,
-        (np.array(medium.boundaries_mm), medium.layers),
-    )  # fmt: skip
 
 
 def holds_tracks(path: Path) -> bool:

@@ -105,24 +105,19 @@ def find_operator_faults(
     if stated is not None and stated.knot_spacing_mm is not None:
         yield from _find_knot_faults(record, listed, file, stated.knot_spacing_mm)
     if stated is not None and stated.width_mm is not None:
-        yield from _find_width_faults(record, listed, file, stated.width_mm)
+        compared = {one.insertion.id: np.ptp(_select_arc_lengths(record, one)) for one in listed}
+        shortest = min(compared, key=lambda name: compared[name])
+        most = math.floor(100 * MAX_WIDTH_FRACTION * compared[shortest]) / 100
+        if stated.width_mm > most:
+            key = "measurement.width_mm"
+            what = f"{key} is {stated.width_mm:g}: too wide for the {compared[shortest]:.3g} mm compared of "
+            what += shortest
+            fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
+            yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:g}", fix)
 
 
 MAX_WIDTH_FRACTION = 0.25
 """Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle."""
-
-
-def _find_width_faults(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path, stated: float
-) -> Iterator[Fault]:
-    compared = {one.insertion.id: np.ptp(_select_arc_lengths(record, one)) for one in listed}
-    shortest = min(compared, key=lambda name: compared[name])
-    most = math.floor(100 * MAX_WIDTH_FRACTION * compared[shortest]) / 100
-    if stated > most:
-        key = "measurement.width_mm"
-        what = f"{key} is {stated:g}: too wide for the {compared[shortest]:.3g} mm compared of {shortest}"
-        fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
-        yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:g}", fix)
 
 
 def _find_knot_faults(

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.dataset_warnings import PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
@@ -124,7 +123,14 @@ def write_template(
     read = read_source(source)
     with create_folder(folder) as fresh:
         curves = {name: points.to_columns() for name, points in read.curves.items()}
-        faults = _write_note(_write_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
+        depths = {name: float(arc_length(curve[:, :3])[-1]) for name, curve in curves.items()}
+        length = max(150.0, float(np.ceil(max(depths.values()) + 50.0)))
+        record = _make_record(fresh.resolve().name, "measured", "free", length, {"note": PLACEHOLDER})
+        rows = [InsertionRow(name, "medium1", 1, depth) for name, depth in depths.items()]
+        faults = _write_note(
+            write_dataset(fresh, record, rows, curves, checksums=False),
+            CONVERTED_NOTE.format(source=source.name),
+        )
         if faults:
             raise as_error([trace_fault(fault, read.curves, fresh) for fault in faults], source)
     if tell is not None:
@@ -183,11 +189,3 @@ def _write_example(folder: Path) -> Path:
         )
     surfaces = {surface: make_sheet("boundary", (20.0, 0.0, 0.0), (1.0, 0.0, 0.0), 80.0, into=2)}
     return write_dataset(folder, record, rows, curves, surfaces, checksums=False)
-
-
-def _write_converted(folder: Path, curves: Mapping[str, Floats]) -> Path:
-    depths = {name: float(arc_length(curve[:, :3])[-1]) for name, curve in curves.items()}
-    length = max(150.0, float(np.ceil(max(depths.values()) + 50.0)))
-    record = _make_record(folder.resolve().name, "measured", "free", length, {"note": PLACEHOLDER})
-    rows = [InsertionRow(name, "medium1", 1, depth) for name, depth in depths.items()]
-    return write_dataset(folder, record, rows, curves, checksums=False)

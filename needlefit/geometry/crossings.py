@@ -164,9 +164,9 @@ def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float, 
     triangles = np.asarray(surface.mesh.triangles, dtype=np.float64)
     low, high = triangles.min(axis=1) - radius, triangles.max(axis=1) + radius
     count = 0
-    for centre, tangent in zip(
-        interpolate_at_arc(curve, stations), _find_tangents(curve, stations, step), strict=True
-    ):
+    ahead = interpolate_at_arc(curve, stations + step / 2) - interpolate_at_arc(curve, stations - step / 2)
+    tangents: Floats = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    for centre, tangent in zip(interpolate_at_arc(curve, stations), tangents, strict=True):
         near = ((centre >= low) & (centre <= high)).all(axis=1)
         count += (
             near.any()
@@ -174,12 +174,6 @@ def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float, 
             >= ENCLOSURE_RAYS - MAX_MISSED_RAYS
         )
     return count * step
-
-
-def _find_tangents(curve: Floats, stations: Floats, step: float) -> Floats:
-    ahead = interpolate_at_arc(curve, stations + step / 2) - interpolate_at_arc(curve, stations - step / 2)
-    tangents: Floats = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
-    return tangents
 
 
 def _make_radial_directions(tangent: Floats) -> Floats:

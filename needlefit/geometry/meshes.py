@@ -42,7 +42,16 @@ def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> "
     arms = np.stack([first, second], axis=1) * widths[:, :, None]  # (N, 2, 3)
     vertices = axis[:, None, :] + np.einsum("fk,nkd->nfd", rim, arms)  # (N, TUBE_FACETS, 3)
     ends = np.stack([axis[0], axis[-1]])
-    return make_mesh(np.vstack([vertices.reshape(-1, 3), ends]), _list_faces(count))
+    i = np.arange(TUBE_FACETS)
+    j = (i + 1) % TUBE_FACETS
+    side = np.vstack(
+        [np.column_stack([i, j, j + TUBE_FACETS]), np.column_stack([i, j + TUBE_FACETS, i + TUBE_FACETS])]
+    )
+    wall = (side[None] + TUBE_FACETS * np.arange(count - 1)[:, None, None]).reshape(-1, 3)
+    last, centre = TUBE_FACETS * (count - 1), TUBE_FACETS * count
+    bottom = np.column_stack([j, i, np.full(TUBE_FACETS, centre)])
+    top = np.column_stack([i + last, j + last, np.full(TUBE_FACETS, centre + 1)])
+    return make_mesh(np.vstack([vertices.reshape(-1, 3), ends]), np.vstack([wall, bottom, top]))
 
 
 def write_ply(mesh: "trimesh.Trimesh", path: Path, comments: Sequence[str] = ()) -> None:
@@ -80,20 +89,6 @@ def _find_cross_sections(axis: Floats, toward: ArrayLike) -> tuple[Floats, Float
     first = first / size
     second = np.cross(tangents, first)
     return first, second / np.linalg.norm(second, axis=1, keepdims=True)
-
-
-def _list_faces(count: int) -> NDArray[np.int64]:
-    """Return the triangles of `count` rims, one after the other, and of the two caps."""
-    i = np.arange(TUBE_FACETS)
-    j = (i + 1) % TUBE_FACETS
-    side = np.vstack(
-        [np.column_stack([i, j, j + TUBE_FACETS]), np.column_stack([i, j + TUBE_FACETS, i + TUBE_FACETS])]
-    )
-    wall = (side[None] + TUBE_FACETS * np.arange(count - 1)[:, None, None]).reshape(-1, 3)
-    last, centre = TUBE_FACETS * (count - 1), TUBE_FACETS * count
-    bottom = np.column_stack([j, i, np.full(TUBE_FACETS, centre)])
-    top = np.column_stack([i + last, j + last, np.full(TUBE_FACETS, centre + 1)])
-    return np.vstack([wall, bottom, top])
 
 
 def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -> tuple[Surface, float]:

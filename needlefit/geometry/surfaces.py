@@ -191,7 +191,9 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
         raise _mesh_error(path, f"has the ending {ending!r}")
     data = read_bytes(path, MAX_MESH_BYTES)
     if ending == ".ply":
-        data = _drop_edges(data)
+        # what trimesh makes of edges takes as much memory as their indices say; no boundary needs them
+        head, end, rows = data.partition(b"end_header")
+        data = _EDGE_ELEMENT.sub(rb"\1unused\2", head) + end + rows
         _check_ply(data, path)
     if ending == ".stl":
         _check_stl(data, path)
@@ -242,15 +244,6 @@ def _check_ply(data: bytes, path: Path) -> None:
     claimed, there = sum(int(count) for _, count in _ELEMENT.findall(head)), rows.count(b"\n")
     if b"ascii" in head and claimed > there:
         raise _mesh_error(path, f"claims {claimed} vertices, triangles and edges, and holds {there} rows")
-
-
-def _drop_edges(data: bytes) -> bytes:
-    """Return a PLY file whose edges have another name, by which trimesh leaves them out.
-
-    What it makes of edges takes as much memory as their indices say; no boundary needs them.
-    """
-    head, end, rows = data.partition(b"end_header")
-    return _EDGE_ELEMENT.sub(rb"\1unused\2", head) + end + rows
 
 
 def _check_stl(data: bytes, path: Path) -> None:

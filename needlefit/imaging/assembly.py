@@ -172,7 +172,13 @@ def _medium_record(
                 expected: in every scan of a medium the same kinds of surfaces, leading into the same layers
                 fix: give these scans media of different names, or the same layers
                 where: medium {name}""")
-    shared = all(_same_surfaces(one.layers.surfaces, first) for one in group)
+    shared = all(
+        all(
+            np.array_equal(a.mesh.vertices, b.mesh.vertices) and np.array_equal(a.mesh.faces, b.mesh.faces)
+            for a, b in zip(one.layers.surfaces, first, strict=True)
+        )
+        for one in group
+    )
     numbered = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
     names = [f"layers/{stem}.stl" for stem in (_file_stems(name, first) if shared else numbered)]
     listed = zip(names, first, strict=True)
@@ -191,13 +197,6 @@ def _file_stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
     if len({name.lower() for name in own}) < len(own):  # not every file system tells a from A
         own = [f"{name}_{n}" for n, name in enumerate(own, start=1)]
     return [f"{medium}_{name}" for name in own]
-
-
-def _same_surfaces(one: Sequence[Surface], other: Sequence[Surface]) -> bool:
-    return all(
-        np.array_equal(a.mesh.vertices, b.mesh.vertices) and np.array_equal(a.mesh.faces, b.mesh.faces)
-        for a, b in zip(one, other, strict=True)
-    )
 
 
 _FAULT_LOCATION = re.compile(

@@ -323,25 +323,6 @@ METAIMAGE_NUMBER_FIELDS = {
 def check_metaimage(path: Path) -> ImageHeader:
     """Return the header of a `.mha` or `.mhd` file; DataError as `check_image_header`."""
     head, size = _read_head(path)
-    fields, end = _metaimage_fields(head)
-    _require_fields(fields, ("NDims", "DimSize", "ElementType", "ElementDataFile"))
-    if fields.get("ObjectType", "Image") != "Image" or fields["ElementType"] not in METAIMAGE_VOXEL_BYTES:
-        raise unreadable_image("its ObjectType or ElementType is none of an image")
-    axes = parse_count(fields["NDims"], 1, MAX_AXES)
-    components = parse_count(fields.get("ElementNumberOfChannels", "1"), 1, MAX_COMPONENTS)
-    skip = parse_count(fields.get("HeaderSize", "0"), -1, MAX_FILE_BYTES)
-    parse_count(fields.get("CompressedDataSize", "0"), 0, MAX_FILE_BYTES)
-    counts = _parse_sizes(fields["DimSize"], axes)
-    if fields["ElementDataFile"].upper() != "LOCAL":
-        size, end = _detached_data_size(path, fields["ElementDataFile"]), max(skip, 0)
-    header = ImageHeader(counts, METAIMAGE_VOXEL_BYTES[fields["ElementType"]] * components, size, fields)
-    plain = "raw" if _is_true(fields.get("BinaryData", "True")) else "text"
-    _check_stored(header, size - end, "gzip" if _is_true(fields.get("CompressedData", "")) else plain)
-    return header
-
-
-def _metaimage_fields(head: bytes) -> tuple[dict[str, str], int]:
-    """Return the fields up to ElementDataFile, the last one, and where the voxels begin behind it."""
     fields: dict[str, str] = {}
     end, number = 0, 0
     while "ElementDataFile" not in fields and end < len(head):
@@ -356,7 +337,20 @@ def _metaimage_fields(head: bytes) -> tuple[dict[str, str], int]:
             raise unreadable_image(f"line {number} of its header is no field of MetaImage")
         if line:
             _add_field(fields, name, value, number, METAIMAGE_NUMBER_FIELDS)
-    return fields, end
+    _require_fields(fields, ("NDims", "DimSize", "ElementType", "ElementDataFile"))
+    if fields.get("ObjectType", "Image") != "Image" or fields["ElementType"] not in METAIMAGE_VOXEL_BYTES:
+        raise unreadable_image("its ObjectType or ElementType is none of an image")
+    axes = parse_count(fields["NDims"], 1, MAX_AXES)
+    components = parse_count(fields.get("ElementNumberOfChannels", "1"), 1, MAX_COMPONENTS)
+    skip = parse_count(fields.get("HeaderSize", "0"), -1, MAX_FILE_BYTES)
+    parse_count(fields.get("CompressedDataSize", "0"), 0, MAX_FILE_BYTES)
+    counts = _parse_sizes(fields["DimSize"], axes)
+    if fields["ElementDataFile"].upper() != "LOCAL":
+        size, end = _detached_data_size(path, fields["ElementDataFile"]), max(skip, 0)
+    header = ImageHeader(counts, METAIMAGE_VOXEL_BYTES[fields["ElementType"]] * components, size, fields)
+    plain = "raw" if _is_true(fields.get("BinaryData", "True")) else "text"
+    _check_stored(header, size - end, "gzip" if _is_true(fields.get("CompressedData", "")) else plain)
+    return header
 
 
 def _is_true(text: str) -> bool:
@@ -379,7 +373,13 @@ NIFTI_LAYOUTS = {
 def check_nifti(path: Path) -> ImageHeader:
     """Return the header of a `.nii` or `.nii.gz` file; DataError as `check_image_header`."""
     packed = path.name.lower().endswith(".gz")
-    head, size = _nifti_head(path, packed)
+    with open_regular(path, sys.maxsize) as file:
+        try:
+            head = (gzip.GzipFile(fileobj=file) if packed else file).read(max(NIFTI_LAYOUTS))
+        except (EOFError, OSError, zlib.error):
+            raise unreadable_image("it is no gzip file, or damaged at its beginning") from None
+        size = file.seek(0, 2)
+    head = head.ljust(max(NIFTI_LAYOUTS), b"\0") if len(head) >= min(NIFTI_LAYOUTS) else b""
     # the header begins with its own size: 348 or 540 in the right byte order
     order = "<" if int.from_bytes(head[:4], "little") in NIFTI_LAYOUTS else ">"
     layout = NIFTI_LAYOUTS.get(struct.unpack_from(f"{order}i", head)[0]) if head else None
@@ -398,14 +398,3 @@ def check_nifti(path: Path) -> ImageHeader:
     header = ImageHeader(tuple(counts[:axes]), bits // 8, size)
     _check_stored(header, size if packed else size - int(start), "gzip" if packed else "raw")
     return header
-
-
-def _nifti_head(path: Path, packed: bool) -> tuple[bytes, int]:
-    """Return the first bytes, unpacked, none if there is no header, and the size of the file."""
-    with open_regular(path, sys.maxsize) as file:
-        try:
-            head = (gzip.GzipFile(fileobj=file) if packed else file).read(max(NIFTI_LAYOUTS))
-        except (EOFError, OSError, zlib.error):
-            raise unreadable_image("it is no gzip file, or damaged at its beginning") from None
-        size = file.seek(0, 2)
-    return head.ljust(max(NIFTI_LAYOUTS), b"\0") if len(head) >= min(NIFTI_LAYOUTS) else b"", size

@@ -133,17 +133,12 @@ def sample_tube(volume: Volume, needle: Floats, entry: float) -> TubeSamples:
     values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
     values = values.reshape(across.shape[:2])
     sector = np.tile(np.arange(DIRECTIONS) * SECTORS // DIRECTIONS, len(RADII_MM))
-    return TubeSamples(begin, axes, x, across, _drop_hard(values), sector, middle)
-
-
-def _drop_hard(values: Floats) -> Floats:
-    """Return the samples (n, c) with nan for air, markers and bone, and for what is near them."""
     hard = ~((values > MAX_GAP_HU) & (values < MAX_SOFT_HU))
     near = hard.copy()
     for shift in range(1, MARGIN_STATIONS + 1):
         near[shift:] |= hard[:-shift]
         near[:-shift] |= hard[shift:]
-    return np.where(near, np.nan, values)
+    return TubeSamples(begin, axes, x, across, np.where(near, np.nan, values), sector, middle)
 
 
 def _find_changes(samples: TubeSamples) -> list[float]:

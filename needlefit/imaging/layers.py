@@ -1,6 +1,5 @@
 """Read surfaces of layers (meshes or a segmentation) into the world; find where the needle crosses them."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,7 +97,15 @@ def read_layers(
     within = layers_in_scan(scan)
     world = tuple(transform_surface(one, patient) if within else one for one in surfaces)
     if grid is not None and within:  # those of the world may be larger than what was scanned
-        found += _misplaced_surface_faults(world, patient, grid, scan)
+        for surface in world:
+            steps = (patient.to_local(surface.mesh.vertices) - grid.origin) @ grid.direction / grid.spacing
+            if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
+                # a mesh is called as its file, all others are of the first
+                own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
+                what = f"the surface {surface.name} lies outside the scan {scan.volume}"
+                fix = "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS"
+                file = str(next(own, scan.surfaces[0].path))
+                found.append(Fault(file, what, "surfaces and scan in one place", fix))
     if found:
         raise as_error(found, scan.volume)
     return world
@@ -142,21 +149,6 @@ def _read_meshes(scan: Scan, found: list[Fault]) -> list[Surface]:
         fix = "correct the number, e.g. file=sheet:2, or add the surface that is missing"
         found.append(Fault(str(scan.volume), what, expected, fix))
     return surfaces
-
-
-def _misplaced_surface_faults(
-    world: Sequence[Surface], patient: Frame, grid: VoxelGrid, scan: Scan
-) -> Iterator[Fault]:
-    """Say which surfaces lie wholly outside the scan."""
-    for surface in world:
-        steps = (patient.to_local(surface.mesh.vertices) - grid.origin) @ grid.direction / grid.spacing
-        if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
-            # a mesh is called as its file, all others are of the first
-            own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
-            what = f"the surface {surface.name} lies outside the scan {scan.volume}"
-            fix = "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS"
-            file = str(next(own, scan.surfaces[0].path))
-            yield Fault(file, what, "surfaces and scan in one place", fix)
 
 
 @dataclass(frozen=True)

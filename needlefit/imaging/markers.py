@@ -83,7 +83,15 @@ def _list_bright_voxels(
             break
         if len(flat) <= MAX_BRIGHT_VOXELS:
             values = volume.values.reshape(-1)[flat]
-            return BrightVoxels(flat, values, _find_touching_pairs(flat, volume.values.shape)), levels[n:]
+            _, rows, columns = volume.values.shape
+            pairs = []
+            for stride, size in ((1, columns), (columns, rows), (rows * columns, None)):
+                at = np.minimum(np.searchsorted(flat, flat + stride), len(flat) - 1)
+                touch = flat[at] == flat + stride
+                if size is not None:  # the last of a row and the first of the next do not touch
+                    touch &= flat // stride % size < size - 1
+                pairs.append(np.stack([np.flatnonzero(touch), at[touch]], axis=1))
+            return BrightVoxels(flat, values, np.concatenate(pairs)), levels[n:]
     raise refusal(f"""{len(flat)} voxels exceed {level:.0f} HU
         expected: the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than
             {MAX_BRIGHT_VOXELS:.0g} in all
@@ -125,19 +133,6 @@ def _is_round(volume: Volume, blob: Blob) -> bool:
     moments = np.cov(steps.T, bias=True) + np.diag(volume.spacing**2) / 12
     extents = np.sqrt(np.linalg.eigvalsh(moments))
     return bool(extents[-1] <= MAX_ELONGATION * extents[0] + BLOOM_EXTENT_MM)
-
-
-def _find_touching_pairs(flat: Ints, shape: tuple[int, ...]) -> Ints:
-    """Return the pairs (E, 2) of listed voxels that share a face."""
-    _, rows, columns = shape
-    pairs = []
-    for stride, size in ((1, columns), (columns, rows), (rows * columns, None)):
-        at = np.minimum(np.searchsorted(flat, flat + stride), len(flat) - 1)
-        touch = flat[at] == flat + stride
-        if size is not None:  # the last of a row and the first of the next do not touch
-            touch &= flat // stride % size < size - 1
-        pairs.append(np.stack([np.flatnonzero(touch), at[touch]], axis=1))
-    return np.concatenate(pairs)
 
 
 def _voxel_count(volume: Volume, diameter: float) -> float:

@@ -232,7 +232,10 @@ def _crossing_warnings(layers: Layers, points: Floats, patient: Frame) -> Iterat
     if beyond and not len(layers.boundaries):
         away = find_nearest(points, beyond).distances
         yield f"the needle crosses no layer; the nearest surface stays {away.min():.1f} mm away"
-        if _crossed_in_ras(layers, points, patient):
+        turn = patient.rotation @ np.diag(AXIS_SIGNS["RAS"]) @ patient.rotation.T
+        turned = Frame(patient.origin - turn @ patient.origin, turn)
+        flipped = [transform_surface(surface, turned) for surface in layers.surfaces]
+        if len(find_crossings(points, flipped).sequence) > 1:
             yield "the needle would cross layers if their files were in RAS: save them in LPS"
 
 
@@ -249,11 +252,3 @@ def _distance_beside(points: Floats, surface: Surface) -> float | None:
     part = heights[n] / (heights[n] - heights[n + 1])
     place = points[n] + part * (points[n + 1] - points[n])
     return float(find_nearest(place, [surface]).distances[0])
-
-
-def _crossed_in_ras(layers: Layers, points: Floats, patient: Frame) -> bool:
-    """Say whether surfaces whose x and y have the other sign in the patient would be crossed."""
-    turn = patient.rotation @ np.diag(AXIS_SIGNS["RAS"]) @ patient.rotation.T
-    turned = Frame(patient.origin - turn @ patient.origin, turn)
-    flipped = [transform_surface(surface, turned) for surface in layers.surfaces]
-    return len(find_crossings(points, flipped).sequence) > 1

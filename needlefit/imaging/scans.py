@@ -245,18 +245,6 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
     )
 
 
-def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
-    """Yield the faults of one row by itself; its numbers are checked only if all could be read."""
-    for name in ("id", "medium"):
-        yield from name_faults(name, row.text[name], row.where)
-    for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
-        yield from label_faults(name, given, row.where)
-    yield from (Fault(row.where, *fault) for fault in _word_faults(row))
-    yield from (layer for layer in row.layers() if isinstance(layer, Fault))
-    if numbers_read:
-        yield from (Fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
-
-
 def name_faults(name: str, given: str, where: str) -> Iterator[Fault]:
     """Yield a fault if an id or a medium cannot be used in file names; an empty one is a default."""
     if given and not ID_PATTERN.fullmatch(given):
@@ -358,7 +346,14 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     rows = _parse_rows(table, found)
     unread = {fault.where for fault in found}
     for row in rows:
-        found += row_faults(row, numbers_read=row.where not in unread)
+        for name in ("id", "medium"):
+            found += name_faults(name, row.text[name], row.where)
+        for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
+            found += label_faults(name, given, row.where)
+        found += (Fault(row.where, *fault) for fault in _word_faults(row))
+        found += (layer for layer in row.layers() if isinstance(layer, Fault))
+        if row.where not in unread:
+            found += (Fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
     if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
         what = "`markers` is empty, but other scans have some"
         expected = "one world for all: markers for every scan, or for none"

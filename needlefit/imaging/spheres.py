@@ -151,7 +151,11 @@ class SphereVoxels:
 def render_sphere(near: SphereVoxels, tables: SphereTables, theta: Floats) -> tuple[Floats, Floats]:
     """Return the image (N,), HU, of a ball, and its derivatives (N, 14)."""
     part, dark, moved, shaped = _render_ball(near, tables, theta)
-    around, turned = _render_background(near.places, theta)
+    depth = near.places @ theta[FACE] + theta[OFFSET]
+    beyond = ndtr(depth)
+    rise = theta[STEP] * np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
+    turned = np.column_stack([beyond, rise[:, None] * near.places, rise])
+    around = theta[LEVEL] + theta[STEP] * beyond
     height, void = float(np.exp(theta[HEIGHT])), 1 - part
     over = (height - around)[:, None]
     shown = around + over[:, 0] * part
@@ -195,15 +199,6 @@ def _pixel_points(spacing: Floats) -> Floats:
         return np.zeros((1, 3))
     corners = np.array([[i, j, 0] for i in (-1, 1) for j in (-1, 1)])
     return np.asarray(corners * spacing / np.sqrt(12))
-
-
-def _render_background(places: Floats, theta: Floats) -> tuple[Floats, Floats]:
-    """Return the background (N,), HU, and its derivatives by step, face and offset (N, 5)."""
-    depth = places @ theta[FACE] + theta[OFFSET]
-    beyond = ndtr(depth)
-    rise = theta[STEP] * np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
-    turned = np.column_stack([beyond, rise[:, None] * places, rise])
-    return theta[LEVEL] + theta[STEP] * beyond, turned
 
 
 SQUARE_PIXELS = 0.02  # relative difference of a pixel's edges below which it counts as square

@@ -62,7 +62,11 @@ def insert_needle(
     Shape and depths are found by iteration: a needle through the layers met by the last one, first along the
     straight axis. ModelError if the two do not come to agree.
     """
-    frame = true_frame(planned, deviations)
+    stated = stated_frame(planned)
+    x, y, z = stated.rotation.T
+    origin = stated.origin + deviations.shift @ np.stack([y, z])
+    direction = x + deviations.tilt @ np.stack([y, z])
+    frame = make_entry_frame(origin, direction, np.cos(deviations.roll) * y + np.sin(deviations.roll) * z)
     bevel = Bevel(bevel_offset(specimen, planned))
     curve = frame.to_world(np.outer(centerline_stations(planned.depth), [1.0, 0.0, 0.0]))
     for _ in range(MAX_ROUNDS):
@@ -83,15 +87,6 @@ def insert_needle(
 def stated_frame(planned: PlannedInsertion) -> Frame:
     """Return the frame C as the stage and the bevel's mark state it."""
     return make_entry_frame(planned.origin, planned.direction, planned.toward)
-
-
-def true_frame(planned: PlannedInsertion, deviations: PlanDeviations) -> Frame:
-    """Return the frame C as it really is, with the errors of pose and roll."""
-    stated = stated_frame(planned)
-    x, y, z = stated.rotation.T
-    origin = stated.origin + deviations.shift @ np.stack([y, z])
-    direction = x + deviations.tilt @ np.stack([y, z])
-    return make_entry_frame(origin, direction, np.cos(deviations.roll) * y + np.sin(deviations.roll) * z)
 
 
 def centerline_stations(depth: float) -> Floats:

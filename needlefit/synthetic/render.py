@@ -154,18 +154,27 @@ def render_streaks(
     metals: Sequence[MetalVoxels], grid: VoxelGrid, views: int, rng: np.random.Generator
 ) -> Voxels:
     """Return the artefact of metal in every slice (K, J, I), HU."""
-    fan = _make_beam(grid, views)
+    extent = np.array(grid.size[:2]) * grid.spacing[:2]
+    width = float(grid.spacing[:2].min()) / 1.5
+    bins = int(np.ceil(np.hypot(*extent) / width)) + 4
+    fan = ParallelBeam(np.arange(views) * np.pi / views, bins, width, (extent - grid.spacing[:2]) / 2)
     error = np.zeros(grid.size[::-1], dtype=np.float32)
     held = np.unique(np.concatenate([metal.voxels[:, 2] for metal in metals]))
     if not len(held):
         return error
-    gains = _draw_gains(views, rng)
+    smooth = gaussian_filter1d(rng.normal(size=views), VIEW_GAIN_LENGTH, mode="wrap")
+    gains: Floats = VIEW_GAIN_SD * smooth / smooth.std()
     x, y = ((np.arange(n) * d - c) for n, d, c in zip(grid.size, grid.spacing, fan.center, strict=False))
     back = make_back_projector(x, y, fan)
     for first in range(0, len(held), BATCH_SLICES):
         slices = held[first : first + BATCH_SLICES]
         wrong = _projection_error(_project(metals, slices, grid, fan), gains, rng)
-        rays = _ramp_filter(wrong, fan).reshape(len(slices), -1)
+        # padded to twice the length against the FFT's wrap-around
+        length = next_fast_len(2 * fan.bins, real=True)
+        frequency = rfftfreq(length, fan.width)
+        ramp = (frequency * (0.5 + 0.5 * np.cos(np.pi * frequency / frequency[-1]))).astype(np.float32)
+        filtered: Voxels = irfft(rfft(wrong, length) * ramp, length)[..., : fan.bins]
+        rays = filtered.reshape(len(slices), -1)
         planes = back @ np.ascontiguousarray(rays.T)  # (J * I, slices)
         error[slices] = planes.T.reshape(-1, *error.shape[1:])
     error *= np.float32(1000 / WATER_PER_MM)
@@ -181,20 +190,6 @@ def _projection_error(lines: Voxels, gains: Floats, rng: np.random.Generator) ->
     wrong = np.zeros_like(lines)
     wrong[touched] = hardened + p * gains[touched[1]] + noise
     return wrong
-
-
-def _draw_gains(views: int, rng: np.random.Generator) -> Floats:
-    """Return by which part each view weighs metal too much (V,)."""
-    smooth = gaussian_filter1d(rng.normal(size=views), VIEW_GAIN_LENGTH, mode="wrap")
-    gains: Floats = VIEW_GAIN_SD * smooth / smooth.std()
-    return gains
-
-
-def _make_beam(grid: VoxelGrid, views: int) -> ParallelBeam:
-    extent = np.array(grid.size[:2]) * grid.spacing[:2]
-    width = float(grid.spacing[:2].min()) / 1.5
-    bins = int(np.ceil(np.hypot(*extent) / width)) + 4
-    return ParallelBeam(np.arange(views) * np.pi / views, bins, width, (extent - grid.spacing[:2]) / 2)
 
 
 def _project(
@@ -216,16 +211,6 @@ def _project(
         np.add.at(total, first, (mass * (1 - (at - low))).astype(np.float32))
         np.add.at(total, first + 1, (mass * (at - low)).astype(np.float32))
     return total.reshape(len(slices), len(fan.angles), fan.bins)
-
-
-def _ramp_filter(sinograms: Voxels, fan: ParallelBeam) -> Voxels:
-    """Return the projections (S, V, bins) after the ramp filter under a Hann window, 1/mm."""
-    # padded to twice the length against the FFT's wrap-around
-    length = next_fast_len(2 * fan.bins, real=True)
-    frequency = rfftfreq(length, fan.width)
-    ramp = (frequency * (0.5 + 0.5 * np.cos(np.pi * frequency / frequency[-1]))).astype(np.float32)
-    filtered: Voxels = irfft(rfft(sinograms, length) * ramp, length)[..., : fan.bins]
-    return filtered
 
 
 def make_back_projector(x: Floats, y: Floats, beam: ParallelBeam, middle: float = 0.0) -> csr_array:
@@ -327,7 +312,11 @@ def render_scan(scene: Scene3D, scanner: Scanner, rng: np.random.Generator) -> V
     values -= cup
     if metals and scanner.streaks > 0:
         values += np.float32(scanner.streaks) * render_streaks(metals, grid, scanner.views, rng)
-    values += _draw_noise(scanner, rng)
+    sigma = scanner.noise_mm / scanner.grid.spacing[::-1]
+    white = rng.standard_normal(scanner.grid.size[::-1], dtype=np.float32)
+    smooth: Voxels = gaussian_filter(white, sigma, mode="wrap")
+    smooth *= np.float32(scanner.noise_hu / max(float(smooth.std()), 1e-9))
+    values += smooth
     np.clip(np.rint(values, out=values), scanner.floor_hu, scanner.ceiling_hu, out=values)
     return Volume(values, grid.origin, grid.spacing, grid.direction)
 
@@ -366,12 +355,3 @@ def _blur_with_metal(values: Voxels, metals: Sequence[MetalVoxels], scanner: Sca
     if scanner.bloom > 0:
         blurred += np.float32(scanner.bloom) * gaussian_filter(metal, wide, output=np.float32)
     return blurred
-
-
-def _draw_noise(scanner: Scanner, rng: np.random.Generator) -> Voxels:
-    """Return noise of the scanner's deviation, a little correlated: (K, J, I), HU."""
-    sigma = scanner.noise_mm / scanner.grid.spacing[::-1]
-    white = rng.standard_normal(scanner.grid.size[::-1], dtype=np.float32)
-    smooth: Voxels = gaussian_filter(white, sigma, mode="wrap")
-    smooth *= np.float32(scanner.noise_hu / max(float(smooth.std()), 1e-9))
-    return smooth

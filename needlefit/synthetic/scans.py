@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
@@ -142,8 +141,23 @@ def expose(insertion: SyntheticInsertion, setup: ScanSetup, seed: int) -> Exposu
         markers=SceneMarkers(world.to_world(setup.markers)),
         table=ScannerTable(Frame(world.to_world([[0.0, 0.0, -BOX_MM / 2]])[0], world.rotation)),
     )
-    grid = _fit_grid(world.to_world(_list_required_points(setup, insertion)), turned)
-    return Exposure(scene, _draw_scanner(grid, rng), measure_markers(setup, seed, insertion.planned.id))
+    corners = np.array(list(product(*zip(setup.low, setup.high, strict=True))))
+    frame = insertion.true_insertion.frame
+    grid = _fit_grid(
+        world.to_world(np.vstack([corners, frame.to_world([[-setup.outside, 0.0, 0.0]])])), turned
+    )
+    return Exposure(
+        scene,
+        Scanner(
+            grid,
+            psf_mm=rng.uniform(*PSF_RANGE_MM),
+            noise_hu=rng.uniform(*NOISE_RANGE_HU),
+            bloom=rng.uniform(*BLOOM_RANGE),
+            streaks=rng.uniform(*STREAKS_RANGE),
+            cupping_hu=rng.uniform(*CUPPING_RANGE_HU),
+        ),
+        measure_markers(setup, seed, insertion.planned.id),
+    )
 
 
 def acquire(exposure: Exposure, seed: int, name: str) -> Volume:
@@ -162,13 +176,6 @@ def sample_whole_needle(insertion: SyntheticInsertion) -> Floats:
     )
 
 
-def _list_required_points(setup: ScanSetup, insertion: SyntheticInsertion) -> Floats:
-    """Return the world points (N, 3) that the field must hold: corners of the setup, and shaft."""
-    corners = np.array(list(product(*zip(setup.low, setup.high, strict=True))))
-    frame = insertion.true_insertion.frame
-    return np.vstack([corners, frame.to_world([[-setup.outside, 0.0, 0.0]])])
-
-
 def _fit_grid(points: Floats, direction: Floats) -> VoxelGrid:
     """Return the least grid along `direction` (3, 3) with `points` (N, 3) in it, patient."""
     local = points @ direction
@@ -177,35 +184,12 @@ def _fit_grid(points: Floats, direction: Floats) -> VoxelGrid:
     return VoxelGrid((columns, rows, slices), direction @ low, np.full(3, VOXEL_MM), direction)
 
 
-def _draw_scanner(grid: VoxelGrid, rng: np.random.Generator) -> Scanner:
-    return Scanner(
-        grid,
-        psf_mm=rng.uniform(*PSF_RANGE_MM),
-        noise_hu=rng.uniform(*NOISE_RANGE_HU),
-        bloom=rng.uniform(*BLOOM_RANGE),
-        streaks=rng.uniform(*STREAKS_RANGE),
-        cupping_hu=rng.uniform(*CUPPING_RANGE_HU),
-    )
-
-
 STATED_COLUMNS = (
     *("id", "scan", "medium", "specimen", "markers", "surfaces", "surfaces_in"),
     *(*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg", *BEVEL_COLUMNS),
     *("bevel_side", "layers", "layers_alternative", "origin"),
 )
 """The columns of `scans.csv` that the twin fills."""
-
-
-def format_scans(scans: Sequence[Scan], folder: Path) -> str:
-    """Return the text of the table of `scans`; file names are relative to `folder`."""
-    rows = [STATED_COLUMNS, *(_format_scan(scan, folder) for scan in scans)]
-    return "".join(",".join(row) + "\n" for row in rows)
-
-
-def format_markers(places: NDArray[np.float64]) -> str:
-    """Return the text of the table of stated marker positions (M, 3), world, mm."""
-    rows = [f"ball{n},{x:.4f},{y:.4f},{z:.4f}" for n, (x, y, z) in enumerate(places, start=1)]
-    return "\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n"
 
 
 def _format_scan(scan: Scan, folder: Path) -> list[str]:
@@ -261,7 +245,8 @@ def write_scans(
         text = dumps(recipe.model_dump(mode="json", by_alias=True, exclude_unset=True))
         (folder / "recipe.toml").write_bytes(text.encode("utf-8"))
     table = folder / "scans.csv"
-    table.write_bytes(format_scans(scans, folder).encode("utf-8"))
+    rows = [STATED_COLUMNS, *(_format_scan(scan, folder) for scan in scans)]
+    table.write_bytes("".join(",".join(row) + "\n" for row in rows).encode("utf-8"))
     return table
 
 
@@ -281,7 +266,8 @@ def render_insertion(
     exposure = expose(insertion, setup, seed)
     markers = folder / "markers" / f"{name}.csv"
     markers.parent.mkdir(parents=True, exist_ok=True)
-    markers.write_bytes(format_markers(exposure.stated).encode("utf-8"))
+    rows = [f"ball{n},{x:.4f},{y:.4f},{z:.4f}" for n, (x, y, z) in enumerate(exposure.stated, start=1)]
+    markers.write_bytes(("\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n").encode("utf-8"))
     volume = folder / "volumes" / (name if form == "dicom" else f"{name}.nrrd")
     write_volume(acquire(exposure, seed, name), volume, f"Synthetic: needlefit twin ct {name} --seed {seed}")
     return RenderedInsertion(insertion, exposure, make_stated_scan(folder, planned, volume, markers))

@@ -124,7 +124,9 @@ def _iterate_arrays(name: str, value: Any) -> Iterator[tuple[str, Floats]]:  # n
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
         for number, part in enumerate(value if isinstance(value, list) else value.ravel(), 1):
             yield from _iterate_arrays(f"{name}_{number}", part)
-    elif isinstance(value, np.ndarray) and _is_curve(value):
+    elif isinstance(value, np.ndarray) and (
+        _is_real(value) and value.ndim == 2 and 3 in value.shape and max(value.shape) > 3
+    ):
         rows = value if value.shape[1] == 3 else value.T
         yield name, np.ascontiguousarray(rows, dtype=np.float64)
 
@@ -142,10 +144,6 @@ def _take_columns(fields: dict[str, Any]) -> tuple[Floats | None, dict[str, Any]
 
 def _is_real(value: NDArray[Any]) -> bool:
     return bool(np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value))
-
-
-def _is_curve(value: NDArray[Any]) -> bool:
-    return _is_real(value) and value.ndim == 2 and 3 in value.shape and max(value.shape) > 3
 
 
 def _read_classic(data: bytes) -> dict[str, Any]:

@@ -160,7 +160,14 @@ class _Scene:
                 lists += [(node, one) for one in self.read_markups(node)]
             elif tag == "Model" and (file := self.find_file(node)) is not None:
                 if file.suffix.lower() in READ_SUFFIXES:
-                    surfaces.append(self.read_model(node, file))
+                    surface = read_surface(file, "sheet", 2)
+                    storage = next(iter(_list_references(node, "storage")), "")
+                    stated = self.nodes.get(storage, {}).get("coordinateSystem", "LPS")
+                    system = read_coordinate_system(file) or ("RAS" if stated in ("RAS", "0") else "LPS")
+                    matrix = self.find_matrix(node) @ (_LPS if system == "RAS" else np.eye(4))
+                    surfaces.append(
+                        ImportedSurface(file, map_surface(replace(surface, name=_name(node)), matrix), "LPS")
+                    )
                 else:
                     remark = f"{file.suffix} is not read; save it as .vtk or .stl"
                     self.notes.append(f"model `{_name(node)}` is left out: {remark}")
@@ -212,15 +219,6 @@ class _Scene:
             self.notes.append(f"list `{_name(node)}` is left out: it has no points")
             return ()
         return tuple(replace(one, name=_name(node) or one.name) for one in found)
-
-    def read_model(self, node: Node, file: Path) -> ImportedSurface:
-        """Return a model in world coordinates; its file, else its storage node, states RAS or LPS."""
-        surface = read_surface(file, "sheet", 2)
-        storage = next(iter(_list_references(node, "storage")), "")
-        stated = self.nodes.get(storage, {}).get("coordinateSystem", "LPS")
-        system = read_coordinate_system(file) or ("RAS" if stated in ("RAS", "0") else "LPS")
-        matrix = self.find_matrix(node) @ (_LPS if system == "RAS" else np.eye(4))
-        return ImportedSurface(file, map_surface(replace(surface, name=_name(node)), matrix), "LPS")
 
     def find_matrix(self, node: Node) -> Floats:
         """Return the matrix (4, 4), LPS, from the coordinates of a node to the world: that of its parents."""

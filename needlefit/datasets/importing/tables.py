@@ -351,13 +351,8 @@ def find_curves(cells: CellTable, columns: Sequence[str] = ()) -> tuple[Imported
         title = _find_title(cells, head) if len(all_axes) == 1 else ""
         for axes in all_axes:
             found += part.read_curves(axes, title)
-    return _join_named(found)
-
-
-def _join_named(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:
-    """Join the parts of a curve that blank rows divide: they have one name."""
     joined: dict[object, ImportedCurve] = {}
-    for n, one in enumerate(curves):
+    for n, one in enumerate(found):
         first = joined.setdefault(one.name or n, one)
         if first is not one:
             both = [part.points for part in (first, one)]
@@ -376,7 +371,9 @@ def _divide(cells: CellTable) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
         if not any(row):
             blank = True
             continue
-        is_data = _is_data(cells, row)
+        filled = [cell for cell in row if cell]
+        numbers = sum(cells.number(cell) is not None for cell in filled)
+        is_data = numbers > 1 and 3 * numbers >= len(filled) and not row[0].startswith(("#", "%"))
         if body and (blank or not is_data):
             yield head, body
             head, body = [], []
@@ -384,12 +381,6 @@ def _divide(cells: CellTable) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
         blank = False
     if body:
         yield head, body
-
-
-def _is_data(cells: CellTable, row: Sequence[str]) -> bool:
-    filled = [cell for cell in row if cell]
-    numbers = sum(cells.number(cell) is not None for cell in filled)
-    return numbers > 1 and 3 * numbers >= len(filled) and not row[0].startswith(("#", "%"))
 
 
 def _find_title(cells: CellTable, head: Sequence[int]) -> str:
@@ -476,14 +467,6 @@ class _Part:
 
     def find_axes(self, stated: Sequence[str]) -> list[_Axes]:
         """Return the columns of every curve: as stated, by the header, or by the number of columns."""
-        self._require_width()
-        if stated:
-            return [self._find_stated(stated)]
-        named = next((n for n in reversed(self.header) if self.cells.names_axes((n,))), None)
-        return ([] if named is None else self._find_named(named)) or self._count_axes()
-
-    def _require_width(self) -> None:
-        """See that no row has more cells than the header: a decimal comma in a comma-separated table."""
         width = max(map(len, self.heads), default=0)
         for n in self.body if width > 1 and self.cells.separator == "," else ():
             count = len([cell for cell in self.cells.rows[n][width:] if cell])
@@ -492,6 +475,10 @@ class _Part:
                 where = self.cells.where(n)
                 fix = "decimal commas need another separator: save it with semicolons or tabs"
                 raise DataError(what, where=where, expected="as many cells as the header", fix=fix)
+        if stated:
+            return [self._find_stated(stated)]
+        named = next((n for n in reversed(self.header) if self.cells.names_axes((n,))), None)
+        return ([] if named is None else self._find_named(named)) or self._count_axes()
 
     def _find_stated(self, stated: Sequence[str]) -> _Axes:
         """Return the columns that the user names, by header or by number."""
@@ -602,7 +589,15 @@ class _Part:
         """
         if not self.names:
             others = (n for n in range(len(self.columns)) if n not in axes.columns)
-            return next((n for n in others if all(self.columns[n]) and not self._holds_numbers(n)), None)
+            return next(
+                (
+                    n
+                    for n in others
+                    if all(self.columns[n])
+                    and not any(self.cells.number(text) is not None for text in self.columns[n])
+                ),
+                None,
+            )
         skipped = {"", *ATTRIBUTE_COLUMNS, *INDEX_COLUMNS}
         for column, (name, texts) in enumerate(zip(self.names, self.columns, strict=False)):
             blocks = [(text, len(list(run))) for text, run in groupby(texts)]
@@ -612,9 +607,6 @@ class _Part:
             if 1 < distinct == len(blocks) and min(count for _, count in blocks) >= MIN_BLOCK_ROWS:
                 return column
         return None
-
-    def _holds_numbers(self, column: int) -> bool:
-        return any(self.cells.number(text) is not None for text in self.columns[column])
 
     def _read_points(self, rows: Sequence[int], axes: _Axes) -> Points | None:
         """Return the points of some rows, in LPS where the axes state a system; None where all are empty.

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pydicom
@@ -44,19 +44,6 @@ class ContouredRegion:
     name: str
     contours: list[Floats]
     others: bool
-
-
-def find_frame_of_reference(data: pydicom.Dataset) -> str:
-    """Return the UID of the frame of reference of a structure set; empty if it states none, or several."""
-    stated = {
-        str(one.get(name, ""))
-        for sequence, name in (
-            ("StructureSetROISequence", "ReferencedFrameOfReferenceUID"),
-            ("ReferencedFrameOfReferenceSequence", "FrameOfReferenceUID"),
-        )
-        for one in data.get(sequence) or ()
-    } - {""}
-    return stated.pop() if len(stated) == 1 else ""
 
 
 def parse_regions(data: pydicom.Dataset, file: Path) -> list[ContouredRegion]:
@@ -206,9 +193,6 @@ def _contour_error(what: str) -> DataError:
         fix: export the structures again as closed planar contours, or as a segmentation (DICOM-SEG, NRRD)""")
 
 
-if TYPE_CHECKING:
-    from highdicom.seg import Segmentation
-
 MIN_FRACTION = 0.5  # a voxel of a fractional segment belongs to it from this fraction on
 BYTES_PER_VOXEL = 24  # memory of a voxel while its segments are read, one after another
 
@@ -280,7 +264,16 @@ def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> 
     grid, values = mark_regions(regions)
     results.new("values", values.shape, "float32")[...] = values
     chosen = [one.name for one in regions]
-    return {**grid_to_json(grid), "names": chosen, "frame_of_reference": find_frame_of_reference(data)}
+    stated = {
+        str(one.get(name, ""))
+        for sequence, name in (
+            ("StructureSetROISequence", "ReferencedFrameOfReferenceUID"),
+            ("ReferencedFrameOfReferenceSequence", "FrameOfReferenceUID"),
+        )
+        for one in data.get(sequence) or ()
+    } - {""}
+    frame = stated.pop() if len(stated) == 1 else ""
+    return {**grid_to_json(grid), "names": chosen, "frame_of_reference": frame}
 
 
 def _read_segments(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
@@ -291,23 +284,6 @@ def _read_segments(results: SandboxArrays, file: Path, names: Sequence[str]) -> 
     numbers = list(segmentation.segment_numbers)
     labels = [str(segmentation.get_segment_description(n).segment_label).strip() for n in numbers]
     chosen = choose_segments(labels, names)
-    grid = _find_grid(segmentation)
-    values = results.new("values", grid.size[::-1], "float32")
-    allow_memory(values.size * BYTES_PER_VOXEL)
-    for label, n in enumerate(chosen, 1):
-        inside = _read_segment(segmentation, numbers[n])
-        met = int(values[inside].max(initial=0))
-        if met:
-            raise refusal(f"""its segments overlap: {labels[chosen[met - 1]]}, {labels[n]}
-                expected: every voxel in one layer
-                fix: draw them without overlap, or name those that do not overlap: FILE=segments:NAME,NAME""")
-        values[inside] = label
-    grid_parts = grid_to_json(VoxelGrid(grid.size, grid.origin, grid.spacing, orthogonalize(grid.direction)))
-    frame = str(segmentation.get("FrameOfReferenceUID", ""))
-    return {**grid_parts, "names": [labels[n] for n in chosen], "frame_of_reference": frame}
-
-
-def _find_grid(segmentation: "Segmentation") -> VoxelGrid:
     geometry = segmentation.get_volume_geometry()
     if geometry is None:
         raise refusal("""its frames are no even stack of slices
@@ -319,10 +295,17 @@ def _find_grid(segmentation: "Segmentation") -> VoxelGrid:
     spacing = np.linalg.norm(steps, axis=0)
     grid = VoxelGrid((columns, rows, slices), affine[:3, 3].copy(), spacing, steps / spacing)
     check_grid(grid)
-    return grid
-
-
-def _read_segment(segmentation: "Segmentation", number: int) -> NDArray[np.bool_]:
-    """Return the voxels (K, J, I) of one segment."""
-    volume = segmentation.get_volume(segment_numbers=[number], dtype=np.float32)
-    return np.asarray(volume.array[..., 0] >= MIN_FRACTION)
+    values = results.new("values", grid.size[::-1], "float32")
+    allow_memory(values.size * BYTES_PER_VOXEL)
+    for label, n in enumerate(chosen, 1):
+        volume = segmentation.get_volume(segment_numbers=[numbers[n]], dtype=np.float32)
+        inside = np.asarray(volume.array[..., 0] >= MIN_FRACTION)
+        met = int(values[inside].max(initial=0))
+        if met:
+            raise refusal(f"""its segments overlap: {labels[chosen[met - 1]]}, {labels[n]}
+                expected: every voxel in one layer
+                fix: draw them without overlap, or name those that do not overlap: FILE=segments:NAME,NAME""")
+        values[inside] = label
+    grid_parts = grid_to_json(VoxelGrid(grid.size, grid.origin, grid.spacing, orthogonalize(grid.direction)))
+    frame = str(segmentation.get("FrameOfReferenceUID", ""))
+    return {**grid_parts, "names": [labels[n] for n in chosen], "frame_of_reference": frame}

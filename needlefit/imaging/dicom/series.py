@@ -258,7 +258,24 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
         for k, plane in enumerate(numbers):
             file = fresh / f"{k + 1:05d}.dcm"
             corner = to_patient(volume, [[0.0, 0.0, k]])[0]
-            _slice_dataset(file, series, digest, k, corner, plane).save_as(file, enforce_file_format=True)
+            meta = FileMetaDataset()
+            meta.MediaStorageSOPClassUID = CTImageStorage
+            meta.MediaStorageSOPInstanceUID = make_uid(digest, f"slice {k}")
+            meta.TransferSyntaxUID = ExplicitVRLittleEndian
+            meta.ImplementationClassUID = make_uid("", "implementation")
+            meta.ImplementationVersionName = "NEEDLEFIT"
+            data = FileDataset(str(file), series, file_meta=meta, preamble=b"\0" * 128)
+            data.SOPInstanceUID = meta.MediaStorageSOPInstanceUID
+            data.StudyInstanceUID, data.SeriesInstanceUID = (
+                make_uid(digest, "study"),
+                make_uid(digest, "series"),
+            )
+            data.FrameOfReferenceUID = make_uid(digest, "frame of reference")
+            data.InstanceNumber = k + 1
+            data.ImagePositionPatient = [_decimal(x) for x in corner]
+            data.PixelData = plane.astype("<i2").tobytes()
+            data["PixelData"].VR = "OW"
+            data.save_as(file, enforce_file_format=True)
 
 
 def _to_int16(values: NDArray[np.float32]) -> tuple[NDArray[np.int16], float, float]:
@@ -294,27 +311,6 @@ def _common_dataset(volume: Volume, description: str, slope: float, intercept: f
     data.Rows, data.Columns = volume.values.shape[1:]
     data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
     data.RescaleSlope, data.RescaleIntercept, data.RescaleType = _decimal(slope), _decimal(intercept), "HU"
-    return data
-
-
-def _slice_dataset(
-    file: Path, series: Dataset, digest: str, k: int, corner: NDArray[np.float64], plane: NDArray[np.int16]
-) -> FileDataset:
-    """Return the file of slice `k`, whose first voxel stands at `corner`, LPS, mm."""
-    meta = FileMetaDataset()
-    meta.MediaStorageSOPClassUID = CTImageStorage
-    meta.MediaStorageSOPInstanceUID = make_uid(digest, f"slice {k}")
-    meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    meta.ImplementationClassUID = make_uid("", "implementation")
-    meta.ImplementationVersionName = "NEEDLEFIT"
-    data = FileDataset(str(file), series, file_meta=meta, preamble=b"\0" * 128)
-    data.SOPInstanceUID = meta.MediaStorageSOPInstanceUID
-    data.StudyInstanceUID, data.SeriesInstanceUID = make_uid(digest, "study"), make_uid(digest, "series")
-    data.FrameOfReferenceUID = make_uid(digest, "frame of reference")
-    data.InstanceNumber = k + 1
-    data.ImagePositionPatient = [_decimal(x) for x in corner]
-    data.PixelData = plane.astype("<i2").tobytes()
-    data["PixelData"].VR = "OW"
     return data
 
 

@@ -344,7 +344,11 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
     """
     first = slices[0]
     with located(first.file.parent):
-        _check_kinds(slices)
+        faults = [(item, fault) for item in slices if (fault := _kind_fault(item)) is not None]
+        if faults:
+            (item, (what, expected, fix)), others = faults[0], len(faults) - 1
+            more = f" ({others} more of {len(slices)} files have a fault of this sort)" if others else ""
+            raise DataError(what + more, where=item.where, expected=expected, fix=fix)
         _check_alike(slices)
         assert first.pixel is not None
         axes, positions = _measure_axes(first), np.array([item.position for item in slices])  # (2, 3), (K, 3)
@@ -389,15 +393,6 @@ def _measure_axes(item: DicomSlice) -> Floats:
             fix: {_EXPORT_FIX}
             where: {item.where}""")
     return orthogonalize(np.vstack([item.axes, np.cross(*item.axes)]).T).T[:2]
-
-
-def _check_kinds(slices: Sequence[DicomSlice]) -> None:
-    """See that every file is a plain image with a place in the patient."""
-    faults = [(item, fault) for item in slices if (fault := _kind_fault(item)) is not None]
-    if faults:
-        (item, (what, expected, fix)), others = faults[0], len(faults) - 1
-        more = f" ({others} more of {len(slices)} files have a fault of this sort)" if others else ""
-        raise DataError(what + more, where=item.where, expected=expected, fix=fix)
 
 
 def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
@@ -469,23 +464,7 @@ def _measure_slice_spacing(ordered: Sequence[DicomSlice], positions: Floats, nor
             expected: a stack of slices
             fix: copy all files of the series into the folder""")
     along = (positions - positions[0]) @ normal  # (K,)
-    _check_steps(ordered, np.diff(along))
-    _check_straight(ordered, along, positions - positions[0] - along[:, None] * normal)
-    # the mean step: rounding of single positions must not add up over the stack
-    spacing = float(along[-1]) / (len(ordered) - 1)
-    astray = np.abs(along - spacing * np.arange(len(ordered)))
-    if astray.max() > MAX_OFFSET_MM:
-        worst = int(astray.argmax())
-        raise refusal(f"""stands {astray[worst]:.3g} mm from its place in an even stack of {spacing:.4g} mm
-                steps
-            expected: even steps, to {MAX_OFFSET_MM} mm
-            fix: resample the series to even steps, e.g. in 3D Slicer, and save it as NRRD
-            where: {ordered[worst].where}""")
-    return spacing
-
-
-def _check_steps(ordered: Sequence[DicomSlice], steps: Floats) -> None:
-    """See that no slice is there twice and none is missing; `steps` (K - 1,), mm."""
+    steps = np.diff(along)
     usual = float(np.median(steps))
     for (before, after), step in zip(pairwise(ordered), steps, strict=True):
         if step < MIN_STEP_MM:
@@ -499,6 +478,18 @@ def _check_steps(ordered: Sequence[DicomSlice], steps: Floats) -> None:
                 expected: a stack without gaps
                 fix: copy the missing files; a series with two spacings must be resampled to one
                 where: {before.file.parent}""")
+    _check_straight(ordered, along, positions - positions[0] - along[:, None] * normal)
+    # the mean step: rounding of single positions must not add up over the stack
+    spacing = float(along[-1]) / (len(ordered) - 1)
+    astray = np.abs(along - spacing * np.arange(len(ordered)))
+    if astray.max() > MAX_OFFSET_MM:
+        worst = int(astray.argmax())
+        raise refusal(f"""stands {astray[worst]:.3g} mm from its place in an even stack of {spacing:.4g} mm
+                steps
+            expected: even steps, to {MAX_OFFSET_MM} mm
+            fix: resample the series to even steps, e.g. in 3D Slicer, and save it as NRRD
+            where: {ordered[worst].where}""")
+    return spacing
 
 
 def _check_straight(ordered: Sequence[DicomSlice], along: Floats, across: Floats) -> None:

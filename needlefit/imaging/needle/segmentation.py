@@ -96,7 +96,9 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
         seeds = [part for part in parts if is_tube(part, recipe, recipe.segmentation.min_length_mm / 2)]
         joined = [part for part in _join_tubes(volume, seeds, parts, recipe) if is_tube(part, recipe)]
         if joined:
-            floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * tissue_noise_hu(volume)
+            _, dense = _sample_dense(volume)
+            noise = 1.4826 * float(np.median(np.abs(dense - np.median(dense)))) if dense.size else 0.0
+            floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * noise
             lower = [low for low, _ in levels[n + 1 :] if low > floor]
             return [_grow_tube(volume, joined[0], lower, recipe), *joined[1:]]
     largest, rules = max(parts, key=lambda part: part.length), recipe.segmentation
@@ -111,7 +113,15 @@ def _grow_tube(
     volume: Volume, tube: Component, levels: Sequence[float], recipe: ReconstructionRecord
 ) -> Component:
     """Return the tube as far as lower levels (HU) show it: near a hub or in rays it is darker."""
-    low, high = _growth_box(volume, tube)
+    points = to_patient(volume, tube.voxels)
+    center, axes = principal_axes(points)
+    along = (points - center) @ axes[0]
+    ends = center + np.outer([along.min() - GROWTH_REACH_MM, along.max() + GROWTH_REACH_MM], axes[0])
+    index = np.vstack([to_index(volume, ends), tube.voxels])
+    margin = GROWTH_MARGIN_MM / volume.spacing
+    size = np.array(volume.grid.size)
+    low = np.clip(np.floor(index.min(axis=0) - margin), 0, size).astype(np.int64)
+    high = np.clip(np.ceil(index.max(axis=0) + margin) + 1, 0, size).astype(np.int64)
     box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
     own = {tuple(voxel) for voxel in tube.voxels[:: max(1, len(tube.voxels) // 1000)].tolist()}
     grown = tube
@@ -126,20 +136,6 @@ def _grow_tube(
         if is_tube(longest, recipe) and not wide and longest.length > grown.length + MIN_GROWTH_MM:
             grown = longest
     return grown
-
-
-def _growth_box(volume: Volume, tube: Component) -> tuple[Ints, Ints]:
-    """Return the first voxel of the box around a tube and beyond its ends, and the one after its last."""
-    points = to_patient(volume, tube.voxels)
-    center, axes = principal_axes(points)
-    along = (points - center) @ axes[0]
-    ends = center + np.outer([along.min() - GROWTH_REACH_MM, along.max() + GROWTH_REACH_MM], axes[0])
-    index = np.vstack([to_index(volume, ends), tube.voxels])
-    margin = GROWTH_MARGIN_MM / volume.spacing
-    size = np.array(volume.grid.size)
-    low = np.clip(np.floor(index.min(axis=0) - margin), 0, size).astype(np.int64)
-    high = np.clip(np.ceil(index.max(axis=0) + margin) + 1, 0, size).astype(np.int64)
-    return low, high
 
 
 def cut_components(
@@ -184,7 +180,15 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     if given.threshold_low_hu is not None and given.threshold_high_hu is not None:
         return [(given.threshold_low_hu, given.threshold_high_hu)]
     tissue = median_tissue_hu(volume)
-    metal = _metal_hu(volume, tissue, recipe)
+    bright = np.concatenate([s[s > tissue + MIN_METAL_CONTRAST_HU] for s in volume.values])
+    rod = np.pi / 4 * recipe.needle.diameter_mm**2 * recipe.segmentation.min_length_mm
+    wanted = max(MIN_COMPONENT_VOXELS, int(rod / float(np.prod(volume.spacing)) / 2))
+    if len(bright) < wanted:
+        raise refusal(f"""{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by
+                {MIN_METAL_CONTRAST_HU:.0f} HU
+            expected: the {wanted} and more of a metal needle
+            fix: check that the scan holds the needle and is in HU; or give both thresholds, or a mask""")
+    metal = float(np.partition(bright, -wanted)[-wanted])
     pairs = []
     heights = [part * (metal - tissue) for part in THRESHOLD_FRACTIONS]
     # beside large balls on an extended scale a starved shaft is darker than these
@@ -265,28 +269,9 @@ def median_tissue_hu(volume: Volume) -> float:
     return float(np.median(dense if dense.size > some.size / 100 else some))
 
 
-def tissue_noise_hu(volume: Volume) -> float:
-    """Return the standard deviation of what is neither air nor metal (HU), by its median deviation."""
-    _, dense = _sample_dense(volume)
-    return 0.0 if not dense.size else 1.4826 * float(np.median(np.abs(dense - np.median(dense))))
-
-
 def _sample_dense(volume: Volume) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     some = volume.values[::3, ::3, ::3]
     return some, some[some > MAX_AIR_HU]
-
-
-def _metal_hu(volume: Volume, tissue: float, recipe: ReconstructionRecord) -> float:
-    """Return the level (HU) that as many voxels reach as half the shortest needle fills."""
-    bright = np.concatenate([s[s > tissue + MIN_METAL_CONTRAST_HU] for s in volume.values])
-    rod = np.pi / 4 * recipe.needle.diameter_mm**2 * recipe.segmentation.min_length_mm
-    wanted = max(MIN_COMPONENT_VOXELS, int(rod / float(np.prod(volume.spacing)) / 2))
-    if len(bright) < wanted:
-        raise refusal(f"""{len(bright)} voxels stand out from tissue ({tissue:.0f} HU) by
-                {MIN_METAL_CONTRAST_HU:.0f} HU
-            expected: the {wanted} and more of a metal needle
-            fix: check that the scan holds the needle and is in HU; or give both thresholds, or a mask""")
-    return float(np.partition(bright, -wanted)[-wanted])
 
 
 def _join_pieces(

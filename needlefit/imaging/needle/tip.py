@@ -237,7 +237,11 @@ class TipProblem:
         self.near = AxisVoxels(*(x[::every] for x in (near.s, near.u, near.v, near.values)))
         self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
         self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
-        self.rod = CachedRod(_make_model(volume, axis, needle, guess))
+        frame, normal = axis_frames(axis, np.array([guess])), volume.direction[:, 2]
+        # the tip may be found 4 mm from where it is looked for
+        back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
+        slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
+        self.rod = CachedRod(RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices))
         top = float(near.values.max())  # where several voxels share it the scanner's numbers end
         self.ceiling = top if np.count_nonzero(near.values == top) > 3 else np.inf
         self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * RADIAL_REACH_MM]))
@@ -277,7 +281,10 @@ class TipProblem:
         best = self._minimize(self._find_start(first), ROUGH_STEPS)
         if rough:
             return best
-        self._calibrate(best)
+        # the voxels' deviations become what a fit leaves, and voxels in one blur count as one
+        left = 1.48 * float(np.median(np.abs(best.fun[: len(self.near.s)])))
+        blurs = 8 * float(np.exp(2 * best.x[BLUR] + best.x[SLICE])) / float(np.prod(self.volume.spacing))
+        self.sigma = self.sigma * max(1.0, left) * np.sqrt(max(1.0, blurs))
         turned = best.x + np.pi * np.eye(12)[ROLL]
         starts = [best.x, turned] if self.rolled else [best.x]
         return min((self._minimize(start, STEPS) for start in starts), key=lambda one: one.cost)
@@ -294,12 +301,6 @@ class TipProblem:
         return min(
             (begin + g * one[TIP] + roll * one[ROLL] for roll in rolls for g in FINE_OFFSETS_MM), key=misfit
         )
-
-    def _calibrate(self, best: OptimizeResult) -> None:
-        """Widen the voxels' deviations to what a fit leaves, and so that voxels in one blur count as one."""
-        left = 1.48 * float(np.median(np.abs(best.fun[: len(self.near.s)])))
-        blurs = 8 * float(np.exp(2 * best.x[BLUR] + best.x[SLICE])) / float(np.prod(self.volume.spacing))
-        self.sigma = self.sigma * max(1.0, left) * np.sqrt(max(1.0, blurs))
 
     def _minimize(self, start: Floats, steps: int) -> OptimizeResult:
         return least_squares(
@@ -323,7 +324,10 @@ class TipProblem:
         jacobian = np.asarray(best.jac, dtype=np.float64)  # scaled by the loss, (1 + (f / SOFT)^2)^(-3/4)
         count = len(self.near.s)
         pulls = jacobian * (best.fun * (1 + (best.fun / SOFT_LOSS_SD) ** 2) ** 0.25)[:, None]
-        block = _assign_blocks(self.near)
+        piece = np.floor((self.near.s - self.near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
+        quadrant = 2 * (self.near.u > 0) + (self.near.v > 0)
+        outer = np.hypot(self.near.u, self.near.v) > RADIAL_REACH_MM / 2
+        block = np.asarray(8 * piece + 2 * quadrant + outer)
         total = np.zeros((block.max() + 1, 12))
         np.add.at(total, block, pulls[:count])
         total = np.vstack([total, jacobian[count:]])
@@ -380,14 +384,6 @@ class TipProblem:
         return float(ends[0][-1] - ends[1][-1]) if all(len(end) for end in ends) else np.inf
 
 
-def _make_model(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, guess: float) -> RodModel:
-    frame, normal = axis_frames(axis, np.array([guess])), volume.direction[:, 2]
-    # the tip may be found 4 mm from where it is looked for
-    back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
-    slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
-    return RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices)
-
-
 END_STEP_MM = 0.05  # spacing of the sections in which a threshold looks for the end, mm
 
 
@@ -413,13 +409,6 @@ def _prior(
         seen_sd = [BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD]
     means = np.array([0.0, 0.0, np.log(MEAN_HEIGHT_HU), cot, *seen, 0.0, 0.0])
     return means, np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *seen_sd, dark_sd, STREAK_SD_HU])
-
-
-def _assign_blocks(near: AxisVoxels) -> NDArray[np.int64]:
-    """Return the block (N,) of each voxel: quadrant round the axis, inner or outer half, length along it."""
-    piece = np.floor((near.s - near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
-    quadrant = 2 * (near.u > 0) + (near.v > 0)
-    return np.asarray(8 * piece + 2 * quadrant + (np.hypot(near.u, near.v) > RADIAL_REACH_MM / 2))
 
 
 def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:

@@ -174,7 +174,13 @@ def search_pairings(
 
     DataError if more than `MAX_PARTIAL_PAIRINGS` partial pairings must be kept.
     """
-    order = _order_by_distance(found)
+    distance = np.linalg.norm(found[:, None] - found[None], axis=-1)
+    # each is far from those before it: long distances tell most
+    order = [int(np.argmax(distance.sum(axis=1)))]
+    while len(order) < len(found):
+        gap = distance[order].min(axis=0)
+        gap[order] = -1
+        order.append(int(np.argmax(gap)))
     rows = np.empty((1, 0), dtype=np.int64)
     for depth in range(1, len(found) + 1):
         rows = _extend_rows(rows, len(known), len(found) - count, count)
@@ -189,17 +195,6 @@ def search_pairings(
     pairing = np.empty_like(rows)
     pairing[:, order] = rows
     return pairing
-
-
-def _order_by_distance(points: Floats) -> NDArray[np.int64]:
-    """Return an order in which each point is far from those before it: long distances tell most."""
-    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    order = [int(np.argmax(distance.sum(axis=1)))]
-    while len(order) < len(points):
-        gap = distance[order].min(axis=0)
-        gap[order] = -1
-        order.append(int(np.argmax(gap)))
-    return np.array(order)
 
 
 def _extend_rows(rows: NDArray[np.int64], known: int, spare: int, count: int) -> NDArray[np.int64]:

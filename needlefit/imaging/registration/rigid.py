@@ -326,7 +326,11 @@ def pair_by_icp(sets: MarkerSets, rough: Frame) -> Pairs:
     """
     frame, pairs = rough, np.empty((0, 2), dtype=np.int64)
     for _ in range(MAX_ICP_ITERATIONS):
-        closest = _find_mutual_pairs(frame.to_world(sets.found), sets.known)
+        here = frame.to_world(sets.found)
+        to_known = np.asarray(cKDTree(sets.known).query(here)[1], dtype=np.int64)
+        to_found = np.asarray(cKDTree(here).query(sets.known)[1], dtype=np.int64)
+        both = np.flatnonzero(to_found[to_known] == np.arange(len(here)))
+        closest = np.column_stack([both, to_known[both]])
         if len(closest) < MIN_MARKERS or np.array_equal(closest, pairs):
             break
         pairs = closest
@@ -345,10 +349,3 @@ def pair_by_icp(sets: MarkerSets, rough: Frame) -> Pairs:
 def _fit_weighted(sets: MarkerSets, pairs: Pairs) -> Frame:
     weights = 1 / sets.variance_bound[pairs[:, 0], pairs[:, 1]]
     return fit_kabsch(sets.found[pairs[:, 0]], sets.known[pairs[:, 1]], weights)
-
-
-def _find_mutual_pairs(here: Floats, there: Floats) -> Pairs:
-    to_known = np.asarray(cKDTree(there).query(here)[1], dtype=np.int64)
-    to_found = np.asarray(cKDTree(here).query(there)[1], dtype=np.int64)
-    both = np.flatnonzero(to_found[to_known] == np.arange(len(here)))
-    return np.column_stack([both, to_known[both]])
