@@ -214,7 +214,18 @@ def find_curve_faults(
     if unit:
         yield unit
         return  # in metres every other length is wrong as well
-    yield from _find_order_faults(points)
+    steps = np.diff(points.values, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    repeated = np.flatnonzero(lengths < SAME_POINT_MM)
+    if len(repeated):
+        where = points.where(int(repeated[0]) + 1)
+        what = f"repeats the point before it{_describe_more(len(repeated))}"
+        yield Fault(where, what, "points that differ", "remove the repeated points")
+    back = _find_backward_points(points.values)
+    if len(back):
+        what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
+        fix = "sort the points along the needle, and remove branches and loops"
+        yield Fault(points.where(int(back[0])), what, "points in order from the entry to the tip", fix)
     length, tolerance = arc_length(curve)[-1], LENGTH_TOLERANCE[record.frame.pose]
     if abs(length - row.depth) > max(LENGTH_TOLERANCE_MM, tolerance * row.depth):
         where = points.where()
@@ -244,21 +255,6 @@ def _find_unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: st
                 f"multiply the column by {factor:g}, and check every other length of the dataset",
             )
     return None
-
-
-def _find_order_faults(points: Points) -> Iterator[Fault]:
-    steps = np.diff(points.values, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    repeated = np.flatnonzero(lengths < SAME_POINT_MM)
-    if len(repeated):
-        where = points.where(int(repeated[0]) + 1)
-        what = f"repeats the point before it{_describe_more(len(repeated))}"
-        yield Fault(where, what, "points that differ", "remove the repeated points")
-    back = _find_backward_points(points.values)
-    if len(back):
-        what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
-        fix = "sort the points along the needle, and remove branches and loops"
-        yield Fault(points.where(int(back[0])), what, "points in order from the entry to the tip", fix)
 
 
 def _find_backward_points(curve: Floats) -> np.ndarray:
@@ -327,7 +323,12 @@ def find_layer_faults(
     """Return the insertions that do not meet their listed layers; one reason if all miss all surfaces."""
     for name in dict.fromkeys(one.insertion.medium for one in listed):
         group = [one for one in listed if one.insertion.medium == name]
-        copies = _find_copies(group[0].insertion.surfaces)
+        names_by_mesh: dict[bytes, str] = {}
+        copies = []
+        for surface in group[0].insertion.surfaces:
+            key = np.ascontiguousarray(surface.mesh.vertices).tobytes()
+            copies += [(names_by_mesh[key], surface.name)] if key in names_by_mesh else []
+            names_by_mesh.setdefault(key, surface.name)
         if copies:  # their layers cannot be counted
             yield from (
                 _make_repeat_fault(locate_key(file, f"media.{name}.surfaces"), name, *pair) for pair in copies
@@ -389,17 +390,6 @@ def _make_repeat_fault(where: str, medium: str, one: str, other: str) -> Fault:
     listed = f"lists surface {one} twice" if one == other else f"lists one surface as {one} and as {other}"
     expected = "a surface of its own for every boundary"
     return Fault(where, f"medium {medium} {listed}", expected, "name the right file, or remove one")
-
-
-def _find_copies(surfaces: Sequence[Surface]) -> list[tuple[str, str]]:
-    """Return the names of the surfaces of one insertion that are the same, two by two."""
-    names_by_mesh: dict[bytes, str] = {}
-    found = []
-    for surface in surfaces:
-        key = np.ascontiguousarray(surface.mesh.vertices).tobytes()
-        found += [(names_by_mesh[key], surface.name)] if key in names_by_mesh else []
-        names_by_mesh.setdefault(key, surface.name)
-    return found
 
 
 def _meets_flipped_surfaces(insertion: Insertion) -> bool:

@@ -1,6 +1,6 @@
 """Read a dataset, of shapes or tip tracks, or list all of its faults (`needlefit check`)."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -130,19 +130,6 @@ def _iterate_runs(table: CsvTable, record: TrackDatasetRecord, found: list[Fault
     ]
     if note_missing_columns(table, list(dict.fromkeys(wanted)), found, MISSING_COLUMN_FIX) or unknown:
         return
-    values = _parse_values(table, theirs, found)
-    if values is None:
-        return
-    ids, media = (table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium"))
-    for id_ in dict.fromkeys(ids.tolist()):
-        rows = np.flatnonzero(ids == id_)
-        yield _RunRows(
-            id_, str(media[rows[0]]), rows, {name: column[rows] for name, column in values.items()}
-        )
-
-
-def _parse_values(table: CsvTable, theirs: Mapping[str, str], found: list[Fault]) -> dict[str, Floats] | None:
-    """Return every column of numbers (N,) under our names; None after a fault."""
     before = len(found)
     values = {name: parse_numbers(table, theirs[name], found) for name in REQUIRED_TRACK_COLUMNS[2:]}
     for name, default in OPTIONAL_TRACK_COLUMNS.items():
@@ -150,7 +137,14 @@ def _parse_values(table: CsvTable, theirs: Mapping[str, str], found: list[Fault]
         if theirs[name] in table.cells:
             given = parse_numbers(table, theirs[name], found, optional=True)
             values[name] = np.where(np.isnan(given), default, given)
-    return values if len(found) == before else None
+    if len(found) > before:
+        return
+    ids, media = (table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium"))
+    for id_ in dict.fromkeys(ids.tolist()):
+        rows = np.flatnonzero(ids == id_)
+        yield _RunRows(
+            id_, str(media[rows[0]]), rows, {name: column[rows] for name, column in values.items()}
+        )
 
 
 def _find_run_faults(run: _RunRows, table: CsvTable, record: TrackDatasetRecord) -> Iterator[Fault]:

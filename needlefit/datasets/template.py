@@ -55,18 +55,6 @@ def read_source(path: Path) -> CurveSource:
     found = [fault for name, points in curves.items() for fault in points.find_faults(name)]
     if found:
         raise as_error(found, path)
-    named = _make_names(curves, path)
-    changed = [f"{theirs!r} is {name}" for theirs, name in zip(curves, named, strict=True) if theirs != name]
-    if changed:
-        notes = [*notes, f"ids name files, so that {join_names(changed, MAX_SHOWN_NAMES)}"]
-    return CurveSource(named, tuple(notes))
-
-
-def _make_names(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
-    """Return the curves under ids that can name files.
-
-    Two equal names are an error, and so are names that a spreadsheet would run or a terminal not show.
-    """
     named: dict[str, Points] = {}
     for theirs, points in curves.items():
         if fault := name_fault(theirs):
@@ -80,7 +68,10 @@ def _make_names(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
             expected = "ids that differ in letters, digits, `.`, `_`, `-`: they name files"
             raise DataError(what, where=where, expected=expected, fix=f"rename one of them in {path.name}")
         named[name] = points
-    return named
+    changed = [f"{theirs!r} is {name}" for theirs, name in zip(curves, named, strict=True) if theirs != name]
+    if changed:
+        notes = [*notes, f"ids name files, so that {join_names(changed, MAX_SHOWN_NAMES)}"]
+    return CurveSource(named, tuple(notes))
 
 
 PLACEHOLDER_SD_MM = 0.1

@@ -46,7 +46,13 @@ def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
     # The layer is constant between two hits, so the middle of each stretch decides it; at the hits themselves
     # rounding would.
     middles = interpolate_at_arc(curve, (np.array(stops[:-1]) + np.array(stops[1:])) / 2)
-    solids = _find_solid_layers(middles, surfaces)
+    solids = np.zeros(len(middles), dtype=np.int64)
+    for surface in surfaces:
+        if surface.kind == "solid":
+            # trimesh divides by the directions of its rays; its search tree serves one thread at a time
+            with _search_lock, np.errstate(over="ignore"):
+                within = surface.mesh.contains(middles)
+            solids[within] = surface.into
     arcs: list[float] = []
     sequence: list[int] = []
     sheet = 1
@@ -133,18 +139,6 @@ def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.nda
 
 
 _search_lock = Lock()
-
-
-def _find_solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarray:
-    """Return the layer of the solid that contains each place (K, 3), 0 where there is none."""
-    layers = np.zeros(len(places), dtype=np.int64)
-    for surface in surfaces:
-        if surface.kind == "solid":
-            # trimesh divides by the directions of its rays; its search tree serves one thread at a time
-            with _search_lock, np.errstate(over="ignore"):
-                within = surface.mesh.contains(places)
-            layers[within] = surface.into
-    return layers
 
 
 ENCLOSURE_RAYS = 12

@@ -77,7 +77,24 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
             return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
         stated, axes = _read_stated_segments(place) if path_exists(place) else ((), 3)
         if stated and axes > 3:
-            volume, stated = _merge_planes(read_planes(place), stated)
+            planes = read_planes(place)
+            values, labelled = np.zeros_like(planes[0].values), 0
+            for label, segment in enumerate(stated, 1):
+                if segment.plane >= len(planes):
+                    raise refusal(f"""segment {segment.name} is in layer {segment.plane}, of {len(planes)} in
+                            the file
+                        expected: layers that are there
+                        fix: {SAVE_AGAIN_FIX}""")
+                inside = planes[segment.plane].values == segment.value
+                if met := int(values[inside].max(initial=0)):
+                    raise _overlap_error([stated[met - 1].name, segment.name])
+                values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
+            if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
+                raise refusal(f"""voxels have labels that no segment has
+                    expected: labels of the segments that the header names
+                    fix: {SAVE_AGAIN_FIX}""")
+            merged = tuple(Segment(label, segment.name) for label, segment in enumerate(stated, 1))
+            volume, stated = replace(planes[0], values=values), merged
         else:
             volume = read_volume(place)
         labels = _check_labels(volume, stated)
@@ -86,7 +103,22 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
 
 
 def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
-    present = _list_labels(volume)
+    low, high = float(volume.values.min()), float(volume.values.max())
+    labels_only = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
+    if low < 0 or high >= 2**16 or not labels_only:
+        raise refusal(f"""its voxels run from {low:g} to {high:g}{", with fractions" * (not labels_only)}:
+                this is a scan
+            expected: {EXPECTED_LABELS}
+            fix: give the segmentation, not the scan that it was made from""")
+    size = int(high) + 1
+    counts = sum(np.bincount(s.ravel().astype(np.int64), minlength=size) for s in volume.values)
+    present: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
+    if not 1 <= len(present) <= MAX_SEGMENTS:
+        none = "holds no label: all voxels are 0"
+        fix = "give the segmentation of the layers" if present else "segment the layers, and save it again"
+        raise refusal(f"""{f"holds {len(present)} labels: this is a scan" if present else none}
+            expected: {EXPECTED_LABELS}
+            fix: {fix}""")
     if not stated:
         return Labels(volume, tuple(Segment(value, "") for value in present))
     empty = [f"{segment.name} (label {segment.value})" for segment in stated if segment.value not in present]
@@ -121,53 +153,10 @@ def _read_stated_segments(path: Path) -> tuple[tuple[Segment, ...], int]:
     return segments, len(header.size)
 
 
-def _merge_planes(
-    planes: Sequence[Volume], segments: Sequence[Segment]
-) -> tuple[Volume, tuple[Segment, ...]]:
-    """Return one volume of the labels 1, 2, ... of segments in several; DataError if they overlap."""
-    values, labelled = np.zeros_like(planes[0].values), 0
-    for label, segment in enumerate(segments, 1):
-        if segment.plane >= len(planes):
-            raise refusal(f"""segment {segment.name} is in layer {segment.plane}, of {len(planes)} in the file
-                expected: layers that are there
-                fix: {SAVE_AGAIN_FIX}""")
-        inside = planes[segment.plane].values == segment.value
-        if met := int(values[inside].max(initial=0)):
-            raise _overlap_error([segments[met - 1].name, segment.name])
-        values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
-    if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
-        raise refusal(f"""voxels have labels that no segment has
-            expected: labels of the segments that the header names
-            fix: {SAVE_AGAIN_FIX}""")
-    merged = tuple(Segment(label, segment.name) for label, segment in enumerate(segments, 1))
-    return replace(planes[0], values=values), merged
-
-
 def _overlap_error(names: Sequence[str]) -> DataError:
     return refusal(f"""its segments overlap: {", ".join(names)}
         expected: every voxel in one layer
         fix: in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again""")
-
-
-def _list_labels(volume: Volume) -> list[int]:
-    """Return the labels of a volume, increasing, without 0."""
-    low, high = float(volume.values.min()), float(volume.values.max())
-    labels_only = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
-    if low < 0 or high >= 2**16 or not labels_only:
-        raise refusal(f"""its voxels run from {low:g} to {high:g}{", with fractions" * (not labels_only)}:
-                this is a scan
-            expected: {EXPECTED_LABELS}
-            fix: give the segmentation, not the scan that it was made from""")
-    size = int(high) + 1
-    counts = sum(np.bincount(s.ravel().astype(np.int64), minlength=size) for s in volume.values)
-    labels: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
-    if not 1 <= len(labels) <= MAX_SEGMENTS:
-        none = "holds no label: all voxels are 0"
-        fix = "give the segmentation of the layers" if labels else "segment the layers, and save it again"
-        raise refusal(f"""{f"holds {len(labels)} labels: this is a scan" if labels else none}
-            expected: {EXPECTED_LABELS}
-            fix: {fix}""")
-    return labels
 
 
 CELL_MM = 1.25  # edge of the cells that marching cubes goes through, as near as whole voxels come to it, mm

@@ -201,32 +201,22 @@ def find_crossed_layers(
     crossed = find_crossings(points, surfaces)
     sd = np.empty(0)
     if len(crossed.arc):
-        sd = _crossing_sd(points, frame, surfaces, errors, crossed.arc)
+        places = interpolate_at_arc(points, crossed.arc)
+        tangents = interpolate_at_arc(points, crossed.arc + TANGENT_STEP_MM) - interpolate_at_arc(
+            points, crossed.arc - TANGENT_STEP_MM
+        )
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        normals = find_nearest(places, surfaces).normals
+        cosines = np.abs(np.sum(normals * tangents, axis=1))
+        across = np.interp(crossed.arc, arc_length(points), errors.centerline)
+        # only the part of the needle's error along the normal counts: sin^2 of the angle between needle and
+        # normal
+        variances = errors.surface**2 + across**2 * (1 - cosines**2)
+        if errors.registration is not None:
+            in_patient = scan_frame(errors.registration).to_local(places)
+            covariances = target_covariance(errors.registration, in_patient)
+            sideways = normals - np.sum(normals * tangents, axis=1)[:, None] * tangents
+            variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
+        along = np.abs(tangents @ frame.rotation[:, 0])
+        sd = np.hypot(along * np.sqrt(variances) / np.maximum(cosines, MIN_CROSSING_COSINE), errors.along)
     return Layers(surfaces, compute_depths(crossed.points, frame), sd, crossed.points, crossed.sequence)
-
-
-def _crossing_sd(
-    points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors, arc: Floats
-) -> Floats:
-    """Return the standard deviations (m,) of the depths at which a needle crosses surfaces, mm."""
-    places = interpolate_at_arc(points, arc)
-    tangents = interpolate_at_arc(points, arc + TANGENT_STEP_MM) - interpolate_at_arc(
-        points, arc - TANGENT_STEP_MM
-    )
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    normals = find_nearest(places, surfaces).normals
-    cosines = np.abs(np.sum(normals * tangents, axis=1))
-    across = np.interp(arc, arc_length(points), errors.centerline)
-    # only the part of the needle's error along the normal counts: sin^2 of the angle between needle and
-    # normal
-    variances = errors.surface**2 + across**2 * (1 - cosines**2)
-    if errors.registration is not None:
-        in_patient = scan_frame(errors.registration).to_local(places)
-        covariances = target_covariance(errors.registration, in_patient)
-        sideways = normals - np.sum(normals * tangents, axis=1)[:, None] * tangents
-        variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
-    along = np.abs(tangents @ frame.rotation[:, 0])
-    deviations: Floats = np.hypot(
-        along * np.sqrt(variances) / np.maximum(cosines, MIN_CROSSING_COSINE), errors.along
-    )
-    return deviations

@@ -184,7 +184,20 @@ def _locate_tissue(
     change of brightness around the needle.
     """
     if scan.contact is not None:
-        return _project_contact(detections, scan.contact), recipe.entry.placed_contact_sd_mm, ()
+        points = detections.needle_axis.points
+        s = arc_length(points)
+        fine = np.arange(0.0, s[-1], 0.05)
+        away = np.linalg.norm(interpolate_at_arc(points, fine) - scan.contact, axis=1)
+        beyond = float((scan.contact - points[-1]) @ normalize(points[-1] - points[-2]))
+        found = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
+        if away.min() > MAX_ENTRY_DISTANCE_MM:
+            found = f"{away.min():.1f} mm beside the needle"
+        if found:
+            raise refusal(f"""the first contact that was placed lies {found}
+                expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
+                fix: place it on the needle; RAS has x and y of the other sign
+                where: {", ".join(CONTACT_COLUMNS)}""")
+        return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm, ()
     own = _hit_surfaces(detections.world, [surface for surface in surfaces if surface.into == 1])
     if len(own):
         at = float(own.min())
@@ -199,24 +212,6 @@ def _locate_tissue(
             fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
                 layers, as FILE=sheet:1 or FILE=solid:1""")
     return choice.chosen.at, choice.chosen.sd, choice.warnings
-
-
-def _project_contact(detections: Detections, contact: Floats) -> float:
-    """Return where along the needle a first contact placed by hand (3,), LPS, lies, mm."""
-    points = detections.needle_axis.points
-    s = arc_length(points)
-    fine = np.arange(0.0, s[-1], 0.05)
-    away = np.linalg.norm(interpolate_at_arc(points, fine) - contact, axis=1)
-    beyond = float((contact - points[-1]) @ normalize(points[-1] - points[-2]))
-    found = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
-    if away.min() > MAX_ENTRY_DISTANCE_MM:
-        found = f"{away.min():.1f} mm beside the needle"
-    if found:
-        raise refusal(f"""the first contact that was placed lies {found}
-            expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
-            fix: place it on the needle; RAS has x and y of the other sign
-            where: {", ".join(CONTACT_COLUMNS)}""")
-    return float(fine[np.argmin(away)])
 
 
 def _hit_surfaces(needle: Floats, surfaces: Sequence[Surface]) -> Floats:

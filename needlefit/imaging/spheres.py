@@ -150,29 +150,6 @@ class SphereVoxels:
 
 def render_sphere(near: SphereVoxels, tables: SphereTables, theta: Floats) -> tuple[Floats, Floats]:
     """Return the image (N,), HU, of a ball, and its derivatives (N, 14)."""
-    part, dark, moved, shaped = _render_ball(near, tables, theta)
-    depth = near.places @ theta[FACE] + theta[OFFSET]
-    beyond = ndtr(depth)
-    rise = theta[STEP] * np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
-    turned = np.column_stack([beyond, rise[:, None] * near.places, rise])
-    around = theta[LEVEL] + theta[STEP] * beyond
-    height, void = float(np.exp(theta[HEIGHT])), 1 - part
-    over = (height - around)[:, None]
-    shown = around + over[:, 0] * part
-    slopes = np.column_stack(
-        [moved * over, height * part, over[:, 0] * dark, shaped * over, void, turned * void[:, None]]
-    )
-    slopes[(shown > near.ceiling) | (shown < near.floor)] = 0.0
-    return np.clip(shown, near.floor, near.ceiling), slopes
-
-
-def _render_ball(
-    near: SphereVoxels, tables: SphereTables, theta: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the part of each voxel (N,) that is ball, darkened in its middle, and its derivatives.
-
-    These are by the shortfall (N,), the centre (N, 3), 1/mm, and blur, boost and the slices' blur (N, 3).
-    """
     all_tables = tables.render(
         theta[DARK], float(np.exp(theta[BLUR])), theta[BOOST], float(np.exp(theta[SLICE]))
     )
@@ -190,7 +167,20 @@ def _render_ball(
         total[:, 5:] += np.column_stack(seen[ALONG + 1 :])
     total /= len(offsets)
     part = total[:, 0] + theta[DARK] * total[:, 1]
-    return part, total[:, 1], total[:, 2:5], total[:, 5:]
+    dark, moved, shaped = total[:, 1], total[:, 2:5], total[:, 5:]
+    depth = near.places @ theta[FACE] + theta[OFFSET]
+    beyond = ndtr(depth)
+    rise = theta[STEP] * np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
+    turned = np.column_stack([beyond, rise[:, None] * near.places, rise])
+    around = theta[LEVEL] + theta[STEP] * beyond
+    height, void = float(np.exp(theta[HEIGHT])), 1 - part
+    over = (height - around)[:, None]
+    shown = around + over[:, 0] * part
+    slopes = np.column_stack(
+        [moved * over, height * part, over[:, 0] * dark, shaped * over, void, turned * void[:, None]]
+    )
+    slopes[(shown > near.ceiling) | (shown < near.floor)] = 0.0
+    return np.clip(shown, near.floor, near.ceiling), slopes
 
 
 def _pixel_points(spacing: Floats) -> Floats:
@@ -270,7 +260,18 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     misfit, blur = float(np.sqrt(np.mean(left**2))) / height, float(np.exp(theta[BLUR]))
     # thick slices average rays before the logarithm
     systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / radius, MISFIT_ERROR * misfit * blur)
-    formal = FORMAL_SD_FACTOR * _sandwich_sd(near, tables, theta, residuals, noise)
+    slopes = render_sphere(near, tables, theta)[1]
+    scores = slopes * residuals[:, None]
+    normal = slopes.T @ slopes
+    normal[PRIOR_COLUMNS, PRIOR_COLUMNS] += (noise / PRIOR_SD) ** 2
+    bread = np.linalg.pinv(normal, hermitian=True)
+    length = max(CORRELATION_LENGTH_MM, float(near.spacing.max()))
+    tree = cKDTree(near.places)
+    apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
+    weight = (1 - apart["v"] / length)[:, None]
+    meat = scores[apart["i"]].T @ (weight * scores[apart["j"]])
+    variance = float(np.trace((bread @ meat @ bread)[CENTER, CENTER])) / 3
+    formal = FORMAL_SD_FACTOR * float(np.sqrt(max(variance, 0.0)))
     return SphereFit(
         center=to_patient(volume, (blob.voxels.mean(axis=0) + theta[CENTER] / volume.spacing)[None])[0],
         sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
@@ -371,25 +372,3 @@ def _minimize(
         max_nfev=40,
     )
     return best
-
-
-def _sandwich_sd(
-    near: SphereVoxels, tables: SphereTables, theta: Floats, residuals: Floats, noise: float
-) -> float:
-    """Return the deviation of the centre in one direction, mm, from residuals that neighbours share.
-
-    The sandwich: the residuals' own products, of voxels nearer than `CORRELATION_LENGTH_MM`, or a
-    voxel's longest edge, and the less the farther apart, between the inverses of the normal matrix.
-    """
-    slopes = render_sphere(near, tables, theta)[1]
-    scores = slopes * residuals[:, None]
-    normal = slopes.T @ slopes
-    normal[PRIOR_COLUMNS, PRIOR_COLUMNS] += (noise / PRIOR_SD) ** 2
-    bread = np.linalg.pinv(normal, hermitian=True)
-    length = max(CORRELATION_LENGTH_MM, float(near.spacing.max()))
-    tree = cKDTree(near.places)
-    apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
-    weight = (1 - apart["v"] / length)[:, None]
-    meat = scores[apart["i"]].T @ (weight * scores[apart["j"]])
-    variance = float(np.trace((bread @ meat @ bread)[CENTER, CENTER])) / 3
-    return float(np.sqrt(max(variance, 0.0)))

@@ -168,7 +168,13 @@ def render_streaks(
     back = make_back_projector(x, y, fan)
     for first in range(0, len(held), BATCH_SLICES):
         slices = held[first : first + BATCH_SLICES]
-        wrong = _projection_error(_project(metals, slices, grid, fan), gains, rng)
+        lines = _project(metals, slices, grid, fan)
+        touched = np.nonzero(lines)
+        p = np.minimum(lines[touched], np.float32(MAX_LINE_INTEGRAL))
+        hardened = p / (1 + HARDENING_COEFFICIENT * p) - p
+        noise = rng.standard_normal(len(p), dtype=np.float32) * np.sqrt(np.expm1(p) / PHOTONS_PER_RAY)
+        wrong = np.zeros_like(lines)
+        wrong[touched] = hardened + p * gains[touched[1]] + noise
         # padded to twice the length against the FFT's wrap-around
         length = next_fast_len(2 * fan.bins, real=True)
         frequency = rfftfreq(length, fan.width)
@@ -179,17 +185,6 @@ def render_streaks(
         error[slices] = planes.T.reshape(-1, *error.shape[1:])
     error *= np.float32(1000 / WATER_PER_MM)
     return error
-
-
-def _projection_error(lines: Voxels, gains: Floats, rng: np.random.Generator) -> Voxels:
-    """Return the error of projections whose line integrals of metal are `lines` (S, V, bins)."""
-    touched = np.nonzero(lines)
-    p = np.minimum(lines[touched], np.float32(MAX_LINE_INTEGRAL))
-    hardened = p / (1 + HARDENING_COEFFICIENT * p) - p
-    noise = rng.standard_normal(len(p), dtype=np.float32) * np.sqrt(np.expm1(p) / PHOTONS_PER_RAY)
-    wrong = np.zeros_like(lines)
-    wrong[touched] = hardened + p * gains[touched[1]] + noise
-    return wrong
 
 
 def _project(

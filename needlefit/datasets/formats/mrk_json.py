@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,7 +52,15 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
     DataError if the file is missing, no markups file, or holds no list of points; if a list is empty, does
     not say its coordinate system, or has a point that is not finite.
     """
-    lists = _read_lists(path)
+    whole = read_json(path)
+    lists = whole.get("markups") if isinstance(whole, dict) else None
+    if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
+        expected = '{"@schema": ..., "markups": [{"type": "Curve", ...}]}'
+        raise DataError("has no `markups`", where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
+    schema = whole.get("@schema", SCHEMA)
+    if not (isinstance(schema, str) and _SCHEMA.search(schema)):
+        what = f"its schema is {str(schema)[:120]!r}"
+        raise DataError(what, where=str(path), expected="markups-schema-v1.x.y.json", fix=SAVE_AGAIN_FIX)
     found = [
         _parse_markups(path, one, n)
         for n, one in enumerate(lists, 1)
@@ -76,19 +84,6 @@ def write_mrk_json(path: Path, lists: Iterable[tuple[Markups, CurveStyle]]) -> N
     path.write_bytes(f'{{\n"@schema": "{SCHEMA}",\n"markups": [\n{body}\n]\n}}\n'.encode())
 
 
-def _read_lists(path: Path) -> Sequence[dict[str, Any]]:
-    whole = read_json(path)
-    lists = whole.get("markups") if isinstance(whole, dict) else None
-    if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
-        expected = '{"@schema": ..., "markups": [{"type": "Curve", ...}]}'
-        raise DataError("has no `markups`", where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
-    schema = whole.get("@schema", SCHEMA)
-    if not (isinstance(schema, str) and _SCHEMA.search(schema)):
-        what = f"its schema is {str(schema)[:120]!r}"
-        raise DataError(what, where=str(path), expected="markups-schema-v1.x.y.json", fix=SAVE_AGAIN_FIX)
-    return lists
-
-
 def _parse_markups(path: Path, one: dict[str, Any], number: int) -> Markups:
     name = str(one.get("name") or (path.name.removesuffix(".json").removesuffix(".mrk")))
     where = f"{path}, list {number} `{name}`"
@@ -108,7 +103,12 @@ def _parse_markups(path: Path, one: dict[str, Any], number: int) -> Markups:
     for n, point in enumerate(points, start=1):
         label = str(point.get("label") or "")
         there = f"{where}, point {n}" + (f" ({label})" if label else "")
-        if _is_set(point, there):
+        status = point.get("positionStatus", "defined")
+        if status not in (*SET_STATES, *UNSET_STATES):
+            what = f"positionStatus is {str(status)[:80]!r}"
+            expected = f"one of {', '.join((*SET_STATES, *UNSET_STATES))}"
+            raise DataError(what, where=there, expected=expected, fix=SAVE_AGAIN_FIX)
+        if status in SET_STATES and point.get("position") not in (None, "", []):
             labels.append(label)
             positions.append(parse_position(point["position"], there))
         else:
@@ -127,16 +127,6 @@ def _find_scale(units: object, where: str) -> float:
     what = f"coordinateUnits is {str(units)[:80]}"
     expected = f"one of {', '.join(UNITS_MM)} (UCUM)"
     raise DataError(what, where=where, expected=expected, fix="save the list in mm")
-
-
-def _is_set(point: dict[str, Any], where: str) -> bool:
-    """Return whether a point has a position: Slicer leaves it empty where it was never placed."""
-    status = point.get("positionStatus", "defined")
-    if status not in (*SET_STATES, *UNSET_STATES):
-        what = f"positionStatus is {str(status)[:80]!r}"
-        expected = f"one of {', '.join((*SET_STATES, *UNSET_STATES))}"
-        raise DataError(what, where=where, expected=expected, fix=SAVE_AGAIN_FIX)
-    return status in SET_STATES and point.get("position") not in (None, "", [])
 
 
 def _format_markups(markups: Markups, style: CurveStyle) -> str:

@@ -74,7 +74,12 @@ def read_content(paths: Sequence[Path], columns: Sequence[str] = ()) -> ImportCo
     found += [fault for one in curves for fault in one.points.find_faults(one.name)]
     if found:
         raise as_error(found, paths[0])
-    return ImportContent(tuple(files), _name_curves(curves), _name_surfaces(surfaces), tuple(notes))
+    names: dict[str, ImportedSurface] = {}
+    for one in surfaces:
+        plain = "".join(letter for letter in one.surface.name if letter.isprintable())[:MAX_NAME_CHARS]
+        name = _make_unique(plain or "surface", names)
+        names[name] = replace(one, surface=replace(one.surface, name=name))
+    return ImportContent(tuple(files), _name_curves(curves), tuple(names.values()), tuple(notes))
 
 
 def list_import_suffixes() -> tuple[str, ...]:
@@ -191,16 +196,6 @@ def _name_curves(curves: Sequence[ImportedCurve]) -> tuple[ImportedCurve, ...]:
             raise DataError(what, where=where, expected=EXPECTED_NAME, fix="rename it in its file")
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], names)
         names[name] = replace(one, name=name)
-    return tuple(names.values())
-
-
-def _name_surfaces(surfaces: Sequence[ImportedSurface]) -> tuple[ImportedSurface, ...]:
-    """Return the surfaces under printable names, of which no two are the same."""
-    names: dict[str, ImportedSurface] = {}
-    for one in surfaces:
-        plain = "".join(letter for letter in one.surface.name if letter.isprintable())[:MAX_NAME_CHARS]
-        name = _make_unique(plain or "surface", names)
-        names[name] = replace(one, surface=replace(one.surface, name=name))
     return tuple(names.values())
 
 

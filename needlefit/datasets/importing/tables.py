@@ -476,27 +476,23 @@ class _Part:
                 fix = "decimal commas need another separator: save it with semicolons or tabs"
                 raise DataError(what, where=where, expected="as many cells as the header", fix=fix)
         if stated:
-            return [self._find_stated(stated)]
+            places = []
+            for name in stated:
+                place = next((row.index(name) for row in self.heads if name in row), None)
+                if place is None and name.isdecimal() and int(name) > 0:
+                    place = int(name) - 1
+                if place is None:
+                    names = [text for row in self.heads for text in row if text][:MAX_LISTED_COLUMNS]
+                    where = self.cells.where(self.header[-1]) if self.header else str(self.cells.path)
+                    expected = f"one of {', '.join(names) or 'the numbers of the columns'}"
+                    fix = "name the columns of x, y and z with --columns, by their headers or numbers"
+                    raise DataError(f"there is no column {name!r}", where=where, expected=expected, fix=fix)
+                places.append(place)
+            units = [_split_unit(row[places[0]])[1] for row in self.heads if places[0] < len(row)]
+            unit = next(filter(None, units), self.units.get(places[0], ""))
+            return [_Axes("", tuple(places), unit, None, "--columns")]
         named = next((n for n in reversed(self.header) if self.cells.names_axes((n,))), None)
         return ([] if named is None else self._find_named(named)) or self._count_axes()
-
-    def _find_stated(self, stated: Sequence[str]) -> _Axes:
-        """Return the columns that the user names, by header or by number."""
-        places = []
-        for name in stated:
-            place = next((row.index(name) for row in self.heads if name in row), None)
-            if place is None and name.isdecimal() and int(name) > 0:
-                place = int(name) - 1
-            if place is None:
-                names = [text for row in self.heads for text in row if text][:MAX_LISTED_COLUMNS]
-                where = self.cells.where(self.header[-1]) if self.header else str(self.cells.path)
-                expected = f"one of {', '.join(names) or 'the numbers of the columns'}"
-                fix = "name the columns of x, y and z with --columns, by their headers or numbers"
-                raise DataError(f"there is no column {name!r}", where=where, expected=expected, fix=fix)
-            places.append(place)
-        units = [_split_unit(row[places[0]])[1] for row in self.heads if places[0] < len(row)]
-        unit = next(filter(None, units), self.units.get(places[0], ""))
-        return _Axes("", tuple(places), unit, None, "--columns")
 
     def _find_named(self, row: int) -> list[_Axes]:
         """Return the axes that a header row names, of every group of columns that the rows above it name."""

@@ -368,7 +368,19 @@ def _decide_layers(cuts: Sequence[_Cut], surfaces: Sequence[Surface], decisions:
         expected = "one of the two"
         raise ConfigError(what, expected=expected, fix="leave --boundaries out, or the files of the surfaces")
     if surfaces:
-        numbered = _number_layers([cut.values for cut in cuts], surfaces, decisions)
+        lines = [cut.values for cut in cuts]
+        others = []
+        for one in surfaces:
+            if one.kind == "solid" and sum(_is_inside(line[1], [one]) for line in lines) > len(lines) / 2:
+                decisions.keep(f"layer of {one.name}", "1", "guess", "most needles begin in it")
+            else:
+                arcs = [hits[0] for hits in _find_arcs(lines, one)]
+                others.append((float(np.mean(arcs)) if arcs else np.inf, one))
+        others.sort(key=lambda pair: pair[0])
+        for into, (arc, one) in enumerate(others, 2):
+            reason = f"first met at {arc:.1f} mm on average" if np.isfinite(arc) else "met by no needle"
+            decisions.keep(f"layer of {one.name}", str(into), "guess", reason)
+        numbered = [replace(one, into=into) for into, (_, one) in enumerate(others, 2)]
         reason = "that of a surface segmented in a CT scan"
         sd = decisions.settle_number("boundary sd", SURFACE_SD_MM, "assumption", reason)
         return ImportedLayers(tuple(numbered), sd_mm=sd)
@@ -378,27 +390,6 @@ def _decide_layers(cuts: Sequence[_Cut], surfaces: Sequence[Surface], decisions:
     depths = parse_depths("boundaries", text)
     sd = decisions.settle_number("boundary sd", DEPTH_SD_MM, "assumption", "that of a ruler")
     return ImportedLayers((), depths, sd)
-
-
-def _number_layers(
-    lines: Sequence[Floats], surfaces: Sequence[Surface], decisions: Decisions
-) -> list[Surface]:
-    """Return the surfaces with the layers that they lead into, in the order in which needles meet them.
-
-    A solid in which most needles begin is layer 1, which needs no surface.
-    """
-    others = []
-    for one in surfaces:
-        if one.kind == "solid" and sum(_is_inside(line[1], [one]) for line in lines) > len(lines) / 2:
-            decisions.keep(f"layer of {one.name}", "1", "guess", "most needles begin in it")
-        else:
-            arcs = [hits[0] for hits in _find_arcs(lines, one)]
-            others.append((float(np.mean(arcs)) if arcs else np.inf, one))
-    others.sort(key=lambda pair: pair[0])
-    for into, (arc, one) in enumerate(others, 2):
-        reason = f"first met at {arc:.1f} mm on average" if np.isfinite(arc) else "met by no needle"
-        decisions.keep(f"layer of {one.name}", str(into), "guess", reason)
-    return [replace(one, into=into) for into, (_, one) in enumerate(others, 2)]
 
 
 # ---- entry pose and bevel

@@ -46,26 +46,6 @@ class ContouredRegion:
     others: bool
 
 
-def parse_regions(data: pydicom.Dataset, file: Path) -> list[ContouredRegion]:
-    """Return the regions of a structure set, in its order."""
-    listed = list(data.StructureSetROISequence)
-    drawn = {int(one.ReferencedROINumber): one for one in data.get("ROIContourSequence") or ()}
-    if len(listed) > MAX_ROIS or len({int(one.ROINumber) for one in listed}) < len(listed):
-        raise _contour_error("lists too many regions, or two of one number")
-    found, count = [], 0
-    for one in listed:
-        name = str(one.get("ROIName") or f"region {one.ROINumber}").strip()
-        contours = drawn.get(int(one.ROINumber), pydicom.Dataset()).get("ContourSequence") or ()
-        closed = [contour for contour in contours if contour.get("ContourGeometricType") in _CLOSED]
-        with located(f"{file}, region {name}"):
-            points = [_parse_points(contour) for contour in closed]
-        found.append(ContouredRegion(name, points, len(closed) < len(contours)))
-        count += len(contours)
-    if count > MAX_CONTOURS:
-        raise _contour_error(f"holds {count} contours")
-    return found
-
-
 def _parse_points(contour: pydicom.Dataset) -> Floats:
     """Return the points (N, 3) of a contour from its text at once: pydicom takes a second for a MB."""
     raw = contour.get_item("ContourData")
@@ -96,7 +76,15 @@ def mark_regions(regions: Sequence[ContouredRegion]) -> tuple[VoxelGrid, NDArray
     values = np.zeros(grid.size[::-1], dtype=np.uint8)
     counts: list[int] = []
     for label, (region, contours) in enumerate(zip(regions, turned, strict=True), 1):
-        inside = _fill_region(contours, axes, grid)
+        columns, rows, slices = grid.size
+        inside = np.zeros((slices, rows, columns), dtype=np.bool_)
+        planes: dict[int, list[Floats]] = {}
+        for one in contours:
+            index = (one - grid.origin @ axes) / grid.spacing
+            planes.setdefault(round(float(index[:, 2].mean())), []).append(index[:, :2])
+        for k, outlines in planes.items():
+            lines = [np.stack([one, np.roll(one, -1, axis=0)], axis=1) for one in outlines]
+            inside[k] = fill_outline(np.concatenate(lines), (rows, columns))
         # slice by slice: counting takes eight times the memory of what is counted
         pairs = zip(values, inside, strict=True)
         shared = np.sum([np.bincount(one[mask], minlength=label) for one, mask in pairs], axis=0)
@@ -152,20 +140,6 @@ def _make_grid(turned: Sequence[Sequence[Floats]], axes: Floats) -> VoxelGrid:
     grid = VoxelGrid((columns, rows, slices), origin, np.array([pixel, pixel, step]), axes)
     check_grid(grid)
     return grid
-
-
-def _fill_region(contours: Sequence[Floats], axes: Floats, grid: VoxelGrid) -> NDArray[np.bool_]:
-    """Return the voxels (K, J, I) inside an odd number of contours of a plane: holes are left out."""
-    columns, rows, slices = grid.size
-    inside = np.zeros((slices, rows, columns), dtype=np.bool_)
-    planes: dict[int, list[Floats]] = {}
-    for one in contours:
-        index = (one - grid.origin @ axes) / grid.spacing
-        planes.setdefault(round(float(index[:, 2].mean())), []).append(index[:, :2])
-    for k, outlines in planes.items():
-        lines = [np.stack([one, np.roll(one, -1, axis=0)], axis=1) for one in outlines]
-        inside[k] = fill_outline(np.concatenate(lines), (rows, columns))
-    return inside
 
 
 def _check_shared(shared: NDArray[np.int64], counts: Sequence[int], names: Sequence[str]) -> None:
@@ -252,7 +226,21 @@ def _storage(file: Path) -> str:
 def _read_contours(results: SandboxArrays, file: Path, names: Sequence[str]) -> Answer:
     with open_regular(file, sys.maxsize) as content:
         data = pydicom.dcmread(content)
-    regions = parse_regions(data, file)
+    listed = list(data.StructureSetROISequence)
+    drawn = {int(one.ReferencedROINumber): one for one in data.get("ROIContourSequence") or ()}
+    if len(listed) > MAX_ROIS or len({int(one.ROINumber) for one in listed}) < len(listed):
+        raise _contour_error("lists too many regions, or two of one number")
+    regions, count = [], 0
+    for one in listed:
+        name = str(one.get("ROIName") or f"region {one.ROINumber}").strip()
+        contours = drawn.get(int(one.ROINumber), pydicom.Dataset()).get("ContourSequence") or ()
+        closed = [contour for contour in contours if contour.get("ContourGeometricType") in _CLOSED]
+        with located(f"{file}, region {name}"):
+            points = [_parse_points(contour) for contour in closed]
+        regions.append(ContouredRegion(name, points, len(closed) < len(contours)))
+        count += len(contours)
+    if count > MAX_CONTOURS:
+        raise _contour_error(f"holds {count} contours")
     if not names:  # points and lines mark places, such as the isocentre
         regions = [one for one in regions if one.contours]
     regions = [regions[n] for n in choose_segments([one.name for one in regions], names)]

@@ -162,7 +162,13 @@ def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[s
     frames = _read_frames([item for item in slices if item.frame is not None])
     for item, plane in zip(slices, values, strict=True):
         stored = _read_voxels(reader, item) if item.frame is None else next(frames)
-        plane[...] = _blank_padding(stored, item)
+        if item.padding is not None:
+            assert item.rescale is not None  # the stack was checked
+            slope, intercept = item.rescale
+            # padding is given in stored values, before the rescaling; 0.5 allows for rounding
+            kept = (stored - intercept) / slope
+            stored[(kept > item.padding[0] - 0.5) & (kept < item.padding[1] + 0.5)] = np.nan
+        plane[...] = stored
     if any(item.padding is not None for item in slices):
         least = np.fmin.reduce(values, axis=None)
         if np.isnan(least):
@@ -222,17 +228,6 @@ def _unreadable_voxels_error(item: DicomSlice) -> DataError:
         fix: it is cut short or damaged: copy it again, or export the series
             again{", uncompressed" if packed else ""}
         where: {item.file}""")
-
-
-def _blank_padding(voxels: NDArray[np.float64], item: DicomSlice) -> NDArray[np.float64]:
-    """Return the values of a slice; padding is NaN."""
-    if item.padding is not None:
-        assert item.rescale is not None  # the stack was checked
-        slope, intercept = item.rescale
-        # padding is given in stored values, before the rescaling; 0.5 allows for rounding
-        kept = (voxels - intercept) / slope
-        voxels[(kept > item.padding[0] - 0.5) & (kept < item.padding[1] + 0.5)] = np.nan
-    return voxels
 
 
 _INT16_LEVELS = 2**16 - 1

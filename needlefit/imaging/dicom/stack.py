@@ -351,7 +351,15 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
             raise DataError(what + more, where=item.where, expected=expected, fix=fix)
         _check_alike(slices)
         assert first.pixel is not None
-        axes, positions = _measure_axes(first), np.array([item.position for item in slices])  # (2, 3), (K, 3)
+        assert first.axes is not None
+        if not (np.abs(first.axes @ first.axes.T - np.eye(2)) <= AXES_COSINE_TOLERANCE).all():
+            raise refusal(f"""ImageOrientationPatient is {first.axes.round(4).tolist()}
+                expected: two perpendicular unit vectors
+                fix: {_EXPORT_FIX}
+                where: {first.where}""")
+        # made perpendicular to the last digit
+        axes = orthogonalize(np.vstack([first.axes, np.cross(*first.axes)]).T).T[:2]  # (2, 3)
+        positions = np.array([item.position for item in slices])  # (K, 3)
         normal = np.cross(axes[0], axes[1])
         order = np.argsort(positions @ normal, kind="stable")
         ordered, positions = [slices[index] for index in order], positions[order]
@@ -382,17 +390,6 @@ def describe_headers(slices: Sequence[DicomSlice]) -> list[str]:
             "edge of the tissue are right only if air is -1000 and water 0"
         )
     return notes
-
-
-def _measure_axes(item: DicomSlice) -> Floats:
-    """Return the row and column directions (2, 3) of a slice, made perpendicular to the last digit."""
-    assert item.axes is not None
-    if not (np.abs(item.axes @ item.axes.T - np.eye(2)) <= AXES_COSINE_TOLERANCE).all():
-        raise refusal(f"""ImageOrientationPatient is {item.axes.round(4).tolist()}
-            expected: two perpendicular unit vectors
-            fix: {_EXPORT_FIX}
-            where: {item.where}""")
-    return orthogonalize(np.vstack([item.axes, np.cross(*item.axes)]).T).T[:2]
 
 
 def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:

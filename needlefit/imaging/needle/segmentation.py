@@ -340,7 +340,15 @@ def select_needle(
     if point is None:
         needle = _choose_longest(volume, tubes, recipe.needle.diameter_mm)
     else:
-        needle = _choose_at(volume, tubes, point)
+        distances = [float(cKDTree(to_patient(volume, part.voxels)).query(point)[0]) for part in tubes]
+        nearest = int(np.argmin(distances))
+        if distances[nearest] > MAX_PICK_DISTANCE_MM:
+            listed = "; ".join(describe_tube(volume, part) for part in tubes)
+            raise refusal(f"""no tube passes the stated point of the needle; there is {listed}
+                expected: a tube within {MAX_PICK_DISTANCE_MM:g} mm of it
+                fix: correct the point (LPS of the scan, mm), or leave the three cells empty
+                where: needle_x_mm, needle_y_mm, needle_z_mm""")
+        needle = tubes[nearest]
     others = tuple(part for part in tubes if part is not needle)
     if not others:
         return NeedleSelection(needle)
@@ -362,18 +370,6 @@ def find_ends(volume: Volume, part: Component) -> Floats:
     center, axes = principal_axes(points)
     along = (points - center) @ axes[0]
     return points[[int(np.argmin(along)), int(np.argmax(along))]]
-
-
-def _choose_at(volume: Volume, tubes: Sequence[Component], point: Floats) -> Component:
-    distances = [float(cKDTree(to_patient(volume, part.voxels)).query(point)[0]) for part in tubes]
-    nearest = int(np.argmin(distances))
-    if distances[nearest] > MAX_PICK_DISTANCE_MM:
-        listed = "; ".join(describe_tube(volume, part) for part in tubes)
-        raise refusal(f"""no tube passes the stated point of the needle; there is {listed}
-            expected: a tube within {MAX_PICK_DISTANCE_MM:g} mm of it
-            fix: correct the point (LPS of the scan, mm), or leave the three cells empty
-            where: needle_x_mm, needle_y_mm, needle_z_mm""")
-    return tubes[nearest]
 
 
 def _choose_longest(volume: Volume, tubes: Sequence[Component], diameter: float) -> Component:
@@ -421,7 +417,22 @@ def read_mask_component(volume: Volume, path: Path, recipe: ReconstructionRecord
         _require_marked(int(np.count_nonzero(mask.values > 0)))
         marked = _resample_mask(volume, mask)
         _require_marked(int(np.count_nonzero(marked)))
-        _require_metal(volume, marked)
+        where = np.argwhere(marked)
+        low, high = (
+            np.maximum(where.min(axis=0) - 2 * MARGIN_VOXELS, 0),
+            where.max(axis=0) + 1 + 2 * MARGIN_VOXELS,
+        )
+        box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+        inside, values = marked[box], volume.values[box]
+        near = binary_dilation(inside, iterations=MARGIN_VOXELS)
+        around = values[binary_dilation(near, iterations=MARGIN_VOXELS) & ~near]
+        if not len(around):
+            raise _misplaced_mask("it marks the whole scan")
+        middle, bright = np.percentile(around, [50, 95])
+        metal = float(np.percentile(values[inside], 95))
+        if metal - middle <= MIN_CONTRAST_RATIO * (bright - middle):
+            levels = f"no brighter ({metal:.0f}) than what lies around it ({middle:.0f})"
+            raise _misplaced_mask(f"what it marks is {levels}")
         part = measure_component(volume, np.argwhere(marked)[:, ::-1])
         if part.length < recipe.segmentation.min_length_mm:
             raise refusal(f"""the mask is {part.length:.1f} mm long
@@ -458,26 +469,6 @@ def _resample_mask(volume: Volume, mask: Volume) -> NDArray[np.bool_]:
         inside[within] = mask.values[tuple(near[within, ::-1].T)] > 0
         found[k, low[1] : high[1] + 1, low[0] : high[0] + 1] = inside.reshape(i.shape)
     return found
-
-
-def _require_metal(volume: Volume, marked: NDArray[np.bool_]) -> None:
-    """Raise DataError unless what is marked stands out from what is around it, as metal does in any unit."""
-    where = np.argwhere(marked)
-    low, high = (
-        np.maximum(where.min(axis=0) - 2 * MARGIN_VOXELS, 0),
-        where.max(axis=0) + 1 + 2 * MARGIN_VOXELS,
-    )
-    box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-    inside, values = marked[box], volume.values[box]
-    near = binary_dilation(inside, iterations=MARGIN_VOXELS)
-    around = values[binary_dilation(near, iterations=MARGIN_VOXELS) & ~near]
-    if not len(around):
-        raise _misplaced_mask("it marks the whole scan")
-    middle, bright = np.percentile(around, [50, 95])
-    metal = float(np.percentile(values[inside], 95))
-    if metal - middle <= MIN_CONTRAST_RATIO * (bright - middle):
-        levels = f"no brighter ({metal:.0f}) than what lies around it ({middle:.0f})"
-        raise _misplaced_mask(f"what it marks is {levels}")
 
 
 def _misplaced_mask(why: str) -> DataError:

@@ -370,7 +370,15 @@ def check_given_pairs(sets: MarkerSets, pairs: Pairs) -> Pairing:
     error = misfit_error(part, reached) if reached < part.smaller_count else None
     if error or not candidates:
         raise error or no_fit_error(part)
-    raise _disproved_error(own, candidates[0] if fits else whole(candidates[0]))
+    other = candidates[0] if fits else whole(candidates[0])
+    right = dict(map(tuple, other.pairs.tolist()))
+    wrong = [(i, j) for i, j in own.pairs.tolist() if right.get(i) != j]
+    left, others = (_root_mean_square(one.alignment.residuals) for one in (own, other))
+    raise refusal(f"""the pairs given do not fit: they leave {left:.2f} mm, {len(other.pairs)} others
+            {others:.2f} mm; at fault are (found -> known, counted from 0) {format_pairs(wrong)}
+        expected: {format_pairs(other.pairs)}
+        fix: correct the pairs, or give none: all pairings are tried
+        where: pairs of markers""")
 
 
 def _pair_closest_points(sets: MarkerSets, rough: Frame) -> Pairing:
@@ -392,17 +400,6 @@ def _check_pairs(sets: MarkerSets, pairs: Pairs) -> None:
         expected: three or more rows (found below {len(sets.found)}, known below {len(sets.known)}), counted
             from 0, none twice
         fix: list each marker once
-        where: pairs of markers""")
-
-
-def _disproved_error(own: MarkerPairingCandidate, other: MarkerPairingCandidate) -> DataError:
-    right = dict(map(tuple, other.pairs.tolist()))
-    wrong = [(i, j) for i, j in own.pairs.tolist() if right.get(i) != j]
-    left, others = (_root_mean_square(one.alignment.residuals) for one in (own, other))
-    return refusal(f"""the pairs given do not fit: they leave {left:.2f} mm, {len(other.pairs)} others
-            {others:.2f} mm; at fault are (found -> known, counted from 0) {format_pairs(wrong)}
-        expected: {format_pairs(other.pairs)}
-        fix: correct the pairs, or give none: all pairings are tried
         where: pairs of markers""")
 
 
