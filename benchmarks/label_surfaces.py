@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from needlefit.geometry.meshes import extract_solid
-from needlefit.imaging.label_surfaces import extract_boundary
+from needlefit.imaging.layers import extract_boundary
 
 SPACING = 0.46
 SIZE = 91

@@ -29,8 +29,7 @@ from needlefit.geometry.frames import Frame
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient
-from needlefit.synthetic.ct_scene import SceneMarkers, VoxelGrid
-from needlefit.synthetic.render import densify, render_scan
+from needlefit.synthetic.render import SceneMarkers, VoxelGrid, densify, render_scan
 
 Floats = NDArray[np.float64]
 

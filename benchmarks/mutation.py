@@ -74,7 +74,7 @@ AREAS = {
         ("inference_predictive_density", "inference_importance", "inference_specimens"),
     ),
     "metrics": Area(
-        ("metrics", "geometry/compare.py"), ("inference_metric", "registry", "geometry", "reporting_tables")
+        ("metrics", "geometry/curves.py"), ("inference_metric", "registry", "geometry", "reporting_tables")
     ),
     "registration": Area(
         ("imaging/registration", "geometry/frames.py"),

@@ -48,8 +48,8 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import ReconstructionFailure, try_reconstruct
+from needlefit.imaging.reconstruct import list_tip_warnings
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.reconstruction_checks import list_tip_warnings
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import read_volume, write_volume

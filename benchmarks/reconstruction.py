@@ -33,9 +33,17 @@ from needlefit.imaging.needle.centerline import Centerline, trace_needle
 from needlefit.imaging.needle.segmentation import Component, principal_axes, segment_needle
 from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.ct_scene import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers
 from needlefit.synthetic.design import PHANTOMS
-from needlefit.synthetic.render import bevel_side, densify, render_scan
+from needlefit.synthetic.render import (
+    Needle3D,
+    Scanner,
+    ScannerTable,
+    Scene3D,
+    SceneMarkers,
+    bevel_side,
+    densify,
+    render_scan,
+)
 
 Floats = NDArray[np.float64]
 

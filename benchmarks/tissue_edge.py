@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.imaging.materials import find_tissue_edge, sample_profile
-from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers, VoxelGrid
 from needlefit.synthetic.design import Phantom
-from needlefit.synthetic.render import render_scan
+from needlefit.synthetic.render import Needle3D, Scanner, Scene3D, SceneMarkers, VoxelGrid, render_scan
 
 Floats = NDArray[np.float64]
 

@@ -5,9 +5,8 @@ import numpy as np
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D
 from needlefit.synthetic.design import Phantom
-from needlefit.synthetic.render import densify, render_scan
+from needlefit.synthetic.render import Needle3D, Scanner, Scene3D, densify, render_scan
 
 RECIPE = ReconstructionRecord(schema=2)
 SPACING = 0.46

@@ -14,10 +14,9 @@ from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.materials import find_tissue_edge, sample_profile
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.segmentation import segment_needle
-from needlefit.imaging.reconstruction import EntryPose, Layers, MarkerResult, Reconstruction
+from needlefit.imaging.reconstruction import EntryPose, Layers, MarkerResult, Reconstruction, render_views
 from needlefit.imaging.registration.register import predict_mean_target_error, register, scan_frame
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.views import render_views
 
 NO_LAYERS = Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
 PATIENT = Frame(

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
-from needlefit.geometry.compare import COMPARISON_POINTS, compare_curves
 from needlefit.geometry.curves import (
+    COMPARISON_POINTS,
     arc_length,
+    compare_curves,
     find_bending_direction,
     fit_free_frame,
     interpolate_at_arc,

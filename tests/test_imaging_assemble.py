@@ -12,7 +12,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import transform_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
-from needlefit.imaging.reconstruction_checks import collect_warnings
+from needlefit.imaging.reconstruct import collect_warnings
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 RECIPE = ReconstructionRecord(schema=1)

@@ -26,7 +26,7 @@ from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.load import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.ct_scene import ScannerTable, SceneMarkers
+from needlefit.synthetic.render import ScannerTable, SceneMarkers
 
 FAR = np.array([200.0, 0.0, 0.0])
 SHAPES = {

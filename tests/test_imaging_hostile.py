@@ -17,7 +17,7 @@ from test_imaging_volume import VALUES, metaimage, nifti, nrrd
 from needlefit.datasets.formats.mat import read_curves
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.imaging.image_headers import MAX_EXPANSION, check_image_header
-from needlefit.imaging.label_surfaces import read_labels
+from needlefit.imaging.layers import read_labels
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.sandbox import MEMORY_VARIABLE, ReaderLimits, read_in_sandbox
 

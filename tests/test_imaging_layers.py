@@ -36,10 +36,15 @@ from needlefit.geometry.surfaces import (
     make_sheet,
     transform_surface,
 )
-from needlefit.imaging.label_surfaces import read_labels
-from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_crossed_layers, read_layers
+from needlefit.imaging.layers import (
+    LayerErrors,
+    estimate_layer_errors,
+    find_crossed_layers,
+    read_labels,
+    read_layers,
+)
+from needlefit.imaging.reconstruct import check_layer_count, refuse_tunnels
 from needlefit.imaging.reconstruction import EntryPose
-from needlefit.imaging.reconstruction_checks import check_layer_count, refuse_tunnels
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.scans import LayerSource, StagePose
 from needlefit.imaging.volume import Volume

@@ -31,7 +31,7 @@ from needlefit.imaging.spheres import (
     render_sphere,
 )
 from needlefit.imaging.volume import Volume
-from needlefit.synthetic.ct_scene import ScannerTable, SceneMarkers
+from needlefit.synthetic.render import ScannerTable, SceneMarkers
 
 PLACES = np.array([[4.13, 4.71, 20.05], [17.32, 5.28, 31.77], [5.55, 16.92, 40.4], [16.4, 17.2, 24.81]])
 

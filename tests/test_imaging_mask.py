@@ -13,7 +13,7 @@ from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.segmentation import read_mask_component, segment_needle
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import write_volume
-from needlefit.synthetic.ct_scene import Needle3D
+from needlefit.synthetic.render import Needle3D
 
 pytestmark = pytest.mark.usefixtures("read_here")
 

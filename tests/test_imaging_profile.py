@@ -8,12 +8,10 @@ from scipy.special import ndtr
 
 from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.imaging.materials import find_tissue_edge, sample_profile
-from needlefit.imaging.reconstruction import IntensityProfile
-from needlefit.imaging.views import render_views
+from needlefit.imaging.reconstruction import IntensityProfile, render_views
 from needlefit.imaging.volume import Volume, to_patient
-from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers
 from needlefit.synthetic.design import Phantom
-from needlefit.synthetic.render import render_scan
+from needlefit.synthetic.render import Needle3D, Scanner, Scene3D, SceneMarkers, render_scan
 
 S = np.arange(-30.0, 30.0, 0.5)
 

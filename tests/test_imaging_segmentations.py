@@ -17,8 +17,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME
 from needlefit.geometry.meshes import fill_mesh
 from needlefit.geometry.surfaces import make_cylinder
-from needlefit.imaging.label_surfaces import extract_label_surfaces, read_labels
-from needlefit.imaging.layers import read_layers
+from needlefit.imaging.layers import extract_label_surfaces, read_labels, read_layers
 from needlefit.imaging.scans import LayerSource, Scan, parse_layer_source
 from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import read_mask

@@ -22,7 +22,7 @@ from needlefit.imaging.needle.centerline import (
 )
 from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.needle.tip import RodModel
-from needlefit.imaging.reconstruction_checks import MAX_DEPTH_SD_MM, collect_warnings, list_tip_warnings
+from needlefit.imaging.reconstruct import MAX_DEPTH_SD_MM, collect_warnings, list_tip_warnings
 from needlefit.imaging.spheres import PointSpread
 
 RADIUS = 0.635

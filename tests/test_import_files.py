@@ -18,7 +18,7 @@ from import_cases import (
 )
 from scipy.io import savemat
 
-from needlefit.datasets.importing import slicer_scene
+from needlefit.datasets.importing import files
 from needlefit.datasets.importing.files import read_content
 from needlefit.datasets.importing.tables import parse_number, read_sheets, read_text_cells
 from needlefit.errors import DataError
@@ -212,7 +212,7 @@ def test_a_bundle_that_names_files_outside_is_refused(tmp_path, name):
 
 
 def test_a_bundle_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(slicer_scene, "MAX_UNPACKED_BYTES", 2**20)
+    monkeypatch.setattr(files, "MAX_UNPACKED_BYTES", 2**20)
     write_scene(tmp_path / "s", CURVES[:1])
     write_bundle(tmp_path / "a.mrb", tmp_path / "s", [("case/big.stl", b"\0" * 2**22)])
     with pytest.raises(DataError, match="unpacks"):

@@ -95,7 +95,7 @@ def test_unknown_names_and_empty_selections_are_errors():
 )
 def test_the_real_stereo_shapes_give_the_known_baselines():
     from needlefit.datasets.read import read
-    from needlefit.geometry.compare import compare_curves
+    from needlefit.geometry.curves import compare_curves
     from needlefit.project.locate import find_file
 
     shapes = read(find_file("dataset", "stereo_shapes"))

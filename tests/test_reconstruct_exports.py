@@ -12,7 +12,7 @@ import slicerio
 import trimesh
 from test_cli import run
 
-from needlefit.datasets.importing.slicer_scene import read_scene
+from needlefit.datasets.importing.files import read_scene
 from needlefit.datasets.read import read
 from needlefit.imaging.volume_files import read_segments, read_volume
 from needlefit.project.locate import shipped_folder

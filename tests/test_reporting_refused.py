@@ -11,8 +11,7 @@ import reconstruction_cases as cases
 
 from needlefit.errors import DataError
 from needlefit.imaging.assembly import DatasetDescription
-from needlefit.imaging.batch import ReconstructionFailure
-from needlefit.imaging.findings import collect_findings
+from needlefit.imaging.batch import ReconstructionFailure, collect_findings
 from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.scans import Scan

@@ -8,7 +8,7 @@ import slicerio
 
 from needlefit.datasets.formats.fcsv import read_fcsv
 from needlefit.errors import DataError
-from needlefit.imaging.label_surfaces import extract_label_surfaces, read_labels
+from needlefit.imaging.layers import extract_label_surfaces, read_labels
 from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import read_volume
 

@@ -8,8 +8,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from needlefit.geometry.frames import Frame
-from needlefit.synthetic.ct_scene import Needle3D, ScannerTable, SceneMarkers
-from needlefit.synthetic.render import bevel_side, render_streaks, voxelize_balls, voxelize_needle
+from needlefit.synthetic.render import (
+    Needle3D,
+    ScannerTable,
+    SceneMarkers,
+    bevel_side,
+    render_streaks,
+    voxelize_balls,
+    voxelize_needle,
+)
 
 VOXEL = cases.SPACING**3
 

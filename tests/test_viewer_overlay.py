@@ -14,8 +14,7 @@ from scipy.spatial import cKDTree
 
 from needlefit.datasets.sources import ScanVolume, find_volume, write_volumes
 from needlefit.errors import DataError
-from needlefit.geometry.compare import compare_curves
-from needlefit.geometry.curves import arc_length
+from needlefit.geometry.curves import arc_length, compare_curves
 from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
 from needlefit.imaging import volume_files as scans
 from needlefit.imaging.volume import Volume, to_patient

@@ -10,8 +10,14 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import NUMBER_COLUMNS
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, find_free_reach
 from needlefit.datasets.layers import ListedInsertion
-from needlefit.geometry.compare import COMPARISON_POINTS, ComparedCurves, compare_curves
-from needlefit.geometry.curves import arc_length, interpolate_at_arc, resample_curve
+from needlefit.geometry.curves import (
+    COMPARISON_POINTS,
+    ComparedCurves,
+    arc_length,
+    compare_curves,
+    interpolate_at_arc,
+    resample_curve,
+)
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import compute_metrics, list_metrics
 from needlefit.project.result_warnings import ResultWarning

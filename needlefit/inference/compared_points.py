@@ -24,8 +24,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose, find_free_reach
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import DataError
-from needlefit.geometry.compare import COMPARISON_POINTS
-from needlefit.geometry.curves import arc_length, interpolate_at_arc, resample_curve
+from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, interpolate_at_arc, resample_curve
 from needlefit.geometry.frames import (
     align_lateral,
     align_rigid,

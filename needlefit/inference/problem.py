@@ -22,7 +22,7 @@ from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.select import list_bevels
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError
-from needlefit.geometry.compare import ComparedCurves, compare_curves
+from needlefit.geometry.curves import ComparedCurves, compare_curves
 from needlefit.inference.compared_points import (
     ComparedPoints,
     align,

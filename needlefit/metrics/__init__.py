@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.geometry.compare import ComparedCurves
+from needlefit.geometry.curves import ComparedCurves
 from needlefit.registry import Registry
 
 

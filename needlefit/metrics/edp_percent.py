@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needlefit.geometry.compare import ComparedCurves
+from needlefit.geometry.curves import ComparedCurves
 from needlefit.metrics import Metric
 
 

@@ -11,7 +11,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import count_layers, get_other_rule
-from needlefit.geometry.compare import compare_curves
+from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points, make_curve

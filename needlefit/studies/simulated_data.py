@@ -11,7 +11,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.inspection import make_noise
+from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError

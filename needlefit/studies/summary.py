@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, get_other_rule, group_independent
-from needlefit.geometry.compare import ComparedCurves, compare_curves
+from needlefit.geometry.curves import ComparedCurves, compare_curves
 from needlefit.metrics import headline_metrics, list_metrics, pool_metric
 from needlefit.schemas.study import LayerCountRule
 from needlefit.studies.fit_frames import COLUMNS, SCORE_KEYS

@@ -9,10 +9,9 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.sources import ScanVolume, find_volume
-from needlefit.geometry.compare import COMPARISON_POINTS, compare_curves
-from needlefit.geometry.curves import arc_length
+from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, compare_curves
 from needlefit.geometry.frames import align_rigid
-from needlefit.imaging.views import ENTRY_MARGIN_MM, render_bending_plane
+from needlefit.imaging.reconstruction import ENTRY_MARGIN_MM, render_bending_plane
 from needlefit.imaging.volume_files import ct_packages_installed, read_volume
 from needlefit.inference.compared_points import ComparedPoints, align_points, make_curve, select_points
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches

@@ -19,7 +19,7 @@ from needlefit.datasets.faults import as_error
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
-from needlefit.imaging.findings import list_entries, list_tubes, place_entries
+from needlefit.imaging.batch import list_entries, list_tubes, place_entries
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruct import Examination, examine
 from needlefit.imaging.registration.rigid import MIN_MARKERS

@@ -309,12 +309,10 @@ READERS: dict[str, Reader] = {
     "bundle": Reader(_import, seeds.bundles, 40),
     "mat": Reader(partial(_call, "datasets.template.read_source"), seeds.matlab, SLOWEST),
     "volume": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.volumes, NATIVE, packed=True),
-    "labels": Reader(partial(_call, "imaging.label_surfaces.read_labels"), seeds.labels, NATIVE, packed=True),
+    "labels": Reader(partial(_call, "imaging.layers.read_labels"), seeds.labels, NATIVE, packed=True),
     "dicom": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.dicom, SLOWEST),
     "archive": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.archives, SLOWEST),
-    "segmentation": Reader(
-        partial(_call, "imaging.label_surfaces.read_labels"), seeds.segmentations, SLOWEST
-    ),
+    "segmentation": Reader(partial(_call, "imaging.layers.read_labels"), seeds.segmentations, SLOWEST),
     "mesh": Reader(_mesh, seeds.meshes, 50),
     "recording": Reader(partial(_call, "viewer.recording.read_recording"), seeds.recordings),
     "results": Reader(_results, seeds.results, 20, packed=True),

@@ -1,14 +1,26 @@
-"""Find and read all curves and surfaces in the files and folders that an import names."""
+"""Find and read all curves and surfaces in the files and folders that an import names.
 
+Those of a scene of 3D Slicer are moved by its transforms into world coordinates (LPS).
+"""
+
+import io
 import itertools
-from collections.abc import Container, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+import tempfile
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from urllib.parse import unquote
+from xml.parsers import expat
 
+import numpy as np
+
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats import FORMATS, find_format
-from needlefit.datasets.importing.slicer_scene import ImportedSurface, read_scene
+from needlefit.datasets.formats.fcsv import read_fcsv
+from needlefit.datasets.formats.mat import get_local_member
+from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -17,12 +29,328 @@ from needlefit.datasets.importing.tables import (
     read_sheets,
     read_text_cells,
 )
+from needlefit.datasets.markups import Markups
+from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
-from needlefit.geometry.frames import RAS_TO_LPS
-from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, read_surface, transform_surface
-from needlefit.project.input_files import is_dir, path_exists
+from needlefit.geometry.frames import AXIS_SIGNS, RAS_TO_LPS, apply_affine
+from needlefit.geometry.surfaces import (
+    READ_SUFFIXES,
+    Surface,
+    map_surface,
+    read_coordinate_system,
+    read_surface,
+    transform_surface,
+)
+from needlefit.project.archives import ArchiveLimits, name_archive, unpack_archive
+from needlefit.project.input_files import is_dir, is_file, open_regular, path_exists, read_bytes, read_text
 from needlefit.project.locate import join_names
+from needlefit.project.sandbox import ReaderLimits, SandboxArrays, read_in_sandbox
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
+
+MAX_SCENE_BYTES = 64 * 2**20
+MAX_UNPACKED_BYTES = 1 * 2**30
+"""What all files that are read of a .mrb may unpack to."""
+
+MAX_NODES = 100_000
+MAX_FILES_READ = 5000
+MAX_TRANSFORM_CHAIN = 64
+MAX_NODE_NAME_CHARS = 100
+MAX_TRANSFORM_BYTES = 2**20
+
+USED_SUFFIXES = (".mrml", ".json", ".fcsv", ".tfm", ".txt", ".h5", *READ_SUFFIXES)
+"""Endings of the files that are unpacked from a .mrb."""
+
+_SAVE_FIX = "in Slicer: File > Save data, as one Medical Reality Bundle (.mrb), and name that"
+_LPS = np.diag([*AXIS_SIGNS["RAS"], 1.0])
+
+Node = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class ImportedSurface:
+    """A surface of a file, in LPS where its system is known; kind and layer are those of its file."""
+
+    path: Path
+    surface: Surface
+    system: str | None = None
+
+
+@dataclass(frozen=True)
+class SceneContent:
+    """What a scene holds for a dataset; notes say what was left out, or moved."""
+
+    curves: tuple[ImportedCurve, ...]
+    surfaces: tuple[ImportedSurface, ...]
+    notes: tuple[str, ...]
+
+
+def read_scene(path: Path) -> SceneContent:
+    """Return the curves, models and applied transforms of a `.mrml`, or of the one in a `.mrb`.
+
+    DataError if the file is missing or damaged, expands or names files outside itself, names a file that is
+    not there, or moves a curve or model by a transform that is not linear.
+    """
+    if path.suffix.lower() != ".mrb":
+        return _Scene(path, _parse_scene(path)).read_content()
+    expected = "a .mrb as 3D Slicer saves it"
+    limits = ArchiveLimits(MAX_UNPACKED_BYTES, USED_SUFFIXES, expected=expected, fix=_SAVE_FIX)
+    with tempfile.TemporaryDirectory(prefix="needlefit-scene-") as folder, name_archive(path, Path(folder)):
+        scenes = [one for one in unpack_archive(path, Path(folder), limits) if one.lower().endswith(".mrml")]
+        if len(scenes) != 1:
+            what = f"holds {len(scenes)} scenes"
+            raise DataError(what, where=str(path), expected=expected, fix=_SAVE_FIX)
+        content = read_scene(Path(folder) / scenes[0])
+    curves = tuple(replace(one, points=replace(one.points, path=path)) for one in content.curves)
+    surfaces = tuple(replace(one, path=path) for one in content.surfaces)
+    return replace(content, curves=curves, surfaces=surfaces)
+
+
+def _parse_scene(path: Path) -> dict[str, Node]:
+    """Return the nodes of a `.mrml` by id, with their tags under "tag".
+
+    Entities and document types are refused, so that nothing expands.
+    """
+    data = read_bytes(path, MAX_SCENE_BYTES)
+    nodes: dict[str, Node] = {}
+    tags: list[str] = []
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if not tags:
+            tags.append(tag)
+        if "id" in attributes and len(nodes) < MAX_NODES:
+            nodes[attributes["id"]] = {**attributes, "tag": tag}
+
+    def refuse(*_: object) -> None:
+        raise _scene_error(path, "declares a document type or entities, which can expand without limit")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    parser.StartDoctypeDeclHandler = refuse
+    parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as fault:
+        where = f"line {fault.lineno}, column {fault.offset + 1}"
+        raise _scene_error(path, f"is not valid XML: {expat.errors.messages[fault.code]}, {where}") from None
+    except (ValueError, LookupError):
+        raise _scene_error(path, "is in an encoding that is not known") from None
+    if tags != ["MRML"]:
+        raise _scene_error(path, "is no scene: it does not begin with <MRML>")
+    return nodes
+
+
+def _scene_error(path: Path, what: str) -> DataError:
+    return DataError(what, where=str(path), expected="a .mrml scene as 3D Slicer saves it", fix=_SAVE_FIX)
+
+
+def _list_references(node: Node, role: str) -> list[str]:
+    """Return the nodes that a node refers to in a role: "storage" or "transform"."""
+    found = node.get(f"{role}NodeRef", "").split()
+    for part in node.get("references", "").split(";"):
+        name, _, ids = part.partition(":")
+        found += ids.split() if name.strip() == role else []
+    return list(dict.fromkeys(found))
+
+
+def _name(node: Node) -> str:
+    name = node.get("name", "") or node.get("id", "")
+    return "".join(one if one.isprintable() else " " for one in name)[:MAX_NODE_NAME_CHARS]
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """A scene, its nodes by id, notes on what is left out, and transforms and sizes of files read so far."""
+
+    path: Path
+    nodes: Mapping[str, Node]
+    notes: list[str] = field(default_factory=list)
+    matrices: dict[str, Floats] = field(default_factory=dict)
+    sizes: list[int] = field(default_factory=list)
+
+    def read_content(self) -> SceneContent:
+        """Return the curves and models of the scene."""
+        lists: list[tuple[Node, Markups]] = []
+        surfaces = []
+        for node in self.nodes.values():
+            tag = node["tag"]
+            if tag.startswith("Markups") and not tag.endswith(("Storage", "Display")):
+                lists += [(node, one) for one in self.read_markups(node)]
+            elif tag == "Model" and (file := self.find_file(node)) is not None:
+                if file.suffix.lower() in READ_SUFFIXES:
+                    surface = read_surface(file, "sheet", 2)
+                    storage = next(iter(_list_references(node, "storage")), "")
+                    stated = self.nodes.get(storage, {}).get("coordinateSystem", "LPS")
+                    system = read_coordinate_system(file) or ("RAS" if stated in ("RAS", "0") else "LPS")
+                    matrix = self.find_matrix(node) @ (_LPS if system == "RAS" else np.eye(4))
+                    surfaces.append(
+                        ImportedSurface(file, map_surface(replace(surface, name=_name(node)), matrix), "LPS")
+                    )
+                else:
+                    remark = f"{file.suffix} is not read; save it as .vtk or .stl"
+                    self.notes.append(f"model `{_name(node)}` is left out: {remark}")
+            elif tag == "Segmentation":
+                remark = "export its segments to models in Slicer"
+                self.notes.append(f"segmentation `{_name(node)}` is left out: {remark}")
+        # the open curves; where there is none, the point lists that are long enough for a needle
+        wanted = "Curve" if any(one.kind == "Curve" for _, one in lists) else "Fiducial"
+        curves = []
+        for node, one in lists:
+            if one.kind == wanted and len(one.points) >= MIN_POINTS:
+                values = apply_affine(self.find_matrix(node), one.points)
+                curves.append(ImportedCurve(one.name, replace(one.as_curve(), values=values), "mm", "LPS"))
+            else:
+                what = f"list `{one.name}` ({one.kind}, {len(one.points)} points) is left out: no needle"
+                self.notes.append(what)
+        return SceneContent(tuple(curves), tuple(surfaces), tuple(self.notes))
+
+    def find_file(self, node: Node) -> Path | None:
+        """Return the file of a node; None where it has none. Files outside the scene's folder are refused."""
+        folder = self.path.parent
+        names = (self.nodes.get(id_, {}).get("fileName", "") for id_ in _list_references(node, "storage"))
+        name = next((unquote(name).replace("\\", "/") for name in names if name), "")
+        if not name:
+            return None
+        pure = PurePosixPath(name)
+        inside = not pure.is_absolute() and ".." not in pure.parts and ":" not in name and name.isprintable()
+        if not inside or not (folder / name).resolve().is_relative_to(folder.resolve()):
+            what = f"names a file outside the folder of the scene: {name[:100]!r}"
+            where = f"{self.path}, node `{_name(node)}`"
+            expected = "files in the folder of the scene, or below it"
+            raise DataError(what, where=where, expected=expected, fix=_SAVE_FIX)
+        file = folder / name
+        self.sizes.append(file.stat().st_size if is_file(file) else 0)
+        if len(self.sizes) > MAX_FILES_READ or sum(self.sizes) > MAX_UNPACKED_BYTES:
+            raise _scene_error(self.path, "names too many or too large files, or one again and again")
+        return file
+
+    def read_markups(self, node: Node) -> tuple[Markups, ...]:
+        """Return the lists of points of a node."""
+        file = self.find_file(node)
+        if node["tag"] in ("MarkupsPlane", "MarkupsROI", "MarkupsAngle") or file is None:
+            return ()
+        try:
+            found = (read_fcsv(file),) if file.suffix.lower() == ".fcsv" else read_mrk_json(file)
+        except DataError as error:
+            if " is empty" not in error.what:
+                raise
+            self.notes.append(f"list `{_name(node)}` is left out: it has no points")
+            return ()
+        return tuple(replace(one, name=_name(node) or one.name) for one in found)
+
+    def find_matrix(self, node: Node) -> Floats:
+        """Return the matrix (4, 4), LPS, from the coordinates of a node to the world: that of its parents."""
+        total: Floats = np.eye(4)
+        names: list[str] = []
+        current = node
+        while parents := _list_references(current, "transform"):
+            current = self.nodes.get(parents[0], {})
+            if not current or len(names) >= MAX_TRANSFORM_CHAIN:
+                what = "is moved by a transform that is not in the scene"
+                raise DataError(
+                    "its transforms form a loop" if current else what,
+                    where=f"{self.path}, node `{_name(node)}`",
+                    expected="transforms that are in the scene, each below another one or the world",
+                    fix=_SAVE_FIX,
+                )
+            if parents[0] not in self.matrices:
+                self.matrices[parents[0]] = self.read_transform(current)
+            total = self.matrices[parents[0]] @ total
+            names.append(_name(current))
+        moved = f"the transforms {' in '.join(names)} are applied" if names else ""
+        if moved and moved not in self.notes:
+            self.notes.append(moved)
+        return total
+
+    def read_transform(self, node: Node) -> Floats:
+        """Return the matrix (4, 4), LPS, of one transform to its parent."""
+        where = f"{self.path}, transform `{_name(node)}`"
+        for key, inverse in (("matrixTransformToParent", False), ("matrixTransformFromParent", True)):
+            if key in node:
+                matrix = _to_numbers(node[key].split(), where, "has no matrix of 16 numbers")
+                if matrix.size != 16:
+                    raise _transform_error(where, "has no matrix of 16 numbers")
+                return _require_matrix(_LPS @ matrix.reshape(4, 4) @ _LPS, inverse, where)
+        file = self.find_file(node)
+        if file is None:
+            return np.eye(4)  # Slicer stores no file of a transform that was never changed
+        return _require_matrix(
+            _read_itk_transform(file), True, str(file)
+        )  # files hold the way from the parent
+
+
+# ---- files of transforms
+
+
+def _to_numbers(texts: Iterable[str], where: str, fault: str) -> Floats:
+    try:
+        return np.array([float(text) for text in texts], dtype=np.float64)
+    except ValueError:
+        raise _transform_error(where, fault) from None
+
+
+def _require_matrix(matrix: Floats, inverse: bool, where: str) -> Floats:
+    """Return a matrix, or its inverse; DataError if it is not that of an invertible linear motion."""
+    bounded, invertible = np.abs(matrix).max() < 1e6, abs(np.linalg.det(matrix[:3, :3])) > 1e-6
+    if not bounded or not invertible or (matrix[3] != [0, 0, 0, 1]).any():
+        raise _transform_error(where, "is not an invertible linear transform")
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64) if inverse else matrix
+
+
+def _transform_error(where: str, what: str) -> DataError:
+    expected = "a linear transform of 3D Slicer (.h5, .tfm, or in the scene)"
+    fix = "in Slicer: harden the transform on curves and models (Data module), and save the scene again"
+    return DataError(what, where=where, expected=expected, fix=fix)
+
+
+def _read_itk_transform(path: Path) -> Floats:
+    """Return the matrix (4, 4) in a file of ITK, as it stands there: LPS, from the parent."""
+    if path.suffix.lower() == ".h5":
+        with open_regular(path, MAX_TRANSFORM_BYTES):
+            pass
+        reader = f"{__name__}:read_hdf_transform"
+        (kind, *numbers), _ = read_in_sandbox(reader, path, ReaderLimits(), {"path": str(path)})
+        parameters, fixed = (np.array(values) for values in numbers)
+    else:
+        found: dict[str, list[str]] = {}
+        for line in read_text(path, MAX_TRANSFORM_BYTES).splitlines():
+            key, colon, value = line.partition(":")
+            if colon:
+                found.setdefault(key.strip(), value.split())
+        kind = "".join(found.get("Transform", [])[:1])
+        parameters, fixed = (
+            _to_numbers(found.get(key, ()), str(path), "holds a parameter that is no number")
+            for key in ("Parameters", "FixedParameters")
+        )
+    if "_3_3" not in kind or not kind.startswith(("AffineTransform", "MatrixOffsetTransformBase")):
+        raise _transform_error(str(path), f"holds a {kind[:60] or 'file of another kind'}")
+    if len(parameters) != 12 or len(fixed) != 3:
+        raise _transform_error(str(path), "does not have 12 parameters and a centre")
+    matrix = np.eye(4)
+    matrix[:3, :3] = linear = parameters[:9].reshape(3, 3)
+    matrix[:3, 3] = parameters[9:] + fixed - linear @ fixed
+    return matrix
+
+
+def read_hdf_transform(_results: SandboxArrays, path: str) -> tuple[str, list[float], list[float]]:
+    """Return type, parameters and fixed parameters of the only transform of a file; in the child process."""
+    import h5py
+
+    try:
+        with h5py.File(io.BytesIO(read_bytes(Path(path), MAX_TRANSFORM_BYTES)), "r") as file:
+            group = get_local_member(file, "TransformGroup")
+            ones = [get_local_member(group, key) for key in group]
+            ones = [one for one in ones if "TransformParameters" in one]
+            if len(ones) != 1:
+                return "composite of several transforms", [], []
+            (kind,) = np.ravel(get_local_member(ones[0], "TransformType")[()])
+            names = ("TransformParameters", "TransformFixedParameters")
+            values = [np.ravel(get_local_member(ones[0], key)[:100]).tolist() for key in names]
+            return (kind.decode() if isinstance(kind, bytes) else str(kind)), values[0], values[1]
+    except MemoryError:
+        raise
+    except Exception as fault:  # h5py raises whatever the bytes provoke
+        raise _transform_error(path, f"cannot be read ({type(fault).__name__})") from None
+
 
 SCENE_SUFFIXES = (".mrml", ".mrb")
 

@@ -19,8 +19,7 @@ from needlefit.datasets.importing.decisions import (
     parse_positive,
     parse_vector,
 )
-from needlefit.datasets.importing.files import ImportContent
-from needlefit.datasets.importing.slicer_scene import ImportedSurface
+from needlefit.datasets.importing.files import ImportContent, ImportedSurface
 from needlefit.datasets.importing.tables import UNITS_MM, ImportedCurve
 from needlefit.datasets.layers import SAME_POINT_MM, find_surface_faults, select_layers
 from needlefit.datasets.points import MIN_POINTS, Points

@@ -12,8 +12,7 @@ from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import interpolate_at_arc
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU
-from needlefit.imaging.reconstruction import Reconstruction, ScanView
-from needlefit.imaging.views import TIP_SECTION_OFFSET_MM
+from needlefit.imaging.reconstruction import TIP_SECTION_OFFSET_MM, Reconstruction, ScanView
 from needlefit.reporting.labels import METHOD_COLOURS
 
 Floats = NDArray[np.float64]

@@ -9,9 +9,8 @@ from matplotlib.ticker import MaxNLocator
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.findings import Findings
-from needlefit.imaging.reconstruction import Reconstruction, ScanView
-from needlefit.imaging.views import TIP_SECTION_OFFSET_MM
+from needlefit.imaging.batch import Findings
+from needlefit.imaging.reconstruction import TIP_SECTION_OFFSET_MM, Reconstruction, ScanView
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.reporting.figures.scan_views import (
     ENTRY_COLOUR,

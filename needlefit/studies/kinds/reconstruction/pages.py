@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.imaging.batch import ReconstructionFailure
-from needlefit.imaging.findings import Findings
+from needlefit.imaging.batch import Findings, ReconstructionFailure
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
 from needlefit.project.atomic_write import replace_file

@@ -8,8 +8,7 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.geometry.curves import interpolate_at_arc
-from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
-from needlefit.imaging.findings import Findings
+from needlefit.imaging.batch import VERSIONED_PACKAGES, Findings, ReconstructionFailure
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.studies.job import Settings
