@@ -116,17 +116,17 @@ def _read_twin_once() -> None:
     from needlefit.datasets import read as reading
     from needlefit.datasets.sources import find_dataset_file
 
-    inspect_dataset, known = reading.inspect_dataset, {}
+    inspect_any, known = reading.inspect, {}
 
     def inspected(path):
         file = find_dataset_file(path).resolve()
         if not file.is_relative_to(TWIN):
-            return inspect_dataset(path)
+            return inspect_any(path)
         if str(path) not in known:
-            known[str(path)] = inspect_dataset(path)
+            known[str(path)] = inspect_any(path)
         return known[str(path)]
 
-    reading.inspect_dataset = inspected
+    reading.inspect = inspected
 
 
 _read_twin_once()

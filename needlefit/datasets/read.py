@@ -2,13 +2,13 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
@@ -74,134 +74,28 @@ from needlefit.schemas.dataset import (
     MIN_SD_MM,
     DatasetRecord,
     FrameRecord,
-    InsertionsRecord,
     NoiseRecord,
     TrackDatasetRecord,
 )
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
-from needlefit.schemas.scene import NeedleRecord
-
-
-@dataclass(frozen=True)
-class LongTable:
-    """A table that holds many centrelines: the rows of each, by insertion id."""
-
-    table: CsvTable
-    groups: dict[str, np.ndarray]
-
-    def part(self, rows: np.ndarray) -> CsvTable:
-        """Return some of the rows as a new table."""
-        return replace(
-            self.table, cells=self.table.cells.iloc[rows].reset_index(drop=True), lines=self.table.lines[rows]
-        )
-
-
-def read_long_table(path: Path, record: DatasetRecord, found: list[Fault]) -> LongTable | None:
-    """Read the long table and sort its rows by insertion; return None after a fault."""
-    group_columns = list(record.centerlines.group_by)
-    try:
-        table = read_table(path)
-    except DataError as error:
-        found.append(from_error(error))
-        return None
-    if note_missing_columns(table, group_columns, found):
-        return None
-    names = _make_group_names(table.cells[group_columns], record.insertions.id_template, path, found)
-    rows: dict[str, list[int]] = {}
-    for row, name in enumerate(names):
-        rows.setdefault(name, []).append(row)
-    long = LongTable(table, {name: np.array(of_name) for name, of_name in rows.items()})
-    _check_constant(long, record.insertions, found)
-    return long
-
 
 _FIELD = re.compile(r"\{([^{}]*)\}")
 """A column in `id_template`."""
-
-
-def _make_group_names(keys: pd.DataFrame, template: str | None, path: Path, found: list[Fault]) -> list[str]:
-    """Return every row's insertion id, from the template over the group columns."""
-    template = template or "_".join(f"{{{column}}}" for column in keys)
-    cells = [{str(k): str(v) for k, v in row.items()} for row in keys.to_dict("records")]
-    try:
-        # not str.format, whose attributes and widths a dataset from elsewhere could misuse
-        return [_FIELD.sub(lambda field, row=row: row[field[1]], template) for row in cells]  # type: ignore[misc]
-    except KeyError:
-        what = f"insertions.id_template is {template!r}"
-        expected = f"text with {{...}} around columns of group_by: {', '.join(map(str, keys))}"
-        found.append(Fault(f"{path}:1", what, expected, "use only these names in it"))
-        return []
-
-
-def _check_constant(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> None:
-    """Note a column that should have one value for an insertion and has several."""
-    if record.file is not None:
-        return
-    for column in record.columns.values():
-        if column not in long.table.cells:
-            continue
-        text = long.table.cells[column]
-        for name, rows in long.groups.items():
-            other = np.flatnonzero((text.iloc[rows] != text.iloc[rows[0]]).to_numpy())
-            if len(other):
-                where = long.table.where(int(rows[other[0]]))
-                what = f"column `{column}` changes within insertion {name}"
-                fix = "fix the cells, or distinguish the insertions by this column too (group_by)"
-                found.append(Fault(where, what, "one value", fix))
-
-
-def find_points(
-    row: InsertionRow, folder: Path, record: DatasetRecord, long: LongTable | None
-) -> tuple[Points | None, list[Fault]]:
-    """Return an insertion's points in the world (None after a fault) and the faults of their cells.
-
-    Points of a format that holds coordinates of the scan are brought from there into the world.
-    """
-    found: list[Fault] = []
-    lines = record.centerlines
-    try:
-        if lines.pattern is None:
-            if long is None or row.id not in long.groups:
-                return None, [
-                    Fault(
-                        str(folder / (lines.file or "")),
-                        f"has no rows of insertion {row.id}",
-                        "rows of every insertion",
-                        "add them, or remove the insertion from the table",
-                    )
-                ]
-            return read_curve(long.part(long.groups[row.id]), lines.columns, found), found
-        path = folder / lines.pattern.replace("{id}", row.id)
-        format_ = find_format(path) or FORMATS["csv"]
-        points = format_.read_one(path, lines.columns, found)
-        if points is None or (points := _require_finite(points, found)) is None:
-            return None, found
-        if format_.in_scan:
-            patient = row.patient or make_patient_frame(record.frame)
-            points = replace(points, values=patient.to_world(points.values))
-        return points, found
-    except DataError as error:
-        return None, [*found, from_error(error)]
-
-
-def make_patient_frame(record: FrameRecord) -> Frame:
-    """Return the patient coordinates, as a frame in the world, of scans whose row states no others."""
-    return IDENTITY_FRAME if record.lps_to_world is None else Frame.from_rows(record.lps_to_world)
-
-
-def _require_finite(points: Points, found: list[Fault]) -> Points | None:
-    bad = points.unusable()
-    if len(bad) == 0:
-        return points
-    what = f"has {len(bad)} points that are NaN, infinite or too far away"
-    found.append(Fault(points.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points"))
-    return None
-
 
 MAX_MODULUS_GPA = 1000.0
 """No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
 
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
+
+REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
+OPTIONAL_TRACK_COLUMNS = {"heading_deg": np.nan, "bevel_side": 1.0, "valid": 1.0}
+"""Columns that may be absent or have empty cells, with their default values."""
+
+MIN_READINGS = 5
+"""Least number of readings of a run: shift and slope take two, and a bend needs more than one."""
+
+MAX_STEP_MM = 100.0
+"""Greatest distance of two readings, mm; a larger one was written in another unit."""
 
 
 @dataclass(frozen=True)
@@ -213,194 +107,55 @@ class Inspection:
     warnings: tuple[ResultWarning, ...] = ()
 
 
-def inspect_dataset(path: Path) -> Inspection:
-    """Read the dataset whose folder or `dataset.toml` is `path`, collecting every fault."""
-    file = find_dataset_file(path)
+@dataclass
+class _Reading:
+    """A dataset that is read: its record, the folders of its tables, faults and warnings found so far."""
+
+    file: Path
+    record: Any
+    roots: tuple[Path, ...]
+    faults: list[Fault] = field(default_factory=list)
+    warnings: list[ResultWarning] = field(default_factory=list)
+
+    def read_table(self, path: Path) -> CsvTable | None:
+        """Return a table, with a warning about cells to fill in; None after a fault."""
+        try:
+            table = read_table(path)
+        except DataError as error:
+            self.faults.append(from_error(error))
+            return None
+        self.warnings += find_placeholder_cells(table)
+        return table
+
+    def note_repeated_ids(self, what: str, ids: Iterable[str]) -> None:
+        """Note ids that occur in several folders; within one table they were compared before."""
+        for id_, count in Counter(ids).items():
+            if count > 1:
+                what = f"{what} {id_} is in more than one folder of root"
+                fix = "rename or remove one of them, or narrow root"
+                self.faults.append(Fault(str(self.file), what, "one of each id", fix))
+
+
+def inspect(path: Path) -> Inspection:
+    """Return the dataset whose folder or `dataset.toml` is `path`, or its faults, and its warnings."""
+    file, of_tracks = find_dataset_file(path), holds_tracks(path)
+    record: DatasetRecord | TrackDatasetRecord
     try:
-        record = load(file, DatasetRecord)
-        roots = find_folders(record, file)
+        record = load(file, TrackDatasetRecord) if of_tracks else load(file, DatasetRecord)
+        reading = _Reading(file, record, find_folders(record, file))
     except (ConfigError, DataError) as error:
         return Inspection(None, (from_error(error),))
-    found: list[Fault] = []
-    for root in roots:
-        found += find_checksum_faults(record.checksums, root)
-    found += [*find_needle_faults(record.needle, file), *find_media_faults(record, file)]
-    shared = read_shared_surfaces(record, roots[0], found)
-    unused: list[ResultWarning] = []
-    listed = [one for root in roots for one in _iterate_insertions(record, root, shared, found, unused)]
-    found += find_repeated_ids("insertion", (one.insertion.id for one in listed), file)
-    found += [*find_layer_faults(listed, record, file), *find_reach_faults(record, listed, file)]
-    found += [*find_sd_faults(record, listed, file), *find_track_noise_faults(record, file)]
-    if not found:  # of points that have no other fault
-        found += find_operator_faults(record, listed, file)
-    warnings = [*find_record_warnings(record, file), *unused]
-    if found:
-        return make_refusal(found, warnings)
-    insertions = [one.insertion for one in listed]
-    warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
-    files = {roots[0] / surface.file for surface in shared}
-    for root in roots:
-        files |= _list_files(record, root, insertions)
-    pattern = record.centerlines.pattern
-    format_ = None if pattern is None else find_format(Path(pattern))
-    dataset = make_dataset(
-        record,
-        file,
-        insertions,
-        compute_digest(file, roots, files),
-        pose=record.frame.pose,
-        drop_proximal=record.frame.drop_proximal_mm,
-        centerline_format=format_.name if format_ else "",
-        measurement=record.measurement or DEFAULT_MEASUREMENT,
-        warnings=tuple(warnings),
-    )
-    return Inspection(dataset, (), tuple(warnings))
-
-
-def _iterate_insertions(
-    record: DatasetRecord, root: Path, shared: SharedSurfaces, found: list[Fault], unused: list[ResultWarning]
-) -> Iterator[ListedInsertion]:
-    """Yield the sound insertions of one folder; note the faults of the others, and unused or open cells."""
-    long = None
-    if record.centerlines.file is not None:
-        long = read_long_table(root / record.centerlines.file, record, found)
-        if long is None:
-            return
-    table = _read_insertion_table(record, root, long, found)
-    if table is None:
-        return
-    unused += find_insertion_column_warnings(record, map(str, table.cells.columns), table.path)
-    unused += find_placeholder_cells(table)
-    headers: set[tuple[str, ...]] = set()
-    for row in parse_rows(table, record, found):
-        where = f"{table.path}:{row.line}"
-        points, faults = find_points(row, root, record, long)
-        if points is not None:
-            if points.columns not in headers:  # of files with the same header the first is named
-                unused += find_centerline_column_warnings(record, points.columns, points.path)
-            headers.add(points.columns)
-            faults += find_curve_faults(points, row, record, where)
-        sections, more = find_sections(row, root, record)
-        faults += more
-        if sections is not None and points is not None and not faults:
-            faults += find_centerline_faults(
-                sections, points.values, str(locate_sections(row.id, root, record))
-            )
-        found += faults
-        medium = make_medium(row, record, root, shared, found)
-        # All faults of a row are collected before it is skipped, so that one run lists them all.
-        if points is None or faults or medium is None:
-            continue
-        try:
-            patient = row.patient or make_patient_frame(record.frame)
-            insertion = reduce_insertion(row, points, medium, patient, sections)
-        except DataError as error:
-            fault = from_error(error, where)
-            found.append(replace(fault, fix=fault.fix or BEVEL_FIX))
-            continue
-        yield ListedInsertion(insertion, where)
-
-
-def find_needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
-    """Yield a fault if a needle's modulus was probably written in another unit."""
-    modulus = needle.youngs_modulus_gpa
-    if modulus is None or modulus <= MAX_MODULUS_GPA:
-        return
-    unit, in_gpa = likely_modulus(modulus)
-    where = locate_key(file, "needle.youngs_modulus_gpa")
-    what = f"needle.youngs_modulus_gpa is {modulus:g}{f': this looks like {unit}' if unit else ''}"
-    expected = "GPa: about 200 for steel, 40 to 80 for nitinol"
-    yield Fault(where, what, expected, f"write {in_gpa:.3g}" if unit else "write it in GPa")
-
-
-def _read_insertion_table(
-    record: DatasetRecord, root: Path, long: LongTable | None, found: list[Fault]
-) -> CsvTable | None:
-    """Return the table of insertions: its file, or the first rows of the groups of the long table."""
-    if record.insertions.file is None:
-        assert long is not None  # the record was checked: one of the two files is given
-        first = [int(rows[0]) for rows in long.groups.values()]
-        cells = long.table.cells.iloc[first].reset_index(drop=True).assign(id=list(long.groups))
-        return replace(long.table, cells=cells, lines=long.table.lines[first])
-    try:
-        return read_table(root / record.insertions.file)
-    except DataError as error:
-        found.append(from_error(error))
-        return None
-
-
-def find_reach_faults(
-    record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path
-) -> Iterator[Fault]:
-    """Yield the free shapes that are no longer than the length left out of every comparison."""
-    if record.frame.pose != "free":
-        return
-    for one in listed:
-        try:
-            find_free_reach(record.frame.drop_proximal_mm, one.insertion)
-        except DataError as error:
-            yield from_error(error, locate_key(file, "frame.drop_proximal_mm"))
-
-
-def find_sd_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path) -> Iterator[Fault]:
-    """Yield the curves with points whose stated error is 0, if the dataset states no other noise."""
-    if make_noise(record.noise).stated:
-        return
-    for one in listed:
-        if one.insertion.sd is not None and (one.insertion.sd < MIN_SD_MM).any():
-            what = f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated"
-            fix = f"correct the column, or state noise.point_sd_mm in {locate_key(file, 'noise.point_sd_mm')}"
-            yield Fault(one.where, what, "a standard deviation above 0, mm", fix)
-
-
-def find_track_noise_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
-    """Yield the errors that shapes do not have: those of a tracker's readings."""
-    for name in ("heading_sd_deg", "slope_sd_deg"):
-        if getattr(record.noise, name) > 0:
-            what = f"noise.{name} is of tip tracks, and this dataset holds shapes"
-            expected = "pose_angle_sd_deg in the table of insertions, for the direction of an entry pose"
-            yield Fault(locate_key(file, f"noise.{name}"), what, expected, "remove the key")
-
-
-def make_refusal(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:
-    """Return the inspection of a dataset with faults, each once, without warnings about their places."""
-    places = {fault.where for fault in faults}
-    remaining = tuple(one for one in warnings if one.where not in places)
-    return Inspection(None, tuple(dict.fromkeys(faults)), remaining)
-
-
-def find_repeated_ids(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:
-    """Yield ids that occur in several folders; within one table they were compared before."""
-    known_ids: set[str] = set()
-    for id_ in ids:
-        if id_ in known_ids:
-            fix = "rename or remove one of them, or narrow root"
-            yield Fault(str(file), f"{what} {id_} is in more than one folder of root", "one of each id", fix)
-        known_ids.add(id_)
-
-
-def _list_files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> set[Path]:
-    tables = {root / name for name in (record.insertions.file, record.centerlines.file) if name is not None}
-    pattern = record.centerlines.pattern
-    own = {root / pattern.replace("{id}", i.id) for i in insertions} if pattern is not None else set()
-    own |= {
-        root / one.file_of(i.id) for i in insertions for one in record.media[i.medium].surfaces if one.own
-    }
-    if record.measurement is not None and record.measurement.sections is not None:
-        own |= {locate_sections(i.id, root, record) for i in insertions}
-    return tables | {path for path in own if is_file(path)}
-
-
-def make_dataset(
-    record: DatasetRecord | TrackDatasetRecord,
-    file: Path,
-    insertions: Sequence[Insertion],
-    digest_: str,
-    **own: Any,  # noqa: ANN401  fields of `Dataset` that only one kind of dataset has
-) -> Dataset:
-    """Return the dataset of these insertions or tip tracks, as its record describes it."""
+    for root in reading.roots:
+        reading.faults += find_checksum_faults(record.checksums, root)
+    reading.faults += find_record_faults(record, file)
+    reading.warnings += find_record_warnings(record, file)
+    insertions, files, own = (_read_tracks if of_tracks else _read_shapes)(reading)
+    if reading.faults:  # each once, without warnings about their places
+        places = {fault.where for fault in reading.faults}
+        remaining = tuple(one for one in reading.warnings if one.where not in places)
+        return Inspection(None, tuple(dict.fromkeys(reading.faults)), remaining)
     parts = (("", record.notes), ("Needle: ", record.needle.note), ("Noise: ", record.noise.note))
-    return Dataset(
+    dataset = Dataset(
         name=record.name,
         title=record.title or record.name,
         origin=record.origin,
@@ -409,11 +164,13 @@ def make_dataset(
         media=tuple(record.media),
         noise=make_noise(record.noise),
         path=file,
-        digest=digest_,
+        digest=compute_digest(file, reading.roots, files),
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         outer_diameter=record.needle.outer_diameter_mm,
+        warnings=tuple(reading.warnings),
         **own,
     )
+    return Inspection(dataset, (), dataset.warnings)
 
 
 def make_noise(record: NoiseRecord) -> Noise:
@@ -429,73 +186,250 @@ def make_noise(record: NoiseRecord) -> Noise:
     )
 
 
-REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
-OPTIONAL_TRACK_COLUMNS = {"heading_deg": np.nan, "bevel_side": 1.0, "valid": 1.0}
-"""Columns that may be absent or have empty cells, with their default values."""
+def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
+    """Yield what is wrong with a `dataset.toml` by itself."""
+    modulus, shapes = record.needle.youngs_modulus_gpa or 0.0, isinstance(record, DatasetRecord)
+    unit, in_gpa = likely_modulus(modulus) if modulus > MAX_MODULUS_GPA else ("", math.nan)
+    key, sd = "needle.youngs_modulus_gpa", "noise.point_sd_mm"
+    checks = [
+        (
+            modulus > MAX_MODULUS_GPA,
+            key,
+            f"{key} is {modulus:g}{f': this looks like {unit}' if unit else ''}",
+            "GPa: about 200 for steel, 40 to 80 for nitinol",
+            f"write {in_gpa:.3g}" if unit else "write it in GPa",
+        ),
+        (
+            not shapes and record.noise.point_sd_mm <= 0,  # every fit of tip tracks samples a posterior
+            sd,
+            "no noise of the readings is stated",
+            f"{sd} above 0",
+            "write the standard deviation of a reading, mm",
+        ),
+    ]
+    for name in ("heading_sd_deg", "slope_sd_deg"):
+        is_so, key = shapes and getattr(record.noise, name) > 0, f"noise.{name}"
+        what = f"{key} is of tip tracks, and this dataset holds shapes"
+        expected = "pose_angle_sd_deg in the table of insertions, for the direction of an entry pose"
+        checks.append((is_so, key, what, expected, "remove the key"))
+    for is_so, key, what, expected, fix in checks:
+        if is_so:
+            yield Fault(locate_key(file, key), what, expected, fix)
+    if isinstance(record, DatasetRecord):
+        yield from find_media_faults(record, file)
 
-MIN_READINGS = 5
-"""Least number of readings of a run: shift and slope take two, and a bend needs more than one."""
 
-MAX_STEP_MM = 100.0
-"""Greatest distance of two readings, mm; a larger one was written in another unit."""
+# ---- shapes
 
 
-@dataclass(frozen=True)
-class ParsedTracks:
-    """The runs of a table without faults, and notes on the runs left out."""
+def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[str, Any]]:
+    """Return the insertions, all files read, and what a dataset of shapes states alone."""
+    record, file, roots, found = reading.record, reading.file, reading.roots, reading.faults
+    shared = read_shared_surfaces(record, roots[0], found)
+    listed = [one for root in roots for one in _iterate_insertions(reading, root, shared)]
+    reading.note_repeated_ids("insertion", (one.insertion.id for one in listed))
+    found += [*find_layer_faults(listed, record, file), *_find_use_faults(record, listed, file)]
+    if not found:  # of points that have no other fault
+        found += find_operator_faults(record, listed, file)
+    if found:
+        return [], set(), {}
+    insertions = [one.insertion for one in listed]
+    reading.warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
+    pattern = record.centerlines.pattern
+    tables = [name for name in (record.insertions.file, record.centerlines.file) if name is not None]
+    own = [pattern.replace("{id}", one.id) for one in insertions] if pattern is not None else []
+    own += [s.file_of(one.id) for one in insertions for s in record.media[one.medium].surfaces if s.own]
+    if record.measurement is not None and record.measurement.sections is not None:
+        own += [record.measurement.sections.replace("{id}", one.id) for one in insertions]
+    files = {roots[0] / surface.file for surface in shared}
+    files |= {root / name for root in roots for name in tables}
+    files |= {root / name for root in roots for name in own if is_file(root / name)}
+    format_ = None if pattern is None else find_format(Path(pattern))
+    return insertions, files, {
+        "pose": record.frame.pose,
+        "drop_proximal": record.frame.drop_proximal_mm,
+        "centerline_format": format_.name if format_ else "",
+        "measurement": record.measurement or DEFAULT_MEASUREMENT,
+    }  # fmt: skip
 
-    tracks: tuple[TipTrack, ...]
-    remarks: tuple[str, ...]
 
-
-@dataclass(frozen=True)
-class _RunRows:
-    """Columns of one run, (n,) each, and the row of the table in which it begins."""
-
-    id: str
-    medium: str
-    rows: NDArray[np.int64]
-    values: dict[str, Floats]
-
-
-def parse_tracks(table: CsvTable, record: TrackDatasetRecord, found: list[Fault]) -> ParsedTracks:
-    """Return the runs of a table; note every fault. A run with a reading marked invalid is left out."""
-    before, tracks, remarks = len(found), [], []
-    for run in _iterate_runs(table, record, found):
-        bad = np.flatnonzero(run.values["valid"] == 0)
-        if len(bad):
-            at = run.values["depth_mm"][bad[0]]
-            remarks.append(
-                f"Run {run.id} is left out: {len(bad)} of its {len(run.rows)} readings are marked invalid, "
-                f"from {at:.0f} mm on."
-            )
-            continue
-        faults = list(_find_run_faults(run, table, record))
+def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -> Iterator[ListedInsertion]:
+    """Yield the sound insertions of one folder; note the faults of the others, and unused or open cells."""
+    record, found = reading.record, reading.faults
+    curves = _Centerlines(record, root)
+    if record.centerlines.file is not None and not curves.read_long_table(found):
+        return
+    table = curves.long if record.insertions.file is None else None
+    if table is not None:  # the first row of every insertion
+        first = [int(rows[0]) for rows in curves.groups.values()]
+        table = _take_rows(table, first)
+        table = replace(table, cells=table.cells.assign(id=list(curves.groups)))
+        reading.warnings += find_placeholder_cells(table)
+    elif (table := reading.read_table(root / record.insertions.file)) is None:
+        return
+    reading.warnings += find_insertion_column_warnings(record, map(str, table.cells.columns), table.path)
+    headers: set[tuple[str, ...]] = set()
+    for row in parse_rows(table, record, found):
+        where, patient = f"{table.path}:{row.line}", row.patient or make_patient_frame(record.frame)
+        faults: list[Fault] = []
+        points = curves.find(row, patient, faults)
+        if points is not None:
+            if points.columns not in headers:  # of files with the same header the first is named
+                reading.warnings += find_centerline_column_warnings(record, points.columns, points.path)
+            headers.add(points.columns)
+            faults += find_curve_faults(points, row, record, where)
+        sections, more = find_sections(row, root, record)
+        faults += more
+        if sections is not None and points is not None and not faults:
+            place = str(locate_sections(row.id, root, record))
+            faults += find_centerline_faults(sections, points.values, place)
         found += faults
-        if not faults:
-            medium, values = record.media[run.medium], run.values
-            heading = np.radians(values["heading_deg"])
-            readings = TipReadings(
-                depth=values["depth_mm"] - values["depth_mm"][0],
-                tip=values["tip_mm"],
-                guide=values["guide_mm"] - values["guide_mm"][0],
-                heading=None if np.isnan(heading).any() else heading,
-            )
-            tracks.append(
-                make_track(
-                    run.id,
-                    run.medium,
-                    medium.specimen or run.medium,
-                    int(values["bevel_side"][0]),
-                    readings,
-                    (np.array(medium.boundaries_mm), medium.layers),
-                )
-            )
-    return ParsedTracks(tuple(tracks) if len(found) == before else (), tuple(remarks))
+        medium = make_medium(row, record, root, shared, found)
+        # All faults of a row are collected before it is skipped, so that one run lists them all.
+        if points is None or faults or medium is None:
+            continue
+        try:
+            yield ListedInsertion(reduce_insertion(row, points, medium, patient, sections), where)
+        except DataError as error:
+            fault = from_error(error, where)
+            found.append(replace(fault, fix=fault.fix or BEVEL_FIX))
 
 
-def _iterate_runs(table: CsvTable, record: TrackDatasetRecord, found: list[Fault]) -> Iterator[_RunRows]:
-    """Yield the runs in the order of their first rows; none where a column or a number is missing."""
+def _take_rows(table: CsvTable, rows: list[int] | NDArray[np.int64]) -> CsvTable:
+    return replace(table, cells=table.cells.iloc[rows].reset_index(drop=True), lines=table.lines[rows])
+
+
+class _Centerlines:
+    """The centrelines of a folder: a file for each, or one long table and the rows of each insertion."""
+
+    def __init__(self, record: DatasetRecord, root: Path) -> None:
+        self.record, self.root = record, root
+        self.long: CsvTable | None = None
+        self.groups: dict[str, NDArray[np.int64]] = {}
+
+    def read_long_table(self, found: list[Fault]) -> bool:
+        """Read the long table and sort its rows by insertion; return False after a fault."""
+        record, group_by = self.record, list(self.record.centerlines.group_by)
+        path = self.root / str(record.centerlines.file)
+        try:
+            table = read_table(path)
+        except DataError as error:
+            found.append(from_error(error))
+            return False
+        if note_missing_columns(table, group_by, found):
+            return False
+        template = record.insertions.id_template or "_".join(f"{{{column}}}" for column in group_by)
+        keys = table.cells[group_by].to_dict("records")
+        try:
+            # not str.format, whose attributes and widths a dataset from elsewhere could misuse
+            names = [_FIELD.sub(lambda part, row=row: str(row[part[1]]), template) for row in keys]  # type: ignore[misc]
+        except KeyError:
+            what = f"insertions.id_template is {template!r}"
+            expected = f"text with {{...}} around columns of group_by: {', '.join(group_by)}"
+            found.append(Fault(f"{path}:1", what, expected, "use only these names in it"))
+            names = []
+        ids = np.array(names, dtype=object)
+        self.long, self.groups = table, {name: np.flatnonzero(ids == name) for name in dict.fromkeys(names)}
+        # what an insertion has once must not change along it
+        columns = () if record.insertions.file is not None else record.insertions.columns.values()
+        for column in (column for column in columns if column in table.cells):
+            text = table.cells[column].to_numpy()
+            for name, rows in self.groups.items():
+                other = np.flatnonzero(text[rows] != text[rows[0]])
+                if len(other):
+                    what = f"column `{column}` changes within insertion {name}"
+                    fix = "fix the cells, or distinguish the insertions by this column too (group_by)"
+                    found.append(Fault(table.where(int(rows[other[0]])), what, "one value", fix))
+        return True
+
+    def find(self, row: InsertionRow, patient: Frame, found: list[Fault]) -> Points | None:
+        """Return an insertion's points in the world; None after a fault.
+
+        Points of a format that holds coordinates of the scan are brought from there into the world.
+        """
+        lines = self.record.centerlines
+        if lines.pattern is None:
+            if self.long is None or row.id not in self.groups:
+                where, what = str(self.root / (lines.file or "")), f"has no rows of insertion {row.id}"
+                fix = "add them, or remove the insertion from the table"
+                found.append(Fault(where, what, "rows of every insertion", fix))
+                return None
+            return read_curve(_take_rows(self.long, self.groups[row.id]), lines.columns, found)
+        path = self.root / lines.pattern.replace("{id}", row.id)
+        try:
+            format_ = find_format(path) or FORMATS["csv"]
+            points = format_.read_one(path, lines.columns, found)
+        except DataError as error:
+            found.append(from_error(error))
+            return None
+        if points is not None and len(bad := points.unusable()):
+            what = f"has {len(bad)} points that are NaN, infinite or too far away"
+            where, fix = points.where(int(bad[0])), "remove or fix these points"
+            found.append(Fault(where, what, "finite numbers, mm", fix))
+            return None
+        if points is None or not format_.in_scan:
+            return points
+        return replace(points, values=patient.to_world(points.values))
+
+
+def make_patient_frame(record: FrameRecord) -> Frame:
+    """Return the patient coordinates, as a frame in the world, of scans whose row states no others."""
+    return IDENTITY_FRAME if record.lps_to_world is None else Frame.from_rows(record.lps_to_world)
+
+
+def _find_use_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path) -> Iterator[Fault]:
+    """Yield free shapes of which comparisons leave nothing, and points without error and without noise."""
+    stated = make_noise(record.noise).stated
+    for one in listed:
+        try:
+            if record.frame.pose == "free":
+                find_free_reach(record.frame.drop_proximal_mm, one.insertion)
+        except DataError as error:
+            yield from_error(error, locate_key(file, "frame.drop_proximal_mm"))
+        if not stated and one.insertion.sd is not None and (one.insertion.sd < MIN_SD_MM).any():
+            what = f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated"
+            fix = f"correct the column, or state noise.point_sd_mm in {locate_key(file, 'noise.point_sd_mm')}"
+            yield Fault(one.where, what, "a standard deviation above 0, mm", fix)
+
+
+# ---- tip tracks
+
+
+def holds_tracks(path: Path) -> bool:
+    """Return whether `path`, a dataset's folder or `dataset.toml`, is a dataset of tip tracks."""
+    try:
+        return "tip_tracks" in read_toml(find_dataset_file(path))
+    except ConfigError:
+        return False  # whoever reads it says what is wrong
+
+
+def _read_tracks(reading: _Reading) -> tuple[list[TipTrack], list[Path], dict[str, Any]]:
+    """Return the runs, the tables read, and what a dataset of tip tracks states alone."""
+    record, found = reading.record, reading.faults
+    paths = [root / record.tip_tracks.file for root in reading.roots]
+    tracks: list[TipTrack] = []
+    remarks: list[str] = []
+    for table in map(reading.read_table, paths):
+        if table is not None:
+            tracks += _parse_tracks(table, record, found, remarks)
+    reading.note_repeated_ids("run", (track.id for track in tracks))
+    if not tracks and not found:
+        what = "no run is left: every one is marked invalid"
+        found.append(Fault(str(reading.file), what, "at least one valid run"))
+    if not found:
+        noise, where = make_noise(record.noise), format_place(reading.file)
+        sides = [BendResult(one.id, str(paths[0]), find_track_bend_side(one, noise)) for one in tracks]
+        column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
+        reading.warnings += find_side_warnings(sides, column, "runs")
+        reading.warnings += find_spacing_warnings(noise, [one.depths for one in tracks], where)
+        reading.warnings += find_boundary_warnings(record, tracks, where)
+    return tracks, paths, {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks)}
+
+
+def _parse_tracks(
+    table: CsvTable, record: TrackDatasetRecord, found: list[Fault], remarks: list[str]
+) -> Iterator[TipTrack]:
+    """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
     source, constants = record.tip_tracks, record.tip_tracks.constants
     theirs = {
         name: source.columns.get(name, name) for name in (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
@@ -504,15 +438,9 @@ def _iterate_runs(table: CsvTable, record: TrackDatasetRecord, found: list[Fault
     table = CsvTable(table.path, table.cells.assign(**absent), table.lines)
     wanted = [theirs[name] for name in REQUIRED_TRACK_COLUMNS] + list(source.columns.values())
     unknown = sorted((source.columns.keys() | constants.keys()) - theirs.keys())
-    found += [
-        Fault(
-            str(table.path),
-            f"`columns` or `constants` names {name}",
-            f"one of {', '.join(theirs)}",
-            "correct [tip_tracks] of dataset.toml",
-        )
-        for name in unknown
-    ]
+    for name in unknown:
+        what, fix = f"`columns` or `constants` names {name}", "correct [tip_tracks] of dataset.toml"
+        found.append(Fault(str(table.path), what, f"one of {', '.join(theirs)}", fix))
     if note_missing_columns(table, list(dict.fromkeys(wanted)), found, MISSING_COLUMN_FIX) or unknown:
         return
     before = len(found)
@@ -527,106 +455,66 @@ def _iterate_runs(table: CsvTable, record: TrackDatasetRecord, found: list[Fault
     ids, media = (table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium"))
     for id_ in dict.fromkeys(ids.tolist()):
         rows = np.flatnonzero(ids == id_)
-        yield _RunRows(
-            id_, str(media[rows[0]]), rows, {name: column[rows] for name, column in values.items()}
+        own = {name: column[rows] for name, column in values.items()}
+        bad = np.flatnonzero(own["valid"] == 0)
+        if len(bad):
+            remarks.append(
+                f"Run {id_} is left out: {len(bad)} of its {len(rows)} readings are marked invalid, "
+                f"from {own['depth_mm'][bad[0]]:.0f} mm on."
+            )
+            continue
+        faults = list(
+            _find_run_faults(id_, str(media[rows[0]]), own, [table.where(int(n)) for n in rows], record)
+        )
+        found += faults
+        if faults:
+            continue
+        medium, heading = record.media[media[rows[0]]], np.radians(own["heading_deg"])
+        yield make_track(
+            id_,
+            str(media[rows[0]]),
+            medium.specimen or str(media[rows[0]]),
+            int(own["bevel_side"][0]),
+            TipReadings(
+                depth=own["depth_mm"] - own["depth_mm"][0],
+                tip=own["tip_mm"],
+                guide=own["guide_mm"] - own["guide_mm"][0],
+                heading=None if np.isnan(heading).any() else heading,
+            ),
+            (np.array(medium.boundaries_mm), medium.layers),
         )
 
 
-def _find_run_faults(run: _RunRows, table: CsvTable, record: TrackDatasetRecord) -> Iterator[Fault]:
-    """Say what is wrong with one run."""
-    first, depth = table.where(int(run.rows[0])), run.values["depth_mm"]
-    if not run.id:
+def _find_run_faults(
+    id_: str, medium: str, values: Mapping[str, Floats], places: Sequence[str], record: TrackDatasetRecord
+) -> Iterator[Fault]:
+    """Say what is wrong with one run; `places` are those of its readings."""
+    first, depth, sides = places[0], values["depth_mm"], values["bevel_side"]
+    if not id_:
         yield Fault(first, "a reading has no id", "the run that it belongs to", "fill the cell")
-    elif fault := name_fault(run.id):
-        yield Fault(first, f"id is {run.id!r}: {fault}", EXPECTED_NAME, "rename the run")
-    if run.medium not in record.media:
+    elif fault := name_fault(id_):
+        yield Fault(first, f"id is {id_!r}: {fault}", EXPECTED_NAME, "rename the run")
+    if medium not in record.media:
         known = ", ".join(record.media)
         fix = "correct it, or add a table [media.NAME] to dataset.toml"
-        yield Fault(first, f"run {run.id} went into {run.medium!r}, which is not described", known, fix)
+        yield Fault(first, f"run {id_} went into {medium!r}, which is not described", known, fix)
     if len(depth) < MIN_READINGS:
-        what = f"run {run.id} has {len(depth)} reading{'s' if len(depth) > 1 else ''}"
+        what = f"run {id_} has {len(depth)} reading{'s' if len(depth) > 1 else ''}"
         expected = f"at least {MIN_READINGS}: a shift and a slope are the tracker's"
         yield Fault(first, what, expected, "add the others, or leave the run out")
     for n in np.flatnonzero(np.diff(depth) <= 0)[:1]:
-        yield Fault(
-            table.where(int(run.rows[n + 1])),
-            f"run {run.id} goes from {depth[n]:g} back to {depth[n + 1]:g} mm",
-            "depths that increase from reading to reading",
-            "leave out what follows, or mark the run's readings with valid = 0",
-        )
+        what = f"run {id_} goes from {depth[n]:g} back to {depth[n + 1]:g} mm"
+        fix = "leave out what follows, or mark the run's readings with valid = 0"
+        yield Fault(places[n + 1], what, "depths that increase from reading to reading", fix)
     for n in np.flatnonzero(np.diff(depth) > MAX_STEP_MM)[:1]:
-        where = table.where(int(run.rows[n + 1]))
-        what = f"run {run.id} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings"
+        what = f"run {id_} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings"
         expected = f"mm, at most {MAX_STEP_MM:g} at once"
-        yield Fault(where, what, expected, "convert to mm, or add the readings between")
-    sides = run.values["bevel_side"]
+        yield Fault(places[n + 1], what, expected, "convert to mm, or add the readings between")
     if sides[0] not in (1.0, -1.0) or np.ptp(sides) > 0:
-        yield Fault(first, f"bevel_side of run {run.id} is {sides[0]:g}", "1 or -1, one for all of a run", "")
+        yield Fault(first, f"bevel_side of run {id_} is {sides[0]:g}", "1 or -1, one for all of a run", "")
 
 
-def holds_tracks(path: Path) -> bool:
-    """Return whether `path`, a dataset's folder or `dataset.toml`, is a dataset of tip tracks."""
-    try:
-        return "tip_tracks" in read_toml(find_dataset_file(path))
-    except ConfigError:
-        return False  # whoever reads it says what is wrong
-
-
-def inspect_tracks(path: Path) -> Inspection:
-    """Read a dataset of tip tracks, collecting every fault."""
-    file = find_dataset_file(path)
-    try:
-        record = load(file, TrackDatasetRecord)
-        roots = find_folders(record, file)
-        tables = [read_table(root / record.tip_tracks.file) for root in roots]
-    except (ConfigError, DataError) as error:
-        return Inspection(None, (from_error(error),))
-    found: list[Fault] = [*find_needle_faults(record.needle, file), *_find_noise_faults(record, file)]
-    warnings = find_record_warnings(record, file)
-    for root in roots:
-        found += find_checksum_faults(record.checksums, root)
-    tracks: list[TipTrack] = []
-    remarks: list[str] = []
-    for table in tables:
-        warnings += find_placeholder_cells(table)
-        parsed = parse_tracks(table, record, found)
-        tracks += parsed.tracks
-        remarks += parsed.remarks
-    found += find_repeated_ids("run", (track.id for track in tracks), file)
-    if not tracks and not found:
-        found.append(
-            Fault(str(file), "no run is left: every one is marked invalid", "at least one valid run")
-        )
-    if found:
-        return Inspection(None, tuple(dict.fromkeys(found)), tuple(warnings))
-    warnings += _find_run_warnings(record, tracks, file, str(tables[0].path))
-    sum_ = compute_digest(file, roots, [table.path for table in tables])
-    own = {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks), "warnings": tuple(warnings)}
-    dataset = make_dataset(record, file, tracks, sum_, **own)
-    return Inspection(dataset, (), tuple(warnings))
-
-
-def _find_noise_faults(record: TrackDatasetRecord, file: Path) -> Iterator[Fault]:
-    """Say whether readings have no noise: every fit of tip tracks samples a posterior, which needs one."""
-    if record.noise.point_sd_mm <= 0:
-        where = locate_key(file, "noise.point_sd_mm")
-        what = "no noise of the readings is stated"
-        yield Fault(where, what, "noise.point_sd_mm above 0", "write the standard deviation of a reading, mm")
-
-
-def _find_run_warnings(
-    record: TrackDatasetRecord, tracks: Sequence[TipTrack], file: Path, table: str
-) -> Iterator[ResultWarning]:
-    """Yield what is suspicious in sound runs."""
-    column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
-    bend_results = [
-        BendResult(one.id, table, find_track_bend_side(one, make_noise(record.noise))) for one in tracks
-    ]
-    yield from find_side_warnings(bend_results, column, "runs")
-    yield from find_spacing_warnings(
-        make_noise(record.noise), [one.depths for one in tracks], format_place(file)
-    )
-    yield from find_boundary_warnings(record, tracks, format_place(file))
+# ---- what others call
 
 
 def read(path: Path) -> Dataset:
@@ -638,11 +526,6 @@ def read(path: Path) -> Dataset:
     if found.dataset is None:
         raise as_error(found.faults, find_dataset_file(path))
     return found.dataset
-
-
-def inspect(path: Path) -> Inspection:
-    """Return the dataset whose folder or `dataset.toml` is `path`, or its faults, and its warnings."""
-    return inspect_tracks(path) if holds_tracks(path) else inspect_dataset(path)
 
 
 def read_shapes(path: Path) -> Dataset:

@@ -1,8 +1,8 @@
 """Read surfaces of layers (meshes or a segmentation) into the world; find where the needle crosses them.
 
 Of a segmentation, layer k is drawn as the solid of all labels of layer k and beyond: the solids lie in one
-another, so that no
-gap opens between neighbours, and, listed in order, the last one that holds a point is the point's layer.
+another, so that no gap opens between neighbours, and, listed in order, the last one that holds a point is the
+point's layer.
 
 The voxels are averaged in cells of `CELL_MM`, smoothed by a normal distribution of `SMOOTHING_SD_MM`, and the
 average is turned into a distance along which marching cubes may interpolate: beside a plane the average is

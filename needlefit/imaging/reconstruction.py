@@ -142,6 +142,12 @@ class Reconstruction:
         """The centreline in C (N, 3), mm; z is the deviation out of the bending plane."""
         return self.frame.to_local(self.points)
 
+    @property
+    def deflection(self) -> float:
+        """Tip deflection, mm, counted as in a dataset: from the first point, positive toward the bevel."""
+        y = self.local[:, 1]
+        return float(self.scan.side * (y[-1] - y[0]))
+
 
 PIXEL_MM = 0.3  # edge of a pixel, mm: finer than the voxels of a cone-beam scan
 # Places along the third axis over which a picture is averaged, mm: the slab holds the needle whole, and its

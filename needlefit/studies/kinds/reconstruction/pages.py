@@ -138,7 +138,7 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
         ],
         [
             ("inserted length", _with_sd(one.depth, one.depth_sd)),
-            ("tip's deflection", f"{format_mm(float(one.local[-1, 1]))} mm"),
+            ("tip's deflection", f"{format_mm(one.deflection)} mm"),
             ("tip", f"± {format_mm(along_sd)} mm along, ± {format_mm(across_sd)} mm across"),
             ("centreline", f"± {_rms(one.sd):.3f} mm across (rms)"),
         ],

@@ -147,7 +147,7 @@ def _describe(one: Reconstruction) -> Row:
         "out_of_plane_max_mm": np.abs(off).max(),
         "depth_mm": one.depth,
         "depth_sd_mm": one.depth_sd,
-        "deflection_mm": scan.side * one.local[-1, 1],
+        "deflection_mm": one.deflection,
         **dict(zip(("tip_along_sd_mm", "tip_across_sd_mm"), one.needle_axis.tip_sd, strict=True)),
         "bevel_probability": one.needle_axis.bevel_probability,
         "centerline_sd_rms_mm": np.sqrt(np.mean(one.sd**2)),
