@@ -1,4 +1,4 @@
-"""Warn about a dataset that can still be fitted: placeholders, copies, mistyped columns, bevel sides."""
+"""Warn about a dataset that can be fitted all the same: placeholders, units, copies, columns, bevel sides."""
 
 import math
 import re
@@ -14,6 +14,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
     INSERTION_COLUMNS,
+    NUMBER_COLUMNS,
     POINT_COLUMNS,
     POSE_COLUMNS,
     SCAN_COLUMNS,
@@ -23,12 +24,38 @@ from needlefit.datasets.columns import (
 from needlefit.datasets.formats.csv import CsvTable
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import ListedInsertion
-from needlefit.datasets.noise import MEAN_NORM_PER_SD, find_noise_warnings, find_stated_warnings
+from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import FormatPlace, format_place, layer_warnings, needle_warnings
-from needlefit.schemas.dataset import DatasetRecord, SourceRecord, TrackDatasetRecord
+from needlefit.project.unit_warnings import (
+    ANGLE_SD_DEG,
+    ANGLE_UNITS,
+    FormatPlace,
+    format_place,
+    layer_warnings,
+    needle_warnings,
+    range_warnings,
+)
+from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
+
+PLACEHOLDER = "TO FILL IN"
+"""Marks values that a template cannot know."""
+
+_PLACEHOLDER_PATTERN = re.compile(r"to[ _-]?fill[ _-]?in", re.IGNORECASE)
+_PLACEHOLDER_FIX = "write what was measured; reports print it"
+
+MIN_POINT_SD_MM = 5e-4
+"""Least plausible standard deviation of a centreline's points; a smaller one was written in another unit."""
+
+MIN_POSE_SD_MM, MAX_POSE_SD_MM = 1e-3, 5.0
+"""Least and greatest plausible standard deviation of registration and entry pose: a smaller one was written
+in another unit, with a greater one curves cannot be compared."""
+
+MAX_NOISE_FRACTION = 0.5
+"""Fraction of the largest deflection above which noise hides the deflections."""
+
+CHECK_UNIT = "check its unit, mm"
 
 SIGNIFICANT_SD = 3.0
 """Standard deviations beyond which a bend is not a measurement error."""
@@ -42,6 +69,91 @@ a single one is limited to this."""
 
 MAX_NAMED_INSERTIONS = 8
 """Number of insertions that a warning names."""
+
+COPY_TOLERANCE_MM = 1e-6
+"""Largest distance, per axis, of two points that count as the same."""
+
+MIN_SIMILARITY = 0.8
+"""Ratio of `difflib` above which a name counts as a mistyped version of another."""
+
+_UNIT = re.compile(r"_(mm|deg)$")
+
+Check = tuple[bool, str, str, str, str]
+"""Whether it is so, and the warning then: its kind, the key that it is about, what, and how to fix it."""
+
+
+def _warn(checks: Iterable[Check], where: FormatPlace) -> Iterator[ResultWarning]:
+    return (ResultWarning(kind, what, where(key), fix) for is_so, kind, key, what, fix in checks if is_so)
+
+
+# ---- the record
+
+
+def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[ResultWarning]:
+    """Yield the warnings about a `dataset.toml`, without regard to its tables."""
+    where = format_place(file)
+    keys = list(_iterate_placeholder_keys(record.model_dump(by_alias=True)))
+    import_ = record.import_ if isinstance(record, DatasetRecord) else None
+    decisions = () if import_ is None else import_.decisions
+    assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
+    left = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
+    yield from _warn([(bool(keys), "placeholder", "".join(keys[:1]), left, _PLACEHOLDER_FIX)], where)
+    yield from needle_warnings(record.needle, where)
+    what = f"the import assumed {'; '.join(assumed)}"
+    fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
+    yield from _warn([(bool(assumed), "assumed", "import.decisions", what, fix)], where)
+    noise = record.noise
+    for name in ("heading_sd_deg", "slope_sd_deg"):
+        if sd := getattr(noise, name, 0.0):
+            yield from range_warnings(sd, ANGLE_SD_DEG, ANGLE_UNITS, where, f"noise.{name}", "degrees")
+    point, shift = max(noise.point_sd_mm, noise.correlated_sd_mm), noise.registration_mean_mm
+    length, needle = noise.correlation_length_mm, record.needle.length_mm
+    metres = "mm, less than any needle is measured to: this looks like metres"
+    um = "mm, more than any error of registration: this looks like um"
+    point_key = "point_sd_mm" if point == noise.point_sd_mm else "correlated_sd_mm"
+    for is_so, name, value, fix in (
+        (0 < point < MIN_POINT_SD_MM, point_key, f"{point:g} {metres}", f"write {1e3 * point:g}"),
+        (0 < shift < MIN_POSE_SD_MM, "registration_mean_mm", f"{shift:g} {metres}", f"write {1e3 * shift:g}"),
+        (shift > MAX_POSE_SD_MM, "registration_mean_mm", f"{shift:g} {um}", f"write {1e-3 * shift:g}"),
+        (
+            noise.correlated_sd_mm > 0 and length > needle,
+            "correlation_length_mm",
+            f"{length:g}, longer than the needle, {needle:g} mm",
+            CHECK_UNIT,
+        ),
+    ):
+        yield from _warn([(is_so, "units", key := f"noise.{name}", f"`{key}` is {value}", fix)], where)
+
+
+def find_placeholder_cells(table: CsvTable) -> Iterator[ResultWarning]:
+    """Yield a warning if cells of a table still contain the placeholder."""
+    found = {
+        str(name): rows
+        for name, column in table.cells.items()
+        if _PLACEHOLDER_PATTERN.search("\n".join(column))  # one search a column: a table may be long
+        and (rows := [n for n, cell in enumerate(column) if _PLACEHOLDER_PATTERN.search(cell)])
+    }
+    if found:
+        named = ", ".join(f"`{name}`" for name in found)
+        what = f'"{PLACEHOLDER}" is left in {sum(map(len, found.values()))} cells of {named}'
+        where = table.where(min(rows[0] for rows in found.values()))
+        yield ResultWarning("placeholder", what, where, _PLACEHOLDER_FIX)
+
+
+def _iterate_placeholder_keys(value: object, key: str = "") -> Iterator[str]:
+    """Yield the keys of the texts that hold the mark, however deep."""
+    if isinstance(value, str) and _PLACEHOLDER_PATTERN.search(value):
+        yield key
+    members: Iterable[tuple[object, object]] = ()
+    if isinstance(value, Mapping):
+        members = value.items()
+    elif isinstance(value, list | tuple):
+        members = enumerate(value, start=1)
+    for name, inner in members:
+        yield from _iterate_placeholder_keys(inner, f"{key}.{name}" if key else str(name))
+
+
+# ---- bevel sides
 
 BendSide = Literal["toward", "away", "unknown"]
 
@@ -62,21 +174,16 @@ class BendResult:
 
 
 def classify_insertion(insertion: Insertion, where: str, noise: Noise) -> BendResult:
-    """Return the bend result of an insertion; `where` is its position in the files, for messages."""
-    z = compute_deflection_z(insertion, noise)
-    return BendResult(insertion.id, where, find_bend_side(insertion, noise), insertion.medium, z)
+    """Return the bend result of an insertion; `where` is its position in the files, for messages.
 
-
-def compute_deflection_z(insertion: Insertion, noise: Noise) -> float:
-    """Return the deflection toward the bevel in standard deviations; NaN where it cannot be judged.
-
-    They allow for noise of points and pose, and for entry directions off by a third of `MIN_BEND_SLOPE`.
+    The deviation of `z` allows for noise of points and pose, and for entry directions off by a third of
+    `MIN_BEND_SLOPE`.
     """
-    if insertion.pose_source == "none" or insertion.base_moved:
-        return math.nan
-    return insertion.deflection / math.hypot(
-        _compute_deflection_sd(insertion, noise), MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD
-    )
+    z = math.nan
+    if insertion.pose_source != "none" and not insertion.base_moved:
+        slope = MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD
+        z = insertion.deflection / math.hypot(_compute_deflection_sd(insertion, noise), slope)
+    return BendResult(insertion.id, where, find_bend_side(insertion, noise), insertion.medium, z)
 
 
 def _compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
@@ -86,44 +193,25 @@ def _compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
 
 
 def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
-    """Return to which side of its bevel an insertion bends.
+    """Return to which side of its bevel an insertion or a run of a tip track bends.
 
     Both the tip's deflection from the entry line and the curve's own bend, which no error of the entry pose
-    changes, must say so. A free shape lies by its bend, and a base that was moved bends the needle too: they
-    say nothing.
+    changes, must say so. Of a run the bend alone counts: its readings are known up to a shift and a slope. A
+    free shape lies by its bend, and a base or guide that moved bends the needle too: they say nothing.
     """
-    if insertion.pose_source == "none" or insertion.base_moved:
+    track = insertion if isinstance(insertion, TipTrack) else None
+    if track.guided if track else insertion.pose_source == "none" or insertion.base_moved:
         return "unknown"
-    points = float(np.hypot(noise.point_sd, noise.correlated_sd))
+    x, y = insertion.planar[:, 0], insertion.side * insertion.planar[:, 1]
+    parabola = np.polyfit(x - x[0], y, 2)
+    bend = float(parabola[0] * (x[-1] - x[0]) ** 2)  # the deflection from its first tangent
+    scatter = float(np.sqrt(np.mean((y - np.polyval(parabola, x - x[0])) ** 2)))
+    noise_sd = SIGNIFICANT_SD * float(np.hypot(scatter, np.hypot(noise.point_sd, noise.correlated_sd)))
     least = MIN_BEND_SLOPE * insertion.depth
-    deflection_limit = max(least, SIGNIFICANT_SD * _compute_deflection_sd(insertion, noise))
-    x, y = insertion.planar.T
-    bend, scatter = fit_parabola(x, insertion.side * y)
-    bend_limit = max(0.5 * least, SIGNIFICANT_SD * float(np.hypot(scatter, points)))
-    return _classify((insertion.deflection, deflection_limit), (bend, bend_limit))
-
-
-def find_track_bend_side(track: TipTrack, noise: Noise) -> BendSide:
-    """Return to which side of its bevel a run bends; unknown if its guide moved.
-
-    Readings are known up to a shift and a slope: only the bend counts.
-    """
-    if track.guided:
-        return "unknown"
-    bend, scatter = fit_parabola(track.depths, track.side * track.tip)
-    points = float(np.hypot(noise.point_sd, noise.correlated_sd))
-    limit = max(MIN_BEND_SLOPE * track.depth, SIGNIFICANT_SD * float(np.hypot(scatter, points)))
-    return _classify((bend, limit))
-
-
-def fit_parabola(x: Floats, y: Floats) -> tuple[float, float]:
-    """Fit a parabola to points (N,); return the deflection from its first tangent, and the rms residual."""
-    coefficients = np.polyfit(x - x[0], y, 2)
-    residuals = y - np.polyval(coefficients, x - x[0])
-    return float(coefficients[0] * (x[-1] - x[0]) ** 2), float(np.sqrt(np.mean(residuals**2)))
-
-
-def _classify(*measures: tuple[float, float]) -> BendSide:
+    measures = [(bend, max(least if track else 0.5 * least, noise_sd))]
+    if track is None:
+        limit = max(least, SIGNIFICANT_SD * _compute_deflection_sd(insertion, noise))
+        measures.append((insertion.deflection, limit))
     if all(value > limit for value, limit in measures):
         return "toward"
     return "away" if all(value < -limit for value, limit in measures) else "unknown"
@@ -169,112 +257,77 @@ def find_pooled_side_warnings(results: Sequence[BendResult], column: str) -> Ite
         z = pool_z(group)
         if len(group) > 1 and z < -REVERSED_SD:
             worst = sorted((one for one in group if one.z < 0), key=lambda one: one.z)
-            names = join_names([one.id for one in worst], MAX_NAMED_INSERTIONS)
             what = (
                 f"the bevel sides of medium {medium} are probably all reversed: its {len(group)} insertions "
-            )
-            what += (
-                f"together bend away from their bevels by {-z:.1f} standard deviations, most of all {names}"
+                f"together bend away from their bevels by {-z:.1f} standard deviations, most of all "
+                f"{join_names([one.id for one in worst], MAX_NAMED_INSERTIONS)}"
             )
             yield ResultWarning("bevel_side", what, worst[0].where, f"change the sign of `{column}` there")
 
 
-COPY_TOLERANCE_MM = 1e-6
-"""Largest distance, per axis, of two points that count as the same."""
+# ---- insertions
 
 
 def is_copy(one: Insertion, other: Insertion) -> bool:
     """Whether two insertions have the same centreline, point by point."""
     a, b = one.centerline, other.centerline
-    if (
-        a.shape != b.shape or np.abs(a[-1] - b[-1]).max() > COPY_TOLERANCE_MM
-    ):  # tips differ in nearly every pair
+    # tips differ in nearly every pair
+    if a.shape != b.shape or np.abs(a[-1] - b[-1]).max() > COPY_TOLERANCE_MM:
         return False
     return bool(np.abs(a - b).max() <= COPY_TOLERANCE_MM)
 
 
-def find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
-    """Yield a warning for each insertion that is a copy of an earlier one."""
+def find_insertion_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
+) -> Iterator[ResultWarning]:
+    """Yield the warnings about insertions that have no fault."""
+    where, insertions = format_place(file), [one.insertion for one in listed]
+    column = record.insertions.columns.get("bevel_side", "bevel_side")
+    results = [classify_insertion(one.insertion, one.where, noise) for one in listed]
+    yield from find_side_warnings(results, column, "insertions")
+    yield from find_pooled_side_warnings(results, column)
     for n, later in enumerate(listed):
         first = next((one for one in listed[:n] if is_copy(one.insertion, later.insertion)), None)
         if first is not None:
             what = f"{later.insertion.id} has the same centreline as {first.insertion.id}, point by point"
             yield ResultWarning("copy", what, later.where, "remove one of the two, or restore its own file")
-
-
-PLACEHOLDER = "TO FILL IN"
-"""Marks values that a template cannot know."""
-
-_PLACEHOLDER_PATTERN = re.compile(r"to[ _-]?fill[ _-]?in", re.IGNORECASE)
-_PLACEHOLDER_FIX = "write what was measured; reports print it"
-
-
-def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> list[ResultWarning]:
-    """Return the warnings about a `dataset.toml`, without regard to its tables."""
-    where = format_place(file)
-    found = [*find_placeholder_keys(record, where), *needle_warnings(record.needle, where)]
-    if isinstance(record, DatasetRecord):
-        decisions = () if record.import_ is None else record.import_.decisions
-        assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
-        if assumed:
-            what = f"the import assumed {'; '.join(assumed)}"
-            fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
-            found.append(ResultWarning("assumed", what, where("import.decisions"), fix))
-    return [*found, *find_stated_warnings(record.noise, record.needle.length_mm, where)]
-
-
-def find_placeholder_keys(record: SourceRecord, where: FormatPlace) -> Iterator[ResultWarning]:
-    """Yield a warning if texts of a template were not replaced."""
-    keys = list(_iterate_placeholder_keys(record.model_dump(by_alias=True)))
-    if keys:
-        named = ", ".join(f"`{key}`" for key in keys)
-        what = f'"{PLACEHOLDER}" is left in {named}'
-        yield ResultWarning("placeholder", what, where(keys[0]), _PLACEHOLDER_FIX)
-
-
-def find_placeholder_cells(table: CsvTable) -> Iterator[ResultWarning]:
-    """Yield a warning if cells of a table still contain the placeholder."""
-    found = {
-        str(name): rows
-        for name, column in table.cells.items()
-        if _PLACEHOLDER_PATTERN.search("\n".join(column))  # one search a column: a table may be long
-        and (rows := [n for n, cell in enumerate(column) if _PLACEHOLDER_PATTERN.search(cell)])
-    }
-    if found:
-        named = ", ".join(f"`{name}`" for name in found)
-        what = f'"{PLACEHOLDER}" is left in {sum(map(len, found.values()))} cells of {named}'
-        where = table.where(min(rows[0] for rows in found.values()))
-        yield ResultWarning("placeholder", what, where, _PLACEHOLDER_FIX)
-
-
-def _iterate_placeholder_keys(value: object, key: str = "") -> Iterator[str]:
-    """Yield the keys of the texts that hold the mark, however deep."""
-    if isinstance(value, str) and _PLACEHOLDER_PATTERN.search(value):
-        yield key
-    members: Iterator[tuple[object, object]] = iter(())
-    if isinstance(value, Mapping):
-        members = iter(value.items())
-    elif isinstance(value, list | tuple):
-        members = iter(enumerate(value, start=1))
-    for name, inner in members:
-        yield from _iterate_placeholder_keys(inner, f"{key}.{name}" if key else str(name))
-
-
-def find_insertion_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
-) -> list[ResultWarning]:
-    """Return the warnings about insertions that have no fault."""
-    where, insertions = format_place(file), [one.insertion for one in listed]
-    column = record.insertions.columns.get("bevel_side", "bevel_side")
-    results = [classify_insertion(one.insertion, one.where, noise) for one in listed]
-    return [
-        *find_side_warnings(results, column, "insertions"),
-        *find_pooled_side_warnings(results, column),
-        *find_copy_warnings(listed),
-        *find_boundary_warnings(record, insertions, where),
-        *_find_missed_surfaces(insertions, where),
-        *find_noise_warnings(record, listed, noise, where),
-    ]
+    yield from find_boundary_warnings(record, insertions, where)
+    for name in dict.fromkeys(one.medium for one in insertions):
+        group = [one for one in insertions if one.medium == name]
+        if all(one.surfaces and one.sequence == (1,) for one in group):
+            what = f"none of the {len(group)} insertions into {name} meets any of its surfaces"
+            fix = "check that surfaces and centrelines are in one frame (LPS, RAS?), or leave them out"
+            yield ResultWarning("surfaces_missed", what, where(f"media.{name}.surfaces"), fix)
+    largest = max((abs(one.deflection) for one in insertions), default=0.0)
+    sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
+    larger = "point_sd_mm" if noise.point_sd >= noise.correlated_sd else "correlated_sd_mm"
+    shift, shift_key = record.noise.registration_mean_mm, "noise.registration_mean_mm"
+    hides = (
+        sd > MAX_NOISE_FRACTION * largest,
+        "noise",
+        f"noise.{larger}",
+        f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
+        "check its unit, mm; such data determine nothing",
+    )
+    exceeds = (
+        record.frame.pose == "known" and largest < shift <= MAX_POSE_SD_MM,
+        "noise",
+        shift_key,
+        f"`{shift_key}` is {shift:g} mm, more than the largest deflection, {largest:.3g} mm",
+        CHECK_UNIT,
+    )
+    yield from _warn([hides, exceeds], where)
+    yield from find_spacing_warnings(noise, [one.planar[:, 0] for one in insertions], where)
+    yield from _find_number_warnings(record, listed, largest, where)
+    key = "noise.point_sd_mm"
+    missing = (
+        not noise.stated and any(one.sd is None for one in insertions),
+        "no_noise",
+        key,
+        "no noise of the points is stated, so fits have neither noise floor nor predictive intervals",
+        f"write `{key}`, the standard deviation of a point per axis; calibrate and comparisons need it",
+    )
+    yield from _warn([missing], where)
 
 
 def find_boundary_warnings(
@@ -283,77 +336,94 @@ def find_boundary_warnings(
     """Yield a warning for each medium with boundaries at depths that no tissue has."""
     for name, medium in record.media.items():
         depths = [one.depth for one in insertions if one.medium == name]
-        key = f"media.{name}.boundaries_mm"
         if medium.boundaries_mm and depths:
+            key = f"media.{name}.boundaries_mm"
             yield from layer_warnings(medium.boundaries_mm, max(depths), where, key)
 
 
-def _find_missed_surfaces(insertions: Sequence[Insertion], where: FormatPlace) -> Iterator[ResultWarning]:
-    """Yield a warning for each medium with surfaces of which no insertion meets any."""
-    for name in dict.fromkeys(one.medium for one in insertions):
-        group = [one for one in insertions if one.medium == name]
-        if all(one.surfaces and one.sequence == (1,) for one in group):
-            what = f"none of the {len(group)} insertions into {name} meets any of its surfaces"
-            fix = "check that surfaces and centrelines are in one frame (LPS, RAS?), or leave them out"
-            yield ResultWarning("surfaces_missed", what, where(f"media.{name}.surfaces"), fix)
-
-
-MIN_SIMILARITY = 0.8
-"""Ratio of `difflib` above which a name counts as a mistyped version of another."""
-
-_UNIT = re.compile(r"_(mm|deg)$")
-
-
-def find_insertion_column_warnings(
-    record: DatasetRecord, names: Iterable[str], path: Path
+def find_spacing_warnings(
+    noise: Noise, depths: Sequence[Floats], where: FormatPlace
 ) -> Iterator[ResultWarning]:
-    """Yield a warning for each of these columns of the table of insertions that looks mistyped."""
-    source = record.insertions
-    ours = [*INSERTION_COLUMNS, SHARED_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS]
-    if record.frame.pose == "free":
-        ours = [name for name in ours if name not in POSE_COLUMNS]
-    given = {*source.columns, *source.constants}
-    used = {*source.columns.values()}
-    if source.file is None:  # the rows are groups of the centreline table
-        ours += [*POINT_COLUMNS, SD_COLUMN]
-        given |= {*record.centerlines.columns, "id"}
-        used |= {*record.centerlines.columns.values(), *record.centerlines.group_by}
-    yield from _find_mistyped([name for name in ours if name not in given], used, names, path)
+    """Yield a warning if the correlation length is below the distance of points, at `depths` (N,) each."""
+    if noise.correlated_sd <= 0 or not depths:
+        return
+    spacing = min(float(np.median(np.abs(np.diff(one)))) for one in depths)
+    if noise.correlation_length < spacing:
+        key = "noise.correlation_length_mm"
+        what = f"`{key}` is {noise.correlation_length:g}, shorter than points are apart, {spacing:.3g} mm"
+        fix = "check its unit, mm, or state `noise.point_sd_mm`: such noise is independent"
+        yield ResultWarning("units", what, where(key), fix)
 
 
-def find_centerline_column_warnings(
-    record: DatasetRecord, names: Iterable[str], path: Path
+def _find_number_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], largest: float, where: FormatPlace
 ) -> Iterator[ResultWarning]:
-    """Yield a warning for each column of a centreline that looks mistyped."""
-    source = record.centerlines
-    if source.file is not None and record.insertions.file is None:
+    """Yield a warning for each column of deviations of the table that holds values hard to believe.
+
+    `largest` is the largest deflection, mm.
+    """
+    source, limit = record.insertions, MAX_POSE_SD_MM
+    shift, angle = "pose_shift_sd_mm", "pose_angle_sd_deg"
+    few = "less than any pose is measured to, as if in metres"
+    many = "more than any error of a measured pose"
+    radians = "less than any direction is measured to: this looks like radians"
+    least, most = ANGLE_SD_DEG
+    beyond, deeper = f"more than the largest deflection, {largest:.3g} mm", "more than the insertion is deep"
+    depths = [one.insertion.depth for one in listed]
+    # column, from which (one for all rows, or one each) to which values are hard to believe, why, how to fix
+    for name, above, up_to, why, fix in (
+        (shift, 0.0, MIN_POSE_SD_MM, few, "multiply by 1000"),
+        (shift, largest, limit, beyond, CHECK_UNIT),
+        (shift, limit, np.inf, f"{many}: this looks like um", CHECK_UNIT),
+        (angle, most, np.inf, many, "check it"),
+        (angle, 0.0, least, radians, "multiply by 57.3"),
+        ("boundary_sd_mm", depths, np.inf, deeper, CHECK_UNIT),
+        ("depth_sd_mm", depths, np.inf, deeper, CHECK_UNIT),
+    ):
+        values = np.array([getattr(one.insertion, NUMBER_COLUMNS[name][0]) for one in listed])
+        values = np.degrees(values) if name == angle else values
+        bad = np.flatnonzero((above < values) & (values < up_to))
+        if len(bad):
+            constant = name in source.constants and name not in source.columns
+            place = where(f"insertions.constants.{name}") if constant else listed[bad[0]].where
+            what = f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, {why} "
+            yield ResultWarning("units", f"{what}({len(bad)} of {len(listed)} rows)", place, fix)
+
+
+# ---- columns
+
+
+def find_column_warnings(
+    record: DatasetRecord, names: Iterable[str], path: Path, of_points: bool = False
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each of these columns of the table of insertions that looks mistyped.
+
+    `of_points`: they are those of a centreline.
+    """
+    rows, points = record.insertions, record.centerlines
+    of_curve, one_table = (*POINT_COLUMNS, SD_COLUMN), rows.file is None
+    of_row = (*INSERTION_COLUMNS, SHARED_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS)
+    if of_points and points.file is not None and one_table:
         return  # one table, which was looked through with the insertions
-    missing = [name for name in (*POINT_COLUMNS, SD_COLUMN) if name not in source.columns]
-    yield from _find_mistyped(missing, {*source.columns.values(), *source.group_by}, names, path)
-
-
-def _find_mistyped(
-    ours: Iterable[str], used: set[str], names: Iterable[str], path: Path
-) -> Iterator[ResultWarning]:
-    """Yield a warning for each name that is not used and is like one of `ours` that is absent."""
+    ours: list[str] = []
+    given: set[str] = set()
+    used: set[str] = set()
+    if not of_points:
+        ours += [name for name in of_row if record.frame.pose != "free" or name not in POSE_COLUMNS]
+        given |= {*rows.columns, *rows.constants, *(("id",) if one_table else ())}
+        used |= {*rows.columns.values()}
+    if of_points or one_table:  # the rows are groups of the centreline table
+        ours += of_curve
+        given |= {*points.columns}
+        used |= {*points.columns.values(), *points.group_by}
     there = set(names)
-    absent = [name for name in ours if name not in there]
-    known = {
-        *INSERTION_COLUMNS,
-        SHARED_COLUMN,
-        BASE_SHIFT_COLUMN,
-        *SCAN_COLUMNS,
-        *POINT_COLUMNS,
-        SD_COLUMN,
-        *used,
-    }
-    for name in sorted(there - known):
-        closest = max(absent, key=lambda our: _compute_similarity(name, our), default="")
+    absent = [name for name in ours if name not in given and name not in there]
+    for name in sorted(there - {*of_row, *of_curve, *used}):
+        closest = max(absent, key=lambda our, name=name: _compute_similarity(name, our), default="")  # type: ignore[misc]
         if closest and _compute_similarity(name, closest) >= MIN_SIMILARITY:
             what = f"column `{name[:60]}` is not used; did you mean `{closest}`?"
-            yield ResultWarning(
-                "column", what, f"{path}:1", "rename it, or map it under `columns` in dataset.toml"
-            )
+            fix = "rename it, or map it under `columns` in dataset.toml"
+            yield ResultWarning("column", what, f"{path}:1", fix)
 
 
 def _compute_similarity(one: str, other: str) -> float:

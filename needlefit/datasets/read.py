@@ -15,14 +15,14 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.dataset_warnings import (
     BendResult,
+    find_bend_side,
     find_boundary_warnings,
-    find_centerline_column_warnings,
-    find_insertion_column_warnings,
+    find_column_warnings,
     find_insertion_warnings,
     find_placeholder_cells,
     find_record_warnings,
     find_side_warnings,
-    find_track_bend_side,
+    find_spacing_warnings,
 )
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats import FORMATS, find_format
@@ -52,7 +52,6 @@ from needlefit.datasets.layers import (
     read_shared_surfaces,
     reduce_insertion,
 )
-from needlefit.datasets.noise import find_spacing_warnings
 from needlefit.datasets.points import Points
 from needlefit.datasets.sections import (
     find_centerline_faults,
@@ -267,7 +266,7 @@ def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -
         reading.warnings += find_placeholder_cells(table)
     elif (table := reading.read_table(root / record.insertions.file)) is None:
         return
-    reading.warnings += find_insertion_column_warnings(record, map(str, table.cells.columns), table.path)
+    reading.warnings += find_column_warnings(record, map(str, table.cells.columns), table.path)
     headers: set[tuple[str, ...]] = set()
     for row in parse_rows(table, record, found):
         where, patient = f"{table.path}:{row.line}", row.patient or make_patient_frame(record.frame)
@@ -275,7 +274,7 @@ def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -
         points = curves.find(row, patient, faults)
         if points is not None:
             if points.columns not in headers:  # of files with the same header the first is named
-                reading.warnings += find_centerline_column_warnings(record, points.columns, points.path)
+                reading.warnings += find_column_warnings(record, points.columns, points.path, True)
             headers.add(points.columns)
             faults += find_curve_faults(points, row, record, where)
         sections, more = find_sections(row, root, record)
@@ -418,7 +417,7 @@ def _read_tracks(reading: _Reading) -> tuple[list[TipTrack], list[Path], dict[st
         found.append(Fault(str(reading.file), what, "at least one valid run"))
     if not found:
         noise, where = make_noise(record.noise), format_place(reading.file)
-        sides = [BendResult(one.id, str(paths[0]), find_track_bend_side(one, noise)) for one in tracks]
+        sides = [BendResult(one.id, str(paths[0]), find_bend_side(one, noise)) for one in tracks]
         column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
         reading.warnings += find_side_warnings(sides, column, "runs")
         reading.warnings += find_spacing_warnings(noise, [one.depths for one in tracks], where)
