@@ -77,6 +77,8 @@ def read_source(path: Path) -> CurveSource:
 PLACEHOLDER_SD_MM = 0.1
 """Standard deviation of a point until the author states one: roughly that of a needle traced in a CT scan."""
 
+NEEDLE = {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0}
+
 NOISE_NOTE = f"{PLACEHOLDER}: {PLACEHOLDER_SD_MM:g} mm stands for how well a point is known, per axis"
 
 EXAMPLE_NOTE = """\
@@ -116,7 +118,8 @@ def write_template(
         curves = {name: points.to_columns() for name, points in read.curves.items()}
         depths = {name: float(arc_length(curve[:, :3])[-1]) for name, curve in curves.items()}
         length = max(150.0, float(np.ceil(max(depths.values()) + 50.0)))
-        record = _make_record(fresh.resolve().name, "measured", "free", length, {"note": PLACEHOLDER})
+        own = {"needle": NEEDLE | {"length_mm": length}, "media": {"medium1": {"note": PLACEHOLDER}}}
+        record = DatasetRecord.model_validate(draft_record(fresh.resolve().name, "free", **own))
         rows = [InsertionRow(name, "medium1", 1, depth) for name, depth in depths.items()]
         faults = _write_note(
             write_dataset(fresh, record, rows, curves, checksums=False),
@@ -136,32 +139,29 @@ def _write_note(file: Path, note: str) -> list[Fault]:
     return check(file)
 
 
-def _make_record(
-    name: str, origin: str, pose: str, length: float, medium: Mapping[str, object]
-) -> DatasetRecord:
-    return DatasetRecord.model_validate(
-        {
-            "schema": 1,
-            "name": name,
-            "title": f"{PLACEHOLDER}: what was inserted into what",
-            "origin": origin,
-            "license": PLACEHOLDER,
-            "source": f"{PLACEHOLDER}: who measured this, when, how",
-            "frame": {"pose": pose},
-            "needle": {"length_mm": length, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
-            "noise": {"point_sd_mm": PLACEHOLDER_SD_MM, "note": NOISE_NOTE},
-            "insertions": {"file": "insertions.csv"},
-            "centerlines": {"pattern": "centerlines/{id}.csv"},
-            "media": {"medium1": medium},
-        }
-    )
+def draft_record(name: str, pose: str, **own: object) -> dict[str, object]:
+    """Return the keys of a first `dataset.toml`, with `own` ones beside or instead; texts are left open."""
+    return {
+        "schema": 1,
+        "name": name,
+        "title": f"{PLACEHOLDER}: what was inserted into what",
+        "origin": "measured",
+        "license": PLACEHOLDER,
+        "source": f"{PLACEHOLDER}: who measured this, when, how",
+        "frame": {"pose": pose},
+        "needle": NEEDLE,
+        "noise": {"point_sd_mm": PLACEHOLDER_SD_MM, "note": NOISE_NOTE},
+        "insertions": {"file": "insertions.csv"},
+        "centerlines": {"pattern": "centerlines/{id}.csv"},
+    } | own
 
 
 def _write_example(folder: Path) -> Path:
     """Write two arcs, straight along x and tilted by 10 degrees, through one sheet 20 mm below the entry."""
     surface = "layers/boundary.stl"
     medium = {"surfaces": [{"file": surface, "kind": "sheet", "into": 2}], "note": "made up"}
-    record = _make_record(folder.resolve().name, "synthetic", "known", 150.0, medium)
+    own = {"origin": "synthetic", "media": {"medium1": medium}}
+    record = DatasetRecord.model_validate(draft_record(folder.resolve().name, "known", **own))
     rows, curves = [], {}
     for name, tilt, depth in (("example1", 0.0, 50.0), ("example2", 10.0, 45.0)):
         angle = np.radians(tilt)

@@ -12,6 +12,7 @@ from needlefit.datasets.importing.understanding import ImportPlan, understand
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
+from needlefit.datasets.template import draft_record
 from needlefit.datasets.write import write_dataset
 from needlefit.project.load import check as check_record
 from needlefit.project.manifest import sha256
@@ -55,25 +56,17 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, decisions
         medium = {"boundaries_mm": list(layers.depths_mm)}
     files = {path.name: sha256(path) for path in content.files}
     rows = [one.row for one in plan.insertions]
-    record = check_record(
-        {
-            "schema": 1,
-            "name": folder.name,
-            "title": plan.title,
-            "origin": "measured",
-            "license": plan.license,
-            "source": plan.source,
-            "frame": {"pose": plan.pose},
-            "needle": asdict(plan.needle),
-            "noise": {"point_sd_mm": plan.point_sd_mm, "note": "see [import]"},
-            "insertions": {"file": "insertions.csv"},
-            "centerlines": {"pattern": "centerlines/{id}.csv"},
-            "media": dict.fromkeys((row.medium for row in rows), medium),
-            "import": ImportRecord(files=files, decisions=tuple(decisions.made)).model_dump(),
-        },
-        DatasetRecord,
-        str(content.files[0]),
+    texts = {key: text for key in ("title", "source", "license") if (text := decisions.options.get(key))}
+    imported = ImportRecord(files=files, decisions=tuple(decisions.made)).model_dump()
+    draft = draft_record(
+        folder.name,
+        plan.pose,
+        needle=asdict(plan.needle),
+        noise={"point_sd_mm": plan.point_sd_mm, "note": "see [import]"},
+        media=dict.fromkeys((row.medium for row in rows), medium),
+        **texts,
     )
+    record = check_record(draft | {"import": imported}, DatasetRecord, str(content.files[0]))
     points = {one.row.id: one.points for one in plan.insertions}
     curves = {name: one.to_columns() for name, one in points.items()}
     file = write_dataset(folder, record, rows, curves, surfaces, checksums=False)

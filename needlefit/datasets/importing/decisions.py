@@ -96,7 +96,7 @@ class Decisions:
 
     def settle_number(self, what: str, guess: float, source: Source, reason: str) -> float:
         """Return the number of at least 0 that answers a question; ConfigError if it is none."""
-        return parse_not_negative(what, self.settle(what, f"{guess:g}", source, reason))
+        return parse_number(what, self.settle(what, f"{guess:g}", source, reason))
 
     def keep(self, what: str, value: str, source: Source, reason: str = "") -> None:
         """Keep a decision that was made elsewhere."""
@@ -126,17 +126,11 @@ def parse_vector(what: str, text: str, may_be_zero: bool = False) -> tuple[float
     return x, y, z
 
 
-def parse_positive(what: str, text: str) -> float:
-    """Return the number above 0 in a text; ConfigError if it is none."""
-    value = _parse_number(text)
-    _require(0 < value < MAX_NUMBER, what, text, "a number above 0")
-    return value
-
-
-def parse_not_negative(what: str, text: str) -> float:
-    """Return the number of at least 0 in a text; ConfigError if it is none."""
-    value = _parse_number(text)
-    _require(0 <= value < MAX_NUMBER, what, text, "0 or a number above 0")
+def parse_number(what: str, text: str, above: bool = False) -> float:
+    """Return the number of at least 0 in a text, or `above` 0; ConfigError if it is none."""
+    value = _to_float(text)
+    is_right = value < MAX_NUMBER and (value > 0 or (value == 0 and not above))
+    _require(is_right, what, text, "a number above 0" if above else "0 or a number above 0")
     return value
 
 
@@ -145,13 +139,13 @@ def parse_depths(what: str, text: str) -> tuple[float, ...]:
 
     Between numbers with decimal commas stand semicolons: `15,5;30`.
     """
-    depths = tuple(_parse_number(part) for part in text.split(";" if ";" in text else ","))
+    depths = tuple(_to_float(part) for part in text.split(";" if ";" in text else ","))
     is_right = all(low < high < MAX_NUMBER for low, high in pairwise((0.0, *depths)))
     _require(is_right, what, text, "depths above 0 that increase, such as 15,30")
     return depths
 
 
-def _parse_number(text: str) -> float:
+def _to_float(text: str) -> float:
     try:
         return float(text.replace(",", "."))
     except ValueError:

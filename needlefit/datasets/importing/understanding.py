@@ -8,18 +8,16 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow, PoseSource
-from needlefit.datasets.dataset_warnings import PLACEHOLDER
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.decisions import (
     MAX_ANSWER_CHARS,
     Decisions,
     Source,
     parse_depths,
-    parse_not_negative,
-    parse_positive,
+    parse_number,
     parse_vector,
 )
-from needlefit.datasets.importing.files import ImportContent, ImportedSurface
+from needlefit.datasets.importing.files import ImportContent
 from needlefit.datasets.importing.tables import UNITS_MM, ImportedCurve
 from needlefit.datasets.layers import SAME_POINT_MM, find_surface_faults, select_layers
 from needlefit.datasets.points import MIN_POINTS, Points
@@ -27,7 +25,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.curves import arc_length, fit_free_frame, interpolate_at_arc
 from needlefit.geometry.frames import RAS_TO_LPS, normalize, to_lps
-from needlefit.geometry.surfaces import Surface, SurfaceKind, transform_surface
+from needlefit.geometry.surfaces import Surface, transform_surface
 from needlefit.project.unit_warnings import GAUGES_MM
 
 LENGTHS_MM = (20.0, 1000.0)
@@ -93,26 +91,10 @@ class ImportPlan:
     insertions: tuple[ImportedInsertion, ...]
     layers: ImportedLayers
     pose: str  # "known" or "free"
-    title: str
-    source: str
-    license: str
     needle: NeedleChoice
     point_sd_mm: float
     # The tissue's own surface, at which the curves were cut; it is no boundary of layers.
     tissue: Surface | None = None
-
-
-@dataclass(frozen=True)
-class _Cut:
-    """A curve from the tissue's surface on, and its points (K, 3) before it."""
-
-    curve: ImportedCurve
-    shaft: Floats
-
-    @property
-    def values(self) -> Floats:
-        """The points (N, 3) in the tissue, mm."""
-        return self.curve.points.values
 
 
 @dataclass(frozen=True)
@@ -135,177 +117,437 @@ def understand(content: ImportContent, decisions: Decisions) -> ImportPlan:
 
     DataError or ConfigError if a question has no clear answer, or the values stated contradict the files.
     """
-    reasons: dict[tuple[str, str], list[str]] = {}
-    for what, value, why in dict.fromkeys(remark for one in content.curves for remark in one.remarks):
-        reasons.setdefault((what, value), []).append(why)
-    for (what, value), whys in reasons.items():
-        more = f", and {len(whys) - 1} more" if len(whys) > 1 else ""
-        decisions.keep(what, value, "guess" if "column" in whys[0] else "file", whys[0] + more)
-    curves = [_drop_repeats(one, decisions) for one in _convert_units(content.curves, decisions)]
-    checked = [_decide_kind(one, decisions) for one in content.surfaces]
-    curves, surfaces = _decide_frame(curves, checked, decisions)
-    curves = _decide_entry(curves, surfaces, decisions)
-    tissue = _decide_tissue(curves, surfaces, decisions)
-    cuts = [_cut_at_tissue(one, tissue) for one in curves]
-    layers = _decide_layers(cuts, [one for one in surfaces if one is not tissue], decisions)
-    reason = "that of a needle traced in a CT scan"
-    sd = parse_positive("point sd", decisions.settle("point sd", f"{POINT_SD_MM:g}", "assumption", reason))
-    pose = _decide_pose(cuts, layers, sd, decisions)
-    bevel = _decide_bevel(curves, pose, decisions)
-    rows = _name_tissue([_make_row(cut, layers, pose, bevel, sd) for cut in cuts], decisions)
-    options = decisions.options
-    return ImportPlan(
-        insertions=tuple(
-            ImportedInsertion(row, cut.curve.points) for row, cut in zip(rows, cuts, strict=True)
-        ),
-        layers=layers,
-        pose="free" if pose.how == "free" else "known",
-        title=options.get("title", "") or f"{PLACEHOLDER}: what was inserted into what",
-        source=options.get("source", "") or f"{PLACEHOLDER}: who measured this, when, how",
-        license=options.get("license", "") or PLACEHOLDER,
-        needle=_decide_needle(max(row.depth for row in rows), decisions),
-        point_sd_mm=sd,
-        tissue=tissue,
-    )
+    return _Understanding(content, decisions).make_plan()
 
 
-# ---- unit, order and frame
+class _Understanding:
+    """Settles one question after the other: each may depend on what was settled before.
 
+    `curves` are in the unit, order and frame settled so far, and end up as the part in the tissue; `shafts`
+    (K, 3) are the parts before it.
+    """
 
-def _convert_units(curves: Sequence[ImportedCurve], decisions: Decisions) -> list[ImportedCurve]:
-    """Return the curves in mm; where files state no unit, the longest curve decides."""
-    unknown = [float(arc_length(one.points.values)[-1]) for one in curves if not one.unit]
-    unit = ""
-    if not unknown:
-        stated = sorted({one.unit for one in curves})
-        decisions.keep("units", ", ".join(stated), "file", "header or format")
-    else:
-        longest = max(unknown)
-        plausible = (
-            unit
-            for unit in ("mm", "cm", "m", "um")
-            if LENGTHS_MM[0] <= longest * UNITS_MM[unit] <= LENGTHS_MM[1]
+    def __init__(self, content: ImportContent, decisions: Decisions) -> None:
+        self.content, self.decisions, self.settle = content, decisions, decisions.settle
+        self.curves: list[ImportedCurve] = list(content.curves)
+        self.surfaces: list[Surface] = []
+        self.shafts: list[Floats] = []
+        self.tissue: Surface | None = None
+        self.layers = ImportedLayers()
+        self.point_sd = POINT_SD_MM
+
+    def make_plan(self) -> ImportPlan:
+        """Return the plan, question by question."""
+        remarks: dict[tuple[str, str], list[str]] = {}
+        for what, value, why in dict.fromkeys(remark for one in self.curves for remark in one.remarks):
+            remarks.setdefault((what, value), []).append(why)
+        for (what, value), whys in remarks.items():
+            more = f", and {len(whys) - 1} more" if len(whys) > 1 else ""
+            self.decisions.keep(what, value, "guess" if "column" in whys[0] else "file", whys[0] + more)
+        self.convert_units()
+        self.drop_repeats()
+        self.decide_frame()
+        if self.settle("entry", *self.guess_entry(), ("first", "last")) == "last":
+            self.move([one.points.part(np.arange(len(one.points.values))[::-1]) for one in self.curves])
+        self.decide_tissue()
+        self.cut_at_tissue()
+        self.decide_layers()
+        reason = "that of a needle traced in a CT scan"
+        text = self.settle("point sd", f"{POINT_SD_MM:g}", "assumption", reason)
+        self.point_sd = parse_number("point sd", text, above=True)
+        pose = self.decide_pose()
+        bevel = self.decide_bevel(pose)
+        rows = self.name_tissue(
+            [
+                self.make_row(one, shaft, pose, bevel)
+                for one, shaft in zip(self.curves, self.shafts, strict=True)
+            ]
         )
-        guess = next(plausible, None)
-        is_clear = guess is not None and not any(low <= longest < high for low, high in UNCLEAR_UNITS)
-        guess = guess or "mm"
-        reason = f"the longest curve is {longest:.4g} long, {longest * UNITS_MM[guess]:.4g} mm in {guess}"
-        unit = decisions.settle("units", guess, "guess", reason, tuple(UNITS_MM), is_clear)
-    return [_scale(one, UNITS_MM[one.unit or unit]) for one in curves]
+        needle = self.decide_needle(max(row.depth for row in rows))
+        insertions = [ImportedInsertion(row, one.points) for row, one in zip(rows, self.curves, strict=True)]
+        how = "free" if pose.how == "free" else "known"
+        return ImportPlan(tuple(insertions), self.layers, how, needle, self.point_sd, self.tissue)
 
+    @property
+    def lines(self) -> list[Floats]:
+        """The points (N, 3) of each curve."""
+        return [one.points.values for one in self.curves]
 
-def _scale(curve: ImportedCurve, factor: float) -> ImportedCurve:
-    points = curve.points
-    sd = None if points.sd is None else factor * points.sd
-    return replace(curve, points=replace(points, values=factor * points.values, sd=sd), unit="mm")
+    def move(self, points: Sequence[Points]) -> None:
+        """Take other points for the curves."""
+        self.curves = [replace(one, points=part) for one, part in zip(self.curves, points, strict=True)]
 
+    # ---- unit, order and frame
 
-def _drop_repeats(curve: ImportedCurve, decisions: Decisions) -> ImportedCurve:
-    """Return a curve without points that repeat the one before."""
-    steps = np.linalg.norm(np.diff(curve.points.values, axis=0), axis=1)
-    keep = np.flatnonzero(np.concatenate([[True], steps >= SAME_POINT_MM]))
-    count = len(steps) + 1 - len(keep)
-    if not count:
-        return curve
-    if len(keep) < MIN_POINTS:
-        raise DataError(
-            f"curve {curve.name!r} has only {len(keep)} different points",
-            where=curve.points.where(),
-            expected=f"at least {MIN_POINTS}",
-            fix="sample the needle more densely, or leave it out",
-        )
-    what, reason = f"{count} repeated points left out", "equal to the point before"
-    decisions.keep(f"points of {curve.name}", what, "guess", reason)
-    return replace(curve, points=curve.points.part(keep))
+    def convert_units(self) -> None:
+        """Turn the curves to mm; where files state no unit, the longest curve decides."""
+        unknown = [float(arc_length(one.points.values)[-1]) for one in self.curves if not one.unit]
+        unit = ""
+        if unknown:
+            longest, (least, most) = max(unknown), LENGTHS_MM
+            plausible = (one for one in ("mm", "cm", "m", "um") if least <= longest * UNITS_MM[one] <= most)
+            guess = next(plausible, "")
+            is_clear = guess != "" and not any(low <= longest < high for low, high in UNCLEAR_UNITS)
+            guess = guess or "mm"
+            reason = f"the longest curve is {longest:.4g} long, {longest * UNITS_MM[guess]:.4g} mm in {guess}"
+            unit = self.settle("units", guess, "guess", reason, tuple(UNITS_MM), is_clear)
+        else:
+            stated = sorted({one.unit for one in self.curves})
+            self.decisions.keep("units", ", ".join(stated), "file", "header or format")
+        for n, one in enumerate(self.curves):
+            factor, points = UNITS_MM[one.unit or unit], one.points
+            sd = None if points.sd is None else factor * points.sd
+            points = replace(points, values=factor * points.values, sd=sd)
+            self.curves[n] = replace(one, points=points, unit="mm")
 
+    def drop_repeats(self) -> None:
+        """Leave out points that repeat the one before."""
+        for n, one in enumerate(self.curves):
+            steps = np.linalg.norm(np.diff(one.points.values, axis=0), axis=1)
+            keep = np.flatnonzero(np.concatenate([[True], steps >= SAME_POINT_MM]))
+            count = len(steps) + 1 - len(keep)
+            if not count:
+                continue
+            if len(keep) < MIN_POINTS:
+                what = f"curve {one.name!r} has only {len(keep)} different points"
+                fix = "sample the needle more densely, or leave it out"
+                where = one.points.where()
+                raise DataError(what, where=where, expected=f"at least {MIN_POINTS}", fix=fix)
+            what = f"{count} repeated points left out"
+            self.decisions.keep(f"points of {one.name}", what, "guess", "equal to the point before")
+            self.curves[n] = replace(one, points=one.points.part(keep))
 
-def _decide_kind(one: ImportedSurface, decisions: Decisions) -> ImportedSurface:
-    kind: SurfaceKind = "solid" if one.surface.mesh.is_watertight else "sheet"
-    reason = "closed" if kind == "solid" else "open"
-    decisions.keep(f"surface {one.surface.name}", kind, "guess", reason)
-    surface = replace(one.surface, kind=kind)
-    if faults := list(find_surface_faults(surface, one.path)):
-        raise as_error(faults, one.path)
-    return replace(one, surface=surface)
-
-
-def _decide_frame(
-    curves: list[ImportedCurve], surfaces: Sequence[ImportedSurface], decisions: Decisions
-) -> tuple[list[ImportedCurve], list[Surface]]:
-    """Return curves and surfaces in one frame; what states no system is tried as LPS and as RAS."""
-    loose = [n for n, one in enumerate(curves) if one.system is None]
-    loose_surfaces = [n for n, one in enumerate(surfaces) if one.system is None]
-    meshes = [one.surface for one in surfaces]
-    if len(loose) < len(curves):
-        decisions.keep("frame", "LPS", "file", "the system that the curves' files state, converted to LPS")
-    if loose and not surfaces and "frame" not in decisions.options:
-        reason = "neither LPS nor RAS is stated, and nothing depends on it"
-        decisions.keep("frame", "as in the files", "file", reason)
-    elif loose:
-        fixed = [] if len(loose_surfaces) == len(surfaces) else meshes
-        if _settle_system("frame", [curves[n].points.values for n in loose], fixed, decisions) == "RAS":
-            for n in loose:
-                points = curves[n].points
-                curves[n] = replace(curves[n], points=replace(points, values=to_lps(points.values, "RAS")))
-    if loose_surfaces:
-        lines = [one.points.values for one in curves]
-        if _settle_system("surfaces frame", lines, [meshes[n] for n in loose_surfaces], decisions) == "RAS":
+    def decide_frame(self) -> None:
+        """Bring curves and surfaces into one frame; what states no system is tried as LPS and as RAS."""
+        surfaces = self.content.surfaces
+        for one in surfaces:
+            closed = one.surface.mesh.is_watertight
+            kept = replace(one.surface, kind="solid" if closed else "sheet")
+            self.decisions.keep(f"surface {kept.name}", kept.kind, "guess", "closed" if closed else "open")
+            if faults := list(find_surface_faults(kept, one.path)):
+                raise as_error(faults, one.path)
+            self.surfaces.append(kept)
+        loose = [n for n, one in enumerate(self.curves) if one.system is None]
+        loose_surfaces = [n for n, one in enumerate(surfaces) if one.system is None]
+        if len(loose) < len(self.curves):
+            reason = "the system that the curves' files state, converted to LPS"
+            self.decisions.keep("frame", "LPS", "file", reason)
+        if loose and not surfaces and "frame" not in self.decisions.options:
+            reason = "neither LPS nor RAS is stated, and nothing depends on it"
+            self.decisions.keep("frame", "as in the files", "file", reason)
+        elif loose:
+            fixed = [] if len(loose_surfaces) == len(surfaces) else self.surfaces
+            if self.settle_system("frame", [self.lines[n] for n in loose], fixed) == "RAS":
+                for n in loose:
+                    points = self.curves[n].points
+                    points = replace(points, values=to_lps(points.values, "RAS"))
+                    self.curves[n] = replace(self.curves[n], points=points)
+        unstated = [self.surfaces[n] for n in loose_surfaces]
+        if unstated and self.settle_system("surfaces frame", self.lines, unstated) == "RAS":
             for n in loose_surfaces:
-                meshes[n] = transform_surface(meshes[n], RAS_TO_LPS)
-    return curves, meshes
+                self.surfaces[n] = transform_surface(self.surfaces[n], RAS_TO_LPS)
 
+    def settle_system(self, what: str, curves: Sequence[Floats], surfaces: Sequence[Surface]) -> str:
+        """Return LPS or RAS: that in which more curves meet the surfaces."""
+        as_given, flipped = (
+            sum(any(len(find_surface_hits(curve, one)) for one in surfaces) for curve in some)
+            for some in (curves, [to_lps(curve, "RAS") for curve in curves])
+        )
+        source: Source = "guess"
+        reason = f"as LPS {as_given}, as RAS {flipped} of {len(curves)} curves meet the surfaces"
+        if not surfaces:
+            source, reason = "assumption", "not stated, and nothing to compare it with"
+        elif as_given == flipped:
+            source, reason = "assumption", f"{reason}: not decided by the data"
+        return self.settle(what, "RAS" if flipped > as_given else "LPS", source, reason, ("LPS", "RAS"))
 
-def _settle_system(
-    what: str, curves: Sequence[Floats], surfaces: Sequence[Surface], decisions: Decisions
-) -> str:
-    """Return LPS or RAS: that in which more curves meet the surfaces."""
-    as_given, flipped = (
-        sum(any(len(find_surface_hits(curve, one)) for one in surfaces) for curve in some)
-        for some in (curves, [to_lps(curve, "RAS") for curve in curves])
-    )
-    source: Source = "guess"
-    reason = f"as LPS {as_given}, as RAS {flipped} of {len(curves)} curves meet the surfaces"
-    if not surfaces:
-        source, reason = "assumption", "not stated, and nothing to compare it with"
-    elif as_given == flipped:
-        source, reason = "assumption", f"{reason}: not decided by the data"
-    return decisions.settle(what, "RAS" if flipped > as_given else "LPS", source, reason, ("LPS", "RAS"))
+    # ---- entry, tissue and layers
 
+    def guess_entry(self) -> tuple[str, Source, str]:
+        """Return which end of the curves is the entry, where that comes from, and why."""
+        lines, solids = self.lines, [one for one in self.surfaces if one.kind == "solid"]
+        if solids:
+            ends = np.array([[_is_inside(line[n], solids) for n in (0, -1)] for line in lines])
+            first, last = int((ends[:, 1] & ~ends[:, 0]).sum()), int((ends[:, 0] & ~ends[:, 1]).sum())
+            if max(first, last) > len(lines) / 2:
+                end, counts = (
+                    "first" if first > last else "last",
+                    f"{max(first, last)} of {len(lines)} curves",
+                )
+                return end, "guess", f"the {end} points of {counts} are outside the solids"
+        chords = np.array([normalize(line[-1] - line[0]) for line in lines if (line[-1] != line[0]).any()])
+        mean = chords.mean(axis=0) if len(chords) else np.zeros(3)
+        if len(lines) > 2 and np.linalg.norm(mean) > 0.9:
+            spread = [float(np.std([line[n] @ mean for line in lines])) for n in (0, -1)]
+            least, most = sorted(spread)
+            end = "first" if spread[0] < spread[1] else "last"
+            if least < ENTRY_SPREAD * most:
+                others = f"scatter by {least:.2g} mm, the others by {most:.2g} mm"
+                return end, "guess", f"along the needles the {end} points {others}"
+        return "first", "assumption", "the order of the file"
 
-# ---- entry, tissue and layers
+    def decide_tissue(self) -> None:
+        """Find the surface of the tissue as a whole, at which needles enter; None where there is none."""
+        if not self.surfaces:
+            return
+        lines, solids = self.lines, [one for one in self.surfaces if one.kind == "solid"]
+        hits = {one.name: [arcs[0] for arcs in _find_arcs(lines, one)] for one in self.surfaces}
+        crossed = [one for one in self.surfaces if len(hits[one.name]) > len(lines) / 2]
+        crossed.sort(key=lambda one: float(np.median(hits[one.name])))
+        outside = sum(not _is_inside(line[0], solids) for line in lines) if solids else 0
+        guess, reason = "none", "no surface is entered from outside by most needles"
+        if crossed and crossed[0].kind == "solid" and outside > len(lines) / 2:
+            guess, reason = crossed[0].name, "the first solid that most needles enter from outside"
+        elif crossed and _TISSUE_NAME.search(crossed[0].name):
+            guess, reason = crossed[0].name, "its name, and most needles meet it first"
+        names = ("none", *(one.name for one in self.surfaces))
+        name = self.settle("tissue surface", guess, "guess", reason, names)
+        self.tissue = next((one for one in self.surfaces if one.name == name), None)
+        self.surfaces = [one for one in self.surfaces if one is not self.tissue]
 
+    def cut_at_tissue(self) -> None:
+        """Cut the curves where they enter the tissue, and keep the points before."""
+        parts = []
+        for one in self.curves:
+            points = one.points
+            arcs = find_surface_hits(points.values, self.tissue) if self.tissue is not None else np.empty(0)
+            if len(arcs) == 0:
+                parts.append(points)
+                self.shafts.append(np.empty((0, 3)))
+                continue
+            along = arc_length(points.values)
+            after = np.flatnonzero(along > arcs[0] + 10 * SAME_POINT_MM)
+            if len(after) < MIN_POINTS - 1:
+                what = f"curve {one.name!r} has only {len(after)} points behind the tissue surface"
+                fix = "state another --tissue-surface (or none), or --entry last if the tip comes first"
+                expected = "a curve from the entry to the tip"
+                raise DataError(what, where=points.where(), expected=expected, fix=fix)
+            values = np.vstack([interpolate_at_arc(points.values, arcs[:1]), points.values[after]])
+            parts.append(replace(points.part(np.concatenate([after[:1], after])), values=values))
+            self.shafts.append(points.values[along < arcs[0]])
+        self.move(parts)
 
-def _decide_entry(
-    curves: list[ImportedCurve], surfaces: Sequence[Surface], decisions: Decisions
-) -> list[ImportedCurve]:
-    """Return the curves with their entry first."""
-    guess = _guess_entry([one.points.values for one in curves], surfaces)
-    if decisions.settle("entry", *guess, ("first", "last")) == "first":
-        return curves
-    return [replace(one, points=one.points.part(np.arange(len(one.points.values))[::-1])) for one in curves]
+    def decide_layers(self) -> None:
+        """Find the layers: behind surfaces, or behind boundaries stated as depths along the needle.
 
+        A solid in which most needles begin is layer 1, which needs no surface. ConfigError if surfaces and
+        depths are given, or the depths do not increase.
+        """
+        if self.surfaces and "boundaries" in self.decisions.options:
+            what = "boundaries are stated, and the files hold surfaces of layers"
+            fix = "leave --boundaries out, or the files of the surfaces"
+            raise ConfigError(what, expected="one of the two", fix=fix)
+        if not self.surfaces:
+            text = self.settle("boundaries", "none", "guess", "no surfaces in the files: one layer")
+            if text != "none":
+                depths = parse_depths("boundaries", text)
+                sd = self.decisions.settle_number("boundary sd", DEPTH_SD_MM, "assumption", "that of a ruler")
+                self.layers = ImportedLayers((), depths, sd)
+            return
+        lines, others = self.lines, []
+        for one in self.surfaces:
+            begun = one.kind == "solid" and sum(_is_inside(line[1], [one]) for line in lines)
+            if begun > len(lines) / 2:
+                self.decisions.keep(f"layer of {one.name}", "1", "guess", "most needles begin in it")
+            else:
+                arcs = [hits[0] for hits in _find_arcs(lines, one)]
+                others.append((float(np.mean(arcs)) if arcs else np.inf, one))
+        others.sort(key=lambda pair: pair[0])
+        for into, (arc, one) in enumerate(others, 2):
+            reason = f"first met at {arc:.1f} mm on average" if np.isfinite(arc) else "met by no needle"
+            self.decisions.keep(f"layer of {one.name}", str(into), "guess", reason)
+        numbered = tuple(replace(one, into=into) for into, (_, one) in enumerate(others, 2))
+        reason = "that of a surface segmented in a CT scan"
+        sd = self.decisions.settle_number("boundary sd", SURFACE_SD_MM, "assumption", reason)
+        self.layers = ImportedLayers(numbered, sd_mm=sd)
 
-def _guess_entry(curves: Sequence[Floats], surfaces: Sequence[Surface]) -> tuple[str, Source, str]:
-    solids = [one for one in surfaces if one.kind == "solid"]
-    if solids:
-        ends = np.array([[_is_inside(curve[n], solids) for n in (0, -1)] for curve in curves])
-        first, last = int((ends[:, 1] & ~ends[:, 0]).sum()), int((ends[:, 0] & ~ends[:, 1]).sum())
-        if max(first, last) > len(curves) / 2:
-            end = "first" if first > last else "last"
-            counts = f"{max(first, last)} of {len(curves)} curves"
-            return end, "guess", f"the {end} points of {counts} are outside the solids"
-    chords = np.array([normalize(curve[-1] - curve[0]) for curve in curves if (curve[-1] != curve[0]).any()])
-    mean = chords.mean(axis=0) if len(chords) else np.zeros(3)
-    if len(curves) > 2 and np.linalg.norm(mean) > 0.9:
-        spread = [float(np.std([curve[n] @ mean for curve in curves])) for n in (0, -1)]
-        end = "first" if spread[0] < spread[1] else "last"
-        if min(spread) < ENTRY_SPREAD * max(spread):
-            least, most = min(spread), max(spread)
-            reason = (
-                f"along the needles the {end} points scatter by {least:.2g} mm, the others by {most:.2g} mm"
+    # ---- entry pose and bevel
+
+    def decide_pose(self) -> _Pose:
+        """Return how entry poses are found."""
+        text = self.settle_pose()
+        if text == "free":
+            return _Pose("free")
+        stated = text not in ("tangent", "shaft")
+        direction = normalize(np.array(parse_vector("pose", text))) if stated else None
+        all_cut = all(len(shaft) for shaft in self.shafts)
+        reason = "where the curves cross the tissue surface" if all_cut else ""
+        reason = reason or "the first point of each needle, with its error"
+        place = self.settle("entry point", "first", "guess" if all_cut else "assumption", reason)
+        entry = None
+        guess: tuple[Source, str] = ("guess", "the entry is a measured point: its standard deviation")
+        if place != "first":
+            entry = np.array(parse_vector("entry point", place, may_be_zero=True))
+            guess = ("assumption", "that of a measured point")
+        shift_sd = self.decisions.settle_number("pose shift sd", self.point_sd, *guess)
+        angle_sd = self.decide_angle_sd(text, direction)
+        return _Pose("stated" if stated else text, direction, entry, shift_sd, angle_sd)
+
+    def settle_pose(self) -> str:
+        """Return "free", "tangent", "shaft", or a direction as text."""
+        surfaces = self.layers.surfaces
+        shafts = all(
+            len(shaft) >= MIN_SHAFT_POINTS and arc_length(shaft)[-1] >= MIN_SHAFT_MM for shaft in self.shafts
+        )
+        guess: tuple[str, Source, str]
+        guess = ("free", "assumption", "no entry pose is stated: shapes are compared up to a rigid motion")
+        if shafts:
+            guess = ("shaft", "guess", "every needle has a straight part outside the tissue")
+        elif surfaces:
+            guess = ("tangent", "assumption", "no shaft outside the tissue")
+        pose = self.settle("pose", *guess)
+        if pose == "free" and surfaces:
+            what = "pose is free, and there are surfaces of layers"
+            fix = "state --pose tangent or --pose X,Y,Z, or leave the surfaces out"
+            raise ConfigError(what, expected="an entry pose: surfaces stand in the world", fix=fix)
+        if pose == "shaft" and not shafts:
+            what = "pose is shaft, and not every curve begins outside the tissue"
+            expected = (
+                f"at least {MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before the tissue surface"
             )
-            return end, "guess", reason
-    return "first", "assumption", "the order of the file"
+            raise ConfigError(what, expected=expected, fix="state --pose tangent, or the --tissue-surface")
+        return pose
+
+    def decide_angle_sd(self, pose: str, direction: Floats | None) -> float | None:
+        """Return the standard deviation of the entry direction, rad; None: from each needle's shaft."""
+        guess: tuple[str, Source, str]
+        if direction is not None:
+            starts = np.array([fit_free_frame(line).rotation[:, 0] for line in self.lines])
+            off = np.array([float(np.degrees(np.arccos(np.clip(one @ direction, -1, 1)))) for one in starts])
+            rms = f"{np.sqrt(np.mean(off**2)):.2g}"
+            reason = f"a direction set by hand; the curves begin {rms} degrees from it (rms)"
+            guess = (f"{STATED_SD_DEG:g}", "assumption", reason)
+        elif pose == "tangent":
+            guess = (f"{TANGENT_SD_DEG:g}", "assumption", "that of a tangent to the inserted shape")
+        else:
+            pairs = zip(self.shafts, self.lines, strict=True)
+            most = max(np.degrees(self.fit_shaft(shaft, line[0])[1]) for shaft, line in pairs)
+            reason = f"error of a point over the length of each shaft: at most {most:.2g} degrees"
+            guess = ("shaft", "guess", reason)
+        text = self.settle("pose angle sd", *guess)
+        if text == "shaft" and pose == "shaft":
+            return None
+        return float(np.radians(parse_number("pose angle sd", text)))
+
+    def fit_shaft(self, shaft: Floats, entry: Floats) -> tuple[Floats, float]:
+        """Return the unit direction of a straight shaft (K, 3), and its standard deviation, rad."""
+        centred = shaft - shaft.mean(axis=0)
+        axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+        axis = axis if axis @ (entry - shaft[0]) > 0 else -axis
+        return normalize(axis), self.point_sd / float(np.linalg.norm(centred))
+
+    def decide_bevel(self, pose: _Pose) -> Floats | None:
+        """Return the world direction toward which bevels deflect; None: the side to which each needle bends.
+
+        ConfigError if bevels face to side -1 of a direction that is not stated.
+        """
+        if pose.how == "free":
+            self.decisions.keep("bevel", "bend", "guess", "a free shape bends toward its bevel by definition")
+            return None
+        text = self.settle("bevel", "bend", "assumption", "every needle is taken to bend toward its bevel")
+        if text != "bend":
+            return np.array(parse_vector("bevel", text))
+        turned = [one.name for one in self.curves if _parse_side(one) < 0]
+        if turned:
+            what = f"the bevel side of {turned[0]!r} is -1, and no direction of side 1 is stated"
+            expected = "the direction toward which bevels of side 1 deflect, X,Y,Z"
+            raise ConfigError(what, expected=expected, fix="state it with --bevel")
+        return None
+
+    def make_row(
+        self, curve: ImportedCurve, shaft: Floats, pose: _Pose, bevel: Floats | None
+    ) -> InsertionRow:
+        """Return the row of one insertion; medium and specimen are empty where its file states none."""
+        values, depths = curve.points.values, np.array(self.layers.depths_mm)
+        row = InsertionRow(
+            id=curve.name,
+            medium=curve.attributes.get("medium", ""),
+            layers=1,
+            depth=float(arc_length(values)[-1]),
+            specimen=curve.attributes.get("specimen", ""),
+            side=_parse_side(curve),
+            boundary_sd=self.layers.sd_mm,
+        )
+        if pose.how == "free":
+            return replace(row, layers=len(select_layers(depths, row.depth)[1]))
+        source: PoseSource = "shaft"
+        shaft_sd = 0.0
+        if pose.direction is not None:
+            direction, source = pose.direction, "stage"
+        elif pose.how == "tangent":
+            direction, source = fit_free_frame(values).rotation[:, 0], "fitted"
+        else:
+            direction, shaft_sd = self.fit_shaft(shaft, values[0])
+        entry = values[0] if pose.entry is None else pose.entry
+        if self.layers.surfaces:
+            met = find_crossings(values, self.layers.surfaces).sequence
+        else:
+            met = select_layers(depths, float((values[-1] - entry) @ direction))[1]
+        return replace(
+            row,
+            layers=len(met),
+            entry=entry,
+            direction=direction,
+            bevel=bevel,
+            pose_source=source,
+            pose_shift_sd=pose.shift_sd,
+            pose_angle_sd=shaft_sd if pose.angle_sd is None else pose.angle_sd,
+        )
+
+    # ---- names and needle
+
+    def name_tissue(self, rows: Sequence[InsertionRow]) -> list[InsertionRow]:
+        """Return the rows with medium and specimen; what a file states for a needle is kept."""
+        reason = "curves of one specimen are never divided between fit and validation"
+        guesses: dict[str, tuple[str, Source, str]] = {
+            "medium": ("medium1", "guess", "a name of your choice"),
+            "specimen": ("each", "assumption", reason),
+        }
+        named = {}
+        for what, guess in guesses.items():
+            stated = [getattr(row, what) for row in rows]
+            if all(stated):
+                listed = ", ".join(dict.fromkeys(stated))
+                self.decisions.keep(what, listed[:MAX_ANSWER_CHARS], "file", "a column of the table")
+            named[what] = "" if all(stated) else re.sub(r'[,"]', " ", self.settle(what, *guess))
+        each = named["specimen"] == "each"
+        return [
+            replace(
+                row,
+                medium=row.medium or named["medium"],
+                specimen=row.specimen or (row.id if each else named["specimen"]),
+            )
+            for row in rows
+        ]
+
+    def decide_needle(self, deepest: float) -> NeedleChoice:
+        """Return the needle; `deepest` is the greatest depth, mm."""
+        least = f"{max(MIN_DEFAULT_LENGTH_MM, float(np.ceil(deepest + SHAFT_MM))):g}"
+        length, outer, inside, material = (
+            self.settle(what, guess, "assumption", reason)
+            for what, guess, reason in (
+                ("needle length", least, "at least 50 mm more than the depth"),
+                ("diameter", "18G", "a common gauge"),
+                ("inner diameter", "0", "a solid needle"),
+                ("modulus", "steel", "a common material"),
+            )
+        )
+        gauge = re.fullmatch(r"\s*(\d{1,2})\s*[gG]\w{0,5}\s*", outer)
+        if gauge is not None and int(gauge[1]) not in GAUGES_MM:
+            expected = f"mm, or a gauge from {min(GAUGES_MM)}G to {max(GAUGES_MM)}G"
+            raise ConfigError(
+                f"diameter is {outer[:40]!r}", expected=expected, fix="state it with --diameter"
+            )
+        diameter = parse_number("diameter", outer, above=True) if gauge is None else GAUGES_MM[int(gauge[1])]
+        inner = parse_number("inner diameter", inside)
+        if inner >= diameter:
+            raise ConfigError(
+                f"inner diameter is {inner:g} mm, and diameter {diameter:g} mm",
+                expected="an inner diameter smaller than the outer one",
+                fix="correct --inner-diameter or --diameter",
+            )
+        modulus = MODULI_GPA.get(material.strip().lower()) or parse_number("modulus", material, above=True)
+        return NeedleChoice(parse_number("needle length", length, above=True), diameter, inner, modulus)
 
 
 def _is_inside(point: Floats, solids: Sequence[Surface]) -> bool:
@@ -313,181 +555,9 @@ def _is_inside(point: Floats, solids: Sequence[Surface]) -> bool:
         return any(bool(one.mesh.contains([point])[0]) for one in solids)
 
 
-def _decide_tissue(
-    curves: Sequence[ImportedCurve], surfaces: Sequence[Surface], decisions: Decisions
-) -> Surface | None:
-    """Return the surface of the tissue as a whole, at which needles enter; None where there is none."""
-    if not surfaces:
-        return None
-    lines = [one.points.values for one in curves]
-    hit = {one.name: [arcs[0] for arcs in _find_arcs(lines, one)] for one in surfaces}
-    crossed = [one for one in surfaces if len(hit[one.name]) > len(lines) / 2]
-    crossed.sort(key=lambda one: float(np.median(hit[one.name])))
-    solids = [one for one in surfaces if one.kind == "solid"]
-    outside = sum(not _is_inside(line[0], solids) for line in lines) if solids else 0
-    guess, reason = "none", "no surface is entered from outside by most needles"
-    if crossed and crossed[0].kind == "solid" and outside > len(lines) / 2:
-        guess, reason = crossed[0].name, "the first solid that most needles enter from outside"
-    elif crossed and _TISSUE_NAME.search(crossed[0].name):
-        guess, reason = crossed[0].name, "its name, and most needles meet it first"
-    names = ("none", *(one.name for one in surfaces))
-    name = decisions.settle("tissue surface", guess, "guess", reason, names)
-    return next((one for one in surfaces if one.name == name), None)
-
-
 def _find_arcs(lines: Sequence[Floats], surface: Surface) -> list[Floats]:
     """Return the arc lengths at which lines meet a surface, of those that do."""
     return [arcs for line in lines if len(arcs := find_surface_hits(line, surface))]
-
-
-def _cut_at_tissue(curve: ImportedCurve, tissue: Surface | None) -> _Cut:
-    """Return a curve from where it enters the tissue, with the points before."""
-    points = curve.points
-    arcs = find_surface_hits(points.values, tissue) if tissue is not None else np.empty(0)
-    if len(arcs) == 0:
-        return _Cut(curve, np.empty((0, 3)))
-    along = arc_length(points.values)
-    after = np.flatnonzero(along > arcs[0] + 10 * SAME_POINT_MM)
-    if len(after) < MIN_POINTS - 1:
-        what = f"curve {curve.name!r} has only {len(after)} points behind the tissue surface"
-        fix = "state another --tissue-surface (or none), or --entry last if the tip comes first"
-        raise DataError(what, where=points.where(), expected="a curve from the entry to the tip", fix=fix)
-    values = np.vstack([interpolate_at_arc(points.values, arcs[:1]), points.values[after]])
-    kept = replace(points.part(np.concatenate([after[:1], after])), values=values)
-    return _Cut(replace(curve, points=kept), points.values[along < arcs[0]])
-
-
-def _decide_layers(cuts: Sequence[_Cut], surfaces: Sequence[Surface], decisions: Decisions) -> ImportedLayers:
-    """Return the layers: behind surfaces, or behind boundaries that are stated as depths along the needle.
-
-    ConfigError if both are given, or the depths do not increase.
-    """
-    if surfaces and "boundaries" in decisions.options:
-        what = "boundaries are stated, and the files hold surfaces of layers"
-        expected = "one of the two"
-        raise ConfigError(what, expected=expected, fix="leave --boundaries out, or the files of the surfaces")
-    if surfaces:
-        lines = [cut.values for cut in cuts]
-        others = []
-        for one in surfaces:
-            if one.kind == "solid" and sum(_is_inside(line[1], [one]) for line in lines) > len(lines) / 2:
-                decisions.keep(f"layer of {one.name}", "1", "guess", "most needles begin in it")
-            else:
-                arcs = [hits[0] for hits in _find_arcs(lines, one)]
-                others.append((float(np.mean(arcs)) if arcs else np.inf, one))
-        others.sort(key=lambda pair: pair[0])
-        for into, (arc, one) in enumerate(others, 2):
-            reason = f"first met at {arc:.1f} mm on average" if np.isfinite(arc) else "met by no needle"
-            decisions.keep(f"layer of {one.name}", str(into), "guess", reason)
-        numbered = [replace(one, into=into) for into, (_, one) in enumerate(others, 2)]
-        reason = "that of a surface segmented in a CT scan"
-        sd = decisions.settle_number("boundary sd", SURFACE_SD_MM, "assumption", reason)
-        return ImportedLayers(tuple(numbered), sd_mm=sd)
-    text = decisions.settle("boundaries", "none", "guess", "no surfaces in the files: one layer")
-    if text == "none":
-        return ImportedLayers()
-    depths = parse_depths("boundaries", text)
-    sd = decisions.settle_number("boundary sd", DEPTH_SD_MM, "assumption", "that of a ruler")
-    return ImportedLayers((), depths, sd)
-
-
-# ---- entry pose and bevel
-
-
-def _decide_pose(
-    cuts: Sequence[_Cut], layers: ImportedLayers, point_sd: float, decisions: Decisions
-) -> _Pose:
-    """Return how entry poses are found; `point_sd` is the standard deviation of a point, mm."""
-    text = _settle_pose(cuts, layers, decisions)
-    if text == "free":
-        return _Pose("free")
-    stated = text not in ("tangent", "shaft")
-    direction = normalize(np.array(parse_vector("pose", text))) if stated else None
-    all_cut = all(len(cut.shaft) for cut in cuts)
-    reason = "where the curves cross the tissue surface" if all_cut else ""
-    reason = reason or "the first point of each needle, with its error"
-    place = decisions.settle("entry point", "first", "guess" if all_cut else "assumption", reason)
-    entry = None if place == "first" else np.array(parse_vector("entry point", place, may_be_zero=True))
-    guess: tuple[Source, str] = ("assumption", "that of a measured point")
-    if entry is None:
-        guess = ("guess", "the entry is a measured point: its standard deviation")
-    shift_sd = decisions.settle_number("pose shift sd", point_sd, *guess)
-    angle_sd = _decide_angle_sd(cuts, text, direction, point_sd, decisions)
-    return _Pose("stated" if stated else text, direction, entry, shift_sd, angle_sd)
-
-
-def _settle_pose(cuts: Sequence[_Cut], layers: ImportedLayers, decisions: Decisions) -> str:
-    """Return "free", "tangent", "shaft", or a direction as text."""
-    shafts = all(
-        len(cut.shaft) >= MIN_SHAFT_POINTS and arc_length(cut.shaft)[-1] >= MIN_SHAFT_MM for cut in cuts
-    )
-    guess: tuple[str, Source, str]
-    if shafts:
-        guess = ("shaft", "guess", "every needle has a straight part outside the tissue")
-    elif layers.surfaces:
-        guess = ("tangent", "assumption", "no shaft outside the tissue")
-    else:
-        guess = ("free", "assumption", "no entry pose is stated: shapes are compared up to a rigid motion")
-    pose = decisions.settle("pose", *guess)
-    if pose == "free" and layers.surfaces:
-        what = "pose is free, and there are surfaces of layers"
-        fix = "state --pose tangent or --pose X,Y,Z, or leave the surfaces out"
-        raise ConfigError(what, expected="an entry pose: surfaces stand in the world", fix=fix)
-    if pose == "shaft" and not shafts:
-        what = "pose is shaft, and not every curve begins outside the tissue"
-        expected = f"at least {MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before the tissue surface"
-        raise ConfigError(what, expected=expected, fix="state --pose tangent, or the --tissue-surface")
-    return pose
-
-
-def _decide_angle_sd(
-    cuts: Sequence[_Cut], pose: str, direction: Floats | None, point_sd: float, decisions: Decisions
-) -> float | None:
-    """Return the standard deviation of the entry direction, rad; None: from each needle's shaft."""
-    guess: tuple[str, Source, str]
-    if direction is not None:
-        starts = np.array([fit_free_frame(cut.values).rotation[:, 0] for cut in cuts])
-        off = np.array([float(np.degrees(np.arccos(np.clip(one @ direction, -1.0, 1.0)))) for one in starts])
-        rms = f"{np.sqrt(np.mean(off**2)):.2g}"
-        reason = f"a direction set by hand; the curves begin {rms} degrees from it (rms)"
-        guess = (f"{STATED_SD_DEG:g}", "assumption", reason)
-    elif pose == "tangent":
-        guess = (f"{TANGENT_SD_DEG:g}", "assumption", "that of a tangent to the inserted shape")
-    else:
-        most = max(np.degrees(_fit_shaft(cut, point_sd)[1]) for cut in cuts)
-        reason = f"error of a point over the length of each shaft: at most {most:.2g} degrees"
-        guess = ("shaft", "guess", reason)
-    text = decisions.settle("pose angle sd", *guess)
-    if text == "shaft" and pose == "shaft":
-        return None
-    return float(np.radians(parse_not_negative("pose angle sd", text)))
-
-
-def _fit_shaft(cut: _Cut, point_sd: float) -> tuple[Floats, float]:
-    """Return the unit direction of a straight shaft, and its standard deviation, rad."""
-    centred = cut.shaft - cut.shaft.mean(axis=0)
-    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
-    axis = axis if axis @ (cut.values[0] - cut.shaft[0]) > 0 else -axis
-    return normalize(axis), point_sd / float(np.linalg.norm(centred))
-
-
-def _decide_bevel(curves: Sequence[ImportedCurve], pose: _Pose, decisions: Decisions) -> Floats | None:
-    """Return the world direction toward which bevels deflect; None: the side to which each needle bends.
-
-    ConfigError if bevels face to side -1 of a direction that is not stated.
-    """
-    if pose.how == "free":
-        decisions.keep("bevel", "bend", "guess", "a free shape bends toward its bevel by definition")
-        return None
-    text = decisions.settle("bevel", "bend", "assumption", "every needle is taken to bend toward its bevel")
-    if text != "bend":
-        return np.array(parse_vector("bevel", text))
-    turned = [one.name for one in curves if _parse_side(one) < 0]
-    if turned:
-        what = f"the bevel side of {turned[0]!r} is -1, and no direction of side 1 is stated"
-        expected = "the direction toward which bevels of side 1 deflect, X,Y,Z"
-        raise ConfigError(what, expected=expected, fix="state it with --bevel")
-    return None
 
 
 def _parse_side(curve: ImportedCurve) -> int:
@@ -499,111 +569,3 @@ def _parse_side(curve: ImportedCurve) -> int:
         fix = "write 1 or -1, or rename the column and state --bevel"
         raise DataError(what, where=where, expected="1 (toward +y of the constraint frame) or -1", fix=fix)
     return _BEVEL_SIDES[text]
-
-
-def _make_row(
-    cut: _Cut, layers: ImportedLayers, pose: _Pose, bevel: Floats | None, point_sd: float
-) -> InsertionRow:
-    """Return the row of one insertion; medium and specimen are empty where its file states none."""
-    curve, values = cut.curve, cut.values
-    row = InsertionRow(
-        id=curve.name,
-        medium=curve.attributes.get("medium", ""),
-        layers=1,
-        depth=float(arc_length(values)[-1]),
-        specimen=curve.attributes.get("specimen", ""),
-        side=_parse_side(curve),
-        boundary_sd=layers.sd_mm,
-    )
-    depths = np.array(layers.depths_mm)
-    if pose.how == "free":
-        return replace(row, layers=len(select_layers(depths, row.depth)[1]))
-    source: PoseSource
-    if pose.direction is not None:
-        direction, source, shaft_sd = pose.direction, "stage", 0.0
-    elif pose.how == "tangent":
-        direction, source, shaft_sd = fit_free_frame(values).rotation[:, 0], "fitted", 0.0
-    else:
-        source = "shaft"
-        direction, shaft_sd = _fit_shaft(cut, point_sd)
-    entry = values[0] if pose.entry is None else pose.entry
-    if layers.surfaces:
-        met = find_crossings(values, layers.surfaces).sequence
-    else:
-        met = select_layers(depths, float((values[-1] - entry) @ direction))[1]
-    return replace(
-        row,
-        layers=len(met),
-        entry=entry,
-        direction=direction,
-        bevel=bevel,
-        pose_source=source,
-        pose_shift_sd=pose.shift_sd,
-        pose_angle_sd=shaft_sd if pose.angle_sd is None else pose.angle_sd,
-    )
-
-
-# ---- names and needle
-
-
-def _name_tissue(rows: Sequence[InsertionRow], decisions: Decisions) -> list[InsertionRow]:
-    """Return the rows with medium and specimen; what a file states for a needle is kept."""
-    reason = "curves of one specimen are never divided between fit and validation"
-    medium = _settle_name(
-        "medium", [row.medium for row in rows], ("medium1", "guess", "a name of your choice"), decisions
-    )
-    specimen = _settle_name(
-        "specimen", [row.specimen for row in rows], ("each", "assumption", reason), decisions
-    )
-    return [
-        replace(
-            row,
-            medium=row.medium or medium,
-            specimen=row.specimen or (row.id if specimen == "each" else specimen),
-        )
-        for row in rows
-    ]
-
-
-def _settle_name(
-    what: str, stated: Sequence[str], guess: tuple[str, Source, str], decisions: Decisions
-) -> str:
-    """Return the name for the needles of which no file states one."""
-    if all(stated):
-        listed = ", ".join(dict.fromkeys(stated))
-        decisions.keep(what, listed[:MAX_ANSWER_CHARS], "file", "a column of the table")
-        return ""
-    return re.sub(r'[,"]', " ", decisions.settle(what, *guess))
-
-
-def _decide_needle(deepest: float, decisions: Decisions) -> NeedleChoice:
-    """Return the needle; `deepest` is the greatest depth, mm."""
-    least = f"{max(MIN_DEFAULT_LENGTH_MM, float(np.ceil(deepest + SHAFT_MM))):g}"
-    length, outer, inside, material = (
-        decisions.settle(what, guess, "assumption", reason)
-        for what, guess, reason in (
-            ("needle length", least, "at least 50 mm more than the depth"),
-            ("diameter", "18G", "a common gauge"),
-            ("inner diameter", "0", "a solid needle"),
-            ("modulus", "steel", "a common material"),
-        )
-    )
-    diameter, inner = _parse_diameter(outer), parse_not_negative("inner diameter", inside)
-    if inner >= diameter:
-        raise ConfigError(
-            f"inner diameter is {inner:g} mm, and diameter {diameter:g} mm",
-            expected="an inner diameter smaller than the outer one",
-            fix="correct --inner-diameter or --diameter",
-        )
-    modulus = MODULI_GPA.get(material.strip().lower()) or parse_positive("modulus", material)
-    return NeedleChoice(parse_positive("needle length", length), diameter, inner, modulus)
-
-
-def _parse_diameter(text: str) -> float:
-    match = re.fullmatch(r"\s*(\d{1,2})\s*[gG]\w{0,5}\s*", text)
-    if match is None:
-        return parse_positive("diameter", text)
-    if int(match[1]) not in GAUGES_MM:
-        expected = f"mm, or a gauge from {min(GAUGES_MM)}G to {max(GAUGES_MM)}G"
-        raise ConfigError(f"diameter is {text[:40]!r}", expected=expected, fix="state it with --diameter")
-    return GAUGES_MM[int(match[1])]
