@@ -12,9 +12,7 @@ from needlefit.geometry.frames import Frame
 PoseSource = Literal["stage", "shaft", "fitted", "none"]
 
 POINT_COLUMNS = ("x_mm", "y_mm", "z_mm")
-SD_COLUMN = "sd_mm"
-"""The column of a centreline with the standard deviation of each point across the needle."""
-
+SD_COLUMN = "sd_mm"  # the column of a centreline with the standard deviation of each point across the needle
 ENTRY_COLUMNS = ("entry_x_mm", "entry_y_mm", "entry_z_mm")
 DIRECTION_COLUMNS = ("entry_dx", "entry_dy", "entry_dz")
 BEVEL_COLUMNS = ("bevel_x", "bevel_y", "bevel_z")
@@ -22,26 +20,24 @@ POSE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_source", "pose_shift_s
 
 SCAN_ROTATION_COLUMNS = ("scan_rx_deg", "scan_ry_deg", "scan_rz_deg")
 SCAN_SHIFT_COLUMNS = ("scan_x_mm", "scan_y_mm", "scan_z_mm")
+# From the patient coordinates (LPS) of an insertion's scan to the world: rotation vector and shift.
 SCAN_COLUMNS = (*SCAN_ROTATION_COLUMNS, *SCAN_SHIFT_COLUMNS)
-"""From the patient coordinates (LPS) of an insertion's scan to the world: rotation vector and shift."""
-
+# Columns every table of insertions has; with a known pose those of `POSE_COLUMNS` too.
 REQUIRED_COLUMNS = ("id", "medium", "layers", "depth_mm")
-"""Columns every table of insertions has; with a known pose those of `POSE_COLUMNS` too."""
-
+# The columns of `insertions.csv` in the order in which they are written; `SHARED_COLUMN` follows where it is
+# stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS` where any insertion has its own motion.
 INSERTION_COLUMNS = (
     *("id", "medium", "specimen", "layers", "layers_alternative", "depth_mm", "bevel_side"),
     *(*ENTRY_COLUMNS, *DIRECTION_COLUMNS, *BEVEL_COLUMNS),
     *("pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
-"""The columns of `insertions.csv` in the order in which they are written; `SHARED_COLUMN` follows where it is
-stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS` where any insertion has its own motion.
-"""
-
 SHARED_COLUMN = "boundary_shared_sd_mm"
 
 BASE_SHIFT_COLUMN = "base_moved_mm"
 
+# The columns of single numbers: the field of `InsertionRow`, and the value of an empty cell. NaN: the field
+# is None; None: no cell may be empty. Angles are in rad in the field.
 NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
     "pose_shift_sd_mm": ("pose_shift_sd", 0.0),
     "pose_angle_sd_deg": ("pose_angle_sd", 0.0),
@@ -52,14 +48,10 @@ NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
     BASE_SHIFT_COLUMN: ("base_moved", 0.0),
     SHARED_COLUMN: ("boundary_shared_sd", math.nan),
 }
-"""The columns of single numbers: the field of `InsertionRow`, and the value of an empty cell. NaN: the field
-is None; None: no cell may be empty. Angles are in rad in the field.
-"""
-
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
+# An id names a file: at most 100 letters, digits, point, underline, hyphen.
 ID_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-"""An id names a file: at most 100 letters, digits, point, underline, hyphen."""
 
 
 def make_id(text: str, default: str) -> str:

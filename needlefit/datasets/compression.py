@@ -17,25 +17,18 @@ from needlefit.project.input_files import is_file
 from needlefit.project.manifest import sha256
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
-MIN_STRETCHES = 6
-"""Least number of different stretches of a loading: two of them determine mu and alpha."""
-
+MIN_STRETCHES = 6  # least number of different stretches of a loading: two of them determine mu and alpha
+# An unloaded stretch may differ from 1 by this: the zero of a testing machine is not exact.
 STRETCH_TOLERANCE = 2e-3
-"""An unloaded stretch may differ from 1 by this: the zero of a testing machine is not exact."""
-
+# A movement back by more than this fraction of the whole range is a reversal of the machine, not noise.
 MIN_TURN_FRACTION = 0.05
-"""A movement back by more than this fraction of the whole range is a reversal of the machine, not noise."""
-
+# A stress at stretch 1 above this part of the largest is reported: it biases mu and alpha.
 MIN_PRELOAD_FRACTION = 0.03
-"""A stress at stretch 1 above this part of the largest is reported: it biases mu and alpha."""
-
+# Stresses of the other sign above this fraction of the largest are not noise around zero.
 MAX_OPPOSITE_FRACTION = 0.05
-"""Stresses of the other sign above this fraction of the largest are not noise around zero."""
-
+# A longer loading is averaged over neighbouring rows, so that noise of single readings does not hide slower
+# errors.
 MAX_LOADING_POINTS = 200
-"""A longer loading is averaged over neighbouring rows, so that noise of single readings does not hide slower
-errors."""
-
 MAX_STRESS = 1e12
 STRESS_UNITS_MPA = {"pa": 1e-6, "kpa": 1e-3, "mpa": 1.0}
 SPECIMEN_COLUMNS = ("sample", "id")

@@ -39,47 +39,31 @@ from needlefit.project.unit_warnings import (
 )
 from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
 
-PLACEHOLDER = "TO FILL IN"
-"""Marks values that a template cannot know."""
-
+PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
 _PLACEHOLDER_PATTERN = re.compile(r"to[ _-]?fill[ _-]?in", re.IGNORECASE)
 _PLACEHOLDER_FIX = "write what was measured; reports print it"
 
+# Least plausible standard deviation of a centreline's points; a smaller one was written in another unit.
 MIN_POINT_SD_MM = 5e-4
-"""Least plausible standard deviation of a centreline's points; a smaller one was written in another unit."""
-
+# Least and greatest plausible standard deviation of registration and entry pose: a smaller one was written in
+# another unit, with a greater one curves cannot be compared.
 MIN_POSE_SD_MM, MAX_POSE_SD_MM = 1e-3, 5.0
-"""Least and greatest plausible standard deviation of registration and entry pose: a smaller one was written
-in another unit, with a greater one curves cannot be compared."""
-
-MAX_NOISE_FRACTION = 0.5
-"""Fraction of the largest deflection above which noise hides the deflections."""
-
+MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise hides the deflections
 CHECK_UNIT = "check its unit, mm"
 
-SIGNIFICANT_SD = 3.0
-"""Standard deviations beyond which a bend is not a measurement error."""
-
+SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
+# Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
 MIN_BEND_SLOPE = 0.005
-"""Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees."""
-
+# Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
+# single one is limited to this.
 REVERSED_SD = 4.0
-"""Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of
-a single one is limited to this."""
-
-MAX_NAMED_INSERTIONS = 8
-"""Number of insertions that a warning names."""
-
-COPY_TOLERANCE_MM = 1e-6
-"""Largest distance, per axis, of two points that count as the same."""
-
-MIN_SIMILARITY = 0.8
-"""Ratio of `difflib` above which a name counts as a mistyped version of another."""
-
+MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
+COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
+MIN_SIMILARITY = 0.8  # ratio of `difflib` above which a name counts as a mistyped version of another
 _UNIT = re.compile(r"_(mm|deg)$")
 
+# Whether it is so, and the warning then: its kind, the key that it is about, what, and how to fix it.
 Check = tuple[bool, str, str, str, str]
-"""Whether it is so, and the warning then: its kind, the key that it is about, what, and how to fix it."""
 
 
 def _warn(checks: Iterable[Check], where: FormatPlace) -> Iterator[ResultWarning]:

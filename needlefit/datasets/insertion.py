@@ -225,13 +225,10 @@ class Dataset:
     measurement: MeasurementRecord = DEFAULT_MEASUREMENT
 
 
+# Deviation of a surface that all insertions into a specimen share, mm, where none is stated; not more than
+# the whole deviation of a boundary.
 SHARED_BOUNDARY_SD_MM = 0.1
-"""Deviation of a surface that all insertions into a specimen share, mm, where none is stated; not more than
-the whole deviation of a boundary.
-"""
-
-MIN_OWN_BOUNDARY_SD_MM = 0.02
-"""Least deviation of a boundary in one insertion alone, mm."""
+MIN_OWN_BOUNDARY_SD_MM = 0.02  # least deviation of a boundary in one insertion alone, mm
 
 
 def split_boundary_sd(insertion: Insertion) -> tuple[float, float]:
@@ -246,8 +243,7 @@ def split_boundary_sd(insertion: Insertion) -> tuple[float, float]:
     return shared, math.sqrt(max(whole**2 - shared**2, MIN_OWN_BOUNDARY_SD_MM**2))
 
 
-MAX_CENTERLINE_POINTS = 200
-"""A centreline with more points is thinned to about this many."""
+MAX_CENTERLINE_POINTS = 200  # a centreline with more points is thinned to about this many
 
 
 def select_compared_places(pose: Pose, drop: float, insertion: Insertion) -> tuple[Floats, Floats]:

@@ -29,14 +29,9 @@ from needlefit.project.unit_warnings import LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
-UNIT_VECTOR_TOLERANCE = 1e-3
-"""Greatest deviation of a direction's length from 1."""
-
-MIN_DEPTH_MM = 1.0
-"""An insertion of less than this, mm, was written in metres."""
-
-MIN_NEEDLE_LENGTH_MM = 30.0
-"""A needle of less than this, mm, may have been measured in centimetres or inches."""
+UNIT_VECTOR_TOLERANCE = 1e-3  # greatest deviation of a direction's length from 1
+MIN_DEPTH_MM = 1.0  # an insertion of less than this, mm, was written in metres
+MIN_NEEDLE_LENGTH_MM = 30.0  # a needle of less than this, mm, may have been measured in centimetres or inches
 
 
 def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:

@@ -23,9 +23,8 @@ from needlefit.project.toml_lines import locate_key
 from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
+# A surface whose greatest extent is less or more than this, mm, was written in metres or micrometres.
 MIN_SURFACE_MM, MAX_SURFACE_MM = 1.0, 2000.0
-"""A surface whose greatest extent is less or more than this, mm, was written in metres or micrometres."""
-
 RESTORE_FIX = "check its name, or restore it"
 EXPORT_FIX = "export the surface again as triangles, e.g. as STL"
 
@@ -38,8 +37,8 @@ class Medium:
     boundaries: Floats | None = None
 
 
+# The surfaces that all insertions share; None: it has a fault, which is noted.
 SharedSurfaces = Mapping[SurfaceRecord, Surface | None]
-"""The surfaces that all insertions share; None: it has a fault, which is noted."""
 
 
 def read_shared_surfaces(record: DatasetRecord, folder: Path, found: list[Fault]) -> SharedSurfaces:
@@ -175,29 +174,16 @@ def _make_frame(row: InsertionRow, centerline: Floats) -> Frame:
     return make_entry_frame(row.entry, row.direction, toward)
 
 
-MAX_BACKWARD_MM = 0.05
-"""A centreline may go back by this, mm, between two points: noise does that."""
-
-SAME_POINT_MM = 1e-6
-"""Points closer than this, mm, are one point twice."""
-
+MAX_BACKWARD_MM = 0.05  # a centreline may go back by this, mm, between two points: noise does that
+SAME_POINT_MM = 1e-6  # points closer than this, mm, are one point twice
+# Relative difference allowed between length and depth; a free shape need not begin at the entry.
 LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}
-"""Relative difference allowed between length and depth; a free shape need not begin at the entry."""
-
-LENGTH_TOLERANCE_MM = 2.0
-"""The same in mm, whichever is more."""
-
-MAX_START_DISTANCE_MM = 5.0
-"""Greatest distance of a centreline's first point from the entry pose, mm."""
-
-MAX_HEADING_DEG = 45.0
-"""Greatest angle between the entry direction and the chord of the centreline."""
-
-NEAR_BOUNDARY_SD = 2
-"""Standard deviations of a boundary within which a tip may lie before or behind it."""
-
+LENGTH_TOLERANCE_MM = 2.0  # the same in mm, whichever is more
+MAX_START_DISTANCE_MM = 5.0  # greatest distance of a centreline's first point from the entry pose, mm
+MAX_HEADING_DEG = 45.0  # greatest angle between the entry direction and the chord of the centreline
+NEAR_BOUNDARY_SD = 2  # standard deviations of a boundary within which a tip may lie before or behind it
+# Relative difference of a curve's span from the depth at which another unit explains their ratio.
 UNIT_TOLERANCE = 0.25
-"""Relative difference of a curve's span from the depth at which another unit explains their ratio."""
 
 
 def find_curve_faults(

@@ -15,15 +15,13 @@ from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
 
+# How files name their coordinate system; until 2019 by numbers.
 SYSTEM_NAMES: Mapping[str, PatientSystem] = MappingProxyType(
     {"LPS": "LPS", "1": "LPS", "RAS": "RAS", "0": "RAS"}
 )
-"""How files name their coordinate system; until 2019 by numbers."""
-
 EXPECTED_SYSTEM = "LPS or RAS (older files: 1 or 0)"
 
-CURVE_KINDS = ("Curve", "Fiducial")
-"""Lists whose points, in their order, can be a centreline."""
+CURVE_KINDS = ("Curve", "Fiducial")  # lists whose points, in their order, can be a centreline
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,11 @@ from needlefit.geometry.curves import (
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import compute_metrics, list_metrics
 
+# Mean length of a 3-D normal vector of unit standard deviation per axis.
 MEAN_NORM_PER_SD = math.sqrt(8 / math.pi)
-"""Mean length of a 3-D normal vector of unit standard deviation per axis."""
-
-CUT_TOLERANCE_MM = 1e-3
-"""A curve that begins this near to the plane of first contact, mm, was cut there."""
-
-
+CUT_TOLERANCE_MM = 1e-3  # a curve that begins this near to the plane of first contact, mm, was cut there
+# Mean error over draws of the stated noise, by metric; NaN where a dataset states no noise.
 NoiseFloor = Mapping[str, float]
-"""Mean error over draws of the stated noise, by metric; NaN where a dataset states no noise."""
 
 
 def estimate_noise_floor(

@@ -10,12 +10,8 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.faults import Fault
 
-MAX_COORDINATE = 1e6
-"""No number of a dataset is greater: a kilometre in mm."""
-
-MIN_POINTS = 5
-"""Fewer points are no curve."""
-
+MAX_COORDINATE = 1e6  # no number of a dataset is greater: a kilometre in mm
+MIN_POINTS = 5  # fewer points are no curve
 _PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
 
 

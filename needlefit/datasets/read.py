@@ -78,23 +78,16 @@ from needlefit.schemas.dataset import (
 )
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
-_FIELD = re.compile(r"\{([^{}]*)\}")
-"""A column in `id_template`."""
-
-MAX_MODULUS_GPA = 1000.0
-"""No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
-
+_FIELD = re.compile(r"\{([^{}]*)\}")  # a column in `id_template`
+MAX_MODULUS_GPA = 1000.0  # no needle is stiffer: tungsten carbide has 700 GPa, steel 200
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 
 REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
+# Columns that may be absent or have empty cells, with their default values.
 OPTIONAL_TRACK_COLUMNS = {"heading_deg": np.nan, "bevel_side": 1.0, "valid": 1.0}
-"""Columns that may be absent or have empty cells, with their default values."""
-
+# Least number of readings of a run: shift and slope take two, and a bend needs more than one.
 MIN_READINGS = 5
-"""Least number of readings of a run: shift and slope take two, and a bend needs more than one."""
-
-MAX_STEP_MM = 100.0
-"""Greatest distance of two readings, mm; a larger one was written in another unit."""
+MAX_STEP_MM = 100.0  # greatest distance of two readings, mm; a larger one was written in another unit
 
 
 @dataclass(frozen=True)

@@ -26,14 +26,11 @@ from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 
 SECTIONS_PATTERN = "sections/{id}.toml"
 
-MAX_LENGTH_DIFFERENCE_MM = 2.0
-"""The arc length of the tip may differ by this, mm, from the inserted depth."""
-
+MAX_LENGTH_DIFFERENCE_MM = 2.0  # the arc length of the tip may differ by this, mm, from the inserted depth
+# How far the spline through the cross-sections may be off the centreline: this many of its standard
+# deviations, plus this, mm. Those of the synthetic dataset are 0.001 mm apart at most; a spline sampled
+# coarsely or stored with few digits stays below the second.
 MAX_DISTANCE_SDS, MAX_DISTANCE_MM = 5.0, 0.05
-"""How far the spline through the cross-sections may be off the centreline: this many of its standard
-deviations, plus this, mm. Those of the synthetic dataset are 0.001 mm apart at most; a spline sampled
-coarsely or stored with few digits stays below the second."""
-
 LENGTH_DIGITS, WEIGHT_DIGITS = 5, 6
 
 
@@ -116,8 +113,8 @@ def find_operator_faults(
             yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:g}", fix)
 
 
+# Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
 MAX_WIDTH_FRACTION = 0.25
-"""Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle."""
 
 
 def _find_knot_faults(

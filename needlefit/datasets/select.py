@@ -109,8 +109,7 @@ def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> No
         raise ConfigError(what, expected=expected, fix="correct the selection")
 
 
-MIN_GROUPS = 5
-"""Least number of groups from which the scatter between groups is estimated."""
+MIN_GROUPS = 5  # least number of groups from which the scatter between groups is estimated
 
 
 def group_independent(insertions: Sequence[str], specimens: Sequence[str]) -> tuple[str, ...]:

@@ -23,8 +23,7 @@ from needlefit.project.locate import join_names
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault, require_file_name
 
-MAX_SHOWN_NAME_CHARS, MAX_SHOWN_NAMES = 80, 5
-"""Characters of a name, and names, that a message shows."""
+MAX_SHOWN_NAME_CHARS, MAX_SHOWN_NAMES = 80, 5  # characters of a name, and names, that a message shows
 
 
 @dataclass(frozen=True)
@@ -74,9 +73,8 @@ def read_source(path: Path) -> CurveSource:
     return CurveSource(named, tuple(notes))
 
 
+# Standard deviation of a point until the author states one: roughly that of a needle traced in a CT scan.
 PLACEHOLDER_SD_MM = 0.1
-"""Standard deviation of a point until the author states one: roughly that of a needle traced in a CT scan."""
-
 NEEDLE = {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0}
 
 NOISE_NOTE = f"{PLACEHOLDER}: {PLACEHOLDER_SD_MM:g} mm stands for how well a point is known, per axis"

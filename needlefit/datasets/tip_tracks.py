@@ -9,8 +9,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.frames import IDENTITY_FRAME
 
-GUIDE_STILL_MM = 0.05
-"""A guide that moved by less than this, mm, counts as fixed: stages jitter."""
+GUIDE_STILL_MM = 0.05  # a guide that moved by less than this, mm, counts as fixed: stages jitter
 
 
 class TipReadings(NamedTuple):

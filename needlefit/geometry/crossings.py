@@ -12,14 +12,11 @@ from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.surfaces import Surface
 
+# Hits of one surface closer than this along the curve, mm, are one: its triangles share edges.
 SAME_HIT_MM = 1e-6
-"""Hits of one surface closer than this along the curve, mm, are one: its triangles share edges."""
-
+# Relative slack at the edges of triangles and ends of segments: an edge is hit twice rather than never.
 EDGE_TOLERANCE = 1e-9
-"""Relative slack at the edges of triangles and ends of segments: an edge is hit twice rather than never."""
-
-BLOCK_PAIRS = 200_000
-"""Segment-triangle pairs tested at once; bounds the memory."""
+BLOCK_PAIRS = 200_000  # segment-triangle pairs tested at once; bounds the memory
 
 
 @dataclass(frozen=True)
@@ -141,11 +138,9 @@ def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.nda
 _search_lock = Lock()
 
 
-ENCLOSURE_RAYS = 12
-"""Number of directions across the curve in which the surface is searched."""
-
+ENCLOSURE_RAYS = 12  # number of directions across the curve in which the surface is searched
+# Number of directions that may miss a surface that encloses the curve; a plane is missed by half of them.
 MAX_MISSED_RAYS = 1
-"""Number of directions that may miss a surface that encloses the curve; a plane is missed by half of them."""
 
 
 def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float, step: float = 0.5) -> float:

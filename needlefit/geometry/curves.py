@@ -30,8 +30,7 @@ def resample_curve(points: ArrayLike, fractions: ArrayLike) -> Floats:
     return interpolate_at_arc(array, np.asarray(fractions, dtype=np.float64) * arc_length(array)[-1])
 
 
-STRAIGHT_TOLERANCE_MM = 1e-9
-"""Greatest distance from the entry line, mm, of a curve that counts as straight."""
+STRAIGHT_TOLERANCE_MM = 1e-9  # greatest distance from the entry line, mm, of a curve that counts as straight
 
 
 def find_bending_direction(centerline: ArrayLike, direction: ArrayLike) -> Floats:
@@ -103,8 +102,7 @@ def integrate_curvature(depth: float, coefficients: Sequence[float] | Floats, s:
     return np.column_stack([x + np.minimum(along, 0.0), y])
 
 
-COMPARISON_POINTS = 101
-"""Points at which two curves are compared, from entry (j = 1) to tip (j = K)."""
+COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.schemas.tracker import PlacementRecord
 
-PARALLEL_SINE = 1e-6
-"""Sine of the angle under which two directions count as parallel."""
+PARALLEL_SINE = 1e-6  # sine of the angle under which two directions count as parallel
 
 
 @dataclass(frozen=True)
@@ -138,14 +137,12 @@ def differentiate_align_lateral(fixed: Floats, slopes: Floats) -> Floats:
 
 PatientSystem = Literal["LPS", "RAS"]
 
+# Factors that convert coordinates of a system to LPS: z points to the head in both, x and y are opposite.
 AXIS_SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
-"""Factors that convert coordinates of a system to LPS: z points to the head in both, x and y are opposite."""
-
+# The patient's frame where world coordinates are patient coordinates.
 IDENTITY_FRAME = Frame(np.zeros(3), np.eye(3))
-"""The patient's frame where world coordinates are patient coordinates."""
-
+# From RAS to LPS, and back: x and y change their signs.
 RAS_TO_LPS = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
-"""From RAS to LPS, and back: x and y change their signs."""
 
 
 def to_lps(points: ArrayLike, system: PatientSystem) -> Floats:

@@ -17,8 +17,7 @@ from needlefit.geometry.surfaces import Surface, make_mesh
 if TYPE_CHECKING:
     import trimesh
 
-TUBE_FACETS = 12
-"""Number of corners of a tube's cross-section."""
+TUBE_FACETS = 12  # number of corners of a tube's cross-section
 
 
 def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> "trimesh.Trimesh":
@@ -117,8 +116,8 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
     return Surface(name, make_mesh(points[used], largest_faces), "solid", into), others
 
 
+# Voxels by which a surface is moved before it is cut: no vertex shall lie exactly in a plane of centres.
 _SHIFT = np.array([1.3e-5, 1.7e-5, 2.3e-5])
-"""Voxels by which a surface is moved before it is cut: no vertex shall lie exactly in a plane of centres."""
 
 
 def fill_outline(lines: Floats, shape: tuple[int, int]) -> NDArray[np.bool_]:

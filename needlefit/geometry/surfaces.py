@@ -22,9 +22,7 @@ from needlefit.project.input_files import open_regular, read_bytes
 if TYPE_CHECKING:
     import trimesh
 
-MAX_POLYGON_VERTICES = 100
-"""Of one polygon; models are made of triangles."""
-
+MAX_POLYGON_VERTICES = 100  # of one polygon; models are made of triangles
 _BINARY_TYPES = {
     **{"float": ">f4", "double": ">f8", "int": ">i4", "unsigned_int": ">u4", "long": ">i8"},
     **{"vtktypeint64": ">i8", "vtkidtype": ">i4", "short": ">i2", "unsigned_long": ">u8"},
@@ -136,27 +134,21 @@ def _cut(starts: NDArray[np.int64], vertices: NDArray[np.int64]) -> NDArray[np.i
 SurfaceKind = Literal["sheet", "solid"]
 
 MAX_MESH_BYTES = 256 * 2**20
+# Greatest plausible coordinate of a boundary, mm; merging of vertices counts in steps of 1e-8 mm.
 MAX_MERGED_MM = 1e9
-"""Greatest plausible coordinate of a boundary, mm; merging of vertices counts in steps of 1e-8 mm."""
-
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
 _EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _OBJ_FACE = re.compile(rb"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
 _OBJ_INDEX = re.compile(rb"(?:^|(?<=[ \t]))-?\d{1,19}")
+# Layout of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for each.
 STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
-"""Layout of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for
-each."""
-
 READ_SUFFIXES = (".stl", ".ply", ".obj", ".vtk")
 
-HEADER_BYTES = 4096
-"""Bytes at the beginning of a mesh in which its coordinate system is looked for."""
-
+HEADER_BYTES = 4096  # bytes at the beginning of a mesh in which its coordinate system is looked for
 _SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
 
-COORDINATE_DECIMALS = 4
-"""Coordinates are written to 1e-4 mm."""
+COORDINATE_DECIMALS = 4  # coordinates are written to 1e-4 mm
 
 
 @dataclass(frozen=True)

@@ -71,9 +71,7 @@ def centerline_errors(built: ReconstructedInsertion) -> Floats:
     return np.asarray(cKDTree(true).query(built.reconstruction.points)[0], dtype=np.float64)
 
 
-SIGNIFICANT_DIGITS = 6
-"""Significant digits of every number."""
-
+SIGNIFICANT_DIGITS = 6  # significant digits of every number
 TRUTH_NOTE = (
     "What the synthetic twin was generated from. Nothing that fits, validates or reads datasets opens this "
     "file. mu_pa of an insertion are the moduli along the needle, of the layers met or of 2 mm slices of a "
@@ -258,13 +256,10 @@ def _build_insertion(
     return ReconstructedInsertion(scanned.insertion, scanned.exposure, reconstruction)
 
 
+# Deviations, mm, in any one direction: of the axis across the needle; of the tip along and across it; of a
+# ball's centre. As scans of the twin leave them (docs/reconstruction.md, benchmarks/README.md).
 AXIS_SD_MM, TIP_SD_MM, BALL_SD_MM = 0.013, (0.04, 0.05), 0.007
-"""Deviations, mm, in any one direction: of the axis across the needle; of the tip along and across it; of a
-ball's centre. As scans of the twin leave them (docs/reconstruction.md, benchmarks/README.md)."""
-
-TIP_REACH_MM = 3.0
-"""Length over which the tip's error across fades along the needle, mm."""
-
+TIP_REACH_MM = 3.0  # length over which the tip's error across fades along the needle, mm
 UNSCANNED_NOTE = (
     " This twin was not scanned: needle and balls were read off the truth with the errors that scans of it "
     "leave."

@@ -12,8 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.geometry.surfaces import Surface, make_cylinder, make_sheet
 
-BOX_MM = 80.0
-"""Edge of the box, mm."""
+BOX_MM = 80.0  # edge of the box, mm
 
 
 @dataclass(frozen=True)
@@ -188,8 +187,8 @@ def list_planned_insertions() -> tuple[PlannedInsertion, ...]:
     return (*phantoms, *chicken)
 
 
+# A short insertion for the sample volume; it is none of the 47.
 SAMPLE_INSERTION = PlannedInsertion("sample", "phantom2", "sample", 2, 2, 25.0, 0.0, 2.5, -3.0, 1)
-"""A short insertion for the sample volume; it is none of the 47."""
 
 
 def select_planned_insertions(names: Sequence[str]) -> tuple[PlannedInsertion, ...]:

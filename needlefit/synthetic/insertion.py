@@ -23,17 +23,13 @@ from needlefit.synthetic.truth import (
     draw_specimen,
 )
 
-MAX_POINT_SPACING_MM = 0.5
-"""Distance between the points of a centreline, mm (at most)."""
-
+MAX_POINT_SPACING_MM = 0.5  # distance between the points of a centreline, mm (at most)
+# A finer mesh than is fitted with (the constraint spacing is part of the model).
 TRUTH_OPTIONS = ModelOptions(element=0.25)
-"""A finer mesh than is fitted with (the constraint spacing is part of the model)."""
-
+# Thickness of the slices in which a piece that is not homogeneous is cut along the needle, mm.
 SUBLAYER_THICKNESS_MM = 2.0
-"""Thickness of the slices in which a piece that is not homogeneous is cut along the needle, mm."""
-
+# The needle and its layers agree when no point moves by more, mm, from one round to the next.
 CONVERGENCE_MM, MAX_ROUNDS = 1e-5, 60
-"""The needle and its layers agree when no point moves by more, mm, from one round to the next."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +119,7 @@ def _tissue_along(
     return Tissue(mu, alpha, boundaries, friction=np.array([specimen.friction]))
 
 
-TWIN_SEED = 1
-"""The seed of the twin that ships."""
+TWIN_SEED = 1  # the seed of the twin that ships
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from needlefit.geometry.frames import Frame, normalize
 from needlefit.imaging.volume import Volume, VoxelGrid
 from needlefit.synthetic.design import BOX_MM, Phantom
 
-WATER_PER_MM = 0.02
-"""Attenuation of water at the energies of a cone-beam scanner, 1/mm."""
+WATER_PER_MM = 0.02  # attenuation of water at the energies of a cone-beam scanner, 1/mm
 
 
 @dataclass(frozen=True)
@@ -87,11 +86,8 @@ class Scanner:
     views: int = 180  # projections over half a turn
 
 
-SUBVOXELS_PER_EDGE = 5
-"""Points per voxel edge."""
-
-AXIS_SPACING_MM = 0.05
-"""Spacing of the axis' points among which the nearest is searched, mm."""
+SUBVOXELS_PER_EDGE = 5  # points per voxel edge
+AXIS_SPACING_MM = 0.05  # spacing of the axis' points among which the nearest is searched, mm
 
 
 @dataclass(frozen=True)
@@ -193,20 +189,12 @@ def _voxels_near(points: Floats, reach: float, grid: VoxelGrid) -> NDArray[np.in
 
 Voxels = NDArray[np.float32]
 
-HARDENING_COEFFICIENT = 0.06
-"""h: a ray through 8 attenuation lengths of metal measures 5.4."""
-
+HARDENING_COEFFICIENT = 0.06  # h: a ray through 8 attenuation lengths of metal measures 5.4
+# Deviation of a view's weight of metal, and over how many views it lasts (deviation of a Gaussian).
 VIEW_GAIN_SD, VIEW_GAIN_LENGTH = 0.15, 3.0
-"""Deviation of a view's weight of metal, and over how many views it lasts (deviation of a Gaussian)."""
-
-PHOTONS_PER_RAY = 1e4
-"""Photons per ray that reach the detector if no metal is in the way."""
-
-MAX_LINE_INTEGRAL = 8.0
-"""Line integral at which scattered photons hide what is behind."""
-
-BATCH_SLICES = 32
-"""Slices that are worked on at once: what their rays hold must stay small."""
+PHOTONS_PER_RAY = 1e4  # photons per ray that reach the detector if no metal is in the way
+MAX_LINE_INTEGRAL = 8.0  # line integral at which scattered photons hide what is behind
+BATCH_SLICES = 32  # slices that are worked on at once: what their rays hold must stay small
 
 
 @dataclass(frozen=True)
@@ -295,8 +283,7 @@ def make_back_projector(x: Floats, y: Floats, beam: ParallelBeam, middle: float 
 PixelArray = NDArray[np.floating]
 
 AIR_HU = -1000.0
-RAIL_WIDTH_MM = 8.0
-"""Width of the table's rails, mm."""
+RAIL_WIDTH_MM = 8.0  # width of the table's rails, mm
 
 
 def render_tissue_slice(scene: Scene3D, grid: VoxelGrid, k: int) -> tuple[PixelArray, PixelArray]:

@@ -44,6 +44,7 @@ class ScanSetup:
     outside: float  # length of shaft before the tissue that is scanned, mm
 
 
+# The box, some of its table, and the shaft before it.
 WHOLE_BOX_SETUP = ScanSetup(
     markers=np.array(
         [
@@ -62,8 +63,7 @@ WHOLE_BOX_SETUP = ScanSetup(
     high=np.array([BOX_MM, BOX_MM / 2, BOX_MM / 2]),
     outside=35.0,
 )
-"""The box, some of its table, and the shaft before it."""
-
+# Some gel around a short needle: a volume of a megabyte, its markers close by.
 SAMPLE_SETUP = ScanSetup(
     markers=np.array(
         [[4.0, 11.5, -1.0], [9.0, -6.0, 8.0], [15.0, 3.0, -14.0], [22.0, -7.0, -7.0], [26.0, 12.0, 4.0]]
@@ -73,7 +73,6 @@ SAMPLE_SETUP = ScanSetup(
     high=np.array([30.0, 15.0, 11.0]),
     outside=12.0,
 )
-"""Some gel around a short needle: a volume of a megabyte, its markers close by."""
 
 
 def choose_setup(planned: PlannedInsertion) -> ScanSetup:
@@ -88,24 +87,16 @@ def measure_markers(setup: ScanSetup, seed: int, name: str) -> Floats:
     return measured
 
 
-VOXEL_MM = 0.46
-"""Edge of a voxel, mm: the paper's."""
-
-FIELD_MARGIN_MM = 2.0
-"""Margin of the scanned field around what it must contain, mm."""
-
+VOXEL_MM = 0.46  # edge of a voxel, mm: the paper's
+FIELD_MARGIN_MM = 2.0  # margin of the scanned field around what it must contain, mm
+# Columns: the world's x (into the box) to the head, y to the right, z (up) to the front of the patient.
 UPRIGHT_ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-"""Columns: the world's x (into the box) to the head, y to the right, z (up) to the front of the patient."""
-
+# Greatest tilt of the box about each axis, degrees, and distance along it from the patient's origin, mm.
 MAX_TILT_DEG, MAX_OFFSET_MM = 6.0, 150.0
-"""Greatest tilt of the box about each axis, degrees, and distance along it from the patient's origin, mm."""
-
 PSF_RANGE_MM, BLOOM_RANGE, STREAKS_RANGE = (0.3, 0.45), (0.05, 0.15), (0.4, 0.9)
+# Ranges of what is drawn for each scan, uniformly; what it is says `Scanner`.
 NOISE_RANGE_HU, CUPPING_RANGE_HU, NEEDLE_RANGE_HU = (25.0, 60.0), (20.0, 80.0), (7000.0, 11000.0)
-"""Ranges of what is drawn for each scan, uniformly; what it is says `Scanner`."""
-
-BEVEL_SD_DEG = 2.0
-"""Deviation of the one needle's bevel from its nominal angle, degrees."""
+BEVEL_SD_DEG = 2.0  # deviation of the one needle's bevel from its nominal angle, degrees
 
 
 @dataclass(frozen=True)
@@ -183,12 +174,12 @@ def _fit_grid(points: Floats, direction: Floats) -> VoxelGrid:
     return VoxelGrid((columns, rows, slices), direction @ low, np.full(3, VOXEL_MM), direction)
 
 
+# The columns of `scans.csv` that the twin fills.
 STATED_COLUMNS = (
     *("id", "scan", "medium", "specimen", "markers", "surfaces", "surfaces_in"),
     *(*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg", *BEVEL_COLUMNS),
     *("bevel_side", "layers", "layers_alternative", "origin"),
 )
-"""The columns of `scans.csv` that the twin fills."""
 
 
 def _format_scan(scan: Scan, folder: Path) -> list[str]:

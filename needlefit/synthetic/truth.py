@@ -48,9 +48,7 @@ class MediumTruth:
     hu: tuple[float, ...]  # what each layer reads in a CT scan
 
 
-GEL_HU = (20.0, 90.0, 35.0, 105.0)
-"""A stiffer gel holds more solids, and reads brighter."""
-
+GEL_HU = (20.0, 90.0, 35.0, 105.0)  # a stiffer gel holds more solids, and reads brighter
 TRUE_MEDIA = {
     "phantom1": MediumTruth((2e5, 3.3e7, 2e6, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GEL_HU),
     "phantom2": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.103, 0.2, GEL_HU),
@@ -58,9 +56,8 @@ TRUE_MEDIA = {
     "chicken": MediumTruth((1e3,), (1,), 0.33, 0.1, (55.0,)),
 }
 
+# The needle as the dataset states it.
 NOMINAL_NEEDLE = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
-"""The needle as the dataset states it."""
-
 RIGIDITY_DEVIATION = (0.02, 0.05)  # relative deviation of the true EI from the nominal one, up or down
 LOG_MU_SD = {"phantom1": 0.1, "phantom2": 0.1, "phantom3": 0.1, "chicken": 0.3}  # of ln mu, between specimens
 FIELD_LOG_MU_SD, FIELD_LENGTH_MM = 0.4, 12.0  # of ln mu within a piece of chicken, and mm

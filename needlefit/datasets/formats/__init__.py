@@ -9,8 +9,8 @@ from needlefit.datasets.points import Points
 from needlefit.errors import ConfigError, DataError
 from needlefit.registry import Registry
 
+# Curves by the names that a file gives them, and remarks on how it was read.
 ReadCurves = tuple[Mapping[str, Points], Sequence[str]]
-"""Curves by the names that a file gives them, and remarks on how it was read."""
 
 
 @dataclass(frozen=True)

@@ -20,22 +20,14 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import read_text
 
 MAX_TABLE_BYTES = 64 * 2**20
-MAX_COLUMNS, MAX_CELLS = 1000, 4_000_000
-"""A table beyond these would take more than a gigabyte of memory."""
-
+MAX_COLUMNS, MAX_CELLS = 1000, 4_000_000  # a table beyond these would take more than a gigabyte of memory
 MAX_SHOWN_CHARS, MAX_SHOWN_COLUMNS = 60, 30
-_NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")
-"""What may be the name of a column."""
-
-MAX_LISTED_CELLS = 5
-"""Bad cells of one column that are listed one by one; the rest is counted."""
-
+_NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")  # what may be the name of a column
+MAX_LISTED_CELLS = 5  # bad cells of one column that are listed one by one; the rest is counted
+# What fixes a missing column of a dataset.
 MISSING_COLUMN_FIX = "add the column, or name the one that holds it under `columns` in dataset.toml"
-"""What fixes a missing column of a dataset."""
-
+# What fixes a missing column of a file that no dataset.toml describes.
 RENAME_FIX = "name the columns x_mm, y_mm, z_mm in the file's first line"
-"""What fixes a missing column of a file that no dataset.toml describes."""
-
 OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 

@@ -18,18 +18,13 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import to_lps
 from needlefit.project.input_files import read_text
 
+# Columns of a file that has a version, where it does not name them.
 FCSV_COLUMNS = (
     *("id", "x", "y", "z", "ow", "ox", "oy", "oz"),
     *("vis", "sel", "lock", "label", "desc", "associatedNodeID"),
 )
-"""Columns of a file that has a version, where it does not name them."""
-
-OLD_FCSV_COLUMNS = ("label", "x", "y", "z", "sel", "vis")
-"""Columns of a file without a version: Slicer 3."""
-
-DEFINED_STATUS = "2"
-"""Status of a point that was placed; since Slicer 5 it follows the columns named."""
-
+OLD_FCSV_COLUMNS = ("label", "x", "y", "z", "sel", "vis")  # columns of a file without a version: Slicer 3
+DEFINED_STATUS = "2"  # status of a point that was placed; since Slicer 5 it follows the columns named
 _HEADER_LINE = re.compile(r"#\s*([^=]*?)\s*=\s*(.*?)\s*$")
 
 

@@ -24,27 +24,17 @@ from needlefit.project.sandbox import (
     stated_memory_bytes,
 )
 
+# Signature of HDF5, which MATLAB uses from version 7.3 on, and its possible positions behind MATLAB's own
+# header.
 SIGNATURE, SIGNATURE_OFFSETS = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
-"""Signature of HDF5, which MATLAB uses from version 7.3 on, and its possible positions behind MATLAB's own
-header."""
-
-MAX_SHOWN_VARIABLES = 20
-"""Number of variables that a message lists."""
-
+MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 ELEMENT_TYPES = range(1, 19)
-COMPRESSED_TYPE = 15
-"""Types of elements in versions 5 to 7: numbers, matrices, compressed data, text."""
-
+COMPRESSED_TYPE = 15  # types of elements in versions 5 to 7: numbers, matrices, compressed data, text
 HEADER_BYTES = 128
+# Length of the header in versions 5 to 7, and the position of version and byte order in it.
 VERSION_OFFSET = 124
-"""Length of the header in versions 5 to 7, and the position of version and byte order in it."""
-
-MIN_BYTES = 20
-"""Size of the header of one matrix in version 4."""
-
-MAX_EXPANSION = 8
-"""Memory that the content of a file may take, as a multiple of the file's size."""
-
+MIN_BYTES = 20  # size of the header of one matrix in version 4
+MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
 READ_BYTES_PER_SECOND = 2**20
 EXPECTED_ARRAYS = "N x 3 arrays of numbers, or structs with x, y and z, mm, entry first"
 EXPECTED_FILE = "a MATLAB .mat file"

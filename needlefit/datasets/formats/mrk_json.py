@@ -21,18 +21,13 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import to_lps
 from needlefit.project.input_files import read_json
 
+# What Slicer itself writes: an identifier, no address.
 SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
-"""What Slicer itself writes: an identifier, no address."""
-
-UNITS_MM = {"mm": 1.0, "um": 1e-3, "cm": 10.0, "m": 1e3}
-"""UCUM codes of length, in mm."""
-
-SET_STATES, UNSET_STATES = ("defined",), ("undefined", "preview", "missing")
-"""States of a point."""
-
+UNITS_MM = {"mm": 1.0, "um": 1e-3, "cm": 10.0, "m": 1e3}  # UCUM codes of length, in mm
+SET_STATES, UNSET_STATES = ("defined",), ("undefined", "preview", "missing")  # states of a point
 SAVE_AGAIN_FIX = "save the list again in Slicer, as Markups JSON"
 
 _SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)

@@ -14,6 +14,7 @@ Source = Literal["file", "option", "answer", "guess", "assumption"]
 MAX_ANSWER_CHARS = 500
 MAX_NUMBER = 1e6
 
+# What is asked, by the name of the decision: that of its option, with blanks for `-`.
 QUESTIONS = MappingProxyType(
     {
         "units": "Unit of the coordinates",
@@ -37,7 +38,6 @@ QUESTIONS = MappingProxyType(
         "modulus": "Young's modulus, GPa, or steel, nitinol, titanium, peek",
     }
 )
-"""What is asked, by the name of the decision: that of its option, with blanks for `-`."""
 
 
 @dataclass(frozen=True)

@@ -48,18 +48,15 @@ from needlefit.project.sandbox import ReaderLimits, SandboxArrays, read_in_sandb
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 MAX_SCENE_BYTES = 64 * 2**20
-MAX_UNPACKED_BYTES = 1 * 2**30
-"""What all files that are read of a .mrb may unpack to."""
-
+MAX_UNPACKED_BYTES = 1 * 2**30  # what all files that are read of a .mrb may unpack to
 MAX_NODES = 100_000
 MAX_FILES_READ = 5000
 MAX_TRANSFORM_CHAIN = 64
 MAX_NODE_NAME_CHARS = 100
 MAX_TRANSFORM_BYTES = 2**20
 
+# Endings of the files that are unpacked from a .mrb.
 USED_SUFFIXES = (".mrml", ".json", ".fcsv", ".tfm", ".txt", ".h5", *READ_SUFFIXES)
-"""Endings of the files that are unpacked from a .mrb."""
-
 _SAVE_FIX = "in Slicer: File > Save data, as one Medical Reality Bundle (.mrb), and name that"
 _LPS = np.diag([*AXIS_SIGNS["RAS"], 1.0])
 

@@ -26,44 +26,31 @@ from needlefit.project.sandbox import READER_BYTES, SandboxArrays, limits_for, r
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
-MAX_TABLE_BYTES, MAX_TABLE_CELLS = 16 * 2**20, 1_000_000
-"""Of a text table; empty cells count."""
-
-MAX_SHEETS, MAX_SHEET_CELLS = 200, 500_000
-"""Sheets of a workbook that are read, and cells of all of them."""
-
-MAX_UNPACKED_BYTES = 512 * 2**20
-"""What a workbook may unpack to."""
-
+MAX_TABLE_BYTES, MAX_TABLE_CELLS = 16 * 2**20, 1_000_000  # of a text table; empty cells count
+MAX_SHEETS, MAX_SHEET_CELLS = 200, 500_000  # sheets of a workbook that are read, and cells of all of them
+MAX_UNPACKED_BYTES = 512 * 2**20  # what a workbook may unpack to
 MAX_SHEET_BYTES = 64 * 2**20
 SHEET_BYTES_PER_SECOND = 2**20
-MAX_CELL_CHARS = 500
-"""Longer text is no header and no number; the rest of it is dropped."""
-
-SAMPLE_ROWS = 300
-"""Rows by which the separator and the decimal sign are found."""
-
+MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it is dropped
+SAMPLE_ROWS = 300  # rows by which the separator and the decimal sign are found
 MAX_HEADER_ROWS = 6
 MAX_LISTED_COLUMNS = 12
-MIN_BLOCK_ROWS = 5
-"""Rows at least of each value of a column that tells curves apart without a known name."""
-
+MIN_BLOCK_ROWS = 5  # rows at least of each value of a column that tells curves apart without a known name
 SEPARATOR_NAMES = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
 
+# Units of length that a header may name, in mm.
 UNITS_MM = MappingProxyType(
     {
         **{"mm": 1.0, "millimeter": 1.0, "millimetre": 1.0, "cm": 10.0, "m": 1e3, "dm": 100.0},
         **{"um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "in": 25.4, "inch": 25.4},
     }
 )
-"""Units of length that a header may name, in mm."""
-
+# Headers of the column that tells the curves of a long table apart.
 NAME_COLUMNS = frozenset(
     {"id", "needle", "insertion", "curve", "name", "shape", "run", "trial", "label"}
     | {"nadel", "einstich", "kurve", "versuch", "aiguille", "insertionid", "needleid", "ago", "aguja"}
 )
-"""Headers of the column that tells the curves of a long table apart."""
-
+# Headers of what an insertion has once: without blanks and signs, and the column of `insertions.csv`.
 ATTRIBUTE_COLUMNS = MappingProxyType(
     {
         **{"medium": "medium", "material": "medium", "phantom": "medium", "tissue": "medium"},
@@ -71,10 +58,8 @@ ATTRIBUTE_COLUMNS = MappingProxyType(
         **{"bevelside": "bevel_side", "bevel": "bevel_side"},
     }
 )
-"""Headers of what an insertion has once: without blanks and signs, and the column of `insertions.csv`."""
-
+# Headers of a column that counts points.
 INDEX_COLUMNS = frozenset(["index", "nr", "no", "n", "i", "point", "punkt", "pointid", "row", "zeile"])
-"""Headers of a column that counts points."""
 
 # Separators and decimal signs, in the order in which equally good ones are taken.
 _LAYOUTS = (

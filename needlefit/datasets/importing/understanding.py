@@ -28,31 +28,21 @@ from needlefit.geometry.frames import RAS_TO_LPS, normalize, to_lps
 from needlefit.geometry.surfaces import Surface, transform_surface
 from needlefit.project.unit_warnings import GAUGES_MM
 
+# Length of the longest needle of a dataset, least and most, by which a unit is guessed.
 LENGTHS_MM = (20.0, 1000.0)
-"""Length of the longest needle of a dataset, least and most, by which a unit is guessed."""
-
+# Lengths in the file, from and to, at which more than one unit is plausible.
 UNCLEAR_UNITS = ((2.0, 20.0), (1000.0, 20_000.0))
-"""Lengths in the file, from and to, at which more than one unit is plausible."""
-
+# Scatter of one end along the needles, as a part of that of the other end, below which it is the entry.
 ENTRY_SPREAD = 0.3
-"""Scatter of one end along the needles, as a part of that of the other end, below which it is the entry."""
-
+# Standard deviations that are assumed of points traced in a CT scan, and of boundaries given as surfaces and
+# as depths.
 POINT_SD_MM, SURFACE_SD_MM, DEPTH_SD_MM = 0.1, 0.2, 0.5
-"""Standard deviations that are assumed of points traced in a CT scan, and of boundaries given as surfaces and
-as depths."""
-
-MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3
-"""Of a needle outside the tissue, from which its direction is taken."""
-
+MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle outside the tissue, from which its direction is taken
+# Standard deviations that are assumed of an entry direction: taken from the inserted shape, or stated.
 TANGENT_SD_DEG, STATED_SD_DEG = 2.0, 0.5
-"""Standard deviations that are assumed of an entry direction: taken from the inserted shape, or stated."""
-
-MODULI_GPA = {"steel": 200.0, "nitinol": 60.0, "titanium": 110.0, "peek": 3.6}
-"""Young's moduli by material."""
-
+MODULI_GPA = {"steel": 200.0, "nitinol": 60.0, "titanium": 110.0, "peek": 3.6}  # young's moduli by material
+# Length assumed of a needle: at least this, and so much more than the greatest depth.
 MIN_DEFAULT_LENGTH_MM, SHAFT_MM = 150.0, 50.0
-"""Length assumed of a needle: at least this, and so much more than the greatest depth."""
-
 _BEVEL_SIDES = {"1": 1, "+1": 1, "1.0": 1, "-1": -1, "-1.0": -1, "\u22121": -1}
 _TISSUE_NAME = re.compile(r"skin|tissue|surface|outer|phantom|block|haut|entry", re.IGNORECASE)
 
