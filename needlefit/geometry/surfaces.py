@@ -186,7 +186,10 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
         # what trimesh makes of edges takes as much memory as their indices say; no boundary needs them
         head, end, rows = data.partition(b"end_header")
         data = _EDGE_ELEMENT.sub(rb"\1unused\2", head) + end + rows
-        _check_ply(data, path)
+        head, _, rows = data.partition(b"end_header")
+        claimed, there = sum(int(count) for _, count in _ELEMENT.findall(head)), rows.count(b"\n")
+        if b"ascii" in head and claimed > there:
+            raise _mesh_error(path, f"claims {claimed} vertices, triangles and edges, and holds {there} rows")
     if ending == ".stl":
         _check_stl(data, path)
     import trimesh  # late: it takes 0.3 s to load, and most commands read no surface
@@ -228,14 +231,6 @@ def _load_mesh(data: BytesIO, kind: str) -> object:
     import trimesh
 
     return trimesh.load_mesh(data, file_type=kind, process=False, resolver=None, skip_materials=True)
-
-
-def _check_ply(data: bytes, path: Path) -> None:
-    """See that a PLY file has the rows that its header claims (trimesh counts only those of binary ones)."""
-    head, _, rows = data.partition(b"end_header")
-    claimed, there = sum(int(count) for _, count in _ELEMENT.findall(head)), rows.count(b"\n")
-    if b"ascii" in head and claimed > there:
-        raise _mesh_error(path, f"claims {claimed} vertices, triangles and edges, and holds {there} rows")
 
 
 def _check_stl(data: bytes, path: Path) -> None:

@@ -169,7 +169,11 @@ def _fit_interface(samples: TubeSamples, at: float, between: tuple[float, float]
     present, sector = np.unique(sector, return_inverse=True)
     if len(present) < SECTORS / 2:
         return None
-    start = _start_fit(x, values, sector, at)
+    step = float(np.median(values[x > at]) - np.median(values[x <= at]))
+    levels = [
+        float(np.median(values[sector == n] - step * (x[sector == n] > at))) for n in range(sector.max() + 1)
+    ]
+    start = np.array([at, 0, 0, 0, 0, 0, np.log(WIDTH_MM), step, *levels])
     whole = _fit_surface((x, y, z, values, sector), start)
     crossing, step = _cross(whole.x, samples, at), float(whole.x[7])
     without = []
@@ -184,15 +188,6 @@ def _fit_interface(samples: TubeSamples, at: float, between: tuple[float, float]
     if abs(step) < MIN_SIGNIFICANCE * spread[1] or abs(step) < MIN_STEP_HU / 2:
         return None
     return _Fitted(crossing, float(np.hypot(spread[0], SYSTEMATIC_SD_MM)), step, whole.x[:6])
-
-
-def _start_fit(x: Floats, values: Floats, sector: Ints, at: float) -> Floats:
-    """Return first parameters: surface (6), log width, step, and the level of each sector."""
-    step = float(np.median(values[x > at]) - np.median(values[x <= at]))
-    levels = [
-        float(np.median(values[sector == n] - step * (x[sector == n] > at))) for n in range(sector.max() + 1)
-    ]
-    return np.array([at, 0, 0, 0, 0, 0, np.log(WIDTH_MM), step, *levels])
 
 
 def _fit_surface(data: tuple[Floats, Floats, Floats, Floats, Ints], start: Floats) -> OptimizeResult:

@@ -10,7 +10,6 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.needle.axis_spline import (
-    AxisFrames,
     AxisSpline,
     CrossSections,
     axis_frames,
@@ -106,7 +105,10 @@ def trace_needle(
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])
         point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)
         end = TipFit(float(at[0]), point, sd, unknown, float("nan"), 0.0, "hand")
-    return _sample_centerline(volume, add_tip(axis, end, recipe), end, recipe)
+    # the spline is extended through the tip, so that the end is interpolated
+    across = max(float(end.sd[1]), SYSTEMATIC_SD_MM)
+    axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
+    return _sample_centerline(volume, axis, end, recipe)
 
 
 def _find_tip(
@@ -173,7 +175,15 @@ def refine_axis(
         if round_ > 0:
             found = fit_sections(values, plane, fit_sections(values, plane, rough))
         reach = recipe.needle.diameter_mm if round_ == 0 else recipe.needle.diameter_mm / 2
-        axis = _fit_axis_through(where, found, recipe, heel, reach)
+        good = _find_usable_sections(found, reach)
+        if good.sum() < MIN_SECTIONS:
+            raise _too_few_sections_error(int(good.sum()))
+        points = where.origins + found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
+        points = points[good]
+        s = arc_length(points)
+        noise = found.noise[good] / found.amplitude[good]
+        weights = 1 / (1 + (noise / np.median(noise)) ** 2)
+        axis = fit_axis(s, points, weights / weights.mean(), recipe.centerline.knot_spacing_mm, s[-1] + heel)
         stop = axis.length + 1e-6
     good = _find_usable_sections(found, reach)
     return replace(
@@ -182,12 +192,6 @@ def refine_axis(
             select_sections(rough, good), select_sections(found, good), rules.station_spacing_mm
         ),
     )
-
-
-def add_tip(axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord) -> AxisSpline:
-    """Return the spline extended through the tip, so that the end is interpolated."""
-    sd = max(float(end.sd[1]), SYSTEMATIC_SD_MM)
-    return extend_axis(axis, end.at, end.point, sd, recipe.centerline.knot_spacing_mm)
 
 
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
@@ -222,21 +226,6 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
             fix: scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction
             where: ends at L, P, S = {where} mm""")
     return axis if forward else reverse_axis(axis)
-
-
-def _fit_axis_through(
-    where: AxisFrames, found: CrossSections, recipe: ReconstructionRecord, heel: float, reach: float
-) -> AxisSpline:
-    """Return the spline through the sections that show the needle, to the tip `heel` mm beyond the last."""
-    good = _find_usable_sections(found, reach)
-    if good.sum() < MIN_SECTIONS:
-        raise _too_few_sections_error(int(good.sum()))
-    points = where.origins + found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
-    points = points[good]
-    s = arc_length(points)
-    noise = found.noise[good] / found.amplitude[good]
-    weights = 1 / (1 + (noise / np.median(noise)) ** 2)
-    return fit_axis(s, points, weights / weights.mean(), recipe.centerline.knot_spacing_mm, s[-1] + heel)
 
 
 def _find_usable_sections(found: CrossSections, reach: float) -> NDArray[np.bool_]:
