@@ -172,7 +172,7 @@ def compare_runs(before: Path, after: Path, unverified: bool = False) -> list[Di
         tables = _compare_folders(kinds[0], before, after)
         return [
             *marks,
-            *_compare_inputs(one, two),
+            *compare_leaves(*({key: run[key] for key in _INPUTS if key in run} for run in (one, two))),
             *_compare_states(one, two),
             *tables,
         ]
@@ -204,22 +204,19 @@ def _compare_folders(kind: str, before: Path, after: Path) -> Iterator[Differenc
             yield from compare_tables(name, one, two)
 
 
-def _compare_inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    every = [
-        dict(leaf for key in _INPUTS if key in run for leaf in iterate_leaves(run[key], key))
-        for run in (before, after)
-    ]
+def compare_leaves(before: object, after: object) -> Iterator[Difference]:
+    """Yield every value of nested mappings that differs, by its path; a list is one value."""
+    every = [dict(_iterate_leaves(value)) for value in (before, after)]
     for key in dict.fromkeys([*every[0], *every[1]]):
         one, two = every[0].get(key), every[1].get(key)
         if one != two:
             yield Difference("input", key, one, two, None, "")
 
 
-def iterate_leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
-    """Yield every value of nested mappings with its path; a list is one value."""
-    if isinstance(value, Mapping) and value:
+def _iterate_leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
+    if isinstance(value, Mapping) and (value or not path):
         for key, inner in value.items():
-            yield from iterate_leaves(inner, f"{path}.{key}" if path else str(key))
+            yield from _iterate_leaves(inner, f"{path}.{key}" if path else str(key))
     else:
         yield path, value
 
