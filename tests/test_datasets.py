@@ -77,60 +77,53 @@ def block(folder, **changes):
 def test_a_written_dataset_is_read_back(tmp_path):
     dataset = read(block(tmp_path))
     assert check(tmp_path) == []
-    a, b, _ = dataset.insertions
-    assert (dataset.name, dataset.origin, dataset.pose, dataset.noise.registration_mean) == (
-        *("block", "synthetic", "known"),
-        0.19,
-    )
+    a, b, c = dataset.insertions
+    found = dataset.name, dataset.origin, dataset.pose, dataset.noise.registration_mean
+    assert found == ("block", "synthetic", "known", 0.19)
     assert dataset.needle.flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
     assert (a.specimen, a.layers, a.layers_alternative, a.guide_distance) == ("one", 4, 4, None)
     assert (b.specimen, b.layers, b.layers_alternative, b.guide_distance) == ("two", 2, 3, 30.0)
     np.testing.assert_allclose(a.centerline, CURVE, atol=0.5e-4)
     np.testing.assert_allclose(a.planar, CURVE[:, :2], atol=1e-4)
     assert a.deflection == pytest.approx(1.0)
-
-
-def test_layers_come_from_the_surfaces_by_intersection(tmp_path):
-    """Along x the sheet lies at 20; the cylinder about (40, y, z) of radius 5 from 35 to 45."""
-    a = read(block(tmp_path)).insertions[0]
+    # Along x the sheet lies at 20; the cylinder about (40, y, z) of radius 5 from 35 to 45.
     assert a.sequence == (1, 2, 3, 2)
     y = 4e-4 * 40**2
     half = math.sqrt(25 - y**2)
     assert a.boundaries == pytest.approx([20, 40 - half, 40 + half], abs=0.03)
-
-
-def test_layers_given_as_depths_end_at_the_tip(tmp_path):
-    b = read(block(tmp_path)).insertions[1]
     assert b.sequence == (1, 2) and b.boundaries.tolist() == [20.0]
-
-
-def test_the_plane_is_the_bevels_or_the_shapes(tmp_path):
-    _, b, c = read(block(tmp_path)).insertions
     np.testing.assert_allclose(b.frame.rotation[:, 1], [0, 1, 0], atol=1e-6)
     np.testing.assert_allclose(c.frame.rotation[:, 1], [0, -1, 0], atol=1e-6)
     assert c.planar[-1, 1] == pytest.approx(-1.0)
     assert b.deflection == c.deflection == pytest.approx(1.0)  # both toward the bevel
 
 
-def test_out_of_plane_deflection_is_kept(tmp_path):
+def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
     twisted = CURVE + np.column_stack([0 * X, 0 * X, 0.3 * np.sin(X / 8)])
     bevel = np.array([0, 1.0, 0])
     file = write_dataset(tmp_path, record(), [row("a", bevel=bevel)], {"a": twisted}, SURFACES)
     a = read(file).insertions[0]
     np.testing.assert_allclose(a.out_of_plane, 0.3 * np.sin(X / 8), atol=1e-4)
-
-
-def test_the_pose_of_a_tilted_insertion_is_its_own(tmp_path):
-    """Moving needle and pose together changes nothing in C."""
+    # Moving needle and pose together changes nothing in C.
     c, s = math.cos(0.4), math.sin(0.4)
     turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     shift = np.array([3.0, -5.0, 12.0])
     moved = row("a", "given", layers=2, entry=shift, direction=turn[:, 0])
     file = write_dataset(tmp_path, record(), [moved], {"a": CURVE @ turn.T + shift}, SURFACES)
     np.testing.assert_allclose(read(file).insertions[0].planar, CURVE[:, :2], atol=2e-4)
+    rows = [row("a", base_moved=-12.5), row("b")]
+    a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
+    assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
+    # A third of a turn about (1, 1, 1) takes x to y, y to z, z to x.
+    turned = Frame(np.array([-0.5, 0, 0]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
+    file = write_dataset(
+        tmp_path, record(), [row("a", "given", layers=2, patient=turned)], {"a": CURVE}, SURFACES
+    )
+    found = read(file).insertions[0].patient
+    np.testing.assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
 
 
-def test_the_same_data_gives_the_same_bytes_and_digest(tmp_path):
+def test_the_same_data_gives_the_same_digest_and_additions_of_spreadsheets_are_ignored(tmp_path):
     one, two = block(tmp_path / "one"), block(tmp_path / "two")
     files = sorted(path.relative_to(tmp_path / "one") for path in one.parent.rglob("*.*"))
     assert len(files) == 7
@@ -138,15 +131,7 @@ def test_the_same_data_gives_the_same_bytes_and_digest(tmp_path):
         assert (one.parent / file).read_bytes() == (two.parent / file).read_bytes()
     assert read(one).digest == read(two).digest
     assert read(block(tmp_path / "three", title="another")).digest != read(one).digest
-
-
-def test_writing_needs_every_centreline_and_surface(tmp_path):
-    with pytest.raises(DataError, match=r"b, layers/core\.stl, layers/sheet\.stl"):
-        write_dataset(tmp_path, record(), [row("a"), row("b")], {"a": CURVE})
-
-
-def test_additions_of_spreadsheets_are_ignored(tmp_path):
-    """A byte order mark, CRLF, blank lines, spaces and quotes change nothing but the checksum."""
+    # A byte order mark, CRLF, blank lines, spaces and quotes change nothing but the checksum.
     file = block(tmp_path)
     before = read(file)
     for path in (tmp_path / "insertions.csv", tmp_path / "centerlines" / "a.csv"):
@@ -157,11 +142,24 @@ def test_additions_of_spreadsheets_are_ignored(tmp_path):
     np.testing.assert_array_equal(read(file).insertions[0].planar, before.insertions[0].planar)
 
 
+def test_writing_needs_every_centreline_and_surface(tmp_path):
+    with pytest.raises(DataError, match=r"b, layers/core\.stl, layers/sheet\.stl"):
+        write_dataset(tmp_path, record(), [row("a"), row("b")], {"a": CURVE})
+    own_layers(tmp_path / "one")
+    media = {
+        "block": {"surfaces": [{"file": "layers/{id}.stl", "kind": "sheet", "into": 2}]},
+        "given": {"boundaries_mm": [20.0]},
+    }
+    rows = [row("a"), row("b", "given")]
+    with pytest.raises(DataError, match=r" layers/a\.stl\n"):
+        write_dataset(tmp_path / "two", record(media=media), rows, dict.fromkeys("ab", CURVE), {})
+
+
 def without_checksums(file: Path):
     file.write_text(file.read_text().split("[checksums]")[0])
 
 
-def test_selection(tmp_path):
+def test_selections_and_empty_ones(tmp_path):
     dataset = read(block(tmp_path))
 
     def ids(layer_count_rule="listed", **keys):
@@ -172,11 +170,7 @@ def test_selection(tmp_path):
     assert ids("alternative", layers=(2,)) == "c"
     assert ids("alternative", layers=(3,)) == "b"
     assert ids(insertions=("c", "a"), depth_max_mm=50.0, depth_min_mm=50.0) == "ac"
-
-
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
+    for keys, words in [
         ({"medium": "gel"}, "medium gel"),
         ({"insertions": ("a", "z")}, "insertion z"),
         ({"specimens": ("three",)}, "specimen three"),
@@ -185,48 +179,37 @@ def test_selection(tmp_path):
             r"no insertion of dataset block has medium = given and depth_min_mm = 51\n.*there are 1 in block "
             r"\(layers 4; depths 50 to 50 mm\); 2 in given \(layers 2; depths",
         ),
-    ],
-)
-def test_an_empty_selection_is_refused(tmp_path, keys, words):
-    dataset = read(block(tmp_path))
-    with pytest.raises(ConfigError, match=words):
-        select_insertions(dataset, SelectionRecord(**keys))
+    ]:
+        dataset = read(block(tmp_path))
+        with pytest.raises(ConfigError, match=words):
+            select_insertions(dataset, SelectionRecord(**keys))
 
 
-@pytest.mark.parametrize(("begins", "expected"), [(0.5, math.pi / 4), (0.0, 1 / 2)])
-def test_noise_floor_of_a_shift(begins, expected, tmp_path):
-    """Of an isotropic shift of mean length m a plane shows m pi / 4, a curve cut at its entry m / 2."""
-    dataset = read(block(tmp_path))
-    insertion = dataset.insertions[0]
-    insertion = dataclasses.replace(insertion, planar=insertion.planar + np.array([begins, 0.0]))
-    floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
-    assert floor["te_mm"] == pytest.approx(0.19 * expected, rel=0.03)
-    assert floor["ipe_mean_mm"] == pytest.approx(0.19 * expected, rel=0.03)
-
-
-def test_noise_floor_of_an_angle_grows_from_the_entry(tmp_path):
-    """A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall."""
+def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
+    # Of an isotropic shift of mean length m a plane shows m pi / 4, a curve cut at its entry m / 2.
+    for begins, expected in [(0.5, math.pi / 4), (0.0, 1 / 2)]:
+        dataset = read(block(tmp_path))
+        insertion = dataset.insertions[0]
+        insertion = dataclasses.replace(insertion, planar=insertion.planar + np.array([begins, 0.0]))
+        floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
+        assert floor["te_mm"] == pytest.approx(0.19 * expected, rel=0.03)
+        assert floor["ipe_mean_mm"] == pytest.approx(0.19 * expected, rel=0.03)
+    # A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall.
     turned = row("a", "given", layers=2, pose_angle_sd=0.01)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
     floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
     assert floor["te_mm"] == pytest.approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
     assert floor["ipe_mean_mm"] == pytest.approx(floor["te_mm"] / 2, rel=0.01)
-
-
-def test_noise_that_is_not_stated_has_no_floor(tmp_path):
     dataset = read(block(tmp_path, noise={}))
     assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1))["te_mm"])
 
 
-def test_point_noise_has_the_stated_covariance():
+def test_point_noise_has_the_stated_covariance_and_toml_text_is_read_back():
     curve = np.column_stack([np.arange(8.0), np.zeros(8)])
     noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=2.0)
     drawn = draw_point_noise(curve, noise, np.random.default_rng(1), 20000)[:, :, 1]
     lag = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
     np.testing.assert_allclose(np.cov(drawn.T), 0.16 * np.exp(-lag / 2) + 0.09 * np.eye(8), atol=0.01)
-
-
-def test_toml_text_is_read_back():
     import tomllib
 
     tables = {"a": 1, "b": 'say "x"\nü', "c": {"d e": [1.5, 2.0], "f": [{"g": True}]}, "h": {"i": {}}}
@@ -238,7 +221,7 @@ def test_toml_text_is_read_back():
 QUARTER = Frame(np.array([1.0, 2.0, 3.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))  # about z
 
 
-def test_deviations_of_points_are_kept_where_they_are_given(tmp_path):
+def test_deviations_and_scans_are_kept_where_they_are_given(tmp_path):
     sd = np.linspace(0.02, 0.3, 101)
     curves = {"a": np.column_stack([CURVE, sd]), "b": CURVE}
     rows = [row(name, "given", layers=2) for name in "ab"]
@@ -247,10 +230,7 @@ def test_deviations_of_points_are_kept_where_they_are_given(tmp_path):
     assert b.sd is None
     assert (tmp_path / "centerlines" / "a.csv").read_text().splitlines()[0] == "x_mm,y_mm,z_mm,sd_mm"
     assert (tmp_path / "centerlines" / "b.csv").read_text().splitlines()[0] == "x_mm,y_mm,z_mm"
-
-
-def test_every_insertion_may_have_its_own_scan(tmp_path):
-    """A quarter turn about z is the rotation vector (0, 0, 90) in degrees."""
+    # A quarter turn about z is the rotation vector (0, 0, 90) in degrees.
     rows = [row("a", "given", layers=2, patient=QUARTER), row("b", "given", layers=2)]
     file = write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)
     lines = (tmp_path / "insertions.csv").read_text().splitlines()
@@ -260,22 +240,6 @@ def test_every_insertion_may_have_its_own_scan(tmp_path):
     a, b = read(file).insertions
     np.testing.assert_allclose(a.patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-9)
     np.testing.assert_array_equal(b.patient.to_world([[5.0, 0, 0]]), [[5, 0, 0]])
-
-
-def test_a_base_that_was_moved_is_written_where_any_was(tmp_path):
-    rows = [row("a", base_moved=-12.5), row("b")]
-    a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
-    assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
-
-
-def test_a_turn_about_any_axis_is_written_and_read(tmp_path):
-    """A third of a turn about (1, 1, 1) takes x to y, y to z, z to x."""
-    turned = Frame(np.array([-0.5, 0, 0]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
-    file = write_dataset(
-        tmp_path, record(), [row("a", "given", layers=2, patient=turned)], {"a": CURVE}, SURFACES
-    )
-    found = read(file).insertions[0].patient
-    np.testing.assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
 
 
 def own_layers(folder):
@@ -298,17 +262,14 @@ def own_layers(folder):
 
 
 def test_every_insertion_may_have_its_own_layers(tmp_path):
-    dataset = read(own_layers(tmp_path))
+    file = own_layers(tmp_path)
+    dataset = read(file)
     a, b = dataset.insertions
     assert a.sequence == b.sequence == (1, 2, 3, 2)
     assert (a.boundaries[0], b.boundaries[0]) == pytest.approx((20, 30), abs=1e-3)
     assert dataset.media == ("block",)
     assert [float(i.surfaces[0].mesh.vertices[0, 0]) for i in dataset.insertions] == [20, 30]
     assert a.surfaces[1] is b.surfaces[1]
-
-
-def test_own_layers_are_among_the_checksums_and_the_digest(tmp_path):
-    file = own_layers(tmp_path)
     before, path = read(file).digest, tmp_path / "layers" / "b_sheet.stl"
     text = path.read_text()
     path.write_text(text.replace("30.0", "30.5"))
@@ -318,14 +279,3 @@ def test_own_layers_are_among_the_checksums_and_the_digest(tmp_path):
     path.write_text(text)
     own_layers(tmp_path)
     assert read(file).digest == before
-
-
-def test_a_dataset_without_its_insertions_own_layers_is_not_written(tmp_path):
-    own_layers(tmp_path / "one")
-    media = {
-        "block": {"surfaces": [{"file": "layers/{id}.stl", "kind": "sheet", "into": 2}]},
-        "given": {"boundaries_mm": [20.0]},
-    }
-    rows = [row("a"), row("b", "given")]
-    with pytest.raises(DataError, match=r" layers/a\.stl\n"):
-        write_dataset(tmp_path / "two", record(media=media), rows, dict.fromkeys("ab", CURVE), {})

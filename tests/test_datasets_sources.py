@@ -62,27 +62,20 @@ def test_a_long_table_is_read_through_its_mapping(long):
     assert [i.id for i in dataset.insertions] == ["hole1_50", "hole2_50", "hole3_50"]
     assert [i.specimen for i in dataset.insertions] == ["1", "2", "3"]
     first = dataset.insertions[0]
-    assert (dataset.pose, dataset.drop_proximal, first.depth, first.pose_source) == (
-        "free",
-        10.0,
-        50.0,
-        "none",
-    )
+    found = dataset.pose, dataset.drop_proximal, first.depth, first.pose_source
+    assert found == ("free", 10.0, 50.0, "none")
     np.testing.assert_allclose(first.planar, CURVE[:, :2], atol=1e-3)  # x is the tangent at the entry
     assert first.sequence == (1,)
-
-
-def test_faults_of_a_long_table_name_its_lines(long):
     path = long.parent / "lab-a" / "shapes.csv"
-    lines = path.read_text().split("\n")
+    whole = path.read_text()
+    lines = whole.split("\n")
     lines[129] = "2,50,nan,0,0"
     path.write_text("\n".join(lines))
     [fault] = check(long)
     assert fault.where == f"{path}:130" and "u is 'nan'" in fault.what
-
-
-def test_an_insertion_in_two_folders_is_a_fault(long):
+    path.write_text(whole)
     shapes(long.parent / "lab-c", [2])
+    [fault] = check(long)
     [fault] = check(long)
     assert "hole2_50 " in fault.what and "folder" in fault.what
 
@@ -117,7 +110,7 @@ def test_free_shapes_have_a_noise_floor_after_alignment(long):
         assert low < floor["ipe_mean_mm"] < high
 
 
-def test_matlab_centrelines_are_read_like_csv(tmp_path):
+def test_matlab_centrelines_structs_and_cells_are_read(tmp_path):
     (tmp_path / "centerlines").mkdir(parents=True)
     file = write_dataset(
         tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False
@@ -127,6 +120,20 @@ def test_matlab_centrelines_are_read_like_csv(tmp_path):
     savemat(tmp_path / "centerlines" / "a.mat", {"needle": CURVE.round(4), "note": "a text", "rate": 3.0})
     file.write_text(file.read_text().replace("{id}.csv", "{id}.mat"))
     np.testing.assert_array_equal(read(file).insertions[0].planar, planar)
+    cells = np.empty(2, dtype=object)
+    cells[:] = [CURVE, 2 * CURVE]
+    savemat(tmp_path / "old.mat", {"run": {"shape": CURVE, "depth": 50.0}, "all": cells})
+    curves = read_curves(tmp_path / "old.mat")
+    assert sorted(curves) == ["all_1", "all_2", "run_shape"]
+    np.testing.assert_array_equal(curves["all_2"].values, 2 * CURVE)
+    with h5py.File(tmp_path / "new.mat", "w") as new:  # version 7.3 is HDF5, its matrices turned
+        new["x"] = CURVE.T
+        new["run/shape"] = 3 * CURVE.T
+        new["#refs#/a"] = 2 * CURVE.T
+        new.create_dataset("all", data=[[new["#refs#/a"].ref]], dtype=h5py.ref_dtype)
+    curves = read_curves(tmp_path / "new.mat")
+    assert sorted(curves) == ["all_1", "run_shape", "x"]
+    np.testing.assert_array_equal(curves["run_shape"].values, 3 * CURVE)
 
 
 @pytest.mark.sweep
@@ -156,24 +163,7 @@ def test_matlab_faults(tmp_path):
     assert check(file)[0].where.endswith("point 5")
 
 
-def test_matlab_structs_cells_and_version_7_3(tmp_path):
-    cells = np.empty(2, dtype=object)
-    cells[:] = [CURVE, 2 * CURVE]
-    savemat(tmp_path / "old.mat", {"run": {"shape": CURVE, "depth": 50.0}, "all": cells})
-    curves = read_curves(tmp_path / "old.mat")
-    assert sorted(curves) == ["all_1", "all_2", "run_shape"]
-    np.testing.assert_array_equal(curves["all_2"].values, 2 * CURVE)
-    with h5py.File(tmp_path / "new.mat", "w") as new:  # version 7.3 is HDF5, its matrices turned
-        new["x"] = CURVE.T
-        new["run/shape"] = 3 * CURVE.T
-        new["#refs#/a"] = 2 * CURVE.T
-        new.create_dataset("all", data=[[new["#refs#/a"].ref]], dtype=h5py.ref_dtype)
-    curves = read_curves(tmp_path / "new.mat")
-    assert sorted(curves) == ["all_1", "run_shape", "x"]
-    np.testing.assert_array_equal(curves["run_shape"].values, 3 * CURVE)
-
-
-def test_the_template_passes_check_and_is_marked_synthetic(tmp_path):
+def test_a_template_passes_check_and_may_begin_with_centrelines(tmp_path):
     file = write_template(tmp_path / "mine")
     assert check(tmp_path / "mine") == []
     dataset = read(file)
@@ -181,9 +171,6 @@ def test_the_template_passes_check_and_is_marked_synthetic(tmp_path):
     assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
     with pytest.raises(ConfigError, match="exists already"):
         write_template(tmp_path / "mine")
-
-
-def test_a_template_from_centrelines(tmp_path):
     lines = [f"{name},{x},{y},{z}" for name in ("first run", "r2") for x, y, z in 3 * CURVE]
     (tmp_path / "runs.csv").write_text("\n".join(["id,x_mm,y_mm,z_mm", *lines]))
     savemat(tmp_path / "runs.mat", {"r1": CURVE, "r2": CURVE})
@@ -248,18 +235,28 @@ def test_a_template_lists_what_it_reads_and_ignores(tmp_path):
         assert "--from reads" in str(error.value) or "check the path" in error.value.fix
 
 
-def test_a_template_keeps_the_deviations_of_points(tmp_path):
+def test_a_template_keeps_deviations_and_reports_changed_ids(tmp_path):
     source = tmp_path / "runs.csv"
     lines = [f"{x},{y},{z},0.25" for x, y, z in CURVE]
     source.write_text("\n".join(["x_mm,y_mm,z_mm,sd_mm", *lines]) + "\n")
     np.testing.assert_array_equal(read(write_template(tmp_path / "mine", source)).insertions[0].sd, 0.25)
+    tmp_path /= "b"
+    tmp_path.mkdir()
+    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "c": CURVE})
+    remarks: list[str] = []
+    file = write_template(tmp_path / "mine", source, remarks.append)
+    assert [one.id for one in read(file).insertions] == ["a_b", "c"]
+    assert len(remarks) == 1 and "a_b" in remarks[0]
 
 
-def test_a_curve_of_few_points_is_no_template(tmp_path):
+def test_a_curve_of_few_points_or_another_s_name_is_no_template(tmp_path):
     source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a": CURVE, "b": CURVE[:1]})
     with pytest.raises(DataError, match=r"curve b .*\b1 points") as error:
         write_template(tmp_path / "mine", source)
     assert error.value.where == f"{source}:103"
+    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "a_b": CURVE})
+    with pytest.raises(DataError, match="'a_b' becomes a_b, as another"):
+        write_template(tmp_path / "mine", source)
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\u202eb", "\uff1da", "a\x07", " =a"])
@@ -279,20 +276,6 @@ def test_unsafe_names_of_curves_are_refused(name, ending, tmp_path):
         write_template(tmp_path / "mine", source)
     assert "refused" in error.value.what or "control" in str(error.value)
     assert not (tmp_path / "mine").exists()
-
-
-def test_ids_that_are_changed_are_reported(tmp_path):
-    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "c": CURVE})
-    remarks: list[str] = []
-    file = write_template(tmp_path / "mine", source, remarks.append)
-    assert [one.id for one in read(file).insertions] == ["a_b", "c"]
-    assert len(remarks) == 1 and "a_b" in remarks[0]
-
-
-def test_ids_of_the_same_file_name_are_reported(tmp_path):
-    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "a_b": CURVE})
-    with pytest.raises(DataError, match="'a_b' becomes a_b, as another"):
-        write_template(tmp_path / "mine", source)
 
 
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")

@@ -23,7 +23,7 @@ from needlefit.imaging.needle.centerline import slice_sd, trace_needle
 from needlefit.imaging.needle.segmentation import find_components, list_thresholds, segment_needle
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume
 from needlefit.project.load import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.ct_scene import ScannerTable, SceneMarkers
@@ -58,7 +58,7 @@ def test_needles_of_known_equation(name):
 
 
 @pytest.mark.sweep
-def test_the_axis_follows_shifts_under_a_voxel():
+def test_moving_or_turning_the_needle_moves_the_answer():
     shift = np.array([0.13, 0.31, 0.17])
     still = found(cases.scan(cases.axis()))
     moved = found(cases.scan(cases.axis() + shift))
@@ -67,10 +67,6 @@ def test_the_axis_follows_shifts_under_a_voxel():
         [np.interp(30.0, line.points[:, 2], line.points[:, a]) for line in (still, moved) for a in (0, 1)]
     )
     assert_allclose(across[2:] - across[:2], shift[:2], atol=0.03)
-
-
-@pytest.mark.sweep
-def test_turning_volume_and_needle_together_turns_the_answer():
     turn = Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix()
     shift = np.array([-30.0, 12.0, 7.0])
     volume = cases.scan(cases.axis(curve=(2.0, 1.0)))
@@ -80,25 +76,22 @@ def test_turning_volume_and_needle_together_turns_the_answer():
     assert cases.off(moved.points, still.points @ turn.T + shift).max() < 0.03
 
 
-def test_indices_and_patient_positions_are_inverse():
-    volume = Volume(
-        np.zeros((4, 5, 6), np.float32),
-        np.array([1.0, 2, 3]),
-        np.array([0.5, 0.6, 2.0]),
-        np.eye(3)[[1, 2, 0]],
-    )
-    ijk = np.array([[0.0, 0, 0], [1.5, 2.25, 3.0]])
-    assert_allclose(to_index(volume, to_patient(volume, ijk)), ijk, atol=1e-12)
-    assert_allclose(to_patient(volume, [[1, 0, 0]]) - volume.origin, 0.5 * volume.direction[:, :1].T)
-
-
 @pytest.mark.sweep
-def test_slices_thicker_than_pixels_are_allowed():
+def test_thick_slices_and_ends_in_tissue():
     truth = cases.axis(tip=(3.0, 2.0, 28.0), curve=(2.0, 0.0))
     grid = cases.grid(size=(48, 48, 56), spacing=np.array([0.46, 0.46, 0.9]))
     line = found(cases.scan(truth, grid=grid))
     assert cases.off(line.points, truth).mean() < 0.05
     assert np.linalg.norm(line.tip - truth[-1]) < 0.2
+    truth = cases.axis()[34:]  # base in air, 6 mm above the face
+    line = found(cases.scan(truth))
+    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+    truth = cases.axis()[48:]  # base 4 mm under the face
+    volume = cases.scan(truth)
+    with pytest.raises(DataError, match="entry_direction"):
+        found(volume)
+    line = found(volume, cases.recipe(centerline={"entry_direction": [0, 0, 1]}))
+    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
 
 
 @pytest.mark.sweep
@@ -126,27 +119,21 @@ def test_pieces_of_one_needle_are_joined():
     assert cases.off(line.points, truth).max() < 0.1
 
 
-def test_a_scan_without_metal():
+def test_what_is_no_needle_is_refused():
     with pytest.raises(DataError, match="tissue"):
         segment_needle(cases.scan(cases.axis() + FAR), cases.RECIPE)
-
-
-def test_a_threshold_that_nothing_exceeds():
-    recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
-    with pytest.raises(DataError, match="9000 HU"):
-        segment_needle(cases.scan(cases.axis()), recipe)
-
-
-def test_balls_alone_are_no_needle():
     balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
     volume = cases.scan(cases.axis() + FAR, scene={"markers": balls})
     with pytest.raises(DataError, match="is a tube"):
         segment_needle(volume, cases.RECIPE)
-
-
-def test_a_tip_beyond_the_volume():
     with pytest.raises(DataError, match=r"volume.* tip"):
         found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0))))
+    recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
+    with pytest.raises(DataError, match="9000 HU"):
+        segment_needle(cases.scan(cases.axis()), recipe)
+    recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
+    with pytest.raises(DataError, match=r"volume.* tip"):
+        found(cases.scan(cases.axis()), recipe)
 
 
 @pytest.mark.parametrize("contact", [None, cases.ENTRY])
@@ -162,34 +149,16 @@ def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, co
         assert_allclose(soft, [top - 12.0, 0.0], atol=1.5)
 
 
-def test_an_entry_direction_that_points_out_of_the_volume():
-    recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
-    with pytest.raises(DataError, match=r"volume.* tip"):
-        found(cases.scan(cases.axis()), recipe)
-
-
 @pytest.mark.sweep
-def test_the_end_in_tissue_is_the_tip_where_both_ends_are_seen():
-    truth = cases.axis()[34:]  # base in air, 6 mm above the face
-    line = found(cases.scan(truth))
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
-
-
-@pytest.mark.sweep
-def test_two_ends_in_tissue_need_an_entry_direction():
-    truth = cases.axis()[48:]  # base 4 mm under the face
-    volume = cases.scan(truth)
-    with pytest.raises(DataError, match="entry_direction"):
-        found(volume)
-    line = found(volume, cases.recipe(centerline={"entry_direction": [0, 0, 1]}))
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
-
-
-@pytest.mark.sweep
-def test_the_stated_deviations_grow_with_the_noise():
+def test_deviations_grow_with_noise_and_metal_may_be_above_the_ceiling():
     quiet, loud = (found(cases.scan(cases.axis(), noise_hu=hu)) for hu in (10.0, 200.0))
     assert loud.sd.mean() > 2 * quiet.sd.mean()
     assert loud.tip_sd[0] > 1.2 * quiet.tip_sd[0]
+    for hu in [4000.0, 9000.0]:
+        truth = cases.axis(tip=(1.0, 2.0, 28.0), curve=(2.0, 1.0))
+        line = found(cases.scan(truth, hu=hu))
+        assert cases.off(line.points, truth).mean() < 0.03
+        assert np.linalg.norm(line.tip - truth[-1]) < 0.15
 
 
 @pytest.mark.sweep
@@ -215,7 +184,7 @@ def sections(shifts, tilt=0.0):
     return CrossSections(across, flat + 1000.0, flat + 10.0, np.column_stack([flat, flat + tilt]))
 
 
-def test_the_error_shared_by_sections_is_stated():
+def test_errors_shared_by_sections_gaps_and_thick_slices():
     none = sections(0.0)
     assert estimate_shared_sd(none, none, 0.5) == 0.0
     apart = sections(0.02)  # 0.02 mm along one of two directions
@@ -228,11 +197,21 @@ def test_the_error_shared_by_sections_is_stated():
     assert (
         estimate_shared_sd(sections(0.02 * (-1.0) ** np.arange(40)), none, 0.5) < 0.001
     )  # neighbours make up for it
+    s = np.concatenate([np.arange(0.0, 20.0, 0.5), np.arange(40.0, 60.1, 0.5)])
+    points = np.column_stack([s, 0.001 * s**2, 0 * s])
+    axis = fit_axis(s, points, np.ones(len(s)), 7.0)
+    assert not len(find_empty_pieces(s, axis.final_weights, axis.spline.t))
+    assert np.abs(axis.spline(30.0) - [30.0, 0.9, 0.0]).max() < 0.01
 
+    def deviation(thick, way):
+        s = np.arange(0.0, 60.0, 0.5)
+        axis = fit_axis(s, np.outer(s, np.array(way) / np.linalg.norm(way)), np.ones(len(s)), 7.0)
+        grid = np.zeros((4, 4, 4), np.float32)
+        return slice_sd(Volume(grid, np.zeros(3), np.array([0.5, 0.5, thick]), np.eye(3)), axis, cases.RECIPE)
 
-def test_the_shipped_recipe_states_the_defaults():
-    shipped = load(Path(__file__).parents[1] / "configs/reconstruction/default.toml", ReconstructionRecord)
-    assert shipped.model_copy(update={"title": ""}) == cases.RECIPE
+    assert 0.2 < deviation(2.0, [1, 0, 0]) < 2 / np.sqrt(12)
+    assert deviation(0.4, [1, 0, 0]) < 0.03
+    assert deviation(2.0, [0, 0, 1]) < 0.03
 
 
 @pytest.mark.parametrize(
@@ -264,37 +243,10 @@ def test_a_bevel_unlike_the_recipe_s_moves_the_tip_by_little(angle, most):
     assert np.linalg.norm(line.tip - truth[-1]) < most
 
 
-def test_a_blunt_needle_has_no_side():
+def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults():
     truth = cases.axis(tip=(1.0, 2.0, 28.0))
     line = found(cases.scan(truth, bevel_deg=90.0), cases.recipe(needle={"bevel_deg": 90.0}))
     assert np.linalg.norm(line.tip - truth[-1]) < 0.05
     assert np.isnan(line.bevel).all()
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("hu", [4000.0, 9000.0])
-def test_metal_below_and_above_the_ceiling(hu):
-    truth = cases.axis(tip=(1.0, 2.0, 28.0), curve=(2.0, 1.0))
-    line = found(cases.scan(truth, hu=hu))
-    assert cases.off(line.points, truth).mean() < 0.03
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
-
-
-def test_a_gap_without_sections_ends_no_piece_of_the_spline():
-    s = np.concatenate([np.arange(0.0, 20.0, 0.5), np.arange(40.0, 60.1, 0.5)])
-    points = np.column_stack([s, 0.001 * s**2, 0 * s])
-    axis = fit_axis(s, points, np.ones(len(s)), 7.0)
-    assert not len(find_empty_pieces(s, axis.final_weights, axis.spline.t))
-    assert np.abs(axis.spline(30.0) - [30.0, 0.9, 0.0]).max() < 0.01
-
-
-def test_a_needle_within_thick_slices_lies_anywhere_in_them():
-    def deviation(thick, way):
-        s = np.arange(0.0, 60.0, 0.5)
-        axis = fit_axis(s, np.outer(s, np.array(way) / np.linalg.norm(way)), np.ones(len(s)), 7.0)
-        grid = np.zeros((4, 4, 4), np.float32)
-        return slice_sd(Volume(grid, np.zeros(3), np.array([0.5, 0.5, thick]), np.eye(3)), axis, cases.RECIPE)
-
-    assert 0.2 < deviation(2.0, [1, 0, 0]) < 2 / np.sqrt(12)
-    assert deviation(0.4, [1, 0, 0]) < 0.03
-    assert deviation(2.0, [0, 0, 1]) < 0.03
+    shipped = load(Path(__file__).parents[1] / "configs/reconstruction/default.toml", ReconstructionRecord)
+    assert shipped.model_copy(update={"title": ""}) == cases.RECIPE

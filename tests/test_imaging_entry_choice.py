@@ -29,37 +29,34 @@ def choose(shown, depth=None, thickness=None, distance=None, explained=()):
     return choose_entry(shown, TIP, EntryKnowledge(depth, thickness, distance, np.array(explained)))
 
 
-@pytest.mark.parametrize("width", [0.4, 1.2])
-def test_a_plate_before_air_is_no_tissue_and_is_named(width):
-    choice = choose(profile(*PLATE, *FACE, width=width))
-    assert abs(choice.chosen.at) < 0.1
-    assert_allclose([one.depth for one in choice.candidates], [59.0, 40.0], atol=0.15)
-    assert len(choice.warnings) == 1
-
-
-def test_a_stated_plate_leaves_no_doubt():
+def test_a_plate_before_air_is_no_tissue_and_a_narrow_gap_a_gap():
+    for width in [0.4, 1.2]:
+        choice = choose(profile(*PLATE, *FACE, width=width))
+        assert abs(choice.chosen.at) < 0.1
+        assert_allclose([one.depth for one in choice.candidates], [59.0, 40.0], atol=0.15)
+        assert len(choice.warnings) == 1
+    for gap in [2.0, 3.0, 6.0]:
+        shown = profile((-8.0 - gap, -1000.0, 110.0), (-gap, 110.0, -1000.0), *FACE, width=0.7)
+        choice = choose(shown, thickness=8.0)
+        assert abs(choice.chosen.at) < 0.15
+        assert abs(choice.chosen.at) < 3 * choice.chosen.sd
+        assert choice.warnings == ()
     shown = profile(*PLATE, *FACE)
     choice = choose(shown, thickness=8.0, distance=11.0)
     assert abs(choice.chosen.at) < 0.1
     assert choice.warnings == ()
     assert len(choose(shown, thickness=8.0, distance=20.0).warnings) == 1  # of another rig
     assert len(choose(shown, thickness=14.0).warnings) == 1  # no such plate
-
-
-def test_without_a_plate_tissue_may_hold_air():
     choice = choose(profile(*PLATE, *FACE), thickness=0.0)
     assert_allclose(choice.chosen.at, -19.0, atol=0.1)
     assert choice.warnings == ()
 
 
-@pytest.mark.parametrize(("depth", "at"), [(37.0, 0.0), (62.0, -19.0)])
-def test_the_stated_length_names_the_candidate(depth, at):
-    choice = choose(profile(*PLATE, *FACE), depth=depth)
-    assert_allclose(choice.chosen.at, at, atol=0.1)
-    assert choice.warnings == ()
-
-
-def test_a_stated_length_between_candidates_is_a_doubt_and_one_far_off_an_error():
+def test_the_stated_length_names_the_candidate():
+    for depth, at in [(37.0, 0.0), (62.0, -19.0)]:
+        choice = choose(profile(*PLATE, *FACE), depth=depth)
+        assert_allclose(choice.chosen.at, at, atol=0.1)
+        assert choice.warnings == ()
     shown = profile(*PLATE, *FACE)
     assert len(choose(shown, depth=48.0).warnings) == 1
     with pytest.raises(DataError) as refused:
@@ -67,19 +64,10 @@ def test_a_stated_length_between_candidates_is_a_doubt_and_one_far_off_an_error(
     assert refused.value.where == "expected_depth_mm"
 
 
-@pytest.mark.parametrize("gap", [2.0, 3.0, 6.0])
-def test_a_narrow_gap_is_a_gap(gap):
-    shown = profile((-8.0 - gap, -1000.0, 110.0), (-gap, 110.0, -1000.0), *FACE, width=0.7)
-    choice = choose(shown, thickness=8.0)
-    assert abs(choice.chosen.at) < 0.15
-    assert abs(choice.chosen.at) < 3 * choice.chosen.sd
-    assert choice.warnings == ()
-
-
 FLUSH = profile((-8.0, -1000.0, 110.0), (0.0, 110.0, 35.0), (13.0, 35.0, -5.0))
 
 
-def test_a_plate_that_lies_on_the_tissue_is_a_doubt_unless_it_is_stated():
+def test_a_plate_that_lies_on_the_tissue_or_does_not_show_is_a_doubt():
     choice = choose(FLUSH)
     assert_allclose(choice.chosen.at, -8.0, atol=0.1)
     assert len(choice.warnings) == 1
@@ -90,14 +78,8 @@ def test_a_plate_that_lies_on_the_tissue_is_a_doubt_unless_it_is_stated():
     assert_allclose(stated.chosen.at, 0.0, atol=0.15)
     assert stated.warnings == ()
     assert choose(FLUSH, thickness=0.0).warnings == ()
-
-
-def test_a_step_where_a_stated_layer_ends_is_no_doubt():
     assert choose(FLUSH, explained=[0.3]).warnings == ()
     assert len(choose(FLUSH, explained=[13.0]).warnings) == 1
-
-
-def test_a_stated_plate_that_does_not_show_is_a_doubt():
     shown = profile(*FACE)
     choice = choose(shown, thickness=8.0)
     assert_allclose(choice.chosen.at, 8.0, atol=0.1)
@@ -105,31 +87,19 @@ def test_a_stated_plate_that_does_not_show_is_a_doubt():
     assert_allclose(choose(shown, thickness=8.0, distance=30.0).chosen.at, 0.0, atol=0.1)
 
 
-def test_a_plate_that_leaves_the_scan_is_a_plate():
+def test_candidates_are_rises_and_steps_before_the_tip_and_no_metal():
     shown = profile((-55.0, 110.0, -1000.0), *FACE)
     assert len(choose(shown).warnings) == 1
     choice = choose(shown, thickness=8.0)
     assert abs(choice.chosen.at) < 0.1
     assert choice.warnings == ()
-
-
-def test_metal_is_neither_tissue_nor_a_candidate():
     shown = profile((-24.0, -1000.0, 2500.0), (-16.0, 2500.0, -1000.0), *FACE)
     assert [run.kind for run in find_runs(shown)] == ["air", "metal", "air", "soft"]
     assert_allclose([at for _, at, _ in find_rises(shown)], [0.0], atol=0.1)
-
-
-def test_what_lies_beyond_the_tip_is_no_entry():
     shown = profile((0.0, -1000.0, 35.0), (30.0, 35.0, -1000.0), (44.0, -1000.0, 35.0))
     assert_allclose([one.at for one in list_candidates(shown, TIP)], [0.0], atol=0.1)
-
-
-def test_layers_are_steps_and_a_slope_is_none():
     assert [one.change for one in list_candidates(FLUSH, TIP)] == ["rise", "step", "step"]
     shown = profile(*FACE)
     shown.around[:] += np.where(S > 0, -0.4 * S, 0)
     assert [one.change for one in list_candidates(shown, TIP)] == ["rise"]
-
-
-def test_nothing_is_chosen_where_nothing_rises():
     assert choose(profile((0.0, 35.0, 35.0))) is None

@@ -225,7 +225,7 @@ def test_encodings_of_nrrd(tmp_path, encoding):
         plain(path)
 
 
-def test_bzip2_and_several_files_of_voxels_are_named_as_what_is_not_read(tmp_path):
+def test_what_common_programs_leave_in_headers_is_read_or_named(tmp_path):
     packed = nrrd(tmp_path / "a.nrrd", encoding="bzip2", data=bz2.compress(VALUES.tobytes()))
     several = nrrd(tmp_path / "a.nhdr", data=b"", data_file="LIST 2")
     several.write_bytes(several.read_bytes().rstrip() + b"\nslice1.raw\nslice2.raw\n")
@@ -233,6 +233,28 @@ def test_bzip2_and_several_files_of_voxels_are_named_as_what_is_not_read(tmp_pat
         with pytest.raises(DataError) as caught:
             read_volume(path)
         assert word in caught.value.what and caught.value.fix
+    tmp_path /= "b"
+    tmp_path.mkdir()
+    # Comments, texts of any length, line ends of Windows, and what other programs leave in them.
+    path = nrrd(tmp_path / "a.nrrd", content="a scan", kinds="domain domain domain")
+    head, _, data = path.read_bytes().partition(b"\n\n")
+    more = [b"# made by hand", b"Segmentation_Terminology:=" + b"~^" * 5000, b"note:=a: b, caf\xc3\xa9 \xff"]
+    path.write_bytes(b"\n".join([head, *more]) + b"\n\n" + data)
+    plain(path)
+    path.write_bytes(b"\r\n".join(path.read_bytes()[: -len(data)].rstrip().split(b"\n")) + b"\r\n\r\n" + data)
+    plain(path)
+    path = metaimage(tmp_path / "a.mha")
+    path.write_bytes(b"Comment = " + b"x" * 200 + b"\nModality = MET_MOD_CT\n" + path.read_bytes())
+    plain(path)
+    tmp_path /= "c"
+    tmp_path.mkdir()
+    # A segmentation of 1 MiB whose voxels are all alike packs 1000-fold.
+    values = np.ones((64, 128, 128), np.uint8)
+    path = nrrd(
+        tmp_path / "a.nrrd", values, type="uint8", encoding="gzip", data=gzip.compress(values.tobytes())
+    )
+    assert path.stat().st_size < 5000
+    assert read_volume(path).values.sum() == values.size
 
 
 @pytest.mark.sweep
@@ -244,27 +266,3 @@ def test_headers_that_lie_beside_their_voxels(tmp_path):
         path = metaimage(tmp_path / "a.mhd", ElementDataFile="my scan.raw")
         path.write_bytes(b"HeaderSize = %d\n" % skip + path.read_bytes())
         plain(path)
-
-
-def test_headers_of_common_programs_are_read(tmp_path):
-    """Comments, texts of any length, line ends of Windows, and what other programs leave in them."""
-    path = nrrd(tmp_path / "a.nrrd", content="a scan", kinds="domain domain domain")
-    head, _, data = path.read_bytes().partition(b"\n\n")
-    more = [b"# made by hand", b"Segmentation_Terminology:=" + b"~^" * 5000, b"note:=a: b, caf\xc3\xa9 \xff"]
-    path.write_bytes(b"\n".join([head, *more]) + b"\n\n" + data)
-    plain(path)
-    path.write_bytes(b"\r\n".join(path.read_bytes()[: -len(data)].rstrip().split(b"\n")) + b"\r\n\r\n" + data)
-    plain(path)
-    path = metaimage(tmp_path / "a.mha")
-    path.write_bytes(b"Comment = " + b"x" * 200 + b"\nModality = MET_MOD_CT\n" + path.read_bytes())
-    plain(path)
-
-
-def test_a_volume_may_be_made_of_few_bytes(tmp_path):
-    """A segmentation of 1 MiB whose voxels are all alike packs 1000-fold."""
-    values = np.ones((64, 128, 128), np.uint8)
-    path = nrrd(
-        tmp_path / "a.nrrd", values, type="uint8", encoding="gzip", data=gzip.compress(values.tobytes())
-    )
-    assert path.stat().st_size < 5000
-    assert read_volume(path).values.sum() == values.size

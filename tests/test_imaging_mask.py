@@ -107,15 +107,16 @@ def test_a_mask_of_other_voxels_is_asked_at_those_of_the_scan(volume, mask, tmp_
 
 
 @pytest.mark.parametrize(
-    ("shift", "words"),
-    [((0.0, 0, 200.0), "100 % of what it marks lies outside"), ((-4.0, -3.0, 0), "no brighter")],
+    ("moved", "words"),
+    [
+        ({"origin": (0.0, 0, 200.0)}, "100 % of what it marks lies outside"),
+        ({"origin": (-4.0, -3.0, 0)}, "no brighter"),
+        ({"spacing": 1 - cases.SPACING}, "does not lie on the needle"),
+    ],
 )
-def test_a_mask_from_another_place_is_refused(shift, words, volume, mask, tmp_path):
-    refused(tmp_path, volume, replace(mask, origin=mask.origin + shift), words)
-
-
-def test_a_mask_whose_header_was_lost_is_refused(volume, mask, tmp_path):
-    refused(tmp_path, volume, replace(mask, spacing=np.ones(3)), "does not lie on the needle")
+def test_a_mask_from_another_place_or_without_its_header_is_refused(moved, words, volume, mask, tmp_path):
+    ((key, by),) = moved.items()
+    refused(tmp_path, volume, replace(mask, **{key: getattr(mask, key) + by}), words)
 
 
 @pytest.mark.parametrize(

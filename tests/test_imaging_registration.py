@@ -82,7 +82,7 @@ def test_moving_the_scan_or_the_world_moves_the_answer_with_it(seed):
         assert np.linalg.eigvalsh(one.covariance) == pytest.approx(np.linalg.eigvalsh(first.covariance))
 
 
-def test_a_missing_and_a_spurious_marker_are_left_out_and_named():
+def test_missing_spurious_and_moved_markers_are_left_out_and_named():
     rng = np.random.default_rng(3)
     pose = pose_of(rng)
     found = pose.to_local(np.concatenate([LAYOUT[:5], [[10, 10, 10]]])) + 0.05 * rng.normal(size=(6, 3))
@@ -90,9 +90,6 @@ def test_a_missing_and_a_spurious_marker_are_left_out_and_named():
     assert registration.pairs.tolist() == [[n, n] for n in range(5)]
     assert "found markers 5" in registration.warnings[0]
     assert "known markers 5" in registration.warnings[1]
-
-
-def test_a_moved_marker_is_left_out_and_its_distance_reported():
     moved = LAYOUT.copy()
     moved[3] += [0, 0, 2.0]
     registration = register(moved, LAYOUT, 0.05)
@@ -100,9 +97,6 @@ def test_a_moved_marker_is_left_out_and_its_distance_reported():
     assert any(
         re.search(r"found marker 3 .*\b2\.00 mm .*known marker 3", text) for text in registration.warnings
     )
-
-
-def test_leave_one_out_of_a_single_wrong_marker_is_its_own_error():
     moved = LAYOUT.copy()
     moved[3] += [0, 0, 0.3]
     registration = register(moved, LAYOUT, 0.1)
@@ -110,7 +104,7 @@ def test_leave_one_out_of_a_single_wrong_marker_is_its_own_error():
     assert np.isnan(register(LAYOUT[:3], LAYOUT[:3], 0.1).leave_one_out).all()
 
 
-def test_kabsch_never_reflects_even_if_a_reflection_fits_better():
+def test_kabsch_never_reflects_and_meets_a_marker_that_alone_has_weight():
     frame = fit_kabsch(LAYOUT * [1, 1, -1], LAYOUT, np.ones(6))
     assert proper(frame.rotation)
     left = np.sum((LAYOUT - frame.to_world(LAYOUT * [1, 1, -1])) ** 2)
@@ -118,22 +112,27 @@ def test_kabsch_never_reflects_even_if_a_reflection_fits_better():
         0
     ] == pytest.approx(left)
     assert left > 100
-
-
-def test_a_marker_that_alone_has_weight_is_met_exactly():
     moving = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0]], dtype=float)
     weights = np.array([2.0, 1e-12, 1e-12])
     fixed = moving + np.array([[3, 0, 0], [0, 0, 0], [0, 0, 0]])
     assert fit_kabsch(moving, fixed, weights).to_world(moving[:1])[0] == pytest.approx([3, 0, 0], abs=1e-6)
 
 
-def test_precise_markers_count_for_more_than_loose_ones():
+def test_precise_markers_and_axes_count_for_more_than_loose_ones():
     loose = LAYOUT.copy()
     loose[0] += [0.5, 0, 0]
     sd = np.array([1.0, 0.01, 0.01, 0.01, 0.01, 0.01])
     registration = register(loose, LAYOUT, sd)
     assert np.abs(registration.residuals[1:]).max() < 1e-3
     assert registration.residuals[0] == pytest.approx([-0.5, 0, 0], abs=1e-3)
+    # Errors along the loose axis of the scan alone hardly reach the pose.
+    rng = np.random.default_rng(5)
+    noise = np.zeros((6, 3))
+    noise[:, 2] = 0.3 * rng.normal(size=6)
+    sharp = register(LAYOUT + noise, LAYOUT, np.tile([0.01, 0.01, 0.3], (6, 1)))
+    blunt = register(LAYOUT + noise, LAYOUT, 0.3)
+    angle = [np.linalg.norm(Rotation.from_matrix(r.rotation).as_rotvec()) for r in (sharp, blunt)]
+    assert angle[0] < angle[1] / 3
 
 
 def test_deviations_are_one_number_or_of_each_marker_and_axis_or_covariances():
@@ -150,17 +149,6 @@ def test_deviations_are_one_number_or_of_each_marker_and_axis_or_covariances():
     assert sets.variance_bound == pytest.approx(np.array([[9.0] * 3, [9.0] * 3, [4.0] * 3]))
     assert sets.typical_sd == pytest.approx(np.sqrt(14 / 3))
     assert sets.extent == pytest.approx(np.sqrt(19**2 + 80**2 + 42**2))
-
-
-def test_an_uncertain_axis_is_weighted_down():
-    """Errors along the loose axis of the scan alone hardly reach the pose."""
-    rng = np.random.default_rng(5)
-    noise = np.zeros((6, 3))
-    noise[:, 2] = 0.3 * rng.normal(size=6)
-    sharp = register(LAYOUT + noise, LAYOUT, np.tile([0.01, 0.01, 0.3], (6, 1)))
-    blunt = register(LAYOUT + noise, LAYOUT, 0.3)
-    angle = [np.linalg.norm(Rotation.from_matrix(r.rotation).as_rotvec()) for r in (sharp, blunt)]
-    assert angle[0] < angle[1] / 3
 
 
 # predicted errors
@@ -191,22 +179,13 @@ def test_the_error_at_the_centre_is_the_noise_over_the_root_of_the_number():
     assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(np.eye(3) * 0.25 / 4)
     # a Gaussian in three directions has the mean length sqrt(8 / pi) sigma
     assert predict_mean_target_error(registration, [[0, 0, 0]])[0] == pytest.approx(np.sqrt(8 / np.pi) * 0.25)
-
-
-def test_the_expected_residual_is_the_noise_less_what_the_fit_follows():
-    """E FRE^2 = (1 - 2 / N) FLE^2 (R. Sibson 1979), FLE^2 = 3 sigma^2."""
+    # E FRE^2 = (1 - 2 / N) FLE^2 (R. Sibson 1979), FLE^2 = 3 sigma^2.
     registration = register(LAYOUT, LAYOUT, 0.2)
     assert registration.expected_fre == pytest.approx(np.sqrt((1 - 2 / 6) * 3 * 0.2**2))
-
-
-def test_noise_along_one_axis_only_shifts_along_it():
-    """At the centre of equally noisy markers, the error is a mean: each axis keeps its own variance."""
+    # At the centre of equally noisy markers, the error is a mean: each axis keeps its own variance.
     registration = register(SQUARE, SQUARE, np.tile([0.1, 0.1, 0.6], (4, 1)), pairs=ITSELF)
     expected = np.diag([0.01, 0.01, 0.36]) / 4
     assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(expected)
-
-
-def test_noise_given_in_the_scan_turns_with_it():
     turn = Frame(np.zeros(3), Rotation.from_euler("x", 90, degrees=True).as_matrix())  # scan z is world -y
     registration = register(turn.to_local(SQUARE), SQUARE, np.tile([0.1, 0.1, 0.6], (4, 1)), pairs=ITSELF)
     assert np.diag(target_covariance(registration, [[0, 0, 0]])[0]) == pytest.approx(
@@ -241,9 +220,6 @@ def test_closest_points_keep_the_pairs_of_a_near_pose_and_drop_the_spurious():
     found = np.concatenate([LAYOUT[[4, 2, 0, 1, 5]] + 0.1 * rng.normal(size=(5, 3)), [[40, 0, 0]]])
     pairs = pair_by_icp(make_marker_sets(found, LAYOUT, 0.1, 0.0), rough)
     assert pairs.tolist() == [[0, 4], [1, 2], [2, 0], [3, 1], [4, 5]]
-
-
-def test_closest_points_weigh_markers_by_their_deviations():
     pose = pose_of(np.random.default_rng(1))
     sets = make_marker_sets(pose.to_local(LAYOUT), LAYOUT, [0.1, 0.1, 0.1, 3.0, 3.0, 3.0], 0.1)
     turned = Rotation.from_rotvec([0.1, -0.05, 0.1]).as_matrix() @ pose.rotation
@@ -256,8 +232,5 @@ def test_a_rough_pose_settles_what_a_symmetric_layout_leaves_open():
     assert np.allclose(registration.rotation, np.eye(3), atol=1e-9)
     half = Frame(np.array([1.0, 2, -1]), np.diag([-1.0, -1.0, 1.0]) @ rough.rotation)
     assert np.allclose(register(SQUARE, SQUARE, 0.1, rough=half).rotation, np.diag([-1, -1, 1]), atol=1e-9)
-
-
-def test_the_frame_of_a_registration_goes_both_ways():
     registration = register(LAYOUT + 3.0, LAYOUT, 0.1)
     assert scan_frame(registration).to_local(LAYOUT) == pytest.approx(LAYOUT + 3.0)

@@ -68,34 +68,22 @@ def test_markers_on_a_line_are_refused_exactly_and_within_noise():
     bent = np.array([[0, 0, 0], [35, 0, 0], [80, 0.5, 0]], dtype=float)
     assert "degrees" in refused(bent, bent, 0.1)
     assert register(bent * [1, 40, 1], bent * [1, 40, 1], 0.1).fre < 1e-9
-
-
-def test_a_deviation_as_large_as_the_layout_is_not_attributed_to_the_layout():
     text = refused(FOUND, LAYOUT, 50.0)
     assert "known to 50 mm" in text and "line" not in text.split("fix")[1] and "reference_sd_mm" in text
-
-
-def test_found_markers_on_a_line_are_refused_though_the_layout_is_not():
     layout = np.array([[0, 0, 0], [30, 0, 0], [75, 0, 0], [10, 40, 25]], dtype=float)
     assert "lie on a line" in refused(layout[:3], layout, 0.1)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_mirrored_markers_are_reported_as_mirrored(axis):
-    signs = np.ones(3)
-    signs[axis] = -1
-    assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1)
-    assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1, pairs=[[n, n] for n in range(6)])
-
-
-def test_flat_markers_give_a_warning_that_a_mirrored_scan_is_undetectable():
+def test_mirrored_and_flat_markers_and_ras_read_as_lps_are_reported():
+    for axis in [0, 1, 2]:
+        signs = np.ones(3)
+        signs[axis] = -1
+        assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1)
+        assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1, pairs=[[n, n] for n in range(6)])
     flat = LAYOUT * [1, 1, 0]
     registration = register(flat * [1, -1, 1], flat, 0.1)
     assert np.linalg.det(registration.rotation) == pytest.approx(1)
     assert any("mirrored scan" in remark for remark in registration.warnings)
-
-
-def test_ras_read_as_lps_is_a_rotation_that_only_a_rough_pose_reveals():
     flipped = FOUND * [-1, -1, 1]
     assert register(flipped, LAYOUT, 0.1).fre < 1e-9
     near = Frame(POSE.origin + 5.0, Rotation.from_rotvec([0.1, 0, 0.1]).as_matrix() @ POSE.rotation)
@@ -111,9 +99,6 @@ def test_fiducials_of_a_file_are_compared_with_what_the_volume_shows():
         check_axis_signs(FOUND[:4] * [-1, -1, 1], FOUND + 0.2, 0.5)
     with pytest.raises(DataError, match="sign of x"):
         check_axis_signs(FOUND[:4] * [-1, 1, 1], FOUND, 0.5)
-
-
-def test_a_sign_is_wrong_where_all_lie_four_deviations_nearer_with_it_changed():
     points, mirrored = np.array([[1.0, 100, 100], [1, 160, 100], [1, 100, 160]]), np.array([-1, 1, 1])
     near, far = points * [1.9, 1, 1], points * [2.1, 1, 1]
     check_axis_signs(near, near * mirrored, 1.0)
@@ -122,20 +107,18 @@ def test_a_sign_is_wrong_where_all_lie_four_deviations_nearer_with_it_changed():
     assert "sign of x" in caught.value.what and "RAS" not in caught.value.what
 
 
-@pytest.mark.parametrize(
-    ("factors", "word"),
-    [
+def test_a_wrong_spacing_or_unit_is_measured_and_not_corrected():
+    for factors, word in [
         ((1.02, 1.02, 1.02), "1.0200 times too long in all"),
         ((0.5, 0.5, 0.5), "2.0000 times too short in all"),
         ((1.0, 1.0, 0.46), "2.1739 times too short along z"),
         ((1.1, 1.1, 1.0), "1.1000 times too long along x and y"),
-    ],
-)
-def test_a_wrong_spacing_is_measured_and_not_corrected(factors, word):
-    assert word in refused(FOUND * factors, LAYOUT, 0.1)
-
-
-def test_a_small_wrong_scale_is_remarked_and_not_applied():
+    ]:
+        assert word in refused(FOUND * factors, LAYOUT, 0.1)
+    for unit, mm in [("metres", 1000), ("centimetres", 10), ("inches", 25.4), ("micrometres", 0.001)]:
+        for found in (FOUND, FOUND[1:]):
+            error = refused(found, LAYOUT / mm, 0.1)
+            assert unit in error and f"{mm:g}" in error
     registration = register(FOUND * 1.004, LAYOUT, 0.1)
     assert np.abs(np.linalg.svd(registration.rotation, compute_uv=False) - 1).max() < 1e-12
     assert any("0.9960" in remark and "not done" in remark for remark in registration.warnings)
@@ -146,28 +129,13 @@ def test_a_small_wrong_scale_is_remarked_and_not_applied():
     assert whole.factor == pytest.approx(1 / 1.004, abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("unit", "mm"), [("metres", 1000), ("centimetres", 10), ("inches", 25.4), ("micrometres", 0.001)]
-)
-def test_another_unit_is_named(unit, mm):
-    for found in (FOUND, FOUND[1:]):
-        error = refused(found, LAYOUT / mm, 0.1)
-        assert unit in error and f"{mm:g}" in error
-
-
-def test_unrelated_markers_are_refused():
+def test_unrelated_markers_few_that_agree_and_understated_noise_are_refused():
     rng = np.random.default_rng(8)
     assert "no pairing" in refused(rng.uniform(-40, 40, (7, 3)), LAYOUT, 0.1)
-
-
-def test_understated_noise_is_reported_with_the_noise_that_fits():
     rng = np.random.default_rng(9)
     found = FOUND + 0.3 * rng.normal(size=(6, 3))
     text = refused(found, LAYOUT, 0.03)
     assert re.search(r"\b8 times .*\b6 ", text)
-
-
-def test_few_that_agree_among_many_may_be_chance_and_are_refused():
     rng = np.random.default_rng(4)
     found = np.concatenate([FOUND[:3], POSE.to_local(rng.uniform(-40, 40, (3, 3)))])
     assert re.search(r"\b3 of the 6 .*\b6 known", refused(found, LAYOUT, 0.2))
@@ -185,14 +153,14 @@ def test_pairs_are_taken_if_they_fit_and_corrected_if_they_do_not():
     text = refused(FOUND, LAYOUT, 0.1, pairs=[[0, 1], [1, 0], *right[2:]])
     assert "0->1, 1->0" in text
     assert "expected: 0->0, 1->1" in text
-
-
-@pytest.mark.parametrize(
-    "pairs",
-    [[[0, 0], [1, 1]], [[0, 0], [1, 1], [2, 1]], [[0, 0], [1, 1], [2, 6]], [[0, 0], [1, 1], [-1, 2]], [0, 1]],
-)
-def test_pairs_that_are_no_pairing_are_refused(pairs):
-    assert "no pairing" in refused(FOUND, LAYOUT, 0.1, pairs=pairs)
+    for pairs in [
+        [[0, 0], [1, 1]],
+        [[0, 0], [1, 1], [2, 1]],
+        [[0, 0], [1, 1], [2, 6]],
+        [[0, 0], [1, 1], [-1, 2]],
+        [0, 1],
+    ]:
+        assert "no pairing" in refused(FOUND, LAYOUT, 0.1, pairs=pairs)
 
 
 @settings(max_examples=25)
@@ -206,11 +174,21 @@ def test_any_wrong_pair_is_noticed(seed):
     assert "do not fit" in refused(found, LAYOUT, 0.1, pairs=np.column_stack([np.arange(6), partner]))
 
 
-def test_the_square_has_eight_turns_and_is_refused_with_its_markers():
+def test_the_square_has_eight_turns_and_a_layout_is_asymmetric_above_its_misfit():
     assert len(find_symmetries(SQUARE, 0.1)) == 8  # four about its normal, four half turns in its plane
     text = refused(SQUARE, SQUARE, 0.1)
     assert "symmetric" in text and "by 0 degrees" not in text
     assert " 0, 1, 2, 3" in text
+    # An isosceles triangle, half base a, height h, one foot drawn out by e, its feet swapped by a half turn.
+    # That leaves (e, e, 0) along the base. The best shift takes 2 e / 3, the best turn, of moment 2 e h / 3
+    # against the inertia 2 a^2 + 2 h^2 / 3, its share:
+    # m^2 sigma^2 = e^2 (2 / 3 - (2 h / 3)^2 / (2 a^2 + 2 h^2 / 3)).
+    a, h, sigma = 30.0, 60.0, 0.1
+    misfit = 2 / 3 - (2 * h / 3) ** 2 / (2 * a**2 + 2 * h**2 / 3)
+    e = sigma * np.sqrt(MIN_SQUARED_MISFIT / misfit)
+    for share, turns in ((0.0, 2), (0.97, 2), (1.03, 1)):
+        triangle = [[-a, 0, 0], [a + share * e, 0, 0], [0, h, 0]]
+        assert len(find_symmetries(triangle, sigma)) == turns
 
 
 @pytest.mark.parametrize(
@@ -235,37 +213,16 @@ def test_the_symmetry_group_of_a_layout(layout, turns, groups):
     assert group_interchangeable(found) == groups
 
 
-def test_a_layout_is_asymmetric_above_its_misfit():
-    """An isosceles triangle, half base a, height h, one foot drawn out by e, its feet swapped by a half turn.
-
-    That leaves (e, e, 0) along the base. The best shift takes 2 e / 3, the best turn, of moment 2 e h / 3
-    against the inertia 2 a^2 + 2 h^2 / 3, its share:
-    m^2 sigma^2 = e^2 (2 / 3 - (2 h / 3)^2 / (2 a^2 + 2 h^2 / 3)).
-    """
-    a, h, sigma = 30.0, 60.0, 0.1
-    misfit = 2 / 3 - (2 * h / 3) ** 2 / (2 * a**2 + 2 * h**2 / 3)
-    e = sigma * np.sqrt(MIN_SQUARED_MISFIT / misfit)
-    for share, turns in ((0.0, 2), (0.97, 2), (1.03, 1)):
-        triangle = [[-a, 0, 0], [a + share * e, 0, 0], [0, h, 0]]
-        assert len(find_symmetries(triangle, sigma)) == turns
-
-
-def test_all_pairings_of_a_cube_are_its_turns():
+def test_all_pairings_of_a_cube_are_its_turns_and_of_many_markers_the_right_one_is_found(monkeypatch):
     sets = make_marker_sets(CUBE, CUBE, 0.1, 0.0)
     candidates = find_pairings(sets, 8)
     assert len(candidates) == 24
     assert all(np.linalg.det(one.alignment.frame.rotation) == pytest.approx(1) for one in candidates)
-
-
-def test_twelve_markers_with_some_missing_and_some_spurious_are_paired():
     rng = np.random.default_rng(6)
     layout = rng.uniform(-40, 40, (12, 3))
     found = np.concatenate([layout[2:], rng.uniform(-40, 40, (2, 3))]) + 0.1 * rng.normal(size=(12, 3))
     registration = register(POSE.to_local(found), layout, 0.1)
     assert registration.pairs.tolist() == [[n, n + 2] for n in range(10)]
-
-
-def test_too_many_pairings_need_a_rough_pose_and_then_come_from_closest_points(monkeypatch):
     monkeypatch.setattr(pairing, "MAX_PARTIAL_PAIRINGS", 2)
     assert "partial pairings" in refused(FOUND, LAYOUT, 0.1)
     registration = register(FOUND, LAYOUT, 0.1, rough=POSE)

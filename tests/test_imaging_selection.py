@@ -65,14 +65,11 @@ def test_a_hub_on_the_shaft_is_cut_off(radius):
     assert line.tip[2] > 38  # the hub's end is no tip
 
 
-def test_a_holder_in_the_middle_leaves_one_needle():
+def test_a_holder_in_the_middle_leaves_one_needle_and_what_is_thin_is_not_cut():
     volume = painted(rod((11.0, 11.0), 17.0, 23.0, 4.0))
     low, high = spans(segment_needle(volume, cases.RECIPE), volume)
     assert low < 1.0
     assert high > 38.0
-
-
-def test_what_is_thin_is_not_cut():
     part = segment_needle(scan(), cases.RECIPE)
     (same,) = cut_wide_parts(scan(), part.voxels, 3.2)
     assert same is part.voxels
@@ -94,7 +91,7 @@ def test_a_ball_in_a_rod_is_cut_out_by_its_width():
     assert measure_component(volume, long[0]).width < 2.5
 
 
-def test_a_shorter_tube_is_named_and_can_be_picked():
+def test_a_shorter_tube_is_named_and_of_two_long_ones_the_stated_diameter_taken():
     volume = painted(rod((16.0, 8.0), 6.0, 28.0, 0.7))
     found = select_needle(volume, cases.RECIPE)
     assert spans(found.needle, volume)[1] > 38
@@ -105,9 +102,6 @@ def test_a_shorter_tube_is_named_and_can_be_picked():
     with pytest.raises(DataError) as refused:
         select_needle(volume, cases.RECIPE, np.array([2.0, 20.0, 20.0]))
     assert "needle_x_mm" in refused.value.where
-
-
-def test_of_two_long_tubes_that_of_the_stated_diameter_is_taken():
     alike = painted(rod((17.0, 6.0), 0.0, 38.0, 0.8))
     with pytest.raises(DataError, match="needles"):
         select_needle(alike, cases.RECIPE)

@@ -47,27 +47,20 @@ def _rough_axis(volume):
     return orient_axis(volume, rough, cases.RECIPE)
 
 
-def test_a_flat_end_fades_as_its_blur_does():
+def test_an_end_fades_as_its_blur_does_and_a_bevel_s_point_lies_at_its_roll():
     spread = PointSpread(0.45, 0.0, 0.3)
     # across a Gaussian of a disc; by hand: 1 - exp(-r^2 / 2 sigma^2)
     middle = 1 - np.exp(-(RADIUS**2) / (2 * 0.45**2))
     assert_allclose(rod_image(spread, -4.0), middle, atol=0.01)
     assert_allclose(rod_image(spread, 0.0), middle / 2, atol=0.01)
     along = np.array([-0.5, -0.2, 0.2, 0.5])
-    in_slices = rod_image(spread, along, normal=(0.0, 0.0, 1.0)) / rod_image(
-        spread, -4.0, normal=(0.0, 0.0, 1.0)
-    )
+    upright = {"normal": (0.0, 0.0, 1.0)}
+    in_slices = rod_image(spread, along, **upright) / rod_image(spread, -4.0, **upright)
     assert_allclose(in_slices, ndtr(-along / 0.45), atol=0.01)
-
-
-def test_a_boosted_kernel_undershoots_beside_and_beyond():
     sharp, plain = PointSpread(0.35, 3.0, 0.3), PointSpread(0.35, 0.0, 0.3)
     beside = np.linspace(0.8, 2.0, 13)
     assert rod_image(sharp, -4.0, beside).min() < -0.02
     assert rod_image(plain, -4.0, beside).min() > -0.005
-
-
-def test_the_bevel_s_point_lies_at_its_roll():
     spread = PointSpread(0.35, 0.0, 0.2)
     toward, away = (rod_image(spread, -0.6, u, cotangent=1.732) for u in (0.4, -0.4))
     assert toward > 2 * away
@@ -88,10 +81,25 @@ def test_a_model_that_is_not_to_be_trusted_gives_way_to_the_threshold(monkeypatc
     assert by_threshold.tip_sd[0] >= cases.SPACING / 2
 
 
-def test_an_end_that_nothing_shows_is_refused():
+def test_ends_that_nothing_shows_are_refused_and_unsure_ones_are_warnings():
     with pytest.raises(DataError, match="does not show") as caught:
         tip._end_by_threshold(60.0, np.inf, cases.scan(TRUTH))
     assert caught.value.fix
+    one = small()
+    with pytest.raises(DataError, match="inserted length"):
+        collect_warnings(replace(one, depth_sd=1.01 * MAX_DEPTH_SD_MM))
+    unsure = replace(one, needle_axis=replace(one.needle_axis, tip_sd=np.array([0.8, 0.1])))
+    assert "0.80 mm" in collect_warnings(unsure)[0]
+    fallen = replace(one, needle_axis=replace(one.needle_axis, tip_source="threshold"))
+    assert "threshold" in collect_warnings(fallen)[0]
+    # The needle's last 6 mm begin behind a gap of 3 mm.
+    one = small()
+    assert not any("beyond the tip" in note for note in list_tip_warnings(one))
+    s, core = one.profile.s, one.profile.core.copy()
+    core[(s > one.depth + 3.0) & (s < one.depth + 6.0)] = 2500.0
+    notes = list_tip_warnings(replace(one, profile=replace(one.profile, core=core)))
+    (distance,) = re.findall(r"(\d\.\d) mm beyond", notes[-1])
+    assert_allclose(float(distance), 3.0, atol=0.6)
 
 
 @pytest.mark.sweep
@@ -102,27 +110,6 @@ def test_the_bevel_s_side_is_left_open_where_noise_hides_it():
     hidden = trace(cases.scan(TRUTH, psf_mm=0.8, noise_hu=150.0))
     assert hidden.bevel_probability < tip.MIN_BEVEL_PROBABILITY
     assert np.isnan(hidden.bevel).all()
-
-
-def test_an_unknown_length_is_refused_and_an_unsure_tip_is_a_warning():
-    one = small()
-    with pytest.raises(DataError, match="inserted length"):
-        collect_warnings(replace(one, depth_sd=1.01 * MAX_DEPTH_SD_MM))
-    unsure = replace(one, needle_axis=replace(one.needle_axis, tip_sd=np.array([0.8, 0.1])))
-    assert "0.80 mm" in collect_warnings(unsure)[0]
-    fallen = replace(one, needle_axis=replace(one.needle_axis, tip_source="threshold"))
-    assert "threshold" in collect_warnings(fallen)[0]
-
-
-def test_metal_beyond_the_tip_is_a_warning():
-    """The needle's last 6 mm begin behind a gap of 3 mm."""
-    one = small()
-    assert not any("beyond the tip" in note for note in list_tip_warnings(one))
-    s, core = one.profile.s, one.profile.core.copy()
-    core[(s > one.depth + 3.0) & (s < one.depth + 6.0)] = 2500.0
-    notes = list_tip_warnings(replace(one, profile=replace(one.profile, core=core)))
-    (distance,) = re.findall(r"(\d\.\d) mm beyond", notes[-1])
-    assert_allclose(float(distance), 3.0, atol=0.6)
 
 
 @pytest.mark.sweep

@@ -37,14 +37,11 @@ def with_shaft(curve):
     return np.vstack([np.column_stack([x, np.full((6, 2), curve[0, 1:])]), curve])
 
 
-@pytest.mark.parametrize(("scale", "unit"), [(1.0, "mm"), (1e-3, "m"), (1e3, "um")])
-def test_units_are_guessed_by_the_longest_needle(tmp_path, scale, unit):
-    plan, made = understood([write_plain(tmp_path, CURVES, scale=scale)])
-    assert made["units"] == (unit, "guess")
-    assert plan.insertions[0].row.depth == pytest.approx(60.02, abs=0.1)
-
-
-def test_units_that_are_not_clear_are_asked(tmp_path):
+def test_units_are_guessed_by_the_longest_needle_and_asked_where_they_are_not_clear(tmp_path):
+    for scale, unit in [(1.0, "mm"), (1e-3, "m"), (1e3, "um")]:
+        plan, made = understood([write_plain(tmp_path, CURVES, scale=scale)])
+        assert made["units"] == (unit, "guess")
+        assert plan.insertions[0].row.depth == pytest.approx(60.02, abs=0.1)
     file = write_plain(tmp_path, CURVES, scale=0.1)
     with pytest.raises(ConfigError) as error:
         understood([file])
@@ -75,9 +72,8 @@ def test_ras_and_lps_are_tried_against_the_surfaces(tmp_path):
     assert plan.insertions[0].row.layers == 3
     assert [one.into for one in plan.layers.surfaces] == [2, 3]
     assert understood([tmp_path], surfaces_frame="LPS")[0].insertions[0].row.layers == 1
-
-
-def test_curves_of_a_table_are_turned_to_surfaces_that_state_lps(tmp_path):
+    tmp_path /= "b"
+    tmp_path.mkdir()
     (tmp_path / "fat.vtk").write_bytes(vtk_sheet(-20.0, system="LPS"))
     write_plain(tmp_path, CURVES)
     plan, made = understood([tmp_path])
@@ -96,6 +92,14 @@ def test_a_needle_is_cut_at_the_tissue_and_its_shaft_gives_the_pose(tmp_path):
     np.testing.assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
     assert (row.pose_source, row.layers) == ("shaft", 3)
     assert len(understood([tmp_path], tissue_surface="none", pose="tangent")[0].layers.surfaces) == 3
+    write_surface(make_sheet("skin", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 90.0, 2), tmp_path / "skin.stl")
+    write_plain(tmp_path, [with_shaft(one) for one in CURVES])
+    plan, made = understood([tmp_path], point_sd="0.1")
+    assert made["pose angle sd"] == ("shaft", "guess") and made["entry point"] == ("first", "guess")
+    x = np.linspace(-18.0, -3.0, 6)
+    assert plan.insertions[0].row.pose_angle_sd == pytest.approx(0.1 / np.linalg.norm(x - x.mean()))
+    plan, _ = understood([tmp_path], pose_angle_sd="1")
+    assert np.degrees(plan.insertions[0].row.pose_angle_sd) == pytest.approx(1.0)
 
 
 def test_the_first_solid_entered_from_outside_is_the_tissue(tmp_path):
@@ -124,17 +128,6 @@ def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_pa
     assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.0, pytest.approx(0.2))
     assert {made[name][1] for name in ("entry point", "pose shift sd", "pose angle sd")} == {"option"}
     assert understood([file], pose="1,0,0", entry_point="0,0,0")[1]["pose shift sd"] == ("0.1", "assumption")
-
-
-def test_the_error_of_a_shaft_is_that_of_its_points(tmp_path):
-    write_surface(make_sheet("skin", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 90.0, 2), tmp_path / "skin.stl")
-    write_plain(tmp_path, [with_shaft(one) for one in CURVES])
-    plan, made = understood([tmp_path], point_sd="0.1")
-    assert made["pose angle sd"] == ("shaft", "guess") and made["entry point"] == ("first", "guess")
-    x = np.linspace(-18.0, -3.0, 6)
-    assert plan.insertions[0].row.pose_angle_sd == pytest.approx(0.1 / np.linalg.norm(x - x.mean()))
-    plan, _ = understood([tmp_path], pose_angle_sd="1")
-    assert np.degrees(plan.insertions[0].row.pose_angle_sd) == pytest.approx(1.0)
 
 
 def test_boundaries_are_stated_as_depths(tmp_path):
@@ -190,7 +183,7 @@ def test_options_that_mean_nothing_are_refused(tmp_path, options, reason):
     assert reason in error.value.fix
 
 
-def test_questions_are_asked_with_the_guess_and_answers_recorded(tmp_path):
+def test_questions_are_asked_with_the_guess_and_faults_named_at_their_place(tmp_path):
     asked = {}
 
     def prompt(question, guess, reason):
@@ -202,9 +195,6 @@ def test_questions_are_asked_with_the_guess_and_answers_recorded(tmp_path):
     assert asked["modulus"] == "steel" and "diameter" not in asked
     assert plan.needle.youngs_modulus_gpa == 60.0 and plan.needle.outer_diameter_mm == 0.908
     assert {one.what: one.source for one in decisions.made}["medium"] == "answer"
-
-
-def test_a_fault_is_reported_at_its_place_in_the_imported_file(tmp_path):
     folded = CURVES[0].copy()
     folded[[6, 9]] = folded[[9, 6]]
     file = write_plain(tmp_path, [folded])
@@ -239,15 +229,14 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
 
 
-def test_insertions_of_one_specimen_are_left_out_one_by_one(tmp_path):
+def test_commands_write_studies_and_datasets_of_slicer(tmp_path):
     file, out = write_plain(tmp_path, CURVES), tmp_path / "gel"
     assert run("import", file, "--out", out, "--specimen", "block", "--yes") == 0
     study = load_study(out / "gel_study.toml")
     assert (study.leave_out, study.same_specimen) == ("insertion", True)
     assert run("check", out / "gel_study.toml") == 0
-
-
-def test_a_bundle_of_slicer_becomes_a_dataset(tmp_path):
+    tmp_path /= "b"
+    tmp_path.mkdir()
     write_scene(tmp_path / "s", CURVES, "tfm")
     write_bundle(tmp_path / "s.mrb", tmp_path / "s")
     assert run("import", tmp_path / "s.mrb", "--out", tmp_path / "gel", "--bevel", "0,1,0", "--yes") == 0

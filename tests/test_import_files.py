@@ -49,13 +49,25 @@ def test_numbers_are_read_by_their_decimal_sign(text, decimal, value):
     assert parse_number(text, decimal) == value
 
 
-def test_a_european_table_of_curves_side_by_side(tmp_path):
+def test_a_european_table_a_workbook_and_many_markups(tmp_path):
     write_european_csv(tmp_path / "six.csv", CURVES)
     found = curves_of(tmp_path / "six.csv")
     assert list(found) == ["Nadel_1", "Nadel_2", "Nadel_3"]
     assert {one.unit for one in found.values()} == {"mm"}
     assert_same(found)
     assert found["Nadel_2"].points.lines[0] == 5
+    write_workbook(tmp_path / "six.xlsx", CURVES)
+    found = curves_of(tmp_path / "six.xlsx")
+    assert list(found) == ["Nadel_1", "Nadel_2", "Nadel_3"]
+    assert_same(found)
+    folder = tmp_path / "markups"
+    folder.mkdir()
+    for n, curve in enumerate(CURVES):
+        write_markups(folder / f"{n}.mrk.json", "C", curve, system="RAS" if n else "LPS")
+    (folder / "readme.txt").write_text("nothing here")
+    content = read_content([folder])
+    assert [one.name for one in content.curves] == ["C", "C-2", "C-3"] and len(content.notes) == 1
+    assert_same({one.name: one for one in content.curves})
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"])
@@ -69,7 +81,7 @@ def test_separator_decimal_sign_and_encoding_are_found(tmp_path, encoding, separ
     assert_same(curves_of(tmp_path / "a.txt"), CURVES[:1])
 
 
-def test_a_long_table_with_names_and_attributes(tmp_path):
+def test_a_long_table_with_names_and_attributes_or_a_column_that_names_the_curves(tmp_path):
     rows = ["needle;medium;bevel side;i;x [cm];y [cm];z [cm]"]
     for name, curve in zip("ab", CURVES, strict=False):
         rows += [f"{name};gel;-1;{n};" + ";".join(f"{v / 10:.5f}" for v in p) for n, p in enumerate(curve)]
@@ -77,23 +89,9 @@ def test_a_long_table_with_names_and_attributes(tmp_path):
     found = curves_of(tmp_path / "a.csv")
     assert found["a"].unit == "cm" and found["a"].attributes == {"medium": "gel", "bevel_side": "-1"}
     assert_same(found, [curve / 10 for curve in CURVES[:2]])
-
-
-def test_a_column_constant_along_each_curve_names_the_curves(tmp_path):
-    table = tmp_path / "a.csv"
-    table.write_text(
-        "\n".join(
-            [
-                "Stich;t;x;y;z",
-                *(
-                    f"{n};{i};{p[0]};{p[1]};{p[2]}"
-                    for n, one in enumerate(CURVES[:2])
-                    for i, p in enumerate(one)
-                ),
-            ]
-        )
-    )
-    found = curves_of(table)
+    rows = [f"{n};{i};{x};{y};{z}" for n, one in enumerate(CURVES[:2]) for i, (x, y, z) in enumerate(one)]
+    (tmp_path / "a.csv").write_text("\n".join(["Stich;t;x;y;z", *rows]))
+    found = curves_of(tmp_path / "a.csv")
     assert_same(found, CURVES[:2])
     assert set(found) == {"0", "1"} and found["0"].remarks[1][:2] == ("curves", "one for each stich")
 
@@ -114,9 +112,6 @@ def test_columns_by_name_number_and_without_header(tmp_path):
         with pytest.raises(DataError) as error:
             curves_of(tmp_path / "a.csv", columns)
         assert "--columns" in error.value.fix
-
-
-def test_planar_and_ras_columns(tmp_path):
     (tmp_path / "a.csv").write_text("\n".join(["x,y", *(f"{x},{y}" for x, y, _ in CURVES[0])]))
     assert_same(curves_of(tmp_path / "a.csv"), CURVES[:1])
     (tmp_path / "b.csv").write_text("\n".join(["R,A,S", *(f"{-x},{-y},{z}" for x, y, z in CURVES[0])]))
@@ -136,13 +131,6 @@ def test_columns_that_name_their_quantity_beside_the_axis(tmp_path, count):
     assert not found.points.values[:, 2].any()
 
 
-def test_a_workbook(tmp_path):
-    write_workbook(tmp_path / "six.xlsx", CURVES)
-    found = curves_of(tmp_path / "six.xlsx")
-    assert list(found) == ["Nadel_1", "Nadel_2", "Nadel_3"]
-    assert_same(found)
-
-
 @pytest.mark.parametrize(
     "variables",
     [
@@ -153,15 +141,6 @@ def test_a_workbook(tmp_path):
 def test_matlab_structs_and_cells(tmp_path, variables):
     savemat(tmp_path / "a.mat", variables)
     assert_same(curves_of(tmp_path / "a.mat"))
-
-
-def test_many_markups_of_a_folder(tmp_path):
-    for n, curve in enumerate(CURVES):
-        write_markups(tmp_path / f"{n}.mrk.json", "C", curve, system="RAS" if n else "LPS")
-    (tmp_path / "readme.txt").write_text("nothing here")
-    content = read_content([tmp_path])
-    assert [one.name for one in content.curves] == ["C", "C-2", "C-3"] and len(content.notes) == 1
-    assert_same({one.name: one for one in content.curves})
 
 
 @pytest.mark.sweep
@@ -200,20 +179,14 @@ def test_vtk_surfaces(tmp_path, data):
 # ---- hostile files
 
 
-@pytest.mark.parametrize(
-    "name", ["../x.mrml", "/etc/x.stl", "a/../../x.stl", "C:\\x.stl", "a\\..\\..\\x.stl"]
-)
-def test_a_bundle_that_names_files_outside_is_refused(tmp_path, name):
+def test_a_bundle_that_names_files_outside_or_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     write_scene(tmp_path / "s", CURVES[:1])
-    write_bundle(tmp_path / "a.mrb", tmp_path / "s", [(name, b"x")])
-    with pytest.raises(DataError, match="outside"):
-        read_content([tmp_path / "a.mrb"])
+    for member in ("../x.mrml", "/etc/x.stl", "a/../../x.stl", "C:\\x.stl", "a\\..\\..\\x.stl"):
+        write_bundle(tmp_path / "a.mrb", tmp_path / "s", [(member, b"x")])
+        with pytest.raises(DataError, match="outside"):
+            read_content([tmp_path / "a.mrb"])
     assert not (tmp_path / "x.mrml").exists()
-
-
-def test_a_bundle_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(slicer_scene, "MAX_UNPACKED_BYTES", 2**20)
-    write_scene(tmp_path / "s", CURVES[:1])
     write_bundle(tmp_path / "a.mrb", tmp_path / "s", [("case/big.stl", b"\0" * 2**22)])
     with pytest.raises(DataError, match="unpacks"):
         read_content([tmp_path / "a.mrb"])

@@ -64,19 +64,14 @@ def test_starts_that_converge_are_merged():
     assert len(calls) < 0.4 * apart.evaluations
 
 
-def test_without_approach_no_starts_are_merged():
+def test_what_is_not_merged():
     fit = minimize(led(), squares_recipe(approach=False), rng())
     assert {start.joined for start in fit.starts} == {None}
-
-
-def test_a_start_whose_approach_fails_keeps_its_initial_point():
     nothing = squares(lambda theta: (np.full(2, np.nan), np.zeros((2, 2))))
     fit = minimize(squares(easier=nothing), squares_recipe(starts=4), rng())
     assert fit.objective == pytest.approx(-7.0, abs=1e-6)
     assert {start.joined for start in fit.starts} == {None} and fit.failures >= 4
 
-
-def test_ends_that_differ_in_one_parameter_are_not_merged():
     def end(index, theta, value):
         return Start(index, (0.0,), theta, value, 1, 0, "tolerance")
 

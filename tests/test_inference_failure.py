@@ -79,17 +79,21 @@ def test_the_insertion_named_is_the_first_without_a_solution(bevel, named):
     assert explain_failure(p, np.log([2e7, bevel])) == EvaluationFailure(named, "over-compressed")
 
 
-def test_a_model_error_keeps_its_own_message():
+def test_what_is_said_of_a_model_error_and_what_is_no_failure():
     record = medium(1, guide_distance_mm={"bounds": [2.0, 140.0]}, mu1_pa={"fixed": 3e5})
     p = problem(record, [measure({**TRUTH, "guide_distance_mm": 15.0}, record, insertion(55.0))])
     found = explain_failure(p, p.parameters.theta({**TRUTH, "guide_distance_mm": 120.0}))
     assert found.insertion == "at55"
     assert found.reason.startswith("ModelError: ") and "\n" not in found.reason
-
-
-def test_without_failed_solves_no_insertion_is_named():
     p = two_layers(count=1)
     assert explain_failure(p, p.parameters.theta(TRUTH)) == EvaluationFailure("", "value not finite")
+    got = sample(
+        box(lambda theta: -math.inf if theta[0] < 0 else 0.0),
+        (0.1, 0.1),
+        SampleRecord(ensembles=1, walkers=8, steps=30),
+        rng(),
+    )
+    assert (got.failures, got.failed) == (0, ((),))
 
 
 def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(tmp_path):
@@ -103,13 +107,3 @@ def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(t
     assert np.all(np.isfinite(got.log_posterior))
     save(got, tmp_path / "posterior.nc")
     assert load(tmp_path / "posterior.nc").failed == got.failed
-
-
-def test_a_density_of_zero_is_no_failure():
-    got = sample(
-        box(lambda theta: -math.inf if theta[0] < 0 else 0.0),
-        (0.1, 0.1),
-        SampleRecord(ensembles=1, walkers=8, steps=30),
-        rng(),
-    )
-    assert (got.failures, got.failed) == (0, ((),))

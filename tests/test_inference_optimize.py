@@ -38,9 +38,18 @@ def test_every_algorithm_finds_the_bottom_of_a_bowl(algorithm, dimensions):
     assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
 
 
-def test_a_curved_valley_is_followed_to_its_end():
+def test_valleys_budgets_stops_and_other_checkpoints():
     fit = minimize(box(rosenbrock), recipe(algorithm="bobyqa+neldermead", evaluations=400), rng())
     assert fit.theta == pytest.approx([1, 1], abs=1e-2)
+    calls = []
+    fit = minimize(box(lambda t: calls.append(0) or rosenbrock(t)), recipe(evaluations=17, starts=3), rng())
+    assert [s.evaluations for s in fit.starts] == [17, 17, 17] and len(calls) == 51
+    assert {s.stopped for s in fit.starts} == {"budget"}
+    fit = minimize(box(bowl), recipe(), rng(), Callbacks(stop=lambda: True))
+    assert fit.interrupted and fit.objective == math.inf and fit.starts == ()
+    start = minimize(box(bowl), recipe(), rng()).starts[0]
+    with pytest.raises(FitError, match="began elsewhere"):
+        minimize(box(bowl), recipe(), np.random.default_rng(6), Callbacks(finished={0: start}))
 
 
 @pytest.mark.parametrize("algorithm", SINGLE)
@@ -90,13 +99,6 @@ def test_the_result_does_not_depend_on_the_number_of_threads(algorithm):
     assert fits[0] == fits[1] == fits[2]
 
 
-def test_the_budget_is_kept_exactly():
-    calls = []
-    fit = minimize(box(lambda t: calls.append(0) or rosenbrock(t)), recipe(evaluations=17, starts=3), rng())
-    assert [s.evaluations for s in fit.starts] == [17, 17, 17] and len(calls) == 51
-    assert {s.stopped for s in fit.starts} == {"budget"}
-
-
 @pytest.mark.parametrize("algorithm", ["neldermead", "praxis", "crs2"])
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_interrupted_search_resumes_to_the_identical_fit(algorithm, jobs):
@@ -130,39 +132,19 @@ def test_an_interrupted_search_resumes_to_the_identical_fit(algorithm, jobs):
     assert len(evaluated) == whole.evaluations - sum(s.evaluations for s in reported)
 
 
-def test_a_stop_before_the_first_evaluation_is_an_interrupted_fit_of_no_worth():
-    fit = minimize(box(bowl), recipe(), rng(), Callbacks(stop=lambda: True))
-    assert fit.interrupted and fit.objective == math.inf and fit.starts == ()
-
-
-def test_a_checkpoint_of_another_fit_is_refused():
-    start = minimize(box(bowl), recipe(), rng()).starts[0]
-    with pytest.raises(FitError, match="began elsewhere"):
-        minimize(box(bowl), recipe(), np.random.default_rng(6), Callbacks(finished={0: start}))
-
-
-def test_starts_go_through_json_exactly():
+def test_starts_go_through_json_and_more_of_them_fill_the_box():
     theta = tuple(np.random.default_rng(1).normal(size=5).tolist())
     start = Start(3, theta, theta[::-1], math.inf, 7, 7, "no finite value")
     assert start_from_dict(json.loads(json.dumps(start_to_dict(start), allow_nan=False))) == start
     with pytest.raises(FitError, match="damaged"):
         start_from_dict({"index": 1})
-
-
-def test_more_starts_extend_fewer_and_fill_the_box():
     lower, upper = np.array([0.0, 10.0]), np.array([1.0, 20.0])
     few, many = (starting_points(lower, upper, n, np.random.default_rng(2)) for n in (8, 64))
     assert np.array_equal(few, many[:8])
     cells = np.histogram2d(*many.T, bins=4, range=[[0, 1], [10, 20]])[0]
     assert cells.min() >= 1  # 64 points leave none of 16 cells empty
-
-
-def test_an_unknown_algorithm_is_named():
     with pytest.raises(ConfigError, match="newton"):
         minimize(box(bowl), recipe(algorithm="sbplx+newton"), rng())
-
-
-def test_with_nothing_free_the_one_point_is_evaluated():
     fit = minimize(Analytic(lambda theta: 0.25, np.empty(0), np.empty(0)), recipe(), rng())
     assert fit.objective == 0.25 and fit.theta == () and fit.evaluations == 1 and not fit.interrupted
 
@@ -201,7 +183,7 @@ def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
     assert not any(start.succeeded for start in fit.starts)
 
 
-def test_residuals_that_stay_large_and_curve_take_few_evaluations():
+def test_why_a_search_of_squares_stopped():
     # at the minimum the second derivatives are 0.28, and 1 by J^T J alone: that took 43 evaluations
     def bent(theta):
         x, y = theta
@@ -211,20 +193,21 @@ def test_residuals_that_stay_large_and_curve_take_few_evaluations():
     assert all(start.succeeded for start in fit.starts)
     assert fit.objective == pytest.approx(0.5 * 0.9**2 - 7.0, abs=1e-9)
     assert max(start.evaluations for start in fit.starts) <= 20
-
-
-def test_a_plateau_is_no_success():
     fit = minimize(
         squares(lambda t: (np.array([1.0, t[0]]), np.array([[0, 0], [1.0, 0]]))), squares_recipe(), rng()
     )
     assert fit.objective == pytest.approx(0.5 - 7.0)
     assert {start.stopped for start in fit.starts} == {"flat"}
-
-
-def test_a_search_that_ends_too_early_is_flagged():
     loose = squares_recipe(algorithm="neldermead", tolerance=0.2)
     starts = minimize(squares(valley), loose, rng()).starts
     assert {start.stopped for start in starts if start.objective > -7 + 1e-4} == {"stalled"}
+
+    class Wrong(Squares):
+        def log_posterior(self, theta):
+            return super().log_posterior(theta) - float(theta[0])
+
+    fit = minimize(Wrong(valley, np.full(2, -2.0), np.full(2, 2.0)), squares_recipe(), rng())
+    assert {start.stopped for start in fit.starts} == {"no sum of squares"}
 
 
 @pytest.mark.parametrize(("misfit", "reason"), [(0.1, "stalled"), (100.0, "tolerance")])
@@ -240,30 +223,16 @@ def test_a_remaining_gain_counts_in_units_of_the_misfit(misfit, reason):
     assert certify_minimum(recorder, "tolerance") == reason
 
 
-def test_residuals_that_are_not_the_value_are_found_out():
-    class Wrong(Squares):
-        def log_posterior(self, theta):
-            return super().log_posterior(theta) - float(theta[0])
-
-    fit = minimize(Wrong(valley, np.full(2, -2.0), np.full(2, 2.0)), squares_recipe(), rng())
-    assert {start.stopped for start in fit.starts} == {"no sum of squares"}
-
-
-def test_a_budget_spent_by_the_last_step_keeps_the_best_value():
+def test_least_squares_keeps_the_best_value_and_needs_a_sum_of_squares():
     whole = minimize(squares(valley), squares_recipe(starts=1), rng()).starts[0]
     for spent in range(whole.evaluations - 4, whole.evaluations + 1):
         start = minimize(squares(valley), squares_recipe(starts=1, evaluations=spent), rng()).starts[0]
         assert start.objective == pytest.approx(whole.objective, abs=1e-3)
-
-
-def test_least_squares_needs_a_sum_of_squares():
     with pytest.raises(ConfigError, match="leastsquares"):
         minimize(squares(valley, squares=False), squares_recipe(), rng())
     with pytest.raises(ConfigError, match="leastsquares"):
         minimize(box(bowl), recipe(algorithm="leastsquares"), rng())
 
-
-def test_least_squares_avoids_points_without_a_solution():
     def half(theta):
         residuals, slopes = valley(theta)
         return (residuals, slopes) if theta[0] > -1 else (residuals * np.nan, slopes)

@@ -71,16 +71,13 @@ def test_a_banana():
     assert got.converged
 
 
-def test_two_modes_without_exchange_are_reported():
+def test_modes_without_exchange_are_reported():
     got = draw(Known(two_hills), ends=[[5.0, 0.0], [-5.0, 0.0]], steps=1000)
     assert not got.converged
     assert got.convergence.r_hat[0] > 1.5
     assert any(fault.startswith("R-hat of") for fault in got.faults)
     assert set(np.sign(got.draws[:, :, 0].mean(axis=1))) == {-1.0, 1.0}
-
-
-def test_an_ensemble_with_walkers_in_both_modes_mixes_slowly():
-    """Each walker alone looks independent: about the mean of all of them it is not."""
+    # Each walker alone looks independent: about the mean of all of them it is not.
     rng = np.random.default_rng(2)
     parted = rng.normal(size=(1, 500, 16)) + np.where(np.arange(16) < 8, -20.0, 20.0)
     assert autocorrelation_times(parted)[0] > 100

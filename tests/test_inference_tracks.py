@@ -81,11 +81,13 @@ def test_runs_under_a_resting_guide_are_one_insertion():
     alone = [simulate_tips([one])[0] for one in tracks]
     for one, other in zip(together, alone, strict=True):
         assert one == pytest.approx(other, abs=1e-9)
-
-
-def test_readings_closer_than_constraint_points_are_refused():
     with pytest.raises(DataError, match=r"run run .* 0\.5 mm"):
         share_simulations([track("run", GUIDE, 0.1 * DEPTH)], 1.0)
+    table = {k: v for k, v in MEDIUM.model_dump()["parameters"].items() if k != "guide_distance_mm"}
+    bare = MEDIUM.model_validate({"schema": 1, "layers": 1, "parameters": table})
+    with pytest.raises(ConfigError, match="guide") as fault:
+        problem([track("run", REST)], bare)
+    assert fault.value.key == "parameters" and "guide_distance_mm" in fault.value.expected
 
 
 def test_the_true_parameters_are_recovered(runs):
@@ -104,6 +106,14 @@ def test_shift_and_slope_of_the_frame_change_nothing(runs):
     here, there = problem(runs), problem(turned)
     assert there.log_posterior(THETA) == pytest.approx(here.log_posterior(THETA), abs=1e-6)
     assert there.residuals(THETA) == pytest.approx(here.residuals(THETA), abs=1e-8)
+    here, there = problem(runs), problem([with_tip(one, one.tip + 5.0 - 0.1 * one.depths) for one in runs])
+    at = THETA + 0.2
+    value, slope = here.objective_gradient(at)
+    assert there.objective(at) == pytest.approx(value, abs=1e-9) and here.objective(at) == value
+    ends = [(here.objective(at + d) - here.objective(at - d)) / 2e-3 for d in 1e-3 * np.eye(3)]
+    assert slope == pytest.approx(ends, rel=1e-4, abs=1e-5)
+    # noise of 0.02 mm, from which each run's best shift and slope are taken
+    assert all(0.005 < one.distances.mean() < 0.03 for one in here.compare(THETA))
 
 
 def test_the_projection_is_the_limit_of_a_wide_prior(runs):
@@ -265,25 +275,6 @@ def test_a_parabola_is_fitted_toward_the_bevel():
     assert (
         not draw_baseline(BASELINES["straight"], seen, tracks, 5, np.random.default_rng(2)).held_out[0].any()
     )
-
-
-def test_a_medium_without_a_guide_is_refused():
-    table = {k: v for k, v in MEDIUM.model_dump()["parameters"].items() if k != "guide_distance_mm"}
-    bare = MEDIUM.model_validate({"schema": 1, "layers": 1, "parameters": table})
-    with pytest.raises(ConfigError, match="guide") as fault:
-        problem([track("run", REST)], bare)
-    assert fault.value.key == "parameters" and "guide_distance_mm" in fault.value.expected
-
-
-def test_the_metric_objective_of_tracks_forgets_the_frame_and_has_an_exact_gradient(runs):
-    here, there = problem(runs), problem([with_tip(one, one.tip + 5.0 - 0.1 * one.depths) for one in runs])
-    at = THETA + 0.2
-    value, slope = here.objective_gradient(at)
-    assert there.objective(at) == pytest.approx(value, abs=1e-9) and here.objective(at) == value
-    ends = [(here.objective(at + d) - here.objective(at - d)) / 2e-3 for d in 1e-3 * np.eye(3)]
-    assert slope == pytest.approx(ends, rel=1e-4, abs=1e-5)
-    # noise of 0.02 mm, from which each run's best shift and slope are taken
-    assert all(0.005 < one.distances.mean() < 0.03 for one in here.compare(THETA))
 
 
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):

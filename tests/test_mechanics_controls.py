@@ -33,26 +33,18 @@ def moments(shape: NeedleShape, node: int) -> tuple[float, float]:
     return before, after
 
 
-def test_in_air_the_tip_follows_the_base() -> None:
+def test_in_air_the_tip_follows_the_base_and_guides_bend_the_needle_as_beams():
     shape = simulate(NEEDLE, AIR, Bevel(0.0), 30.0, Controls(0.7, 0.01))
     assert shape.u[-1] == pytest.approx(0.7 + 0.01 * 150)
     np.testing.assert_allclose(shape.slope, 0.01, atol=1e-8)
-
-
-def test_in_air_a_free_guide_bends_the_needle_as_a_propped_cantilever() -> None:
-    """Clamped, displaced by y at a, free beyond: slope 3 y / 2 a there, and straight on to the tip."""
+    # Clamped, displaced by y at a, free beyond: slope 3 y / 2 a there, and straight on to the tip.
     shape = simulate(NEEDLE, AIR, Bevel(0.0), 30.0, Controls(guides=(Guide(-40.0, 0.5, None),)))
     a = 150 - 30 - 40
     assert shape.slope[1] == pytest.approx(1.5 * 0.5 / a)
     assert shape.u[-1] == pytest.approx(0.5 + 70 * 1.5 * 0.5 / a)
-
-
-def test_in_air_two_free_guides_bend_the_needle_as_a_continuous_beam() -> None:
-    """Clamped base, prop at 40 (0), prop at 80 (y), by the three-moment equation with equal spans a.
-
-    2 M_0 + M_1 = 0 and M_0 + 4 M_1 = -6 EI y / a^2, so M_1 = -12 EI y / (7 a^2); the end slope is
-    y / a + a M_1 / (6 EI) + ... = y / a + 2 y / 7 a, M being positive where it holds the beam up.
-    """
+    # Clamped base, prop at 40 (0), prop at 80 (y), by the three-moment equation with equal spans a.
+    # 2 M_0 + M_1 = 0 and M_0 + 4 M_1 = -6 EI y / a^2, so M_1 = -12 EI y / (7 a^2); the end slope is
+    # y / a + a M_1 / (6 EI) + ... = y / a + 2 y / 7 a, M being positive where it holds the beam up.
     y, a = 0.3, 40.0
     guides = (Guide(-80.0 + 150 - 120, 0.0, None), Guide(-40.0 + 150 - 120, y, None))
     shape = simulate(Needle(150.0, 1e4), AIR, Bevel(0.0), 60.0, Controls(guides=guides))
@@ -166,10 +158,14 @@ def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side, solve)
     np.testing.assert_allclose(shape.tip_track[0], [y + slope * 150, slope], atol=1e-12)
 
 
-def test_the_first_point_lies_ahead_of_a_guided_tip() -> None:
-    """The free tip at the entry of a needle clamped at (-10, 0.2), slope 0.01, then y + 0.01 (10 + x_1)."""
+def test_the_first_point_lies_ahead_of_a_guided_tip_and_guides_may_be_named_in_any_order():
+    # The free tip at the entry of a needle clamped at (-10, 0.2), slope 0.01, then y + 0.01 (10 + x_1).
     shape = simulate(NEEDLE, TISSUE, BEVEL, 5.5, Controls(guides=(Guide(-10.0, 0.2, 0.01),)))
     assert shape.constraints[1, 1] == pytest.approx(0.2 + 0.01 * 10.5 + 0.5 * 0.1, abs=1e-9)
+    guides = (Guide(-20.0, 0.1, None), Guide(-4.0), Guide(3.3, 0.05, None, True))
+    ways = [Controls(guides=order) for order in permutations(guides)]
+    assert all(way == ways[0] for way in ways)
+    assert ways[-1].before == guides[:2] and ways[-1].within == guides[2:]
 
 
 def tilted(slope: float) -> Controls:
@@ -192,33 +188,6 @@ def test_a_tilted_straight_needle_keeps_its_line() -> None:
     assert off[0] > off[1] > off[2] and off[0] > 12 * off[2]
     level = simulate(NEEDLE, TISSUE, Bevel(0.0), 20.0, tilted(0.0))
     np.testing.assert_array_equal(level.u, 0.0)
-
-
-def test_everything_mirrored_is_the_mirrored_needle() -> None:
-    def steps(s: int) -> tuple[Step, ...]:
-        guides = (
-            Guide(-20.0, s * 0.1, None),
-            Guide(-4.0, s * -0.1, s * 0.01),
-            Guide(3.3, s * 0.2, None, True),
-        )
-        bound = Controls(s * 0.5, s * 0.004, s * 0.01, guides)
-        return (
-            Step(7.3, Bevel(0.1, s), bound),
-            Step(4.0, Bevel(0.1, -s), Controls(s * 0.1)),
-            Step(12.6, Bevel(0.2, -s), Controls(tip=TrackedTip(s * 0.3))),
-            Step(15.0, Bevel(0.2, s), bound),
-        )
-
-    left, right = (simulate_steps(NEEDLE, TISSUE, steps(s)) for s in (1, -1))
-    np.testing.assert_array_equal(left.u, -right.u)
-    np.testing.assert_array_equal(left.constraints[:, 1], -right.constraints[:, 1])
-
-
-def test_the_order_in_which_guides_are_named_does_not_matter() -> None:
-    guides = (Guide(-20.0, 0.1, None), Guide(-4.0), Guide(3.3, 0.05, None, True))
-    ways = [Controls(guides=order) for order in permutations(guides)]
-    assert all(way == ways[0] for way in ways)
-    assert ways[-1].before == guides[:2] and ways[-1].within == guides[2:]
 
 
 @pytest.mark.parametrize("x", [-3.0, 0.0, 4.5])

@@ -87,16 +87,13 @@ def test_numbers_out_of_bounds_fail_alone_whatever_the_order(turned: bool) -> No
     assert shapes.status[order].tolist() == [0, 3]
 
 
-def test_alpha_of_a_batch_is_that_of_a_law_with_nothing_else() -> None:
+def test_alpha_alone_and_a_law_without_shape_parameters(monkeypatch):
     alpha = np.ones((3, LAYERS))
     assert Batch(NEEDLE, make_tissue("ogden", 1), STEPS, alpha=alpha).shape.shape == (3, 1, LAYERS)
     for law, more in (("gent", {}), ("two_term_ogden", {}), ("ogden", {"shape": np.ones((3, 1, LAYERS))})):
         with pytest.raises(ModelError, match="alpha"):
             Batch(NEEDLE, make_tissue(law, 1), STEPS, alpha=alpha, **more)
-
-
-def test_a_law_without_shape_parameters_may_be_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    """exp(2 (1 - lambda)) is no sum of powers; a table and the reference agree."""
+    # exp(2 (1 - lambda)) is no sum of powers; a table and the reference agree.
 
     class Exponential(TissueLaw):
         name, label = "exponential", "exponential foundation"

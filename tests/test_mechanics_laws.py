@@ -75,13 +75,10 @@ def test_how_tissue_hardens_at_first(alpha: float) -> None:
     assert layer.series[1] == pytest.approx(3 * 0.7 * (1 - alpha / 2) / 40.0, abs=1e-8)
 
 
-def test_the_linear_law_is_a_number() -> None:
+def test_the_linear_law_is_a_number_and_layers_are_independent():
     layer = evaluated(Tissue(mu=[0.7], alpha=[5.0], law="linear"))
     np.testing.assert_allclose(layer.series, [2.1, 0, 0, 0, 0, 0], atol=1e-12)
     assert layer.curvature < 1e-9
-
-
-def test_layers_are_independent() -> None:
     both = Tissue(mu=[0.2, 3.0], alpha=[-7.0, 4.0], boundaries=[9.0], thickness=[5.0, 60.0])
     second = Tissue(mu=[3.0], alpha=[4.0], thickness=[60.0])
     for found, expected in zip(evaluated(both, 1), evaluated(second), strict=True):
@@ -95,30 +92,20 @@ def deflection(law: str, alpha: float, thickness: float = 4.0) -> float:
     return shape.tip_lateral
 
 
-def test_every_law_begins_at_3_mu() -> None:
+def test_laws_where_they_are_one_another():
     for law in LAWS.values():
         np.testing.assert_allclose(law.k(np.ones(4), *law.draw_shape(np.random.default_rng(0), (4,))), 3.0)
-
-
-def test_neo_hookean_is_ogden_at_two() -> None:
     assert deflection("neo_hookean", -5.0) == deflection("ogden", 2.0)
     assert abs(deflection("ogden", 2.0) - deflection("ogden", 1.0)) > 1e-5
-
-
-def test_linear_and_neo_hookean_do_not_use_alpha() -> None:
     for law in ("linear", "neo_hookean"):
         assert deflection(law, -9.0) == deflection(law, 9.0)
-
-
-def test_the_linear_law_does_not_use_the_thickness() -> None:
     assert deflection("linear", 1.0, 4.0) == pytest.approx(deflection("linear", 1.0, 40.0), abs=1e-9)
-
-
-def test_in_thick_tissue_every_law_is_linear() -> None:
     linear = deflection("linear", 1.0)
     off = [abs(deflection("ogden", -6.0, thickness) - linear) for thickness in (1e1, 1e3, 1e5)]
     assert off[0] > 1e-3
     assert off[0] > 50 * off[1] > 2500 * off[2]
+    assert deflection("fung", 0.0) == pytest.approx(deflection("neo_hookean", 1.0), abs=1e-9)
+    assert abs(deflection("fung", 5.0) - deflection("fung", 0.0)) > 1e-4
 
 
 SISTER = """
@@ -168,11 +155,6 @@ def test_a_table_is_its_law_as_far_as_it_reaches(alpha: float) -> None:
     np.testing.assert_allclose(found.by_shape / k, by_hand / k, atol=1e-7)
 
 
-def test_fung_is_neo_hookean_at_zero() -> None:
-    assert deflection("fung", 0.0) == pytest.approx(deflection("neo_hookean", 1.0), abs=1e-9)
-    assert abs(deflection("fung", 5.0) - deflection("fung", 0.0)) > 1e-4
-
-
 def test_a_table_ends_where_its_law_is_too_steep() -> None:
     """Beyond, tissue is over-compressed; a law that is too steep at once is refused."""
     tissue = Tissue(mu=[1e-4], alpha=[20.0], thickness=[1.0], law="fung")
@@ -200,7 +182,7 @@ def test_an_error_names_layer_and_parameter(law: str, shape: dict, named: tuple[
     assert all(word in f"{fault.value.what} {fault.value.expected}" for word in named)
 
 
-def test_gent_is_neo_hookean_for_an_infinite_limit() -> None:
+def test_gent_is_neo_hookean_for_an_infinite_limit_and_ends_at_its_own():
     stretch = np.linspace(0.25, 1.0, 50)
     off = [
         np.max(np.abs(LAWS["gent"].k(stretch, np.array(jm)) / LAWS["neo_hookean"].k(stretch) - 1))
@@ -208,10 +190,7 @@ def test_gent_is_neo_hookean_for_an_infinite_limit() -> None:
     ]
     assert off[0] > 1e-3 and off[1] < 1.1e-3 * off[0]
     assert Tissue([0.5], {"jm": 1e15}, thickness=4.0, law="gent").shape[0, 0] == 1e15
-
-
-def test_gent_ends_at_its_limit() -> None:
-    """Tables end before I_1 - 3 = J_m; there k exceeds any Ogden one."""
+    # Tables end before I_1 - 3 = J_m; there k exceeds any Ogden one.
     for jm in (0.25, 1.0, 4.0):
         (table, _) = compile_law("gent", np.array([[jm]]))
         reach = 1 - table[0, 0]

@@ -19,6 +19,7 @@ from needlefit.mechanics.batch import (
     simulate_batches,
 )
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.native import compute_positions as compute_position_blocks
 from needlefit.mechanics.packing import PreparedInsertion
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.tissue import Tissue
@@ -137,3 +138,29 @@ def test_sets_that_the_prepared_problem_cannot_take_are_type_errors() -> None:
             problem.with_sets(2, wrong)
     with pytest.raises(TypeError):
         problem.with_sets(3, arrays)
+
+
+def make_needles(count):
+    rng = np.random.default_rng(5)
+    x = np.tile(np.concatenate([[-90.0, -40.0], np.linspace(0.0, 20.0, 21)]), (count, 1))
+    u, slope = (np.cumsum(part * rng.normal(size=x.shape), axis=1) for part in (0.02, 0.002))
+    return x, u, slope, np.sort(rng.uniform(-60.0, 20.0, 30))
+
+
+def compare(x, u, slope, s):
+    single = [
+        compute_position_blocks(*(part[i : i + 1] for part in (x, u, slope)), s)[0] for i in range(len(x))
+    ]
+    assert np.array_equal(compute_position_blocks(x, u, slope, s), single, equal_nan=True)
+
+
+def test_points_of_a_block_of_needles_that_bend_far_failed_or_have_other_nodes():
+    for count in (1, 32, 45):
+        compare(*make_needles(count))
+    x, u, slope, s = make_needles(40)
+    slope[3] = 1.5
+    u[35], slope[35] = np.nan, np.nan
+    compare(x, u, slope, s)
+    x, u, slope, s = make_needles(40)
+    x[2, 1] = -30.0
+    compare(x, u, slope, s)

@@ -91,25 +91,26 @@ def test_the_first_constraint_point_moves_by_geometry(side: int) -> None:
     assert np.all(found.constraints[0] == 0.0)
 
 
-def test_stiffer_needle_in_stiffer_tissue_is_the_same_needle() -> None:
-    """EI d/dEI + sum mu_i d/dmu_i = 0: only their ratio matters."""
+def test_a_stiffer_needle_in_stiffer_tissue_and_a_tracked_tip():
+    # EI d/dEI + sum mu_i d/dmu_i = 0: only their ratio matters.
     controls = Controls(base_y=0.3, guides=(Guide(-12.0),))
     shape, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 50.0, controls, wrt=("mu", "rigidity"))
     scales = np.array([*PHANTOM.mu, NEEDLE.flexural_rigidity])
     parts = found.u * scales
     assert shape.converged and np.abs(parts).max() > 0.1
     np.testing.assert_allclose(parts.sum(axis=1), 0.0, atol=1e-9)
+    controls = Controls(base_y=0.2, tip=TrackedTip(0.4, 0.01))
+    _, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, controls, wrt=DERIVATIVE_KINDS)
+    assert not np.any(found.u[-1]) and not np.any(found.slope[-1])
+    assert np.abs(found.u).max() > 0.1
 
 
-def test_a_boundary_between_equal_layers_moves_nothing() -> None:
-    """But for the quadrature, whose intervals it splits."""
+def test_boundaries_between_equal_layers_or_not_reached_move_nothing():
+    # But for the quadrature, whose intervals it splits.
     tissue = Tissue(mu=[2.0, 2.0, 9.0], alpha=[3.0] * 3, boundaries=[6.3, 12.8])
     _, found = linearize(NEEDLE, tissue, Bevel(0.1), 20.0, wrt=("boundaries",))
     assert np.abs(found.u[:, 1]).max() > 1e-3
     assert np.abs(found.u[:, 0]).max() < 1e-5 * np.abs(found.u[:, 1]).max()
-
-
-def test_boundaries_the_tip_has_not_reached_move_nothing() -> None:
     tissue = Tissue(mu=[2.0, 20.0, 9.0], alpha=[3.0] * 3, boundaries=[6.3, 20.0])
     _, found = linearize(NEEDLE, tissue, Bevel(0.1), 20.0, wrt=("boundaries", "mu"))
     columns = dict(zip(found.names, found.u.T, strict=True))
@@ -148,13 +149,6 @@ def test_sums_of_powers_are_linear_term_by_term(law: str) -> None:
     terms, slopes = np.concatenate(compile_law(law, shape), axis=1), differentiate_law(law, shape)
     for layer in (1, 2):
         np.testing.assert_allclose(terms[layer], terms[0] + shape[:, layer] @ slopes, rtol=0, atol=1e-14)
-
-
-def test_a_tracked_tip_is_at_its_stated_position() -> None:
-    controls = Controls(base_y=0.2, tip=TrackedTip(0.4, 0.01))
-    _, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, controls, wrt=DERIVATIVE_KINDS)
-    assert not np.any(found.u[-1]) and not np.any(found.slope[-1])
-    assert np.abs(found.u).max() > 0.1
 
 
 def test_what_a_guide_holds_moves_with_it() -> None:
@@ -238,17 +232,16 @@ def test_points_in_the_plane_move_as_finite_differences() -> None:
         np.testing.assert_allclose(moves[:, :, column], slope, rtol=0, atol=2e-5 * np.abs(slope).max())
 
 
-def test_a_failed_needle_has_no_derivatives() -> None:
+def test_failed_needles_and_unknown_kinds_have_no_derivatives_and_every_input_is_listed():
     shape, found = linearize(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
     assert shape.status == "over-compressed"
     assert found.u.shape == (len(shape.x), 3) and found.constraints.shape == (11, 3)
-    for part in (found.x, found.u, found.slope, found.constraints):
-        assert np.isnan(part).all()
-
-
-def test_unknown_kinds_are_refused_and_the_known_ones_listed() -> None:
+    assert all(np.isnan(part).all() for part in (found.x, found.u, found.slope, found.constraints))
     with pytest.raises(ModelError, match="`depth`"):
         linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth"))
+    inputs = {f"{of.__name__}.{one.name}" for of in (Needle, Tissue, Bevel, Controls) for one in fields(of)}
+    assert inputs == KIND_OF.keys() | NO_KIND
+    assert set(DERIVATIVE_KINDS) == set(KIND_OF.values())
 
 
 KIND_OF = {
@@ -258,9 +251,3 @@ KIND_OF = {
     "Controls.stage_slope": "stage_slope", "Controls.guides": "guides",
 }  # fmt: skip
 NO_KIND = {"Needle.length", "Tissue.thickness", "Tissue.law", "Bevel.side", "Controls.tip"}
-
-
-def test_every_input_of_the_model_has_derivatives_or_is_listed_without() -> None:
-    inputs = {f"{of.__name__}.{one.name}" for of in (Needle, Tissue, Bevel, Controls) for one in fields(of)}
-    assert inputs == KIND_OF.keys() | NO_KIND
-    assert set(DERIVATIVE_KINDS) == set(KIND_OF.values())

@@ -1,5 +1,6 @@
 """A session is the same insertion, step by step: identity, sub-steps, retraction, failures."""
 
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 
@@ -44,10 +45,13 @@ def test_a_session_gives_the_bits_of_the_whole_insertion(seed: int, kind: str) -
             break  # the session stays where it was
 
 
-def test_one_step_is_the_batch_at_the_same_first_cell() -> None:
+def test_one_step_is_the_batch_at_the_same_first_cell():
     controls = Controls(base_y=0.2, guides=(Guide(-5.0),))
     found = session(0.25, controls=controls).step(14.25)
     assert_same_steps(found, simulate(NEEDLE, TISSUE, LEFT, 14.25, controls))
+    assert session(0.3).lattice == Lattice(0.3, 1.0)
+    assert session().lattice.first_cell == 1.0
+    np.testing.assert_allclose(session(0.3).step(2.5).constraints[:, 0], [0, 0.3, 1.3, 2.3, 2.5])
 
 
 def test_named_inputs_are_the_inputs_of_a_step() -> None:
@@ -83,25 +87,6 @@ def test_sub_steps_change_nothing(halts: list[float], first: float) -> None:
     assert_close(under_way.step(17.31 - under_way.depth), whole)
 
 
-@settings(deadline=None, max_examples=30)
-@given(
-    st.lists(
-        st.tuples(st.floats(0.5, 6.0), st.sampled_from([LEFT, RIGHT]), st.floats(-0.3, 0.3)),
-        min_size=1,
-        max_size=4,
-    ),
-    st.integers(1, 7),
-)
-def test_equal_sub_steps_of_every_step_change_nothing(inputs: list, division: int) -> None:
-    """Also where bevel and base change with each step."""
-    once, often = session(), session()
-    for insert, bevel, y in inputs:
-        expected = once.step(insert, bevel=bevel, base=(y, 0.0))
-        for _ in range(division):
-            found = often.step(insert / division, bevel=bevel, base=(y, 0.0))
-        assert_close(found, expected)
-
-
 @pytest.mark.parametrize("depth", [5.0, 5.4, 0.6, 1.0])
 @pytest.mark.parametrize("eps", [1e-3, 0.2, 0.5])
 def test_a_small_insertion_and_retraction_returns(depth: float, eps: float) -> None:
@@ -127,15 +112,12 @@ def test_retraction_discards_the_path_beyond_and_keeps_the_path_behind(back: flo
     assert found.constraints[-1, 1] == pytest.approx(ahead(start, 9.0 - back, LEFT), abs=1e-7)
 
 
-def test_re_insertion_with_unchanged_inputs_gives_the_needle_of_a_single_insertion() -> None:
+def test_re_insertion_goes_on_along_the_old_grid():
     under_way = session(0.7)
     for insert in (9.4, -6.2, 3.1, -0.05, -3.0, 0.4):
         under_way.step(insert)
     assert_close(under_way.step(14.7 - under_way.depth), session(0.7).step(14.7))
-
-
-def test_re_insertion_goes_on_along_the_old_grid_under_the_new_inputs() -> None:
-    """Retracted into cell 4, 2.7 ... 3.7 mm, and turned: the new point 4 lies on a ray from 3.1 mm."""
+    # Retracted into cell 4, 2.7 ... 3.7 mm, and turned: the new point 4 lies on a ray from 3.1 mm.
     under_way = session(0.7)
     old = under_way.step(7.7)
     here = under_way.step(3.1 - 7.7)
@@ -199,15 +181,12 @@ def test_a_change_undone_at_the_same_depth_still_counts(there: dict, back: dict)
     assert abs(found.constraints[6, 1] - other.constraints[6, 1]) > 1e-5
 
 
-def test_equal_inputs_given_again_change_nothing() -> None:
+def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_move_the_tip():
     under_way, untouched = session(), session()
     untouched.step(5.3)
     under_way.step(5.3)
     under_way.step(bevel=Bevel(0.1, 1), base=(0.0, 0.0), guides=(), tip=None)
     assert_same_steps(under_way.step(0.7), untouched.step(0.7))
-
-
-def test_all_the_way_out_and_in_again() -> None:
     under_way = session()
     under_way.step(12.5)
     out = under_way.step(-12.5)
@@ -215,9 +194,6 @@ def test_all_the_way_out_and_in_again() -> None:
     np.testing.assert_allclose(out.u, 0.0, atol=1e-12)
     np.testing.assert_array_equal(out.constraints, [[0.0, 0.0]])
     assert_close(under_way.step(8.5), session().step(8.5))
-
-
-def test_out_of_the_tissue_base_and_guide_alone_move_the_tip() -> None:
     under_way = session()
     under_way.step(5.0)
     under_way.step(-5.0)
@@ -231,12 +207,6 @@ def test_out_of_the_tissue_base_and_guide_alone_move_the_tip() -> None:
 def test_the_first_cell_lies_within_the_constraint_spacing(first_cell: float) -> None:
     with pytest.raises(ModelError, match="first cell"):
         session(first_cell)
-
-
-def test_the_first_cell_is_kept_with_the_session() -> None:
-    assert session(0.3).lattice == Lattice(0.3, 1.0)
-    assert session().lattice.first_cell == 1.0
-    np.testing.assert_allclose(session(0.3).step(2.5).constraints[:, 0], [0, 0.3, 1.3, 2.3, 2.5])
 
 
 def test_a_long_session_keeps_its_size_and_accuracy() -> None:
@@ -253,3 +223,79 @@ def test_a_long_session_keeps_its_size_and_accuracy() -> None:
     remembered = len(under_way._bevels._numbers) + len(under_way._controls._numbers)
     assert remembered < 1500 and len(under_way._memory.list_rays()[0]) < 200
     assert under_way._rays < 1000
+
+
+# ---- failures and refused inputs change nothing
+
+TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
+THIN = Tissue(mu=[0.5], alpha=[8.0], thickness=[2.0])
+LEFT, RIGHT = Bevel(0.1, 1), Bevel(0.1, -1)
+assert_same_steps = partial(assert_same_bits, but=("iterations",))  # each step counts its own
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        {"insert": 3.3, "base": (0.5, 0.0), "tip": TrackedTip(-3.0)},
+        {"insert": -2.1, "tip": TrackedTip(5.0)},
+        {"insert": 20.0, "bevel": Bevel(5.0)},
+        {"guides": tuple(Guide(-float(n), 9.0 * (n % 2)) for n in range(1, 12))},  # more than ever before
+    ],
+)
+def test_a_failed_step_changes_nothing(step: dict) -> None:
+    """Each of these compresses tissue of 2 mm to nothing; the needle stays where and as it was."""
+    under_way, untouched = Session(NEEDLE, THIN, LEFT, 0.7), Session(NEEDLE, THIN, LEFT, 0.7)
+    for one in (under_way, untouched):
+        one.step(5.4)
+        one.step(-0.9)
+    for _ in range(2):
+        failed = under_way.step(**step)
+        assert failed.status == "over-compressed" and np.isnan(failed.u).all()
+        assert failed.depth == pytest.approx(4.5 + step.get("insert", 0.0))
+        assert under_way.last == untouched.last and under_way.depth == 4.5
+    assert under_way.failures == Counter({"over-compressed": 2})
+    for after in ({"insert": 0.3}, {"insert": 4.0, "bevel": RIGHT}, {"insert": -2.0}, {"base": (0.1, 0)}):
+        assert_same_steps(under_way.step(**after), untouched.step(**after))
+
+
+def test_failures_are_counted_by_reason() -> None:
+    under_way = Session(NEEDLE, THIN, Bevel(0.05), rules=ModelOptions(max_iterations=4))
+    assert under_way.step(5.4).converged
+    assert under_way.step(base=(30.0, 0.0)).status == "not converged"
+    for _ in range(2):
+        assert under_way.step(base=(100.0, 0.0)).status == "over-compressed"
+    assert under_way.failures == Counter({"over-compressed": 2, "not converged": 1})
+    assert under_way.step(1.0).converged and under_way.depth == 6.4
+
+
+def test_a_needle_that_fails_at_once_stays_at_the_entry() -> None:
+    tissue = Tissue(mu=[1.0], alpha=[1e15])
+    under_way = Session(NEEDLE, tissue, LEFT)
+    assert under_way.step(3.0).status == "non-finite"
+    assert under_way.depth == 0.0 and under_way.step().converged
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        {"insert": -5.0},
+        {"insert": np.nan},
+        {"insert": 200.0},
+        {"insert": 1.0, "guides": (Guide(-146.0),)},
+        {"base": (np.nan, 0.0)},
+        {"guides": (Guide(-3.0), Guide(-3.0, 0.1))},
+    ],
+)
+def test_bad_inputs_are_refused_and_change_nothing(step: dict) -> None:
+    under_way, untouched = Session(NEEDLE, TISSUE, LEFT), Session(NEEDLE, TISSUE, LEFT)
+    for one in (under_way, untouched):
+        one.step(3.4)
+    with pytest.raises(ModelError):
+        under_way.step(**step)
+    assert under_way.depth == 3.4 and not under_way.failures
+    assert_same_steps(under_way.step(2.0), untouched.step(2.0))
+
+
+def test_a_guide_out_of_reach_is_refused_from_the_start() -> None:
+    with pytest.raises(ModelError, match="through a guide 151 mm"):
+        Session(NEEDLE, TISSUE, LEFT, controls=Controls(guides=(Guide(-151.0),)))

@@ -41,15 +41,12 @@ def beam(x, u, slope) -> NeedleShape:
     return NeedleShape(x, u, slope, here, track, "converged", 0, np.array([10.0, 40.0]))
 
 
-def test_a_cantilever_has_the_slope_of_the_textbook():
-    """An end force: u = d (3 s^2 - s^3) / 2, slope 3 d / 2 L at the tip."""
+def test_a_cantilever_and_a_clamped_needle_have_the_slope_of_the_textbook():
+    # An end force: u = d (3 s^2 - s^3) / 2, slope 3 d / 2 L at the tip.
     found = beam([0, 100], [0, 12], [0, 0.18]).validity
     assert found.max_slope == pytest.approx(1.5 * 12 / 100)
     assert found.deflection_per_length == pytest.approx(0.12)
     assert found.ok and found.faults == ()
-
-
-def test_the_slope_between_two_clamps_is_found_though_no_node_has_it():
     assert beam([0, 100], [0, 8], [0, 0]).validity.max_slope == pytest.approx(1.5 * 8 / 100)
     held = Controls(base_y=10.0, guides=(Guide(-20.0),))
     shape = simulate(NEEDLE, TISSUE, Bevel(0.0), 30.0, held)  # base 100 mm before the guide
@@ -57,7 +54,7 @@ def test_the_slope_between_two_clamps_is_found_though_no_node_has_it():
     assert shape.validity.max_slope == pytest.approx(0.15)
 
 
-def test_shortening_has_its_closed_form():
+def test_shortening_and_the_miss_of_the_entry_have_their_closed_forms():
     slope = 0.25
     found = beam([0, 40, 100], [0, 10, 25], [slope] * 3).validity
     assert found.shortening_per_layer == pytest.approx(100 * (1 - np.cos(slope)) / 10)
@@ -65,12 +62,7 @@ def test_shortening_has_its_closed_form():
     lag = shape.depth - compute_positions(shape, shape.x[-1:])[0, 0]
     base = shape.x[0] - compute_positions(shape, shape.x[:1])[0, 0]
     assert shape.validity.shortening_per_layer * 12.0 == pytest.approx(lag - base, rel=2e-2)
-
-
-def test_the_miss_of_the_entry_is_how_far_the_drawn_needle_is_from_its_deflection_there():
-    """A tilted needle misses all that holds it by the integral of u' - sin u'."""
-    slope = 0.25
-    found = beam([0, 40, 100], [0, 10, 25], [slope] * 3).validity  # no tissue: all nodes lie after the entry
+    # A tilted needle misses all that holds it by the integral of u' - sin u'.
     assert found.miss_mm == 0
     found = beam([-60, -30, 0, 40], [-15, -7.5, 0, 10], [slope] * 4).validity
     assert found.miss_mm == pytest.approx(60 * (slope - np.sin(slope)))
@@ -96,19 +88,17 @@ def test_at_the_limit_of_deflection_linear_theory_of_a_cantilever_is_four_per_ce
     assert np.tan(exact[0, -1]) == pytest.approx(MAX_SLOPE, abs=1e-3)
 
 
-def test_compression_is_the_largest_distance_from_a_constraint_point():
+def test_compression_and_what_is_not_valid():
     shape = simulate(NEEDLE, TISSUE, Bevel(0.3), 55.0)
     at = shape.constraints[:, 0]
     away = np.abs(compute_positions(shape, at) - map_beam_points(shape, shape.constraints))[:, 1]
     assert shape.validity.compression == pytest.approx(away.max() / 40.0, rel=1e-6)
-
-
-def test_a_failed_solution_is_not_valid():
     found = simulate(NEEDLE, TISSUE, Bevel(30.0), 55.0)
     assert not found.converged and not found.valid and not found.validity.ok
     assert found.validity.faults == () and np.isnan(found.validity.max_slope)
     good = simulate(NEEDLE, TISSUE, Bevel(0.1), 55.0)
     assert find_worst([good.validity, found.validity]) == good.validity
+    assert simulate(NEEDLE, TISSUE, Bevel(0.02), 50.5, Controls(guides=(Guide(-1e-3),))).valid
 
 
 def test_the_tip_on_its_way_counts_too():
@@ -154,10 +144,6 @@ def test_another_unit_of_force_leaves_rounding_alone(depth, spacing):
     assert shape.valid and np.abs(again.u - shape.u).max() < 1e-9
 
 
-def test_a_guide_right_before_the_entry_raises_no_false_alarm():
-    assert simulate(NEEDLE, TISSUE, Bevel(0.02), 50.5, Controls(guides=(Guide(-1e-3),))).valid
-
-
 @pytest.mark.parametrize(
     "build",
     [
@@ -179,12 +165,14 @@ def test_excessive_sizes_are_refused_at_once(build):
     assert time.monotonic() - began < 1.0
 
 
-def test_a_session_is_bounded_as_an_insertion_is():
+def test_sessions_and_the_deepest_insertion_are_bounded():
     session = Session(Needle(4000.0, 1e4), TISSUE, Bevel(0.0), 0.1, rules=ModelOptions(0.1, 0.1))
     session.step(insert=5.0)
     with pytest.raises(ModelError):
         session.step(insert=MAX_ELEMENTS * 0.1)
     assert session.depth == 5.0
+    assert count_element_solves((float(MAX_ELEMENTS),), 1.0, 1.0) <= 1.01 * MAX_ELEMENT_SOLVES
+    assert count_element_solves((float(MAX_ELEMENTS), 1.0) * 2, 1.0, 1.0) > 1.01 * MAX_ELEMENT_SOLVES
 
 
 depths = st.lists(st.floats(0.01, 140.0), min_size=1, max_size=6)
@@ -237,8 +225,3 @@ def test_every_accepted_scene_ends_soon_and_is_flat_where_it_is_valid(scene):
         assert np.isfinite(dense).all()
     elif shape.converged:
         assert shape.validity.faults
-
-
-def test_the_deepest_insertion_allowed_is_within_the_bound():
-    assert count_element_solves((float(MAX_ELEMENTS),), 1.0, 1.0) <= 1.01 * MAX_ELEMENT_SOLVES
-    assert count_element_solves((float(MAX_ELEMENTS), 1.0) * 2, 1.0, 1.0) > 1.01 * MAX_ELEMENT_SOLVES

@@ -3,7 +3,6 @@
 import csv
 import re
 from datetime import date
-from pathlib import Path
 
 import pytest
 
@@ -30,42 +29,33 @@ def scene(name: str) -> SceneRecord:
     return load(find_file("scene", name), SceneRecord)
 
 
-def test_every_set_has_its_scene():
+def test_every_set_and_figure_1_have_their_scene():
     assert {row["set"] for row in SETS} <= set(list_names("scene"))
+    record = scene("figure1")
+    assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
+    assert (len(record.layers), len(record.steps), len(record.guides)) == (4, 3, 1)
+    assert "invented" in record.note
 
 
 @pytest.mark.parametrize("row", SETS, ids=lambda row: row["set"])
 def test_a_scene_holds_the_published_parameters(row):
-    record = scene(row["set"])
+    """Its depth is the middle of its medium's insertions."""
+    record, name = scene(row["set"]), row["set"]
     printed = [(row[f"mu{n}_pa"], row[f"alpha{n}"]) for n in (1, 2, 3, 4) if row[f"mu{n}_pa"]]
     assert [(layer.mu_pa, layer.alpha) for layer in record.layers] == [
         (float(mu), float(a)) for mu, a in printed
     ]
     assert record.bevel.offset_mm == float(row["bevel_mm"])
     assert [layer.top_mm for layer in record.layers] == [0, 20, 28, 45][: len(printed)]
-
-
-@pytest.mark.parametrize("name", [row["set"] for row in SETS])
-def test_its_depth_is_the_middle_of_the_medium_s(name):
-    medium = TUNED_ON.get(name, name)
-    depths = [
-        float(row[key])
-        for row in rows("insertions")
-        if row["medium"] == medium
-        for key in ("depth_min_mm", "depth_max_mm")
-    ]
-    assert scene(name).depth_mm == pytest.approx((min(depths) + max(depths)) / 2)
-
-
-@pytest.mark.parametrize("name", [row["set"] for row in SETS])
-def test_it_is_the_paper_s_needle_and_lists_invented_values(name):
-    record = scene(name)
+    ranges = [one for one in rows("insertions") if one["medium"] == TUNED_ON.get(name, name)]
+    depths = [float(one[key]) for one in ranges for key in ("depth_min_mm", "depth_max_mm")]
+    assert record.depth_mm == pytest.approx((min(depths) + max(depths)) / 2)
     assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
     assert record.needle.youngs_modulus_gpa == 80
     assert len(record.layers) == 1 or "invented" in record.note
 
 
-def test_every_key_can_be_set():
+def test_every_key_can_be_set_and_the_file_s_tables_stay():
     tables = {"layers": [{}, {}], "needle": {}}
     known = set(list_keys(SceneRecord, tables))
     assert {
@@ -76,16 +66,13 @@ def test_every_key_can_be_set():
         "controls.base_y_mm",
     } <= known
     assert "layers.3.alpha" not in known and "schema" not in known
-
-
-def test_setting_leaves_the_file_s_tables_alone():
     tables = {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}]}
     changed = override(tables, [("layers.1.mu_pa", "3e5"), ("law", "linear")], SceneRecord, "a.toml")
     assert changed == {"depth_mm": 3.0, "layers": [{"mu_pa": 3e5}], "law": "linear"}
     assert tables == {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}]}
 
 
-def test_what_a_step_changes_of_a_guide_is_set_by_the_guide_s_name():
+def test_guides_of_steps_are_set_by_their_name_and_a_scene_without_steps_is_one():
     tables = {"guides": [{"name": "template"}, {"name": "ring"}], "steps": [{}, {"guides": {}}]}
     known = set(list_keys(SceneRecord, tables))
     assert {"guides.2.y_mm", "steps.1.guides.ring.y_mm", "steps.2.guides.template.engaged"} <= known
@@ -93,6 +80,9 @@ def test_what_a_step_changes_of_a_guide_is_set_by_the_guide_s_name():
     assert "steps.1.guides.ring.name" not in known
     changed = override(tables, [("steps.1.guides.ring.y_mm", "2")], SceneRecord, "a.toml")
     assert changed["steps"][0] == {"guides": {"ring": {"y_mm": 2}}}
+    (step,) = resolve_steps(check(BARE | {"depth_mm": 7, "guides": [RING]}, SceneRecord, "a.toml"))
+    assert (step.depth_mm, step.key, step.bevel.side) == (7, "depth_mm", 1)
+    assert step.guides[0][1].name == "ring"
 
 
 BARE = {
@@ -134,12 +124,6 @@ def test_unset_values_of_a_step_carry_over():
         ("steps.2.guides.ring", 0.5, True), ("steps.5.guides.ring", 0.5, False),
         ("steps.5.guides.ring", 0.5, False),
     ]  # fmt: skip
-
-
-def test_a_scene_without_steps_is_one():
-    (step,) = resolve_steps(check(BARE | {"depth_mm": 7, "guides": [RING]}, SceneRecord, "a.toml"))
-    assert (step.depth_mm, step.key, step.bevel.side) == (7, "depth_mm", 1)
-    assert step.guides[0][1].name == "ring"
 
 
 @pytest.mark.parametrize(
@@ -212,22 +196,9 @@ def test_several_errors_are_each_listed_once():
     assert modulus.startswith("`layers.1.mu_pa`") and "above 0" in modulus
     assert alpha.startswith("`layers.1.alpha`") and "quotes" in alpha
     assert re.findall(r"`([\w.]+)`", fault.value.fix) == ["layers.1.mu_pa", "layers.1.alpha"]
-
-
-def test_an_integer_is_a_number_and_a_date_is_refused():
     assert check(BARE | {"depth_mm": 5}, SceneRecord, "a.toml").depth_mm == 5.0
     with pytest.raises(ConfigError, match="key `title`"):
         check(BARE | {"depth_mm": 5, "title": date(2020, 1, 1)}, SceneRecord, "a.toml")
-
-
-def test_the_scene_of_figure_1_lists_invented_values():
-    record = scene("figure1")
-    assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
-    assert (len(record.layers), len(record.steps), len(record.guides)) == (4, 3, 1)
-    assert "invented" in record.note
-
-
-def test_a_fault_in_a_list_is_numbered_from_1(tmp_path: Path):
     tables = {"schema": 1, "depth_mm": 3.0, "needle": {"length_mm": 9, "flexural_rigidity_nmm2": 1}}
     tables |= {"bevel": {"offset_mm": 0.1}, "layers": [{"top_mm": 0, "mu_pa": 1, "alpha": 1}, {"top_mm": 1}]}
     with pytest.raises(ConfigError, match=r"`layers\.2\.mu_pa`.* missing"):

@@ -63,25 +63,16 @@ def test_47_insertions_vary_as_in_the_paper():
     assert {p.tilt for p in PLAN.values()} == {0, 10, -10, 20, -20, 30, -30}
     assert {p.side for p in PLAN.values()} == {1, -1}
     assert len({(p.medium, p.y, p.z) for p in PLAN.values()}) == 47
-
-
-def test_chicken_pieces_have_3_3_and_6_insertions_the_last_at_two_orientations():
     pieces = {}
     for planned in PLAN.values():
         if planned.medium == "chicken":
             pieces.setdefault(planned.specimen, []).append(planned.tilt)
     assert [len(tilts) for tilts in pieces.values()] == [3, 3, 6]
     assert [len(set(tilts)) for tilts in pieces.values()] == [1, 1, 2]
-
-
-def test_one_insertion_carries_both_readings_of_the_paper():
     both = [p for p in PLAN.values() if p.layers != p.layers_alternative]
     assert [(p.medium, p.layers, p.layers_alternative) for p in both] == [("phantom2", 4, 3)]
     read_otherwise = [p.layers_alternative for p in PLAN.values() if p.medium == "phantom2"]
     assert [read_otherwise.count(n) for n in (4, 3, 2, 1)] == [8, 6, 1, 1]
-
-
-def test_axis_and_bevel_of_a_tilted_plan():
     planned = PLAN["phantom1-09"]  # tilt 30, bevel to -y
     assert planned.direction == pytest.approx([math.sqrt(3) / 2, 0.5, 0])
     assert planned.toward == pytest.approx([0.5, -math.sqrt(3) / 2, 0])
@@ -93,7 +84,7 @@ def test_axis_and_bevel_of_a_tilted_plan():
 # ---- phantoms and truth
 
 
-def test_boundaries_of_the_phantoms():
+def test_boundaries_of_the_phantoms_lie_in_the_box():
     assert [s.kind for s in make_surfaces(PHANTOMS["phantom1"])] == ["sheet"] * 3
     assert [(s.kind, s.into) for s in make_surfaces(PHANTOMS["phantom2"])] == [
         ("sheet", 2),
@@ -104,9 +95,6 @@ def test_boundaries_of_the_phantoms():
     moved = make_surfaces(displace(PHANTOMS["phantom2"], [0.5, 0.0, -1.0]))
     tops = [s.mesh.bounds[0, 0] for s in moved]
     assert tops == pytest.approx([19.5, 27.0, 39.0], abs=0.02)
-
-
-def test_layers_lie_in_the_box():
     for phantom in PHANTOMS.values():
         for surface in make_surfaces(phantom):
             low, high = surface.mesh.bounds
@@ -114,28 +102,16 @@ def test_layers_lie_in_the_box():
             assert np.abs([low[1:], high[1:]]).max() <= 40
 
 
-def test_true_moduli_are_those_of_the_papers_table():
+def test_the_true_media_are_those_of_the_paper_and_pieces_of_chicken_differ():
     rows = {row["set"]: row for row in paper("parameters.csv")}
     for name, medium in TRUE_MEDIA.items():
         row, layers = rows[name], range(1, len(medium.mu_pa) + 1)
         assert medium.mu_pa == tuple(float(row[f"mu{n}_pa"]) for n in layers)
         assert medium.alpha == tuple(float(row[f"alpha{n}"]) for n in layers)
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_true_needle_is_a_few_percent_off(seed):
-    off = draw_needle(seed).flexural_rigidity / NOMINAL_NEEDLE.flexural_rigidity - 1
-    assert 0.02 <= abs(off) <= 0.05
-
-
-def test_pieces_of_chicken_differ_and_phantoms_do_not_vary_within():
     one, other = (draw_specimen(1, "chicken", f"chicken-piece{n}") for n in (1, 2))
     assert one.mu != other.mu
     assert not np.array_equal(one.field.at(np.zeros((1, 3))), other.field.at(np.zeros((1, 3))))
     assert draw_specimen(1, "phantom2", "phantom2").field is None
-
-
-def test_bevel_along_across_and_between_the_fibres():
     specimen = draw_specimen(1, "chicken", "chicken-piece1")
     offset = TRUE_MEDIA["chicken"].bevel
     for fibre_angle, share in ((0.0, 2.0), (45.0, 1.0), (60.0, 0.5), (90.0, 0.0)):
@@ -144,7 +120,10 @@ def test_bevel_along_across_and_between_the_fibres():
     assert bevel_offset(draw_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
 
 
-def test_the_field_is_smooth_and_has_its_deviation():
+def test_the_true_needle_is_a_few_percent_off_and_the_field_smooth():
+    for seed in [1, 2, 3]:
+        off = draw_needle(seed).flexural_rigidity / NOMINAL_NEEDLE.flexural_rigidity - 1
+        assert 0.02 <= abs(off) <= 0.05
     points = np.random.default_rng(0).uniform(-40, 40, (200, 3))
     draws = [RandomField.draw(np.random.default_rng(n), sd=0.4, length=12.0) for n in range(200)]
     values = np.array([field.at(points[:1])[0] for field in draws])
@@ -173,7 +152,7 @@ def test_needle_and_layers_agree(name):
     assert shape.tip_lateral == pytest.approx(found.shape.tip_lateral, abs=1e-4)
 
 
-def test_crossings_lie_on_plane_and_cylinder():
+def test_the_needle_starts_at_the_entry_and_crosses_plane_and_cylinder():
     _, specimen, found = truly_inserted("phantom2-09")
     points = find_crossings(found.centerline, specimen.surfaces).points
     tops = [s.mesh.bounds[0, 0] for s in specimen.surfaces]
@@ -183,9 +162,6 @@ def test_crossings_lie_on_plane_and_cylinder():
     assert radius - math.hypot(points[2, 0] - tops[2] - radius, points[2, 2]) == pytest.approx(
         sagitta / 2, abs=sagitta
     )
-
-
-def test_the_needle_starts_at_the_entry_keeps_its_length_and_leaves_its_plane():
     planned, _, found = truly_inserted("phantom2-08")
     steps = np.linalg.norm(np.diff(found.centerline, axis=0), axis=1)
     assert steps.max() <= 0.51
@@ -218,14 +194,17 @@ def test_the_true_needle_is_not_what_the_fit_assumes(name, friction):
     )
 
 
-def test_every_true_needle_leaves_its_plane_by_what_was_drawn():
-    """At the tip both modes count fully: (0.04 + 0.06 |y|) times the sum of the two draws."""
+def test_every_true_needle_leaves_its_plane_by_what_was_drawn(monkeypatch):
+    # At the tip both modes count fully: (0.04 + 0.06 |y|) times the sum of the two draws.
     for name in ("phantom1-01", "phantom2-08", "chicken-03"):
         _, _, found = truly_inserted(name)
         drawn = draw_deviations(1, PLAN[name]).out_of_plane
         tip = found.frame.to_local(found.centerline)[-1, 2]
         assert tip == pytest.approx((0.04 + 0.06 * abs(found.shape.tip_lateral)) * drawn.sum(), rel=1e-6)
         assert abs(tip) > 1e-3
+    monkeypatch.setattr(insert_module, "MAX_ROUNDS", 1)
+    with pytest.raises(ModelError, match="phantom2-08"):
+        truly_inserted("phantom2-08")
 
 
 def test_a_heterogeneous_piece_is_cut_in_thin_slices():
@@ -237,9 +216,3 @@ def test_a_heterogeneous_piece_is_cut_in_thin_slices():
     assert np.ptp(np.log(found.tissue.mu)) > 0.1  # but not constant
     assert np.all(found.tissue.friction > 0)
     assert planned.depth == 57.43 and specimen.medium == "chicken"
-
-
-def test_a_needle_that_does_not_settle_is_an_error(monkeypatch):
-    monkeypatch.setattr(insert_module, "MAX_ROUNDS", 1)
-    with pytest.raises(ModelError, match="phantom2-08"):
-        truly_inserted("phantom2-08")

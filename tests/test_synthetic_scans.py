@@ -90,7 +90,7 @@ def test_the_needle_is_at_its_true_position(clean):
     assert brightness(volume, ends)[0] > 2000 and brightness(volume, ends)[1] < 500
 
 
-def test_the_needle_is_held_by_its_stage_and_as_long_as_it_is():
+def test_the_needle_is_held_by_its_stage_and_its_bevel_looks_where_it_steers():
     twin = simulate_insertion(PLAN["phantom2-02"], 1)
     true, frame = sample_whole_needle(twin), twin.true_insertion.frame
     assert np.linalg.norm(np.diff(true, axis=0), axis=1).sum() == pytest.approx(150.0, abs=0.05)
@@ -98,9 +98,6 @@ def test_the_needle_is_held_by_its_stage_and_as_long_as_it_is():
     assert_allclose(base[0], [twin.planned.depth - 150.0, 0, 0], atol=1e-9)
     assert_allclose(base[1, 1:], 0, atol=1e-3)  # clamped along the stage's axis
     assert_allclose(true[-1], twin.true_insertion.centerline[-1], atol=1e-9)
-
-
-def test_the_bevel_s_point_looks_where_the_needle_steers():
     twin = simulate_insertion(PLAN["phantom2-08"], 1)
     needle = expose(twin, WHOLE_BOX_SETUP, 1).scene.needles[0]
     world = expose(twin, WHOLE_BOX_SETUP, 1).scene.box
@@ -110,8 +107,8 @@ def test_the_bevel_s_point_looks_where_the_needle_steers():
     assert toward @ twin.planned.toward == pytest.approx(np.cos(twin.deviations.roll), abs=1e-3)
 
 
-def test_displaced_layers_show_at_their_true_place(clean):
-    """Half-way in HU lies the true interface, which is not the stated one."""
+def test_layers_face_and_balls_show_at_their_true_places(clean):
+    # Half-way in HU lies the true interface, which is not the stated one.
     twin, exposure, volume = clean
     true = twin.specimen.phantom.interfaces[0]
     assert 0.02 < abs(true - 19.0) < 0.4
@@ -126,31 +123,10 @@ def test_displaced_layers_show_at_their_true_place(clean):
     )
     assert_allclose(profile[[0, -1]], [20.0, 90.0], atol=1.0)
     assert np.interp(55.0, profile, x) == pytest.approx(true, abs=0.03)
-
-
-def test_the_cylinder_shows_at_its_true_place():
-    top = simulate_insertion(PLAN["phantom2-01"], 1).specimen.phantom.cylinder.top
-    around = replace(
-        WHOLE_BOX_SETUP, low=np.array([36.0, -16, -3]), high=np.array([48.0, -8, 3]), outside=-38.0
-    )
-    _, exposure, volume = crop("phantom2-01", setup=around, **CLEAN)
-    x = np.linspace(36, 44, 300)
-    world = exposure.scene.box.to_world
-    profile = np.mean([brightness(volume, world(world_points(x, y, 0))) for y in (-14, -13, -12)], axis=0)
-    assert_allclose(profile[[0, -1]], [35.0, 105.0], atol=1.0)
-    assert abs(top - 40.0) > 0.02
-    assert np.interp(70.0, profile, x) == pytest.approx(top, abs=0.03)
-
-
-def test_the_face_of_the_box_is_the_world_s_plane_x_0(clean):
     _, exposure, volume = clean
     x = np.linspace(-3, 3, 200)
     profile = brightness(volume, exposure.scene.box.to_world(world_points(x, 10.0, -10.0)))
     assert np.interp(-490.0, profile, x) == pytest.approx(0.0, abs=0.03)
-
-
-def test_balls_stand_at_their_true_places_and_are_stated_near_them(clean):
-    _, exposure, volume = clean
     for center in exposure.scene.box.to_world(SAMPLE_SETUP.markers):
         voxels = np.argwhere(volume.values > 700)[:, ::-1]
         places = to_patient(volume, voxels)
@@ -162,16 +138,24 @@ def test_balls_stand_at_their_true_places_and_are_stated_near_them(clean):
     assert off.std() == pytest.approx(0.1, rel=0.05) and abs(off.mean()) < 0.01
 
 
-def test_a_chicken_is_muscle_without_layers():
+def test_the_cylinder_the_chicken_and_the_table_show_at_their_true_places():
+    top = simulate_insertion(PLAN["phantom2-01"], 1).specimen.phantom.cylinder.top
+    around = replace(
+        WHOLE_BOX_SETUP, low=np.array([36.0, -16, -3]), high=np.array([48.0, -8, 3]), outside=-38.0
+    )
+    _, exposure, volume = crop("phantom2-01", setup=around, **CLEAN)
+    x = np.linspace(36, 44, 300)
+    world = exposure.scene.box.to_world
+    profile = np.mean([brightness(volume, world(world_points(x, y, 0))) for y in (-14, -13, -12)], axis=0)
+    assert_allclose(profile[[0, -1]], [35.0, 105.0], atol=1.0)
+    assert abs(top - 40.0) > 0.02
+    assert np.interp(70.0, profile, x) == pytest.approx(top, abs=0.03)
     twin, exposure, volume = crop(
         "chicken-02", setup=replace(SAMPLE_SETUP, markers=WHOLE_BOX_SETUP.markers), **CLEAN
     )
     values = brightness(volume, exposure.scene.box.to_world(world_points(np.arange(2.0, 28), -8.0, 8.0)))
     assert twin.specimen.phantom.boundaries == 0
     assert_allclose(values, 55.0, atol=0.5)
-
-
-def test_the_table_lies_under_the_box():
     _, exposure, volume = crop("sample", setup=TABLED, **CLEAN)
     down = brightness(volume, exposure.scene.box.to_world(world_points(10.0, -12.0, [-38.0, -42.0])))
     assert_allclose(down, [20.0, -100.0], atol=1.0)
@@ -281,15 +265,18 @@ def test_scans_csv_states_the_plan_and_not_the_truth(tmp_path):
 # ---- markers
 
 
-@pytest.mark.parametrize("setup", [WHOLE_BOX_SETUP, SAMPLE_SETUP])
-def test_the_layout_of_the_markers_has_no_symmetry(setup):
-    assert len(find_symmetries(setup.markers, np.hypot(setup.known_sd, 0.05))) == 1
-
-
-def test_markers_keep_off_every_needle():
+def test_the_layout_of_the_markers_has_no_symmetry_and_keeps_off_every_needle():
+    for setup in [WHOLE_BOX_SETUP, SAMPLE_SETUP]:
+        assert len(find_symmetries(setup.markers, np.hypot(setup.known_sd, 0.05))) == 1
     for planned in PLAN.values():
         line = planned.origin + np.linspace(-60, planned.depth, 300)[:, None] * planned.direction
         assert np.linalg.norm(line[:, None] - WHOLE_BOX_SETUP.markers, axis=2).min() > 20
+    with pytest.raises(ConfigError, match=r"phantom2-9`\n.*phantom2-09, "):
+        select_planned_insertions(["phantom2-9"])
+    assert (
+        select_planned_insertions(()) == list_planned_insertions()
+        and len(select_planned_insertions(["sample", "sample"])) == 1
+    )
 
 
 @pytest.mark.sweep
@@ -316,15 +303,6 @@ def needlefit(*words):
     return CliRunner().invoke(application(), ["twin", "ct", *map(str, words)], obj=Invocation(words))
 
 
-def test_an_unknown_insertion_lists_the_nearest():
-    with pytest.raises(ConfigError, match=r"phantom2-9`\n.*phantom2-09, "):
-        select_planned_insertions(["phantom2-9"])
-    assert (
-        select_planned_insertions(()) == list_planned_insertions()
-        and len(select_planned_insertions(["sample", "sample"])) == 1
-    )
-
-
 @pytest.mark.sweep
 def test_scans_replace_scans_and_nothing_else(tmp_path):
     out = tmp_path / "scans"
@@ -341,20 +319,14 @@ def test_scans_replace_scans_and_nothing_else(tmp_path):
 # ---- processes
 
 
-def test_results_are_in_task_order_for_any_number_of_processes():
+def test_tasks_keep_their_order_and_errors_reach_the_caller():
     tasks = [-3, 1, -2]
     assert (
         list(run_in_order(abs, tasks, LocalPool()))
         == list(run_in_order(abs, tasks, LocalPool(2)))
         == [3, 1, 2]
     )
-
-
-def test_the_error_of_a_task_reaches_the_caller():
     with pytest.raises(TypeError, match="bad operand"):
         list(run_in_order(abs, [1, "one", 2], LocalPool(2)))
-
-
-def test_a_killed_process_is_reported():
     with pytest.raises(ConfigError, match="ended from outside"):
         list(run_in_order(os._exit, [1, 1], LocalPool(2)))

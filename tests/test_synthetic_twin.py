@@ -106,12 +106,9 @@ def test_the_truth_of_an_insertion_is_that_of_the_shipped_one(rebuilt, truth):
             assert row[key] == pytest.approx(theirs[key], rel=5e-3), key
 
 
-def test_the_shipped_twin_has_no_fault_and_is_small():
+def test_what_the_dataset_states_is_valid_and_small():
     assert check(TWIN) == []
     assert sum((TWIN / name).stat().st_size for name in files(TWIN)) < 1_000_000
-
-
-def test_what_the_dataset_states():
     dataset = read(TWIN)
     assert (dataset.origin, dataset.pose, len(dataset.insertions)) == ("synthetic", "known", 47)
     assert dataset.needle.flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
@@ -124,7 +121,7 @@ def test_what_the_dataset_states():
         assert np.median(steps) == pytest.approx(0.5, abs=0.03)
 
 
-def test_measured_layer_depths_scatter_about_the_true_ones_as_stated(truth):
+def test_the_truth_resembles_the_paper_and_is_not_the_model_that_is_fitted(truth):
     true = {row["id"]: row for row in truth["insertions"]}
     off = [
         measured - actual
@@ -136,18 +133,12 @@ def test_measured_layer_depths_scatter_about_the_true_ones_as_stated(truth):
     stated = max(insertion.boundary_sd for insertion in read(TWIN).insertions)
     assert len(off) > 70
     assert 0.5 * stated < np.sqrt(np.mean(np.square(off))) < 1.3 * stated
-
-
-def test_group_means_resemble_the_papers(truth):
     groups = {name.removesuffix("_mean_deflection_mm"): mean for name, mean in truth["groups"].items()}
     assert groups.keys() == TARGETS.keys()
     for name, target in TARGETS.items():
         assert groups[name] == pytest.approx(target, rel=0.3), name
     chicken = [row["deflection_mm"] for row in truth["insertions"] if row["id"].startswith("chicken")]
     assert 0.01 < min(chicken) < 0.05 and 1.0 < max(chicken) < 1.5
-
-
-def test_the_truth_is_not_the_model_that_is_fitted(truth):
     assert truth["model"]["element_mm"] == 0.25
     needle = truth["needle"]
     assert needle["flexural_rigidity_nmm2"] != needle["nominal_flexural_rigidity_nmm2"]

@@ -78,9 +78,13 @@ def few(monkeypatch):
     monkeypatch.setattr(refinement, "RANDOM_CASES", 10)
 
 
-def test_titles_are_the_keys_of_random_streams_and_differ():
+def test_titles_differ_and_orders_of_a_power_law_are_its_exponent():
     checks = find_checks()
     assert len({(check.group, check.title) for check in checks}) == len(checks)
+    h = (4.0, 2.0, 1.0)
+    curve = ConvergenceCurve("x^3", h, {"u": tuple(0.7 * x**3 for x in h)})
+    assert curve.order("u") == pytest.approx(3)
+    assert curve.orders("u") == pytest.approx([3, 3])
 
 
 @pytest.mark.sweep
@@ -117,9 +121,8 @@ def test_a_check_that_crashes_is_a_failed_row_with_its_reason_and_the_next_one_g
     assert "test_verification.py" in found.traces[0]
 
 
-@pytest.mark.parametrize(
-    ("bound", "value", "verdict"),
-    [
+def test_verdicts_and_the_worst_of_values():
+    for bound, value, verdict in [
         (at_most(1e-6), 1e-6, "passes"),
         (at_most(1e-6), 1.01e-6, "FAILS"),
         (within(4, 0.2), 3.79, "FAILS"),
@@ -128,45 +131,35 @@ def test_a_check_that_crashes_is_a_failed_row_with_its_reason_and_the_next_one_g
         (AcceptanceBound(), 3.0, "stated"),
         (AcceptanceBound(), float("nan"), "FAILS"),
         (at_most(1.0), float("-inf"), "FAILS"),
-    ],
-)
-def test_verdicts(bound, value, verdict):
-    assert bound.verdict(value) == verdict
-
-
-def test_orders_of_a_power_law_are_its_exponent():
-    h = (4.0, 2.0, 1.0)
-    curve = ConvergenceCurve("x^3", h, {"u": tuple(0.7 * x**3 for x in h)})
-    assert curve.order("u") == pytest.approx(3)
-    assert curve.orders("u") == pytest.approx([3, 3])
+    ]:
+        assert bound.verdict(value) == verdict
+    for values in ([np.nan, 1.0], [1.0, np.nan], np.array([0.0, np.nan, 2.0])):
+        assert np.isnan(worst(values))
+    assert worst((1.0, 3.0, 2.0)) == 3.0
+    with pytest.raises(ValueError, match="zero-size"):
+        worst([])
 
 
 # ---- what the checks measure against ----
 
 
-def test_the_general_foundation_beam_is_hetenyis_formula_where_that_holds():
+def test_formulas_of_beams_agree_where_both_hold():
     rigidity, k = 1e4, 30.0
     beta = (k / (4 * rigidity)) ** 0.25
     x = np.linspace(0, 20, 7)
     found = hetenyi(rigidity, np.array([k]), np.array([0.0, np.inf]), 1e-6)(x)
     np.testing.assert_allclose(found, np.exp(-beta * x) * (np.cos(beta * x) + np.sin(beta * x)), atol=1e-6)
-
-
-def test_equal_layers_are_one():
     x = np.linspace(0, 40, 9)
     one = hetenyi(1e4, np.array([5.0]), np.array([0.0, 40.0]), 20.0)(x)
     two = hetenyi(1e4, np.array([5.0, 5.0]), np.array([0.0, 11.0, 40.0]), 20.0)(x)
     np.testing.assert_allclose(one, two, atol=1e-10)
-
-
-def test_the_propped_cantilever_carries_three_eighths():
-    """A uniform load all along: the prop at the tip carries 3 q L / 8."""
+    # A uniform load all along: the prop at the tip carries 3 q L / 8.
     tip = np.array([PAPER_NEEDLE.length])
     reaction = beams.cantilever_deflection(tip, 0.0) / beams.prop_deflection(tip, PAPER_NEEDLE.length)
     assert reaction == pytest.approx(3 / 8 * beams.LOAD * PAPER_NEEDLE.length)
 
 
-def test_the_chosen_deflection_is_smooth_clamped_and_free_at_the_tip():
+def test_the_chosen_deflection_and_the_reaction_by_hand():
     chosen = make_deflection(np.array([17.37]))
     for order in range(4):
         for x in (0.0, 17.37):
@@ -176,10 +169,7 @@ def test_the_chosen_deflection_is_smooth_clamped_and_free_at_the_tip():
     for x, order in ((base, 0), (base, 1), (tip, 2), (tip, 3)):
         assert chosen.at(x, order)[0] == pytest.approx(0, abs=1e-12)
     assert abs(float(np.diff(chosen.at(np.array([17.36999, 17.37001]), 4))[0])) > 1e-6
-
-
-def test_the_reaction_by_hand_and_its_inverse():
-    """alpha = 3, mu = 1, lambda = 1/4: k = 32.125 (see the model's tests); here e = 3 of t = 4 mm."""
+    # alpha = 3, mu = 1, lambda = 1/4: k = 32.125 (see the model's tests); here e = 3 of t = 4 mm.
     law, layer = ReferenceLaw.of(make_tissue([1.0], [3.0], thickness=[4.0])), np.array([0])
     e, level = np.array([3.0]), np.array([0.0])
     assert law.reaction(layer, e, level)[0] == pytest.approx(3 * 32.125)
@@ -340,14 +330,6 @@ def test_a_reference_that_differs_is_noticed(monkeypatch):
 
 
 # ---- what is no number passes nowhere ----
-
-
-def test_the_worst_of_values_is_nan_if_one_is_and_nothing_if_there_are_none():
-    for values in ([np.nan, 1.0], [1.0, np.nan], np.array([0.0, np.nan, 2.0])):
-        assert np.isnan(worst(values))
-    assert worst((1.0, 3.0, 2.0)) == 3.0
-    with pytest.raises(ValueError, match="zero-size"):
-        worst([])
 
 
 def with_jacobian(monkeypatch, change):
