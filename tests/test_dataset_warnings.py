@@ -22,9 +22,9 @@ from needlefit.datasets.read import check, check_all, read
 from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import make_sheet
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import load
 from needlefit.project.unit_warnings import (
     GAUGES_MM,
     format_place,

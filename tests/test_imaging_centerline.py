@@ -24,7 +24,7 @@ from needlefit.imaging.needle.segmentation import find_components, list_threshol
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume
-from needlefit.project.load import load
+from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.ct_scene import ScannerTable, SceneMarkers
 

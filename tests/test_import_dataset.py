@@ -12,7 +12,7 @@ from needlefit.datasets.importing.decisions import Decisions
 from needlefit.datasets.read import check_all, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.surfaces import make_cylinder, make_sheet, write_surface
-from needlefit.project.load import read_toml
+from needlefit.project.toml import read_toml
 from needlefit.studies.study_files import load_study
 
 CURVES = [needle(n, 16) for n in range(3)]

@@ -20,7 +20,7 @@ from needlefit.inference.material import (
     set_material_prior,
 )
 from needlefit.inference.parameters import Parameters
-from needlefit.project.load import check
+from needlefit.project.toml import check
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
 
 T_2, NORMAL = 4.302653, 1.959964  # Student's and the normal quantile of 97.5 %, two degrees of freedom

@@ -12,8 +12,8 @@ from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters, make_tissue, with_hyperparameters, without_prior
 from needlefit.inference.predict import draw_from_prior
 from needlefit.mechanics.laws import LAWS
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 

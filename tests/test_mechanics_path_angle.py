@@ -19,8 +19,8 @@ from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, use_path_angle
 from needlefit.viewer.steering import Change, apply_changes, find_changes
 

@@ -14,7 +14,7 @@ from needlefit.mechanics.plan import make_lattice
 from needlefit.mechanics.scene import Entry, Scene, simulate_scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.project.load import check
+from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 
 FIGURE1 = needlefit.open_scene("figure1")

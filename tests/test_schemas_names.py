@@ -11,8 +11,8 @@ from needlefit.datasets.read import check, read
 from needlefit.datasets.template import write_template
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.scans import make_scans, read_scans
-from needlefit.project.load import check as check_tables
 from needlefit.project.locate import find_studies, find_study_or_fit, shipped_folder
+from needlefit.project.toml import check as check_tables
 from needlefit.schemas.names import file_name_fault, name_fault, spreadsheet_text
 from needlefit.schemas.tracks import TrackFitRecord
 

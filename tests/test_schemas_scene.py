@@ -7,9 +7,8 @@ from datetime import date
 import pytest
 
 from needlefit.errors import ConfigError
-from needlefit.project.load import check, load
 from needlefit.project.locate import find_file, list_names, shipped_folder
-from needlefit.project.overrides import list_keys, override
+from needlefit.project.toml import check, list_keys, load, override
 from needlefit.schemas.scene import SceneRecord, resolve_steps
 
 PAPER = shipped_folder() / "data" / "paper"

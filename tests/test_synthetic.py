@@ -13,8 +13,8 @@ from needlefit.inference.forward_model import make_options
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate
-from needlefit.project.load import load
 from needlefit.project.locate import find_file, shipped_folder
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.synthetic import insertion as insert_module
 from needlefit.synthetic.design import PHANTOMS, displace, list_planned_insertions, make_surfaces

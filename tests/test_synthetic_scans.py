@@ -18,9 +18,9 @@ from needlefit.imaging.registration.pairing import find_symmetries
 from needlefit.imaging.registration.register import predict_mean_target_error, register, to_world
 from needlefit.imaging.volume import to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, run_in_order
+from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
 from needlefit.synthetic.design import list_planned_insertions, select_planned_insertions

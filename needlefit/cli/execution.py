@@ -214,8 +214,8 @@ def plan_studies(study: str) -> list[StudyTask]:
     ConfigError
         If there is no such study, or its file does not hold what its kind wants.
     """
-    from needlefit.project.load import load
     from needlefit.project.locate import EVERY_STUDY, find_studies, find_tunings
+    from needlefit.project.toml import load
     from needlefit.schemas.study import FitRecord
     from needlefit.studies.study_files import find_missing_data, load_study
 
@@ -293,7 +293,7 @@ def _run_in_process(execution: Execution, work: StudyTask) -> "Run":
 
 def _run_one(execution: Execution, work: StudyTask) -> "Run":
     """Run one study and, unless it was interrupted, write it."""
-    from needlefit.project.toml_lines import add_file_context
+    from needlefit.project.toml import add_file_context
 
     with add_file_context(work.file):
         result = replace(execution, file=work.file).run(work.name, work.record)

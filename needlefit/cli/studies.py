@@ -42,7 +42,7 @@ def tune(context: typer.Context, target: str) -> None:
     far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
-        from needlefit.project.toml_lines import add_file_context
+        from needlefit.project.toml import add_file_context
         from needlefit.studies.targets import load_target
 
         name, record, file = load_target(target)
@@ -266,7 +266,7 @@ def predict(
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
-        from needlefit.project.toml_lines import add_file_context
+        from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import load_medium
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
@@ -375,8 +375,8 @@ def credibility(
     other runs in the same folder. Missing evidence is listed as missing. Evidence of another version or
     dataset is not counted. Nothing is graded. Results go to OUT/credibility-RUN/.
     """
-    from needlefit.project.load import load
     from needlefit.project.locate import find_run
+    from needlefit.project.toml import load
     from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
     from needlefit.studies.kinds.credibility import list_open_statements
 

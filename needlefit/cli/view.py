@@ -157,7 +157,7 @@ def _read_tracker(port: int | None, path: Path | None) -> "TrackerRecord | None"
         if path is not None:
             raise typer.BadParameter("it is used with --openigtlink alone", param_hint="--tracker")
         return None
-    from needlefit.project.load import load
+    from needlefit.project.toml import load
     from needlefit.schemas.tracker import TrackerRecord
 
     if path is None:
@@ -259,7 +259,7 @@ def open_session(target: str, named: Mapping[str, Any], recipe: str | None, fold
     ConfigError, DataError
         If there is no such scan, or its files have a fault.
     """
-    from needlefit.project.load import load
+    from needlefit.project.toml import load
     from needlefit.schemas.reconstruction import ReconstructionRecord
     from needlefit.viewer.scan_session import ScanSession
 

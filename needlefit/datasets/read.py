@@ -37,9 +37,8 @@ from needlefit.datasets.noise import find_spacing_warnings
 from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folders
 from needlefit.datasets.tip_tracks import TipReadings, TipTrack, make_track
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.load import load, read_toml
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import locate_key
+from needlefit.project.toml import load, locate_key, read_toml
 from needlefit.project.unit_warnings import format_place
 from needlefit.schemas.dataset import TrackDatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault

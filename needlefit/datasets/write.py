@@ -29,7 +29,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface, write_surface
 from needlefit.project.manifest import sha256
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from needlefit.project.checkpoint import release_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.source_revision import find_source_revision
-from needlefit.project.toml_lines import add_study_context
+from needlefit.project.toml import add_study_context
 from needlefit.registry import Registry
 from needlefit.schemas.base import FileRecord
 

@@ -6,9 +6,8 @@ from typing import Any
 
 from needlefit.datasets.sources import find_dataset_file, is_missing
 from needlefit.project.json_values import to_json_values
-from needlefit.project.load import check, read_toml
 from needlefit.project.locate import find_file
-from needlefit.project.toml_lines import add_file_context
+from needlefit.project.toml import add_file_context, check, read_toml
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord

@@ -17,9 +17,8 @@ from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from needlefit.project.load import read_toml
 from needlefit.project.locate import shipped_folder
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import dumps, read_toml
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord, TrackDatasetRecord

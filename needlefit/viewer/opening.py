@@ -23,7 +23,6 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.project.load import load
 from needlefit.project.locate import (
     SpecimenChoice,
     ViewTarget,
@@ -35,6 +34,7 @@ from needlefit.project.locate import (
 )
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord

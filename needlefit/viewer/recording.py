@@ -18,8 +18,7 @@ from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.project.input_files import parse_toml, read_text
-from needlefit.project.load import check
-from needlefit.project.toml_text import dumps
+from needlefit.project.toml import check, dumps
 from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.tracker import PlacementRecord, RecordingRecord

@@ -121,8 +121,8 @@ def _reconstruct_once() -> None:
     from needlefit.imaging import batch
     from needlefit.imaging.scans import read_scans
     from needlefit.imaging.volume_files import read_volume
-    from needlefit.project.load import load
     from needlefit.project.locate import find_file
+    from needlefit.project.toml import load
     from needlefit.schemas.reconstruction import ReconstructionRecord
 
     found = _once(batch.examine)

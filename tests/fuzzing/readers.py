@@ -77,7 +77,7 @@ def _call(name: str, path: Path) -> object:
 
 
 def _load(record: str, path: Path) -> object:
-    return _late("project.load.load")(path, _late(f"schemas.{record}"))
+    return _late("project.toml.load")(path, _late(f"schemas.{record}"))
 
 
 # ---- TOML
@@ -195,8 +195,8 @@ def _assignments(path: Path) -> object:
     """Apply each line as `--set` does."""
     scene = _late("schemas.scene.SceneRecord")
     file = _late("project.locate.find_file")("scene", "figure1")
-    tables = _late("project.load.read_toml")(file)
-    override, check = _late("project.overrides.override"), _late("project.load.check")
+    tables = _late("project.toml.read_toml")(file)
+    override, check = _late("project.toml.override"), _late("project.toml.check")
     pairs = [line.partition("=")[::2] for line in _text(path).splitlines() if "=" in line]
     return check(override(tables, pairs, scene, "figure1"), scene, "figure1")
 
@@ -235,7 +235,7 @@ def _tracker(path: Path) -> object:
     """Register a tracker to a scene."""
     record = _load("tracker.TrackerRecord", path)
     scene = _late("mechanics.scene.Scene").from_record(
-        _late("project.load.load")(
+        _late("project.toml.load")(
             _late("project.locate.find_file")("scene", "figure1"), _late("schemas.scene.SceneRecord")
         )
     )

@@ -25,7 +25,7 @@ from needlefit.inference.fit import Fit
 from needlefit.inference.predict import Draws
 from needlefit.inference.transferred_prior import TransferProblem, TransferredPrior
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import renamed_keys
+from needlefit.project.toml import renamed_keys
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import APPROACH_COLOURS, APPROACH_NAMES, medium_name

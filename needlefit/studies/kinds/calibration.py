@@ -43,7 +43,7 @@ from needlefit.inference.sampling.sample import sample
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import locate_key
+from needlefit.project.toml import locate_key
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.number_format import insert_symbols
 from needlefit.reporting.table import Table, part, pivot

@@ -25,10 +25,9 @@ from needlefit.inference.identifiability.precision import find_bounds, format_sd
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics
-from needlefit.project.load import load
 from needlefit.project.locate import find_file, join_names
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import add_study_context
+from needlefit.project.toml import add_study_context, load
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.registry import plugin_versions
 from needlefit.reporting.figures import Drawing

@@ -55,10 +55,9 @@ from needlefit.inference.sampling.importance import (
 from needlefit.inference.sampling.log_density import approximate_by_laplace
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import headline_metrics
-from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import describe_key, locate_key, renamed_keys
+from needlefit.project.toml import describe_key, load, locate_key, renamed_keys
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, candidate_name

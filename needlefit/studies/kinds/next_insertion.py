@@ -46,7 +46,7 @@ from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import describe_key
+from needlefit.project.toml import describe_key
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import INK, SERIES_COLOURS, entry_name
 from needlefit.reporting.number_format import format_bare_symbol, format_symbol, insert_symbols

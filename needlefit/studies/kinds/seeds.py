@@ -34,7 +34,7 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import METRICS, Metric, list_metrics
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import add_study_context
+from needlefit.project.toml import add_study_context
 from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR, medium_name, method_name
 from needlefit.reporting.number_format import MISSING, choose_printed_unit, format_metric

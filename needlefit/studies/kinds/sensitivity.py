@@ -24,7 +24,7 @@ from needlefit.inference.optimize.local_search import search
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.needle import Needle
 from needlefit.metrics import METRICS, headline_metrics
-from needlefit.project.toml_lines import add_study_context
+from needlefit.project.toml import add_study_context
 from needlefit.reporting.figures import Drawing, Look
 from needlefit.reporting.labels import SERIES_COLOURS, layers_name, medium_name
 from needlefit.reporting.number_format import MISSING, format_bare_symbol, format_metric

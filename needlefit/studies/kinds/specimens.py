@@ -36,7 +36,7 @@ from needlefit.inference.specimens import (
     marginal_density,
 )
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml_lines import describe_key
+from needlefit.project.toml import describe_key
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import POPULATION_NAMES
 from needlefit.reporting.number_format import (

@@ -44,7 +44,7 @@ from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml_lines import locate_key, renamed_keys
+from needlefit.project.toml import locate_key, renamed_keys
 from needlefit.reporting.document import bullets
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import medium_name, method_name
