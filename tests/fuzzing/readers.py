@@ -215,7 +215,7 @@ def _conversation(path: Path) -> object:
     trials = import_module("needlefit.viewer.trials")
     shown = opened.open_target("figure1")
     registry = trials.TrialRegistry(shown, path.parent / "view", opened.open_target)
-    window = _late("viewer.window.Window")(registry, registry.open(""))
+    window = _late("viewer.trials.Window")(registry, registry.open(""))
     read, refused = _late("viewer.messages.read_message"), None
     for text in _text(path).splitlines()[:MAX_LINES]:
         for reply in window.answer(read(text)):
