@@ -78,7 +78,7 @@ AREAS = {
     ),
     "registration": Area(
         ("imaging/registration", "geometry/frames.py"),
-        ("imaging_registration_faults", "geometry", "imaging_registration"),
+        ("geometry", "imaging_registration"),
     ),
     "resume": Area(
         ("project/checkpoint.py", "project/manifest.py", "project/atomic_write.py"),

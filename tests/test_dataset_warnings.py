@@ -22,16 +22,10 @@ from needlefit.datasets.read import check, check_all, read
 from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import make_sheet
+from needlefit.project import unit_warnings
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
-from needlefit.project.unit_warnings import (
-    GAUGES_MM,
-    format_place,
-    likely_modulus,
-    medium_warnings,
-    needle_warnings,
-)
 from needlefit.schemas.scene import NeedleRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Settings, prepare
@@ -196,7 +190,7 @@ def test_a_doubtful_length_of_a_needle_is_named_with_what_is_likely(tmp_path, ch
     file = tmp_path / "scene.toml"
     needle = NeedleRecord.model_validate(record().needle.model_dump() | changes)
     file.write_text("[needle]\n" + "\n".join(f"{name} = 1" for name in needle.model_dump()))
-    found = list(needle_warnings(needle, format_place(file)))
+    found = list(unit_warnings.needle_warnings(needle, unit_warnings.format_place(file)))
     lines = [n for n, name in enumerate(needle.model_dump(), start=2) if name == key]
     assert [one.where for one in found] == [f"{file}:{n}" for n in lines]
     assert all(f"`needle.{key}`" in one.what and all(text in one.fix for text in right) for one in found)
@@ -205,13 +199,13 @@ def test_a_doubtful_length_of_a_needle_is_named_with_what_is_likely(tmp_path, ch
 def test_values_in_another_unit_have_a_likely_one():
     for length, count in [(15.0, 1), (5.9, 1), (40.0, 0), (0.15, 0)]:
         needle = NeedleRecord(length_mm=length, flexural_rigidity_nmm2=1.0216e4)
-        found = list(needle_warnings(needle, lambda key: key))
+        found = list(unit_warnings.needle_warnings(needle, lambda key: key))
         assert [one.where for one in found] == ["needle.length_mm"] * count
     for value, unit, right in [
         *[(2e11, "Pa", 200), (8e4, "MPa", 80), (4e4, "MPa", 40), (2.9e7, "psi", 200), (1.16e7, "psi", 80)],
         *[(2.9e4, "ksi", 200), (3.6e3, "MPa", 3.6), (1e20, "", np.nan)],
     ]:
-        found, in_gpa = likely_modulus(value)
+        found, in_gpa = unit_warnings.likely_modulus(value)
         assert found == unit and in_gpa == pytest.approx(right, rel=2e-3, nan_ok=True)
     for changed, right in [
         ({"mu1_pa": {"fixed": 220.0}}, ["write 220000"]),
@@ -222,7 +216,7 @@ def test_values_in_another_unit_have_a_likely_one():
         ({"alpha1": {"bounds": [-3.0, 5.0]}}, []),
         ({"mu1_pa": {"bounds": [1.0, 1e12]}}, []),
     ]:
-        found = list(medium_warnings(medium(1, **changed), "medium"))
+        found = list(unit_warnings.medium_warnings(medium(1, **changed), "medium"))
         assert [one.fix for one in found] == right
         assert all(f"`parameters.{next(iter(changed))}`" in one.what for one in found)
 
@@ -384,7 +378,7 @@ def test_open_values_are_found_and_mapped_columns_and_usual_diameters_are_not(tm
     table.write_text(table.read_text().replace("bevel_side", "bevel_sid", 1))
     assert kinds(file) == []
     for gauge in [18, 22, 25]:
-        needle = record().needle.model_dump() | {"outer_diameter_mm": GAUGES_MM[gauge]}
+        needle = record().needle.model_dump() | {"outer_diameter_mm": unit_warnings.GAUGES_MM[gauge]}
         assert kinds(gel(tmp_path, needle=needle)) == []
 
 

@@ -1,16 +1,19 @@
 """Brightness along needles, the edge of the tissue, and pictures of the scan: known edges, known volumes."""
 
+from dataclasses import replace
+
 import ct_cases as cases
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
+from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.imaging.materials import find_tissue_edge, sample_profile
 from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.views import render_views
-from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.volume import Volume, require_hounsfield, to_patient
 from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers
 from needlefit.synthetic.design import Phantom
 from needlefit.synthetic.render import render_scan
@@ -198,3 +201,21 @@ def test_the_picture_shows_needle_entry_and_tip_where_they_are():
     assert beside[(x > -8) & (x < -2)].max() < -800
     assert beside[(x > 2) & (x < 12)].mean() == pytest.approx(40, abs=10)
     assert beside[(x > 16) & (x < 35)].mean() == pytest.approx(90, abs=10)
+
+
+@pytest.mark.parametrize(
+    ("convert", "words"),
+    [
+        (lambda hu: np.clip(hu + 1024, 0, 4095), "stored"),
+        (lambda hu: np.clip(hu + 1000, 0, None) * 2e-4, "micro-CT"),
+        (lambda hu: (np.clip(hu + 1000, 0, None) * 2e-4) - 0.01, "micro-CT"),  # noise below 0
+        (lambda hu: np.abs(hu + 1000) / 3, "MR"),
+    ],
+)
+def test_values_that_are_no_hu_are_refused(convert, words):
+    volume = cases.scan(cases.axis())
+    require_hounsfield(volume, "scan.nrrd")
+    other = replace(volume, values=convert(volume.values.astype(np.float64)).astype(np.float32))
+    with pytest.raises(DataError, match=words) as refused:
+        require_hounsfield(other, "scan.nrrd")
+    assert refused.value.where == "scan.nrrd" and refused.value.fix

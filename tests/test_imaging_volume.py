@@ -116,13 +116,6 @@ def test_index_and_patient_are_inverse(direction, spacing, origin, index):
     assert to_patient(volume, to_index(volume, index)) == pytest.approx(index, abs=1e-8)
 
 
-@given(direction=directions(), spacing=spacings)
-def test_a_step_of_one_voxel_is_the_spacing_along_its_axis(direction, spacing):
-    volume = volume_of(VALUES, direction, spacing=spacing)
-    steps = to_patient(volume, np.eye(3)) - to_patient(volume, np.zeros((1, 3)))
-    assert steps == pytest.approx((direction * spacing).T, abs=1e-10)
-
-
 def test_known_points_and_invalid_volumes():
     # i runs to the back, j down, k to the left; values are [slice, row, column].
     direction = np.array([[0, 0, 1], [1, 0, 0], [0, -1, 0]], dtype=float)

@@ -9,13 +9,7 @@ import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 
 from needlefit.inference.fit import Fit
-from needlefit.inference.identifiability.design_gain import (
-    OTHER_POINTS,
-    PredictedData,
-    expect_precision,
-    linearized_gain,
-    nested_gain,
-)
+from needlefit.inference.identifiability import design_gain
 from needlefit.inference.identifiability.identify import (
     AGREEMENT,
     Identifiability,
@@ -155,14 +149,14 @@ def test_four_equal_insertions_halve_the_deviations():
 
     def predict_deviations(count):
         p = problem(record, [measure(TRUTH, record, insertion(40.0)) for _ in range(count)])
-        return expect_precision(lambda values: p, TRUTH, np.random.default_rng(1))
+        return design_gain.expect_precision(lambda values: p, TRUTH, np.random.default_rng(1))
 
     one, four = predict_deviations(1), predict_deviations(4)
-    assert len(one.sds) == 1 + OTHER_POINTS
+    assert len(one.sds) == 1 + design_gain.OTHER_POINTS
     assert four.directions[0].sd == pytest.approx(one.directions[0].sd / 2, rel=0.02)
     assert one.prior_sds == pytest.approx([math.log(1e6) / math.sqrt(12), math.log(500) / math.sqrt(12)])
     assert np.all(one.sds <= one.prior_sds * (1 + 1e-9))
-    assert expect_precision(lambda values: None, TRUTH, np.random.default_rng(1)) is None
+    assert design_gain.expect_precision(lambda values: None, TRUTH, np.random.default_rng(1)) is None
 
 
 def test_draws_that_are_wider_than_the_information_decide_what_is_determined():
@@ -184,7 +178,7 @@ COVARIANCE = np.array([[1.0, -0.6], [-0.6, 0.5]])
 SLOPES = np.array([[1.5, 0.4], [0.2, 1.1], [-0.7, 0.9]])  # (R, P), whitened
 
 
-def predict_data(thetas: np.ndarray, by_depth: np.ndarray) -> PredictedData:
+def predict_data(thetas: np.ndarray, by_depth: np.ndarray) -> design_gain.PredictedData:
     """Draws of equal weight whose data are SLOPES theta; one uncertain depth moves them by `by_depth`."""
     first = thetas @ SLOPES.T
     white = np.stack([first, first + by_depth, first - by_depth], axis=1)  # (B, m, R)
@@ -195,14 +189,14 @@ def predict_data(thetas: np.ndarray, by_depth: np.ndarray) -> PredictedData:
     )
     count = len(thetas)
     logs = np.full(count, -np.log(count))
-    return PredictedData(logs, np.ones(count), np.zeros(count), white, make_group(nodes))
+    return design_gain.PredictedData(logs, np.ones(count), np.zeros(count), white, make_group(nodes))
 
 
 @pytest.mark.parametrize("by_depth", [np.zeros(3), np.array([0.5, -1.0, 2.0])])
 def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_depth):
     rng = np.random.default_rng(1)
     thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=1200)
-    found = nested_gain(predict_data(thetas, by_depth), np.arange(400), thetas, rng)
+    found = design_gain.nested_gain(predict_data(thetas, by_depth), np.arange(400), thetas, rng)
     noise = np.eye(3) + np.outer(by_depth, by_depth)  # the depth, integrated over
     after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ np.linalg.solve(noise, SLOPES))
     nats = 0.5 * np.log(np.linalg.det(COVARIANCE) / np.linalg.det(after))
@@ -216,13 +210,13 @@ def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_dep
 def test_linear_gain_is_half_the_log_determinant_and_uninformative_data_have_none():
     after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ SLOPES)
     nats = 0.5 * np.log(np.linalg.det(COVARIANCE) / np.linalg.det(after))
-    assert linearized_gain(COVARIANCE, SLOPES) == pytest.approx(nats, rel=1e-9)
+    assert design_gain.linearized_gain(COVARIANCE, SLOPES) == pytest.approx(nats, rel=1e-9)
     rng = np.random.default_rng(4)
     thetas = rng.standard_normal((100, 1))
     group = make_group(make_nodes(insertion(30.0), np.empty(0), "fixed"))
     logs = np.full(100, -np.log(100.0))
-    blind = PredictedData(logs, np.ones(100), np.zeros(100), np.zeros((100, 1, 5)), group)
-    found = nested_gain(blind, np.arange(30), thetas, rng)
+    blind = design_gain.PredictedData(logs, np.ones(100), np.zeros(100), np.zeros((100, 1, 5)), group)
+    found = design_gain.nested_gain(blind, np.arange(30), thetas, rng)
     assert found.nats == pytest.approx(0.0, abs=1e-12)
     assert found.quantity_nats == pytest.approx([0.0], abs=1e-12)
     assert found.effective_sample_size == pytest.approx(100.0)
@@ -235,9 +229,9 @@ def test_weights_count_as_draws():
     twice = np.concatenate([thetas, thetas[:10]])
     heavy = predict_data(thetas, np.zeros(3))
     weights = np.log(np.where(np.arange(50) < 10, 2.0, 1.0) / 60)
-    heavy = PredictedData(weights, heavy.scales, heavy.spreads, heavy.white, heavy.group)
+    heavy = design_gain.PredictedData(weights, heavy.scales, heavy.spreads, heavy.white, heavy.group)
     of = np.arange(20)
-    one = nested_gain(heavy, of, thetas, np.random.default_rng(3))
-    other = nested_gain(predict_data(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
+    one = design_gain.nested_gain(heavy, of, thetas, np.random.default_rng(3))
+    other = design_gain.nested_gain(predict_data(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
     assert one.nats == pytest.approx(other.nats, rel=1e-12)
     assert one.sds == pytest.approx(other.sds, rel=1e-9)

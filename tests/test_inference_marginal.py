@@ -11,12 +11,9 @@ from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import ConfigError
-from needlefit.inference.identifiability.precision import difference_jacobian
 from needlefit.inference.likelihood.marginal import (
     linear_residuals,
-    linearize_residuals,
     log_marginals,
-    mixing_matrices,
     solve_shared,
 )
 from needlefit.inference.likelihood.nodes import (
@@ -155,16 +152,6 @@ def test_what_acts_linearly_is_integrated_exactly(axes, size):
     assert got == pytest.approx(exact, abs=0.01)
 
 
-@pytest.mark.parametrize("depths", ["linear", "quadrature"])
-def test_the_mixing_is_the_densitys_derivative(depths):
-    rng = np.random.default_rng(4)
-    made = make_nodes(LAYERED, LINE, depths)
-    white, step = rng.normal(size=(len(made.insertions), 6)), rng.normal(size=(len(made.insertions), 6))
-    slope = (one(white + 1e-5 * step, made, 1.3) - one(white - 1e-5 * step, made, 1.3)) / 2e-5
-    (mixed,), _ = mixing_matrices([white], make_group(made), 1.3, 0.0)
-    assert -np.sum(mixed @ white * step) == pytest.approx(slope, rel=1e-6)
-
-
 def layered(depths, noise_scale=1.0, pose="known"):
     record = medium()
     made = [
@@ -297,24 +284,6 @@ def test_a_shared_bevel_given_its_insertions_is_the_gaussians():
     assert found[0, at, at] == pytest.approx(1 - gain @ loads)
 
 
-@pytest.mark.parametrize("centred", [False, True])
-def test_the_residuals_of_the_linear_density_have_exact_slopes_by_residuals_and_spread(centred):
-    made, whites, *_ = shared_case("abb" if centred else "aab", centred, seed=8)
-    (members, group), *_ = group_nodes(made, centred)
-    whites, rng = [whites[k] for k in members], np.random.default_rng(9)
-    steps = [rng.normal(size=white.shape) for white in whites]
-
-    def both(theta):
-        many = [(white + theta[1] * step)[None] for white, step in zip(whites, steps, strict=True)]
-        found = linear_residuals(many, group, AT[0], np.array([SPREAD * math.exp(theta[0])]))
-        return np.append(*(part[0] for part in found))
-
-    by = [np.stack([0 * step, step], axis=-1)[None] for step in steps]
-    slopes = linearize_residuals([white[None] for white in whites], by, group, AT, np.array([1.0, 0.0]))[2:]
-    exact = np.vstack([part[0] for part in slopes])
-    np.testing.assert_allclose(exact, difference_jacobian(both, np.zeros(2), np.full(2, 1e-5)), atol=1e-7)
-
-
 def test_a_bevel_that_all_insertions_share_cannot_stand_in_for_b():
     """A curve that b bends too little in every insertion is no deviation of their bevels."""
     made, whites, _, _ = shared_case("abc", centred=True)
@@ -328,34 +297,6 @@ def test_a_bevel_that_all_insertions_share_cannot_stand_in_for_b():
             for members, group in groups
         )
     assert density[True] < density[False] - 3
-
-
-def test_the_mixing_of_bevels_and_groups_is_the_densitys_derivative():
-    for centred in [False, True]:
-        made, whites, _, _ = shared_case("abb", centred, seed=8)
-        (members, group), *_ = group_nodes(made, centred)
-        assert_mixing([whites[k] for k in members], group)
-    for depths in ["linear", "quadrature"]:
-        made, whites, _ = linear_case(depths, seed=8)
-        (members, group), _ = group_nodes(made)
-        assert_mixing([whites[k] for k in members], group)
-
-
-def assert_mixing(chosen, group):
-    """The matrices M are the density's derivatives by residuals (m, R), and by the spread."""
-    rng = np.random.default_rng(9)
-    steps = [rng.normal(size=white.shape) for white in chosen]
-
-    def density(h, spread):
-        moved = [(white + h * step)[None] for white, step in zip(chosen, steps, strict=True)]
-        return log_marginals(moved, group, np.array([1.3]), np.array([spread]))[0]
-
-    mixed, by_spread = mixing_matrices(chosen, group, 1.3, SPREAD)
-    slope = (density(1e-5, SPREAD) - density(-1e-5, SPREAD)) / 2e-5
-    got = -sum(np.sum(m @ w * step) for m, w, step in zip(mixed, chosen, steps, strict=True))
-    assert got == pytest.approx(slope, rel=1e-6)
-    ends = [density(0.0, SPREAD * math.exp(h)) for h in (1e-4, -1e-4)]
-    assert by_spread == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-6)
 
 
 @pytest.mark.parametrize("noise_scale", [1.0, "estimated"])

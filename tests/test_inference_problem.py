@@ -89,12 +89,6 @@ def test_the_guide_distance_can_be_fitted_and_a_guide_out_of_reach_is_a_failed_s
     assert fit.values["guide_distance_mm"] == pytest.approx(15.0, rel=0.05)
 
 
-def test_repeats_of_one_fit_are_equal_for_any_number_of_jobs():
-    p = two_layers(count=2)
-    fits = [minimize(p, recipe(evaluations=40), rng(), Callbacks(jobs=jobs)) for jobs in (1, 2)]
-    assert fits[0] == fits[1]
-
-
 def test_planned_boundaries_meshes_and_what_cannot_be_compared():
     record = medium()
     asked = predict(TRUTH, record, NEEDLE, insertion(40.0, (15.0,), (1, 2)), np.array([25.0]), (1, 2))

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.load import Loads, compute_lateral_load, compute_loads
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.load import compute_lateral_load, compute_loads
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
+from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 EI = 1.0e4
@@ -17,18 +16,6 @@ LAYERS = Tissue(
     mu=[0.02, 0.4, 0.1], alpha=[3.0, -4.0, 8.0], boundaries=[9.3, 21.0], thickness=[40.0, 8.0, 15.0]
 )
 SHARP = ModelOptions(tolerance=1e-11)
-
-
-def linear(k: float) -> Tissue:
-    return Tissue(mu=[k / 3], alpha=[1.0], law="linear")
-
-
-def in_straight_cut(needle: Needle, k: float, depth: float, controls: Controls) -> tuple[NeedleShape, Loads]:
-    """Return a needle whose cut has stayed on the axis."""
-    points = np.column_stack((np.arange(depth + 0.5), np.zeros(int(depth) + 1)))
-    shape = equilibrium(needle, linear(k), points, controls, SHARP)
-    assert shape.converged
-    return shape, compute_loads(shape, linear(k), needle, controls, SHARP)
 
 
 # ---- closed forms ----
@@ -50,41 +37,6 @@ def test_a_guide_before_the_tissue_loads_the_needle_as_a_propped_or_clamped_cant
     found = compute_loads(shape, LAYERS, NEEDLE, controls)
     assert found.guides[0].force == pytest.approx(12 * EI * y / a**3)
     assert found.guides[0].moment == pytest.approx(found.base.moment) == pytest.approx(-6 * EI * y / a**2)
-
-
-def test_loads_in_even_tissue_are_those_of_rigid_and_of_infinite_beams():
-    # k y on every millimetre of D = 40; the base bears k y D, and its moment about itself at D - L.
-    needle, k, y = Needle(100.0, 1e10), 0.3, 0.2
-    _, found = in_straight_cut(needle, k, 40.0, Controls(base_y=y))
-    np.testing.assert_allclose(found.load, -k * y, rtol=1e-3)
-    assert found.weight.sum() == pytest.approx(40.0)
-    assert found.tissue.force == pytest.approx(-k * y * 40, rel=1e-3)
-    assert found.tissue.moment == pytest.approx(-k * y * 800, rel=1e-3)
-    assert found.base.force == pytest.approx(k * y * 40, rel=1e-3)
-    assert found.base.moment == pytest.approx(k * y * 40 * 80, rel=1e-3)
-    assert found.tip_force == pytest.approx(-k * y * 0.5, rel=1e-3)  # the last point's stretch: half a cell
-    # U = y exp(-beta x) (cos + sin), under P = 8 beta^3 EI y, beta^4 = k / 4 EI.
-    k, y, at = 30.0, 0.5, 60.0
-    beta = (k / (4 * EI)) ** 0.25
-    controls = Controls(guides=(Guide(at, y, None, in_tissue=True),))
-    shape, found = in_straight_cut(Needle(150.0, EI), k, 120.0, controls)
-    assert found.guides[0].force == pytest.approx(8 * beta**3 * EI * y, rel=1e-5)
-    s = np.linspace(20.0, 100.0, 41)
-    x = beta * np.abs(s - at)
-    exact = -k * y * np.exp(-x) * (np.cos(x) + np.sin(x))
-    np.testing.assert_allclose(compute_lateral_load(shape, linear(k), s), exact, atol=1e-5 * k * y)
-
-
-def test_a_tracked_tip_held_aside_bears_the_end_load_of_a_semi_infinite_beam() -> None:
-    """P = 2 beta^3 EI y where the end turns freely; 4 beta^3 EI y and -2 beta^2 EI y where it does not."""
-    k, y = 30.0, 0.5
-    beta = (k / (4 * EI)) ** 0.25
-    _, free = in_straight_cut(NEEDLE, k, 120.0, Controls(tip=TrackedTip(y)))
-    _, clamped = in_straight_cut(NEEDLE, k, 120.0, Controls(tip=TrackedTip(y, 0.0)))
-    assert (free.tip.force, free.tip.moment) == (pytest.approx(2 * beta**3 * EI * y, rel=1e-5), 0.0)
-    assert clamped.tip.force == pytest.approx(4 * beta**3 * EI * y, rel=1e-5)
-    assert clamped.tip.moment == pytest.approx(-2 * beta**2 * EI * y, rel=1e-4)
-    assert clamped.tip_force == clamped.tip.force + clamped.tip_region_force
 
 
 def test_where_there_is_a_load_and_its_sign():

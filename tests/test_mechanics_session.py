@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mechanics_cases import NEEDLE, assert_close, assert_same_bits, random_case
+from mechanics_cases import (
+    NEEDLE,
+    assert_close,
+    assert_same_bits,
+    random_case,
+    random_needle,
+    random_rules,
+    random_steps,
+    random_tissue,
+)
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
@@ -87,47 +96,6 @@ def test_sub_steps_change_nothing(halts: list[float], first: float) -> None:
     assert_close(under_way.step(17.31 - under_way.depth), whole)
 
 
-@pytest.mark.parametrize("depth", [5.0, 5.4, 0.6, 1.0])
-@pytest.mark.parametrize("eps", [1e-3, 0.2, 0.5])
-def test_a_small_insertion_and_retraction_returns(depth: float, eps: float) -> None:
-    under_way, untouched = session(), session()
-    here = under_way.step(depth)
-    under_way.step(eps)
-    assert_close(under_way.step(-eps), here)
-    untouched.step(depth)
-    under_way.step(-eps)
-    assert_close(under_way.step(eps), here)
-    assert_close(under_way.step(4.0), untouched.step(4.0))
-
-
-@pytest.mark.parametrize("back", [0.3, 2.0, 2.5, 6.9])
-def test_retraction_discards_the_path_beyond_and_keeps_the_path_behind(back: float) -> None:
-    under_way = session()
-    before = under_way.step(9.0)
-    found = under_way.step(-back)
-    kept = np.flatnonzero(before.constraints[:, 0] < 9.0 - back - 1e-9)
-    np.testing.assert_array_equal(found.constraints[:-1], before.constraints[kept])
-    assert found.depth == found.constraints[-1, 0] == 9.0 - back
-    start = session().step(float(len(kept) - 1))  # the point under the tip lies on its cell's old ray
-    assert found.constraints[-1, 1] == pytest.approx(ahead(start, 9.0 - back, LEFT), abs=1e-7)
-
-
-def test_re_insertion_goes_on_along_the_old_grid():
-    under_way = session(0.7)
-    for insert in (9.4, -6.2, 3.1, -0.05, -3.0, 0.4):
-        under_way.step(insert)
-    assert_close(under_way.step(14.7 - under_way.depth), session(0.7).step(14.7))
-    # Retracted into cell 4, 2.7 ... 3.7 mm, and turned: the new point 4 lies on a ray from 3.1 mm.
-    under_way = session(0.7)
-    old = under_way.step(7.7)
-    here = under_way.step(3.1 - 7.7)
-    found = under_way.step(4.6, bevel=RIGHT)
-    np.testing.assert_array_equal(found.constraints[:, 0], old.constraints[:, 0])
-    np.testing.assert_array_equal(found.constraints[:4], old.constraints[:4])
-    assert found.constraints[4, 1] == pytest.approx(ahead(here, 3.7, RIGHT), abs=1e-12)
-    assert abs(found.constraints[4, 1] - old.constraints[4, 1]) > 0.1
-
-
 @pytest.mark.parametrize("bevel", [RIGHT, Bevel(0.04, 1), Bevel(0.0)])
 @pytest.mark.parametrize("d", [2.3, 3.0, 0.4])
 def test_a_turned_bevel_cuts_from_where_the_tip_stands(bevel: Bevel, d: float) -> None:
@@ -137,48 +105,6 @@ def test_a_turned_bevel_cuts_from_where_the_tip_stands(bevel: Bevel, d: float) -
     found = under_way.step(m + 0.5 - d, bevel=bevel).constraints
     np.testing.assert_array_equal(found[:m], np.vstack((here.constraints, [[d, 0]]))[:m])
     assert found[m, 1] == pytest.approx(ahead(here, m, bevel), abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"base": (0.5, 0.0)},
-        {"base": (0.0, 0.01)},
-        {"guides": (Guide(-3.0, 0.1),)},
-        {"guides": (Guide(1.5, 0.1, None, True),)},
-        {"tip": TrackedTip(0.2)},
-    ],
-)
-def test_a_moved_input_sets_the_ray_anew_where_the_tip_then_stands(change: dict) -> None:
-    under_way = session()
-    before = under_way.step(2.3)
-    here = under_way.step(**change)
-    np.testing.assert_array_equal(here.constraints, before.constraints)
-    assert abs(here.tip_lateral - before.tip_lateral) > 1e-5
-    found = under_way.step(0.7)
-    assert found.constraints[3, 1] == pytest.approx(ahead(here, 3.0, LEFT), abs=1e-12)
-    at_once = session()  # the change may come with the insertion
-    at_once.step(2.3)
-    assert_close(at_once.step(0.7, **change), found)
-
-
-@pytest.mark.parametrize(
-    ("there", "back"),
-    [
-        ({"bevel": RIGHT}, {"bevel": LEFT}),
-        ({"base": (0.3, 0.0)}, {"base": (0.0, 0.0)}),
-        ({"tip": TrackedTip(0.2)}, {"tip": None}),
-    ],
-)
-def test_a_change_undone_at_the_same_depth_still_counts(there: dict, back: dict) -> None:
-    under_way, untouched = session(), session()
-    untouched.step(5.3)
-    under_way.step(5.3)
-    under_way.step(**there)
-    here = under_way.step(**back)
-    found, other = under_way.step(0.7), untouched.step(0.7)
-    assert found.constraints[6, 1] == pytest.approx(ahead(here, 6.0, LEFT), abs=1e-12)
-    assert abs(found.constraints[6, 1] - other.constraints[6, 1]) > 1e-5
 
 
 def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_move_the_tip():
@@ -227,10 +153,7 @@ def test_a_long_session_keeps_its_size_and_accuracy() -> None:
 
 # ---- failures and refused inputs change nothing
 
-TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 THIN = Tissue(mu=[0.5], alpha=[8.0], thickness=[2.0])
-LEFT, RIGHT = Bevel(0.1, 1), Bevel(0.1, -1)
-assert_same_steps = partial(assert_same_bits, but=("iterations",))  # each step counts its own
 
 
 @pytest.mark.parametrize(
@@ -299,3 +222,114 @@ def test_bad_inputs_are_refused_and_change_nothing(step: dict) -> None:
 def test_a_guide_out_of_reach_is_refused_from_the_start() -> None:
     with pytest.raises(ModelError, match="through a guide 151 mm"):
         Session(NEEDLE, TISSUE, LEFT, controls=Controls(guides=(Guide(-151.0),)))
+
+
+# ---- copies, the shortest way to where a session stands, and the same way through another tissue
+
+SOFT, STIFF = (Tissue(mu=[mu, 5.0], alpha=[1.0, -1.0], boundaries=[12.3]) for mu in (0.2, 2.0))
+MILD, MILD_TURNED = Bevel(0.08, 1), Bevel(0.08, -1)
+
+
+def assert_near(found: NeedleShape, expected: NeedleShape) -> None:
+    for name in ("x", "u", "slope", "constraints"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-6, err_msg=name)
+
+
+def wandered(seed: int) -> tuple[Session, np.random.Generator]:
+    """Return a session after random steps, in and out, and the generator that goes on."""
+    rng = np.random.default_rng(seed)
+    rules = random_rules(rng)
+    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules)
+    steps = random_steps(rng, 6)
+    under_way = Session(needle, tissue, steps[0].bevel, rng.uniform(0.05, 1) * rules.spacing, rules=rules)
+    for step in steps:
+        under_way.go(step)
+    return under_way, rng
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_copy_continues_independently_of_the_original(seed: int) -> None:
+    first, rng = wandered(seed)
+    second, before = first.copy(), first.now.shape
+    steps = random_steps(rng, 3)
+    there = [second.go(step) for step in steps]
+    assert first.now.shape is before
+    for step, expected in zip(steps, there, strict=True):
+        np.testing.assert_array_equal(first.go(step).u, expected.u)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
+    under_way, rng = wandered(seed)
+    input_path = under_way.input_path()
+    again = simulate_steps(under_way.needle, under_way.tissue, input_path, under_way.rules, under_way.lattice)
+    assert_near(again, under_way.now.shape)
+    retold, start = under_way.simulate_again(), input_path[0]
+    single = Session(
+        under_way.needle, under_way.tissue, start.bevel, under_way.lattice.first_cell, start.controls,
+        under_way.rules,
+    )  # fmt: skip
+    for step in input_path:
+        single.go(step)
+    np.testing.assert_array_equal(retold.now.shape.u, single.now.shape.u)
+    assert retold.solved == single.solved
+    for step in random_steps(rng, 2):
+        assert_near(retold.go(step), under_way.go(step))
+
+
+def test_the_path_omits_what_was_undone() -> None:
+    under_way = Session(NEEDLE, SOFT, MILD)
+    under_way.step(insert=20)
+    for _ in range(50):
+        under_way.step(insert=10, bevel=MILD_TURNED, base=(0.5, 0.0))
+        under_way.step(insert=-10, bevel=MILD, base=(0.0, 0.0))
+    assert under_way.input_path() == (Step(20.0, MILD),)
+
+
+def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
+    """The ray is anchored again at the tip, though the course has the same inputs on both sides."""
+    under_way = Session(NEEDLE, SOFT, MILD, 0.7)
+    under_way.step(insert=10.2)
+    under_way.step(bevel=MILD_TURNED)
+    under_way.step(insert=5.3, bevel=MILD)
+    again = simulate_steps(NEEDLE, SOFT, under_way.input_path(), lattice=Lattice(0.7, 1.0))
+    straight = simulate_steps(NEEDLE, SOFT, (Step(15.5, MILD),), lattice=Lattice(0.7, 1.0))
+    assert_near(again, under_way.now.shape)
+    assert abs(straight.tip_lateral - again.tip_lateral) > 1e-4
+
+
+def test_inputs_changed_and_changed_back_at_the_tip_cut_anew_from_there() -> None:
+    under_way = Session(NEEDLE, SOFT, MILD, 0.7)
+    under_way.step(insert=10.2)
+    under_way.step(bevel=MILD_TURNED)
+    under_way.step(bevel=MILD)
+    retold, untouched = under_way.simulate_again(), Session(NEEDLE, SOFT, MILD, 0.7)
+    untouched.step(insert=10.2)
+    assert_near(retold.step(insert=5.3), under_way.step(insert=5.3))
+    assert abs(untouched.step(insert=5.3).tip_lateral - under_way.now.shape.tip_lateral) > 1e-4
+
+
+def test_a_path_is_simulated_in_another_tissue() -> None:
+    guided = Controls(guides=(Guide(-20.0),))
+    steps = (Step(10.0, MILD), Step(18.4, MILD_TURNED, guided), Step(25.0, MILD, guided))
+    under_way = Session(NEEDLE, SOFT, MILD)
+    for step in steps:
+        under_way.go(step)
+    under_way.step(insert=5)
+    under_way.step(insert=-5)
+    expected = simulate_steps(NEEDLE, STIFF, steps, lattice=Lattice(1.0, 1.0))
+    assert_near(under_way.simulate_again(STIFF).now.shape, expected)
+    blunt = tuple(replace(step, bevel=replace(step.bevel, offset=0.01)) for step in steps)
+    retold = under_way.simulate_again(offset=0.01)
+    assert_near(retold.now.shape, simulate_steps(NEEDLE, SOFT, blunt, lattice=Lattice(1.0, 1.0)))
+    assert retold.last == blunt[-1]
+
+
+def test_a_failed_path_is_located_and_the_original_is_unchanged() -> None:
+    thin = Tissue(mu=[0.5], alpha=[8.0], thickness=[1.0])
+    under_way = Session(NEEDLE, replace(thin, thickness=[60.0]), MILD)
+    under_way.step(insert=5.4)
+    before = under_way.step(tip=TrackedTip(-3.0))
+    retold = under_way.simulate_again(thin)
+    assert before.converged and retold.failures
+    assert under_way.now.shape is before and retold.depth == 5.4

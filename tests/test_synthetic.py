@@ -17,17 +17,9 @@ from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.synthetic import insertion as insert_module
+from needlefit.synthetic import truth
 from needlefit.synthetic.design import PHANTOMS, displace, list_planned_insertions, make_surfaces
 from needlefit.synthetic.insertion import TRUTH_OPTIONS, insert_needle, stated_frame
-from needlefit.synthetic.truth import (
-    NOMINAL_NEEDLE,
-    TRUE_MEDIA,
-    RandomField,
-    bevel_offset,
-    draw_deviations,
-    draw_needle,
-    draw_specimen,
-)
 
 PLAN = {planned.id: planned for planned in list_planned_insertions()}
 
@@ -39,11 +31,11 @@ def paper(name):
 
 def truly_inserted(name, seed=1):
     planned = PLAN[name]
-    specimen = draw_specimen(seed, planned.medium, planned.specimen)
+    specimen = truth.draw_specimen(seed, planned.medium, planned.specimen)
     return (
         planned,
         specimen,
-        insert_needle(planned, draw_needle(seed), specimen, draw_deviations(seed, planned)),
+        insert_needle(planned, truth.draw_needle(seed), specimen, truth.draw_deviations(seed, planned)),
     )
 
 
@@ -104,28 +96,28 @@ def test_boundaries_of_the_phantoms_lie_in_the_box():
 
 def test_the_true_media_are_those_of_the_paper_and_pieces_of_chicken_differ():
     rows = {row["set"]: row for row in paper("parameters.csv")}
-    for name, medium in TRUE_MEDIA.items():
+    for name, medium in truth.TRUE_MEDIA.items():
         row, layers = rows[name], range(1, len(medium.mu_pa) + 1)
         assert medium.mu_pa == tuple(float(row[f"mu{n}_pa"]) for n in layers)
         assert medium.alpha == tuple(float(row[f"alpha{n}"]) for n in layers)
-    one, other = (draw_specimen(1, "chicken", f"chicken-piece{n}") for n in (1, 2))
+    one, other = (truth.draw_specimen(1, "chicken", f"chicken-piece{n}") for n in (1, 2))
     assert one.mu != other.mu
     assert not np.array_equal(one.field.at(np.zeros((1, 3))), other.field.at(np.zeros((1, 3))))
-    assert draw_specimen(1, "phantom2", "phantom2").field is None
-    specimen = draw_specimen(1, "chicken", "chicken-piece1")
-    offset = TRUE_MEDIA["chicken"].bevel
+    assert truth.draw_specimen(1, "phantom2", "phantom2").field is None
+    specimen = truth.draw_specimen(1, "chicken", "chicken-piece1")
+    offset = truth.TRUE_MEDIA["chicken"].bevel
     for fibre_angle, share in ((0.0, 2.0), (45.0, 1.0), (60.0, 0.5), (90.0, 0.0)):
         planned = dataclasses.replace(PLAN["chicken-02"], fibre_angle=fibre_angle)
-        assert bevel_offset(specimen, planned) == pytest.approx(share * offset)
-    assert bevel_offset(draw_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
+        assert truth.bevel_offset(specimen, planned) == pytest.approx(share * offset)
+    assert truth.bevel_offset(truth.draw_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
 
 
 def test_the_true_needle_is_a_few_percent_off_and_the_field_smooth():
     for seed in [1, 2, 3]:
-        off = draw_needle(seed).flexural_rigidity / NOMINAL_NEEDLE.flexural_rigidity - 1
+        off = truth.draw_needle(seed).flexural_rigidity / truth.NOMINAL_NEEDLE.flexural_rigidity - 1
         assert 0.02 <= abs(off) <= 0.05
     points = np.random.default_rng(0).uniform(-40, 40, (200, 3))
-    draws = [RandomField.draw(np.random.default_rng(n), sd=0.4, length=12.0) for n in range(200)]
+    draws = [truth.RandomField.draw(np.random.default_rng(n), sd=0.4, length=12.0) for n in range(200)]
     values = np.array([field.at(points[:1])[0] for field in draws])
     assert np.std(values) == pytest.approx(0.4, rel=0.2)
     near = np.concatenate([field.at(points + np.array([1, 0, 0])) - field.at(points) for field in draws[:20]])
@@ -143,9 +135,9 @@ def test_needle_and_layers_agree(name):
     assert met.sequence == found.sequence == tuple(range(1, planned.layers + 1))
     assert found.frame.to_local(met.points)[:, 0] == pytest.approx(found.boundaries, abs=1e-4)
     shape = simulate(
-        draw_needle(1),
+        truth.draw_needle(1),
         found.tissue,
-        Bevel(bevel_offset(specimen, planned)),
+        Bevel(truth.bevel_offset(specimen, planned)),
         planned.depth,
         rules=TRUTH_OPTIONS,
     )
@@ -183,10 +175,10 @@ def test_the_true_needle_is_not_what_the_fit_assumes(name, friction):
     assert TRUTH_OPTIONS.element <= fitted.element / 4 and TRUTH_OPTIONS.spacing == fitted.spacing
     assert np.max(np.diff(found.shape.x[1:])) == pytest.approx(fitted.element / 4)
     assert found.tissue.friction == pytest.approx(friction)
-    needle, bevel = draw_needle(1), Bevel(bevel_offset(specimen, planned))
+    needle, bevel = truth.draw_needle(1), Bevel(truth.bevel_offset(specimen, planned))
     again = simulate(needle, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
     assert again.tip_lateral == pytest.approx(found.shape.tip_lateral, abs=1e-4)
-    nominal = simulate(NOMINAL_NEEDLE, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
+    nominal = simulate(truth.NOMINAL_NEEDLE, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
     assert abs(nominal.tip_lateral / again.tip_lateral - 1) > 1e-3
     smooth = dataclasses.replace(found.tissue, friction=np.zeros(found.tissue.layers))
     assert (
@@ -198,7 +190,7 @@ def test_every_true_needle_leaves_its_plane_by_what_was_drawn(monkeypatch):
     # At the tip both modes count fully: (0.04 + 0.06 |y|) times the sum of the two draws.
     for name in ("phantom1-01", "phantom2-08", "chicken-03"):
         _, _, found = truly_inserted(name)
-        drawn = draw_deviations(1, PLAN[name]).out_of_plane
+        drawn = truth.draw_deviations(1, PLAN[name]).out_of_plane
         tip = found.frame.to_local(found.centerline)[-1, 2]
         assert tip == pytest.approx((0.04 + 0.06 * abs(found.shape.tip_lateral)) * drawn.sum(), rel=1e-6)
         assert abs(tip) > 1e-3
