@@ -16,8 +16,8 @@ from pydicom.uid import (
     generate_uid,
 )
 from reading_here import child_process_reader, read_here  # noqa: F401
+from test_imaging_volume_dicom import refused
 
-from needlefit.errors import DataError
 from needlefit.imaging import volume_files
 from needlefit.imaging.scans import scan_id
 from needlefit.imaging.volume import Volume
@@ -25,14 +25,6 @@ from needlefit.imaging.volume_files import read_volume, write_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
 OTHER = generate_uid(entropy_srcs=["other"])
-
-
-def refused(path, **arguments):
-    with pytest.raises(DataError) as error:
-        read_volume(path, **arguments)
-    fault = error.value
-    assert fault.what and fault.where.startswith(str(path)) and fault.expected and fault.fix
-    return fault
 
 
 def pack(path, files, method=zipfile.ZIP_DEFLATED):

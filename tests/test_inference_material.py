@@ -146,6 +146,9 @@ def test_the_log_posterior_is_the_likelihood_and_the_prior():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
+        ({"alpha1": {"fixed": 1.0, "prior": ALPHA}}, "free"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"mean": 1.0}}}, "mean"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}}, "sd"),
         ({"alpha1": {"bounds": [-3, 9], "prior": {"median": 2, "factor": 2}}}, "wrong kind"),
         ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": ALPHA}}, "wrong kind"),
         ({"alpha1": {"bounds": [-3, 2], "prior": ALPHA}}, "outside the bounds"),
@@ -154,22 +157,10 @@ def test_the_log_posterior_is_the_likelihood_and_the_prior():
     ],
 )
 def test_an_invalid_prior_is_refused(changed, message):
+    free = {"mu1_pa": {"bounds": [1e3, 1e9]}, "alpha1": {"fixed": 1.0}, "bevel_mm": {"bounds": [1e-3, 0.5]}}
+    table = {"schema": 1, "layers": 1, "parameters": free | changed}
     with pytest.raises(ConfigError, match=message):
-        Parameters.from_record(medium(1, **changed))
-
-
-@pytest.mark.parametrize(
-    ("parameter", "message"),
-    [
-        ({"fixed": 1.0, "prior": ALPHA}, "free"),
-        ({"bounds": [-3, 9], "prior": {"mean": 1.0}}, "mean"),
-        ({"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}, "sd"),
-    ],
-)
-def test_a_prior_is_checked_in_its_file(parameter, message):
-    table = {"schema": 1, "layers": 1, "parameters": {"alpha1": parameter}}
-    with pytest.raises(ConfigError, match=message):
-        check(table, MediumRecord, "medium.toml")
+        Parameters.from_record(check(table, MediumRecord, "medium.toml"))
 
 
 def test_a_test_of_the_material_frees_the_alpha_of_its_layer():

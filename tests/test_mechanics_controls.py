@@ -169,34 +169,9 @@ def test_a_tilted_straight_needle_keeps_its_line() -> None:
     np.testing.assert_array_equal(level.u, 0.0)
 
 
-@pytest.mark.parametrize("x", [-3.0, 0.0, 4.5])
-def test_two_guides_at_one_place_are_refused(x: float) -> None:
-    with pytest.raises(ModelError, match=f"x = {x:g} mm") as fault:
-        Controls(guides=(Guide(x, 0.0, in_tissue=x >= 0), Guide(x, 0.1, None, x >= 0)))
-    assert "guides" in fault.value.expected and fault.value.fix
-
-
-@pytest.mark.parametrize(("x", "in_tissue"), [(3.0, False), (0.0, False), (-3.0, True)])
-def test_a_guide_error_names_its_side_of_the_entry(x: float, in_tissue: bool) -> None:
-    with pytest.raises(ModelError, match="before the tissue"):
-        Guide(x, in_tissue=in_tissue)
-
-
 @pytest.mark.parametrize("solve", [simulate, reference.simulate])
 def test_a_base_that_would_reach_a_guide_is_refused(solve) -> None:
     guides = (Guide(-3.0), Guide(-130.0, 0.0, None))
     assert solve(NEEDLE, TISSUE, BEVEL, 19.9, Controls(guides=guides)).converged
     with pytest.raises(ModelError, match="guide 130 mm"):
         solve(NEEDLE, TISSUE, BEVEL, 20.0, Controls(guides=guides))
-
-
-@pytest.mark.parametrize("make", [
-    lambda: Controls(base_y=np.nan), lambda: Controls(stage_slope=np.inf), lambda: Guide(np.nan),
-    lambda: Guide(-1.0, slope=np.nan), lambda: TrackedTip(np.inf), lambda: Bevel(np.nan),
-    lambda: Bevel(0.1, 0), lambda: Bevel("a"), lambda: Guide("a"), lambda: Needle("a", 1.0),
-    lambda: ModelOptions("a"), lambda: Step(None, BEVEL), lambda: Controls("a"), lambda: TrackedTip("a"),
-    lambda: Step(-1.0, BEVEL), lambda: Step(np.nan, BEVEL),
-])  # fmt: skip
-def test_inputs_are_numbers(make) -> None:
-    with pytest.raises(ModelError):
-        make()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from mechanics_cases import NEEDLE, RULES, assert_close, assert_same_bits, random_batch, random_steps
 
-from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import Batch, NeedleShapes, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
@@ -108,11 +107,6 @@ def test_slopes_converge_where_all_deflections_are_prescribed(depth: float, slop
 def test_neighbours_and_spare_lanes_change_no_bit(sets: int, controls: Controls, tissue: Tissue) -> None:
     batch = broad(64, steps=(*THERE_AND_BACK, replace(TURN, depth=19.2, controls=controls)), tissue=tissue)
     assert_same_bits(one(some(batch, np.arange(sets))), part(one(batch), np.arange(sets)))
-
-
-def test_order_changes_no_bit() -> None:
-    batch, order = broad(70), np.random.default_rng(1).permutation(70)
-    assert_same_bits(one(some(batch, order)), part(one(batch), order))
 
 
 def part(shapes: NeedleShapes, sets: np.ndarray) -> NeedleShapes:
@@ -224,23 +218,6 @@ def test_different_insertions_come_back_in_their_order() -> None:
     for batch, shapes in zip(batches, found, strict=True):
         assert_same_bits(shapes, one(batch, 1))
     assert simulate_batches([]) == ()
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({}, "not given"),
-        ({"mu": [[1.0, 2.0, 3.0]]}, r"mu .*\(1, 3\)"),
-        ({"mu": [1.0, 2.0]}, r"mu .*\(2,\)"),
-        ({"offset": [[0.1]]}, r"offset .*\(1, 1\)"),
-        ({"offset": [0.1, 0.2], "base_y": [0.0]}, "one size"),
-        ({"offset": []}, "at least 1"),
-        ({"guide_x": [-3.0]}, "one guide"),
-    ],
-)
-def test_sets_that_make_no_batch_are_refused(given: dict, message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        Batch(NEEDLE, TISSUE, THERE_AND_BACK, **given)
 
 
 def test_a_guide_that_the_base_would_reach_is_the_failure_of_its_set_alone() -> None:

@@ -137,25 +137,6 @@ def test_a_law_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         evaluated(Tissue(mu=[0.5], alpha=[4.0], law="sister"))
 
 
-@pytest.mark.parametrize("alpha", [0.0, 1.0, 5.0, 20.0])
-def test_a_table_is_its_law_as_far_as_it_reaches(alpha: float) -> None:
-    """k, dk/dlambda and dk/dalpha of the table against those of the law, over k."""
-    law, (table, _) = LAWS["fung"], compile_law("fung", np.array([[alpha]]))
-    reach = table[0, 0]
-    assert 0.4 < reach < 0.8
-    tissue, d = Tissue(mu=[1.0], alpha=[alpha], thickness=[1.0], law="fung"), np.linspace(0, reach, 500)
-    found = evaluated(tissue, 0, d)
-    k, slope = law.k(1 - d, np.full(500, alpha)), law.dk_dstretch(1 - d, np.full(500, alpha))
-    beyond = d > found.limit
-    np.testing.assert_allclose(found.k[beyond], k[beyond], rtol=2e-11)
-    np.testing.assert_allclose((found.tangent / k)[beyond], (1 - d * slope / k)[beyond], atol=1e-8)
-    strain = (1 - d) ** 2 + 2 / (1 - d) - 3
-    bend = 2 * (1 - d) * (1 - d - (1 - d) ** -2) ** 2
-    by_hand = strain * k + np.exp(alpha * strain) * bend
-    np.testing.assert_allclose((found.by_shape / k)[beyond], (by_hand / k)[beyond], atol=1e-9)
-    np.testing.assert_allclose(found.by_shape / k, by_hand / k, atol=1e-7)
-
-
 def test_a_table_ends_where_its_law_is_too_steep() -> None:
     """Beyond, tissue is over-compressed; a law that is too steep at once is refused."""
     tissue = Tissue(mu=[1e-4], alpha=[20.0], thickness=[1.0], law="fung")
@@ -165,22 +146,6 @@ def test_a_table_ends_where_its_law_is_too_steep() -> None:
     assert not shape.converged
     with pytest.raises(ModelError, match=r"layer 2.*`fung`.* alpha = 1000"):
         compile_law("fung", np.array([[1.0, 1000.0]]))
-
-
-@pytest.mark.parametrize(
-    ("law", "shape", "named"),
-    [
-        ("fung", {"alpha": [1.0, 60.0]}, ("layer 2", "alpha", "60", "0 to 50")),
-        ("gent", {"jm": [0.1, 5.0]}, ("layer 1", "jm", "0.1", "0.2 to inf")),
-        ("two_term_ogden", {"alpha": 1.0, "beta": -2.0, "share": [0.2, 1.5]}, ("layer 2", "share", "1.5")),
-        ("two_term_ogden", {"alpha": 1.0, "beta": -2.0}, ("share",)),
-        ("ogden", {"alpha": 1.0, "jm": 5.0}, ("jm",)),
-    ],
-)
-def test_an_error_names_layer_and_parameter(law: str, shape: dict, named: tuple[str, ...]) -> None:
-    with pytest.raises(ModelError) as fault:
-        Tissue([0.2, 3.0], shape, [10.0], law=law)
-    assert all(word in f"{fault.value.what} {fault.value.expected}" for word in named)
 
 
 def test_gent_is_neo_hookean_for_an_infinite_limit_and_ends_at_its_own():

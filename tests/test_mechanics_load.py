@@ -15,7 +15,6 @@ NEEDLE = Needle(150.0, EI)
 LAYERS = Tissue(
     mu=[0.02, 0.4, 0.1], alpha=[3.0, -4.0, 8.0], boundaries=[9.3, 21.0], thickness=[40.0, 8.0, 15.0]
 )
-SHARP = ModelOptions(tolerance=1e-11)
 
 
 # ---- closed forms ----

@@ -95,14 +95,6 @@ def test_forces_balance_on_a_linear_cut() -> None:
     assert abs(loads.base.force) > 1e-3
 
 
-@pytest.mark.parametrize(("bevel", "rules"), [(Bevel(0.1), RULES), (Bevel(cut_angle=0.1), ModelOptions())])
-def test_a_strength_of_the_other_rule_is_refused(bevel: Bevel, rules: ModelOptions) -> None:
-    with pytest.raises(ModelError, match="alone"):
-        simulate(NEEDLE, PHANTOM, bevel, 5.0, rules=rules)
-    with pytest.raises(ModelError, match="variants"):
-        ModelOptions(tangent=0.5, advance="path_angle")
-
-
 # ---- of media, scenes and the page ----
 
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import (
     Lattice,
@@ -158,21 +157,6 @@ def test_the_lattice_of_an_insertion_ends_with_its_last_step():
     assert first(5.0, 0.0) == 1.0  # out again: there is nothing to end on
     assert [HALF.depth(m) for m in range(4)] == [0.0, 0.5, 1.5, 2.5]
     assert [HALF.cell(d) for d in (0.0, 0.1, 0.5, 0.5 + 1e-10, 0.51, 1.5, 2.2)] == [0, 1, 1, 1, 2, 2, 3]
-
-
-def test_what_no_plan_can_be_made_of_is_refused():
-    for depth, guides in [(150.0, ()), (140.0, (Guide(-10.0),)), (100.0, (Guide(-3.0), Guide(-60.0)))]:
-        with pytest.raises(ModelError, match=f" {depth:g} mm"):
-            plan_stops((Step(1.0, Bevel(0.1)), Step(depth, Bevel(0.1), Controls(guides=guides))), HALF, 150.0)
-    guides = Controls(guides=(Guide(-15.0),))
-    with pytest.raises(ModelError, match=r"needle of 0\.15 mm") as fault:
-        plan_stops((Step(40.0, Bevel(0.1), guides),), HALF, 0.15)
-    assert "55 mm" in fault.value.expected and "40 mm" in fault.value.expected
-    with pytest.raises(ModelError, match="without steps"):
-        plan_stops((), HALF, 150.0)
-    for first in [0.0, 1e-12, 1e-9, 1.1]:
-        with pytest.raises(ModelError, match="first cell"):
-            Lattice(first, 1.0)
 
 
 @pytest.mark.parametrize("spacing", [0.5, 0.7, 1.0, 2.0])

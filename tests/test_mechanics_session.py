@@ -129,12 +129,6 @@ def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_
     assert found[1, 1] == pytest.approx(ahead(shape, 1.0, LEFT))
 
 
-@pytest.mark.parametrize("first_cell", [0.0, -0.5, 1.2, np.nan])
-def test_the_first_cell_lies_within_the_constraint_spacing(first_cell: float) -> None:
-    with pytest.raises(ModelError, match="first cell"):
-        session(first_cell)
-
-
 def test_a_long_session_keeps_its_size_and_accuracy() -> None:
     """Thousands of steps in and out, each under inputs never seen before."""
     rng = np.random.default_rng(0)
@@ -217,11 +211,6 @@ def test_bad_inputs_are_refused_and_change_nothing(step: dict) -> None:
         under_way.step(**step)
     assert under_way.depth == 3.4 and not under_way.failures
     assert_same_steps(under_way.step(2.0), untouched.step(2.0))
-
-
-def test_a_guide_out_of_reach_is_refused_from_the_start() -> None:
-    with pytest.raises(ModelError, match="through a guide 151 mm"):
-        Session(NEEDLE, TISSUE, LEFT, controls=Controls(guides=(Guide(-151.0),)))
 
 
 # ---- copies, the shortest way to where a session stands, and the same way through another tissue

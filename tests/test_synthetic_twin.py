@@ -40,10 +40,6 @@ def files(folder):
     return sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
 
 
-def contents(folder):
-    return {name: (folder / name).read_bytes() for name in files(folder)}
-
-
 @pytest.fixture(scope="module", params=SETS, ids=len)
 def names(request):
     return request.param
