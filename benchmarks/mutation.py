@@ -81,7 +81,7 @@ AREAS = {
         ("geometry", "imaging_registration"),
     ),
     "resume": Area(
-        ("project/checkpoint.py", "project/manifest.py", "project/atomic_write.py"),
+        ("project/checkpoint.py", "project/folders.py"),
         ("project_checkpoint", "project_manifest"),
     ),
     "mechanics": Area(("mechanics",), MECHANICS),

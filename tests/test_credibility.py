@@ -19,7 +19,7 @@ from reporting_results import stereo
 from test_cli import run
 
 from needlefit.errors import DataError
-from needlefit.project.manifest import write_manifest
+from needlefit.project.folders import write_manifest
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.studies.job import Settings

@@ -17,9 +17,9 @@ from test_reporting_posterior import sampled
 import needlefit
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.inference.sampling.posterior import load, save
+from needlefit.project.folders import MANIFEST, find_changes, sha256, write_manifest
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_file, find_run, find_studies, find_study_or_fit, find_view_target
-from needlefit.project.manifest import MANIFEST, find_changes, sha256, write_manifest
 from needlefit.studies import store as stored_files
 from needlefit.studies.combined_report import rebuild
 from needlefit.studies.csv_tables import TableSchema, read_table

@@ -57,7 +57,7 @@ class Execution:
             If they cannot, or would replace something that needlefit did not write.
         """
         from needlefit.project.checkpoint import require_own_checkpoint
-        from needlefit.project.manifest import require_replaceable
+        from needlefit.project.folders import require_replaceable
 
         samples = self.invocation.sample or replaces_posterior
         for name in names:

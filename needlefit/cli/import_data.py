@@ -66,8 +66,7 @@ def import_data(
     from needlefit.datasets.importing.conversion import name_study_file, plan_import
     from needlefit.datasets.importing.decisions import Decisions
     from needlefit.datasets.read import check_all
-    from needlefit.project.atomic_write import require_new
-    from needlefit.project.outputs import require_no_inputs_within
+    from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import write_import
     from needlefit.schemas.names import require_file_name
 

@@ -11,7 +11,7 @@ import typer
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.execution import require_no_faults
 from needlefit.cli.options import argument, complete_view_targets, option, takes
-from needlefit.project.outputs import require_output_files
+from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
     from needlefit.planning.goals import PlaneGoal

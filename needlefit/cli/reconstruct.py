@@ -89,9 +89,8 @@ def reconstruct(
             remove_checkpoint,
             require_own_checkpoint,
         )
+        from needlefit.project.folders import remove_result, require_no_inputs_within, require_replaceable
         from needlefit.project.locate import find_file
-        from needlefit.project.manifest import remove_result, require_replaceable
-        from needlefit.project.outputs import require_no_inputs_within
         from needlefit.project.toml import load
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord

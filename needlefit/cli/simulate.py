@@ -13,8 +13,8 @@ import typer
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.options import argument, complete_scenes, option, scene_record, takes
 from needlefit.errors import NeedlefitError
+from needlefit.project.folders import require_output_files
 from needlefit.project.locate import find_file, find_view_target
-from needlefit.project.outputs import require_output_files
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 
 if TYPE_CHECKING:

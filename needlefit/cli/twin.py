@@ -28,7 +28,7 @@ def twin_build(
 
     DIR is replaced if it holds nothing but a synthetic dataset.
     """
-    from needlefit.project.atomic_write import replace_folder
+    from needlefit.project.folders import replace_folder
     from needlefit.synthetic.build import build_dataset
     from needlefit.synthetic.insertion import TWIN_SEED
 
@@ -65,7 +65,7 @@ def twin_ct(
 
     DIR is replaced if it holds nothing but such scans.
     """
-    from needlefit.project.atomic_write import replace_folder
+    from needlefit.project.folders import replace_folder
     from needlefit.project.tasks import LocalPool
     from needlefit.synthetic.design import select_planned_insertions
     from needlefit.synthetic.insertion import TWIN_SEED

@@ -13,9 +13,9 @@ from needlefit.cli import options, screen
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import complete_view_targets, option, takes
 from needlefit.errors import ConfigError
+from needlefit.project.folders import require_writable
 from needlefit.project.input_files import is_dir, is_file, path_exists
 from needlefit.project.locate import find_file, list_names
-from needlefit.project.outputs import require_writable
 
 if TYPE_CHECKING:
     from needlefit.imaging.scans import Scan

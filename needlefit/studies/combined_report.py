@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from needlefit.project.atomic_write import replace_folder
+from needlefit.project.folders import replace_folder
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document

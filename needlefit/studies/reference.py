@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.project.atomic_write import replace_folder
+from needlefit.project.folders import replace_folder
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.reporting.tidy import to_tidy
 from needlefit.studies.fit_frames import FIT_KINDS

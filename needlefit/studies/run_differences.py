@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import DataError
+from needlefit.project.folders import require_unchanged
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.project.manifest import require_unchanged
 from needlefit.studies.csv_tables import ANY_COLUMNS, TableSchema, read_table
 from needlefit.studies.kind import find_kind
 from needlefit.studies.store import read_run

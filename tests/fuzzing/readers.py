@@ -113,7 +113,7 @@ def _import(path: Path) -> object:
     conversion = import_module("needlefit.datasets.importing.conversion")
     decisions = _late("datasets.importing.decisions.Decisions")()
     content, plan = conversion.plan_import([path], decisions)
-    with _late("project.atomic_write.create_folder")(path.parent / "made") as fresh:
+    with _late("project.folders.create_folder")(path.parent / "made") as fresh:
         conversion.write_plan(fresh, content, plan, decisions)
     return _late("datasets.read.read")(path.parent / "made")
 
@@ -185,7 +185,7 @@ def _parquet(path: Path) -> object:
 
 
 def _manifest(folder: Path) -> object:
-    return _late("project.manifest.require_replaceable")(folder)
+    return _late("project.folders.require_replaceable")(folder)
 
 
 # ---- texts

@@ -501,7 +501,7 @@ def run_files() -> list[Seed]:
 
 def manifests() -> list[Seed]:
     """A folder that lists its own files."""
-    from needlefit.project.manifest import write_manifest
+    from needlefit.project.folders import write_manifest
 
     def write(folder: Path) -> None:
         (folder / "out").mkdir()

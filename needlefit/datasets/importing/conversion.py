@@ -13,7 +13,7 @@ from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
-from needlefit.project.manifest import sha256
+from needlefit.project.folders import sha256
 from needlefit.project.toml import check as check_record
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord

@@ -17,9 +17,9 @@ import pandas as pd
 
 from needlefit.errors import DataError
 from needlefit.metrics import headline_metrics, list_metrics
+from needlefit.project.folders import find_changes, sha256
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_run
-from needlefit.project.manifest import find_changes, sha256
 from needlefit.reporting import document
 from needlefit.reporting.columns import find_column
 from needlefit.reporting.document import Block
