@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from needlefit.errors import ModelError
-from needlefit.geometry.crossings import find_crossings
 from needlefit.inference.forward_model import make_options
 from needlefit.mechanics.control import Bevel
-from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.toml import load
@@ -112,59 +110,13 @@ def test_the_true_media_are_those_of_the_paper_and_pieces_of_chicken_differ():
     assert truth.bevel_offset(truth.draw_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
 
 
-def test_the_true_needle_is_a_few_percent_off_and_the_field_smooth():
+def test_the_true_needle_is_a_few_percent_off():
     for seed in [1, 2, 3]:
         off = truth.draw_needle(seed).flexural_rigidity / truth.NOMINAL_NEEDLE.flexural_rigidity - 1
         assert 0.02 <= abs(off) <= 0.05
-    points = np.random.default_rng(0).uniform(-40, 40, (200, 3))
-    draws = [truth.RandomField.draw(np.random.default_rng(n), sd=0.4, length=12.0) for n in range(200)]
-    values = np.array([field.at(points[:1])[0] for field in draws])
-    assert np.std(values) == pytest.approx(0.4, rel=0.2)
-    near = np.concatenate([field.at(points + np.array([1, 0, 0])) - field.at(points) for field in draws[:20]])
-    # for a Gaussian covariance, sd of a difference over 1 mm is sd sqrt(2 - 2 exp(-1 / 288))
-    assert np.std(near) == pytest.approx(0.4 * math.sqrt(2 - 2 * math.exp(-1 / 288)), rel=0.15)
 
 
 # ---- one insertion
-
-
-@pytest.mark.parametrize("name", ["phantom1-09", "phantom2-02", "phantom2-09", "phantom3-03"])
-def test_needle_and_layers_agree(name):
-    planned, specimen, found = truly_inserted(name)
-    met = find_crossings(found.centerline, specimen.surfaces)
-    assert met.sequence == found.sequence == tuple(range(1, planned.layers + 1))
-    assert found.frame.to_local(met.points)[:, 0] == pytest.approx(found.boundaries, abs=1e-4)
-    shape = simulate(
-        truth.draw_needle(1),
-        found.tissue,
-        Bevel(truth.bevel_offset(specimen, planned)),
-        planned.depth,
-        rules=TRUTH_OPTIONS,
-    )
-    assert shape.tip_lateral == pytest.approx(found.shape.tip_lateral, abs=1e-4)
-
-
-def test_the_needle_starts_at_the_entry_and_crosses_plane_and_cylinder():
-    _, specimen, found = truly_inserted("phantom2-09")
-    points = find_crossings(found.centerline, specimen.surfaces).points
-    tops = [s.mesh.bounds[0, 0] for s in specimen.surfaces]
-    assert points[:2, 0] == pytest.approx(tops[:2], abs=1e-9)
-    radius = PHANTOMS["phantom2"].cylinder.radius
-    sagitta = radius * (1 - math.cos(math.pi / 96))  # the cylinder is a prism
-    assert radius - math.hypot(points[2, 0] - tops[2] - radius, points[2, 2]) == pytest.approx(
-        sagitta / 2, abs=sagitta
-    )
-    planned, _, found = truly_inserted("phantom2-08")
-    steps = np.linalg.norm(np.diff(found.centerline, axis=0), axis=1)
-    assert steps.max() <= 0.51
-    assert steps.sum() == pytest.approx(planned.depth, abs=0.03)  # bending aside adds a hundredth
-    local = found.frame.to_local(found.centerline)
-    assert np.linalg.norm(local[0]) < 0.5
-    assert abs(local[-1, 2]) > 0.01 and abs(local[0, 2]) < 1e-9
-    assert found.deflection == pytest.approx(local[-1, 1] - local[0, 1])
-    assert found.deflection > 0  # toward the bevel
-    tip = compute_positions(found.shape, np.array([planned.depth]))[0]
-    assert local[-1, :2] == pytest.approx(tip)
 
 
 @pytest.mark.parametrize(("name", "friction"), [("phantom2-08", 0.2), ("chicken-03", 0.1)])
@@ -186,25 +138,7 @@ def test_the_true_needle_is_not_what_the_fit_assumes(name, friction):
     )
 
 
-def test_every_true_needle_leaves_its_plane_by_what_was_drawn(monkeypatch):
-    # At the tip both modes count fully: (0.04 + 0.06 |y|) times the sum of the two draws.
-    for name in ("phantom1-01", "phantom2-08", "chicken-03"):
-        _, _, found = truly_inserted(name)
-        drawn = truth.draw_deviations(1, PLAN[name]).out_of_plane
-        tip = found.frame.to_local(found.centerline)[-1, 2]
-        assert tip == pytest.approx((0.04 + 0.06 * abs(found.shape.tip_lateral)) * drawn.sum(), rel=1e-6)
-        assert abs(tip) > 1e-3
+def test_a_needle_that_does_not_settle_is_an_error(monkeypatch):
     monkeypatch.setattr(insert_module, "MAX_ROUNDS", 1)
     with pytest.raises(ModelError, match="phantom2-08"):
         truly_inserted("phantom2-08")
-
-
-def test_a_heterogeneous_piece_is_cut_in_thin_slices():
-    planned, specimen, found = truly_inserted("chicken-03")
-    assert found.sequence == (1,)
-    assert np.diff(found.tissue.boundaries) == pytest.approx(2.0)
-    assert found.tissue.layers == math.ceil(found.frame.to_local(found.centerline)[-1, 0] / 2)
-    assert np.abs(np.diff(np.log(found.tissue.mu))).max() < 0.4  # smooth
-    assert np.ptp(np.log(found.tissue.mu)) > 0.1  # but not constant
-    assert np.all(found.tissue.friction > 0)
-    assert planned.depth == 57.43 and specimen.medium == "chicken"
