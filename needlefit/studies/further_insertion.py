@@ -22,10 +22,7 @@ from needlefit.studies.score import Row
 def find_template(job: Job, like: str) -> Insertion:
     """Return the insertion whose stated errors a new one gets.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such insertion.
+    Raises ConfigError if there is no such insertion.
     """
     known = {insertion.id: insertion for insertion in job.dataset.insertions}
     if like not in known:
@@ -41,10 +38,7 @@ def find_template(job: Job, like: str) -> Insertion:
 def check_reach(job: Job, like: Insertion, depths: Mapping[str, float]) -> None:
     """Refuse depths (mm, by the study's key) that the needle cannot reach.
 
-    Raises
-    ------
-    ConfigError
-        Naming the first such key.
+    Raises ConfigError naming the first such key.
     """
     guide = farthest_guide(job.parameters, like)
     longest = job.dataset.needle.length - guide

@@ -37,8 +37,7 @@ CELL_KEYS = ("grouping", "study", "medium", "layers")
 CELL_COLUMNS = (*CELL_KEYS, "metric", "unit", "value", "floor", "paper", "insertions", "not_converged")
 """`layers` is 0 where a row of the paper's table counts all; `floor` is NaN where a metric has none."""
 
-ALL_LAYERS = 0
-"""Layers of a row that counts insertions through any number of them."""
+ALL_LAYERS = 0  #: layers of a row that counts insertions through any number of them
 
 
 @dataclass(frozen=True)

@@ -45,10 +45,7 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
 
     Of a fit or a cross-validation all its data are read; of other kinds the files named must exist.
 
-    Raises
-    ------
-    ConfigError, DataError
-        If anything in it is missing or wrong.
+    Raises ConfigError, DataError if anything in it is missing or wrong.
     """
     record: FileRecord = load(path, FitRecord) if kind == "fit" else load_study(path)
     with add_file_context(path):

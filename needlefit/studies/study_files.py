@@ -17,10 +17,7 @@ from needlefit.studies.kind import find_kind
 def load_study(path: Path) -> FileRecord:
     """Load a study file and check it against the record of its kind.
 
-    Raises
-    ------
-    ConfigError
-        If it does not hold what a study of its kind wants.
+    Raises ConfigError if it does not hold what a study of its kind wants.
     """
     table = read_toml(path)
     with add_file_context(path):

@@ -23,10 +23,7 @@ def load_target(target: str) -> tuple[str, FitRecord, Path]:
 
     Of a study of tip tracks with several fits, STUDY:FIT names one.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such study or fit, or it does more than tune.
+    Raises ConfigError if there is no such study or fit, or it does more than tune.
     """
     study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
     kind, path = find_study_or_fit(study or target)

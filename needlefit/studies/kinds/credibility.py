@@ -201,10 +201,7 @@ def gather_evidence(
     `runs` has the `run.json` of each study or fit by its name, `-tune` left off. Beside it only results that
     name one of these runs are considered; what was named always is.
 
-    Raises
-    ------
-    DataError
-        If a folder that was named holds no evidence.
+    Raises DataError if a folder that was named holds no evidence.
     """
     given = {folder: read_run(folder) for folder in named}
     for folder, table in given.items():
@@ -306,8 +303,7 @@ class Finding:
     target: str = ""  #: the study or fit that it is about; empty for what is about all of them
 
 
-Item = Finding | str | Block
-"""A finding; a gap, in words; or a figure or table that shows what was found."""
+Item = Finding | str | Block  #: a finding; a gap, in words; or a figure or table that shows what was found
 
 
 @dataclass(frozen=True)
@@ -354,11 +350,8 @@ def load_case(
 ) -> CredibilityCase:
     """Return the case of a run's folder.
 
-    Raises
-    ------
-    DataError
-        If it does not agree with its manifest, stored no results of a study or fit, or a named folder holds
-        no evidence.
+    Raises DataError if it does not agree with its manifest, stored no results of a study or fit, or a named
+    folder holds no evidence.
     """
     read_run(run)
     alone = (run / RESULTS_FILE).is_file() and unpack(run).get("kind") not in FIT_KINDS
@@ -865,13 +858,7 @@ EVIDENCE_COLUMNS = ("kind", "place", "target", "command", "counted", "objections
 
 
 def run(name: str, record: CredibilityRecord, settings: Settings) -> Run:
-    """Collect the evidence about `record.run`; nothing is computed.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If the run, or a folder that is named, is missing, damaged, or of another kind.
-    """
+    """Collect the evidence about `record.run`; nothing is computed."""
     case = _load_recorded_case(record)
     named = {"run": case.folder.name, "evidence": [Path(folder).name for folder in record.evidence]}
     evidence = [
@@ -933,8 +920,7 @@ def _digest_runs(case: CredibilityCase) -> dict[str, dict[str, str]]:
 
 # ---- the report
 
-DIGEST_DIGITS = 16
-"""Digits of a sha256 in print; run.json has all."""
+DIGEST_DIGITS = 16  #: digits of a sha256 in print; run.json has all
 
 _MAX_NAMED_FOLDERS = 3
 
@@ -983,10 +969,7 @@ def _tabulate_evidence(found: Run) -> Table:
 def list_blocks(found: Run) -> dict[str, list[Block]]:
     """Return what the report refers to; figures and tables are those of the runs that the bundle is about.
 
-    Raises
-    ------
-    DataError
-        If these runs were changed since.
+    Raises DataError if these runs were changed since.
     """
     assert isinstance(found.record, CredibilityRecord)
     case = _load_recorded_case(found.record)
